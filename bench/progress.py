@@ -1,0 +1,107 @@
+"""What the operator sees while a run goes on: state, pose n of m, time left. Always on standard error."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TextIO
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+_BAR_WIDTH = 24
+
+
+def clock_text(seconds: float) -> str:
+    """Seconds as people say them.
+
+    >>> clock_text(75), clock_text(4.2), clock_text(7322)
+    ('1:15', '0:04', '2:02:02')
+    """
+    whole = max(0, round(seconds))
+    hours, rest = divmod(whole, 3600)
+    minutes, seconds_left = divmod(rest, 60)
+    return f"{hours}:{minutes:02d}:{seconds_left:02d}" if hours else f"{minutes}:{seconds_left:02d}"
+
+
+class Progress:
+    """Shows a run as it goes: one live line on a terminal, a line a change elsewhere.
+
+    Parameters
+    ----------
+    monotonic
+        The run's clock, s.
+    total_s
+        Expected duration of the whole run, s.
+    poses
+        Number of poses.
+    stream
+        Where to write; standard error by default.
+    """
+
+    def __init__(
+        self, monotonic: Callable[[], float], total_s: float, poses: int, stream: TextIO | None = None
+    ) -> None:
+        self._monotonic = monotonic
+        self._total_s = total_s
+        self._poses = poses
+        self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False)
+        self._live = Live(console=self._console, transient=True, get_renderable=self._line, refresh_per_second=8)
+        self._started_s = monotonic()
+        self._state, self._detail, self._pose, self._done_s = "idle", "", 0, 0.0
+        self._counted_from_s = self._started_s
+
+    def __enter__(self) -> Progress:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def show(self, state: str, *, pose: int | None = None, done_s: float | None = None, detail: str = "") -> None:
+        """Tell the present state.
+
+        Parameters
+        ----------
+        state
+            State of the machine.
+        pose
+            Number of the pose at work, from 1.
+        done_s
+            How much of the expected total lies behind, s.
+        detail
+            A few words more.
+        """
+        self._state, self._detail = state, detail
+        self._pose = self._pose if pose is None else pose
+        if done_s is not None:
+            self._done_s, self._counted_from_s = done_s, self._monotonic()
+        if not self._console.is_terminal:
+            self._console.print(self._plain(), soft_wrap=True)
+
+    def say(self, message: str) -> None:
+        """Print a line that stays."""
+        self._console.print(Text(message), soft_wrap=True)
+
+    def left_s(self) -> float:
+        """Expected time to the end, s: the plan's, counted down while the present step lasts."""
+        return max(0.0, self._total_s - self._done_s - (self._monotonic() - self._counted_from_s))
+
+    def _plain(self) -> str:
+        pose = f"pose {self._pose} of {self._poses}" if self._pose else ""
+        parts = [f"{self._state:<10}", f"{pose:<14}", f"{clock_text(self.left_s()):>6} left", self._detail]
+        return "  ".join(parts).rstrip()
+
+    def _line(self) -> Table:
+        share = 1.0 if self._total_s <= 0 else min(1.0, 1.0 - self.left_s() / self._total_s)
+        full = round(share * _BAR_WIDTH)
+        bar = Text("━" * full, style="bold green") + Text("━" * (_BAR_WIDTH - full), style="bright_black")
+        line = Table.grid(padding=(0, 2))
+        pose = f"pose {self._pose} of {self._poses}" if self._pose else ""
+        line.add_row(
+            bar, Text(self._state, style="bold"), pose, f"{clock_text(self.left_s())} left", Text(self._detail)
+        )
+        return line

@@ -1,0 +1,114 @@
+"""The simulated bench as the station's devices: the one place where the bench meets the simulators.
+
+The simulators run in a process of their own and answer on pseudo-terminals and a socket; drivers cannot tell.
+The process ends when this one does, however it ends: it watches its standard input, which closes with us.
+The truth it keeps is read once, after the result stands, for the final comparison only.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from bench.errors import SimulationError
+
+_START_TIMEOUT_S = 120.0
+"""The first start ever compiles the pixel model; later ones take about a second."""
+
+
+class SimulatedBench:
+    """A simulated bench, running.
+
+    Parameters
+    ----------
+    config
+        The station file's ``simulation`` section.
+    seed
+        Seed of everything random in it.
+
+    Raises
+    ------
+    SimulationError
+        When it does not start; the message carries what it said.
+    """
+
+    def __init__(self, config: Mapping[str, Any], seed: int) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="starbench-")
+        folder = Path(self._folder.name)
+        config_path = folder / "config.json"
+        config_path.write_text(json.dumps(dict(config)), encoding="utf-8")
+        self._log = (folder / "log.txt").open("w+", encoding="utf-8")
+        command = [sys.executable, "-m", "simulators.bench", "--folder", str(folder), "--config", str(config_path)]
+        command += ["--seed", str(seed), "--until-eof"]
+        # A session of its own: Ctrl-C at the terminal reaches the run, which then needs the devices to make safe.
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True, start_new_session=True
+        )
+        try:
+            ready = json.loads(self._first_line())
+            self.endpoints: dict[str, str] = dict(ready["endpoints"])
+            self._truth_path = Path(ready["truth"])
+        except (json.JSONDecodeError, KeyError, SimulationError) as error:
+            said = self._said()
+            self.close()
+            raise SimulationError(
+                f"The simulated bench did not start: {said or error}",
+                remedy="Check the simulation section of the station file.",
+            ) from error
+
+    def _first_line(self) -> str:
+        stdout = self._process.stdout
+        assert stdout is not None
+        readable, _, _ = select.select([stdout], [], [], _START_TIMEOUT_S)
+        if not readable:
+            raise SimulationError(f"it was not ready within {_START_TIMEOUT_S:.0f} s")
+        return stdout.readline()
+
+    def _said(self) -> str:
+        try:
+            self._process.wait(timeout=2.0)
+        except subprocess.TimeoutExpired:
+            return ""
+        self._log.flush()
+        self._log.seek(0)
+        lines = self._log.read().strip().splitlines()
+        return lines[-1] if lines else ""
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process is still there."""
+        return self._process.poll() is None
+
+    def truth(self) -> dict[str, Any]:
+        """What the simulated world is made of: for the final comparison, never for an estimator."""
+        truth: dict[str, Any] = json.loads(self._truth_path.read_text(encoding="utf-8"))
+        return truth
+
+    def close(self) -> None:
+        """End the process and remove its ports."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        try:
+            self._process.wait(timeout=5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._log.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> SimulatedBench:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
