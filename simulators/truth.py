@@ -1,0 +1,221 @@
+"""What is true in the simulated world: the numbers a calibration is to find, and those that disturb it.
+
+Knows the parameters of camera, collimator, optics and sensor noise, their defaults, and how to build
+them from a configuration. Computes nothing with them: that is ``optics`` and ``pixels``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeVar
+
+from simulators.errors import ConfigError
+
+PITCH_MM: Final = 144.5 / 36.0
+"""Side of a square of the printed target, mm."""
+
+
+@dataclass(frozen=True)
+class CameraTruth:
+    """The camera's lens: OpenCV's pinhole and Brown model, pixel centres at integers.
+
+    Attributes
+    ----------
+    fx, fy, cx, cy
+        Focal lengths and principal point, px.
+    k1, k2, p1, p2, k3
+        Radial and tangential distortion on normalised coordinates.
+    width, height
+        Pixels of the sensor.
+    """
+
+    fx: float = 3345.06
+    fy: float = 3345.27
+    cx: float = 642.10
+    cy: float = 363.32
+    k1: float = 0.06
+    k2: float = -0.90
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    width: int = 1280
+    height: int = 720
+
+
+@dataclass(frozen=True)
+class CollimatorTruth:
+    """Where the camera's centre lies in the target's frame, and the disc of light it sees.
+
+    Attributes
+    ----------
+    x, y, r
+        The camera's centre is (x, y, -r), mm of the target plane.
+    half_angle_deg
+        Half angle of the visible disc, seen from that centre.
+    disc_x, disc_y
+        Centre of the disc on the target, mm, from (x, y).
+    rim
+        Width of the vignetted rim, as a share of the disc's radius: brightness falls smoothly from one to
+        nothing over it.
+    """
+
+    x: float = 24.0 * PITCH_MM + 0.7
+    y: float = 35.0 * PITCH_MM - 0.4
+    r: float = 255.0
+    half_angle_deg: float = 12.0
+    disc_x: float = 0.0
+    disc_y: float = 0.0
+    rim: float = 0.08
+
+
+@dataclass(frozen=True)
+class OpticsTruth:
+    """Blur and unevenness of the picture, and how the camera sits on the gimbal.
+
+    Attributes
+    ----------
+    psf_px
+        Standard deviation of the Gaussian point spread, px.
+    gradient_x, gradient_y
+        Relative change of illumination over the disc's radius, along the target's axes.
+    black
+        Light that passes the reticle's black segments, as a share of the white ones'.
+    mounting_deg
+        Rotation vector of the camera on the gimbal at zero angles (R0 of the pose), degrees.
+    """
+
+    psf_px: float = 0.7
+    gradient_x: float = 0.08
+    gradient_y: float = -0.05
+    black: float = 0.01
+    mounting_deg: tuple[float, float, float] = (0.31, -0.22, 0.45)
+
+
+@dataclass(frozen=True)
+class NoiseTruth:
+    """How uneven and noisy the sensor's pixels are.
+
+    Attributes
+    ----------
+    mismatch
+        Relative standard deviation of a pixel's contrast thresholds (fixed pattern).
+    background_hz
+        Mean rate of background events of a pixel.
+    hot_share, hot_hz
+        Share of pixels that are hot, and the rate of their events.
+    reset_noise
+        Standard deviation of the reference level after a reset, in units of log intensity.
+    """
+
+    mismatch: float = 0.12
+    background_hz: float = 1.0
+    hot_share: float = 2e-5
+    hot_hz: float = 2000.0
+    reset_noise: float = 0.01
+
+
+NOISE_LEVELS: Final[Mapping[str, NoiseTruth]] = {
+    "none": NoiseTruth(mismatch=0.0, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=0.0),
+    "clean": NoiseTruth(mismatch=0.03, background_hz=0.1, hot_share=0.0, hot_hz=0.0, reset_noise=0.01),
+    "typical": NoiseTruth(),
+    "heavy": NoiseTruth(mismatch=0.25, background_hz=20.0, hot_share=5e-4, hot_hz=2000.0, reset_noise=0.03),
+}
+"""Noise levels by name; "typical" is the default."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """All that is true, in one place."""
+
+    camera: CameraTruth = field(default_factory=CameraTruth)
+    collimator: CollimatorTruth = field(default_factory=CollimatorTruth)
+    optics: OpticsTruth = field(default_factory=OpticsTruth)
+    noise: NoiseTruth = field(default_factory=NoiseTruth)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain numbers, by section: what ``truth.json`` holds."""
+        return dataclasses.asdict(self)
+
+
+_Section = TypeVar("_Section", CameraTruth, CollimatorTruth, OpticsTruth, NoiseTruth)
+
+
+def truth_from_config(config: Mapping[str, Any]) -> Truth:
+    """Truth from the sections "camera", "collimator", "optics" and "noise" of a configuration.
+
+    Every section and every key in it is optional; other sections are not looked at. ``noise`` is the name
+    of a level or a mapping, which starts from the typical level.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key that is unknown or whose value is no finite number in its range.
+
+    Examples
+    --------
+    >>> truth_from_config({"collimator": {"r": 700}, "noise": "clean"}).collimator.r
+    700.0
+    """
+    noise = config.get("noise", "typical")
+    if isinstance(noise, str):
+        if noise not in NOISE_LEVELS:
+            names = ", ".join(NOISE_LEVELS)
+            raise ConfigError(f"No noise level {noise!r}.", where="noise", remedy=f"Use one of: {names}.")
+        level = NOISE_LEVELS[noise]
+    else:
+        level = _section("noise", NoiseTruth(), noise)
+    return Truth(
+        camera=_section("camera", CameraTruth(), config.get("camera", {})),
+        collimator=_section("collimator", CollimatorTruth(), config.get("collimator", {})),
+        optics=_section("optics", OpticsTruth(), config.get("optics", {})),
+        noise=level,
+    )
+
+
+def _section(name: str, default: _Section, given: object) -> _Section:
+    """``default`` with the given keys replaced, each checked against the type of its default."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"A mapping is expected, not {given!r}.", where=name)
+    known = {f.name: getattr(default, f.name) for f in dataclasses.fields(default)}
+    values: dict[str, Any] = {}
+    for key, value in given.items():
+        where = f"{name}.{key}"
+        if key not in known:
+            raise ConfigError("Unknown key.", where=where, remedy=f"Known are: {', '.join(known)}.")
+        values[key] = _like(known[key], value, where)
+    return dataclasses.replace(default, **values)
+
+
+def _like(default: object, value: object, where: str) -> object:
+    """Check the value and give it its default's type (float, int or a tuple of floats)."""
+    if isinstance(default, tuple):
+        if not isinstance(value, (list, tuple)) or len(value) != len(default):
+            raise ConfigError(f"{len(default)} numbers are expected, not {value!r}.", where=where)
+        return tuple(_number(v, where) for v in value)
+    number = _number(value, where)
+    if isinstance(default, int):
+        if number != int(number) or number < 1:
+            raise ConfigError(f"A whole number of at least 1 is expected, not {value!r}.", where=where)
+        return int(number)
+    if (where in _POSITIVE and number <= 0) or (where in _NOT_NEGATIVE and number < 0):
+        raise ConfigError(f"{value!r} is outside its range.", where=where, remedy="Give a positive number.")
+    return number
+
+
+_POSITIVE: Final = {"camera.fx", "camera.fy", "collimator.r", "collimator.half_angle_deg"}
+_NOT_NEGATIVE: Final = {
+    "collimator.rim",
+    "optics.psf_px",
+    "optics.black",
+    *(f"noise.{f.name}" for f in dataclasses.fields(NoiseTruth)),
+}
+
+
+def _number(value: object, where: str) -> float:
+    """Check that it is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ConfigError(f"A finite number is expected, not {value!r}.", where=where)
+    return float(value)
