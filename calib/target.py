@@ -196,8 +196,8 @@ class StarTarget:
     def reflectance(self, x_mm: ArrayLike, y_mm: ArrayLike) -> NDArray[np.float64]:
         """Return the printed brightness at points of the target plane, 0 (black) or 1 (white).
 
-        The result has the broadcast shape of the inputs. The paper outside the stars' cells is white. At a star's very centre, where segments meet, it is that
-        of one of them.
+        The result has the broadcast shape of the inputs. The paper outside the stars' cells is white; at a
+        star's very centre, where segments meet, the value is that of one of them.
         """
         x, y = np.broadcast_arrays(np.asarray(x_mm, float), np.asarray(y_mm, float))
         values = _reflectances(x.ravel(), y.ravel(), self.layout)
@@ -206,7 +206,7 @@ class StarTarget:
 
 @njit(cache=True, error_model="numpy")
 def reflectance_at(x_mm: float, y_mm: float, layout: TargetLayout) -> float:
-    """Return the printed brightness at one point, 0 or 1; `StarTarget.reflectance` for code that numba compiles.
+    """Return the printed brightness at one point, 0 or 1, for code that numba compiles.
 
     Parameters
     ----------

@@ -1,0 +1,187 @@
+"""What a calibration is asked for and what it answers: options and result, as data.
+
+Knows shapes and names; computes nothing but summaries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.camera import CameraModel, distortion_names
+from calib.collimator import Collimator
+from calib.errors import InputMismatch
+
+Array = NDArray[np.float64]
+ModelName = Literal["spherical", "planar", "auto"]
+LossName = Literal["l2", "huber", "cauchy"]
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """How to calibrate.
+
+    Parameters
+    ----------
+    model
+        ``spherical``: all views share one centre; ``planar``: each view has its own (Zhang's model, for
+        comparison); ``auto``: whichever predicts views it has not seen better.
+    distortion
+        Names of the coefficients to estimate, or the name of a set in `calib.camera.DISTORTION_SETS`.
+    loss
+        ``l2``, ``huber`` or ``cauchy``, applied to the length of each residual vector.
+    huber_px
+        Length at which the robust loss leaves the parabola, px; None: 2.5 times the residuals' own robust
+        standard deviation per axis.
+    max_iterations
+        Bound on the steps of the refinement.
+
+    Raises
+    ------
+    InputMismatch
+        When an option has no meaning.
+    """
+
+    model: ModelName = "spherical"
+    distortion: str | Sequence[str] = ("k1", "k2")
+    loss: LossName = "huber"
+    huber_px: float | None = None
+    max_iterations: int = 100
+
+    def __post_init__(self) -> None:
+        for what, value, known in (
+            ("model", self.model, ("spherical", "planar", "auto")),
+            ("loss", self.loss, ("l2", "huber", "cauchy")),
+        ):
+            if value not in known:
+                raise InputMismatch(f"Unknown {what} {value!r}.", remedy=f"Known are: {', '.join(known)}.")
+        object.__setattr__(self, "distortion", distortion_names(self.distortion))
+        if self.huber_px is not None and not self.huber_px > 0:
+            raise InputMismatch(f"huber_px is {self.huber_px}; it must be positive.")
+        if self.max_iterations < 1:
+            raise InputMismatch(f"max_iterations is {self.max_iterations}; it must be at least 1.")
+
+
+@dataclass(frozen=True)
+class ViewSummary:
+    """How well one view is reproduced.
+
+    Attributes
+    ----------
+    name
+        The view's name.
+    n
+        Number of stars.
+    rms_px, mean_px
+        Root mean square and mean of the lengths of its residual vectors, px.
+    """
+
+    name: str
+    n: int
+    rms_px: float
+    mean_px: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated camera and all that was estimated with it.
+
+    Attributes
+    ----------
+    model
+        ``spherical`` or ``planar``: the model fitted.
+    camera
+        Intrinsics and distortion.
+    collimator
+        The shared centre; None for the planar model, which has none.
+    rotations
+        (n, 3, 3) rotation of each view, camera <- target.
+    centres
+        (n, 3) camera centre of each view in the target frame, mm.
+    parameter_names, values
+        Names and values of the parameters that all views share.
+    covariance
+        Joint covariance of those, in their order.
+    residuals_px
+        For each view (N, 2): star found minus star projected, px.
+    weights
+        For each view (N,): weight the robust loss gave to each star, 0 to 1.
+    rms_px, mean_px
+        Root mean square and mean of the lengths of all residual vectors, px. They say how well the model
+        follows the data, not how accurate it is.
+    variance_factor
+        Estimated variance of the weighted residuals: 1 when the stars' covariances tell the truth.
+    degrees_of_freedom
+        Measurements less parameters.
+    views
+        Summary of each view.
+    converged, iterations
+        Whether the refinement reached its optimum, and in how many steps.
+    notes
+        What the reader should know, in words.
+    """
+
+    model: Literal["spherical", "planar"]
+    camera: CameraModel
+    collimator: Collimator | None
+    rotations: Array
+    centres: Array
+    parameter_names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    residuals_px: list[Array]
+    weights: list[Array]
+    rms_px: float
+    mean_px: float
+    variance_factor: float
+    degrees_of_freedom: int
+    views: tuple[ViewSummary, ...]
+    converged: bool
+    iterations: int
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def sigma(self) -> Mapping[str, float]:
+        """Standard uncertainty (1 sigma) of each parameter, by name."""
+        sigmas = np.sqrt(np.diag(self.covariance))
+        return dict(zip(self.parameter_names, sigmas.tolist(), strict=True))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix of the parameters."""
+        sigmas = np.sqrt(np.diag(self.covariance))
+        return np.asarray(self.covariance / np.outer(sigmas, sigmas))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, lists and names only, ready for JSON."""
+        poses = zip(self.views, self.rotations.tolist(), self.centres.tolist(), strict=True)
+        return {
+            "model": self.model,
+            "converged": self.converged,
+            "iterations": self.iterations,
+            "image_size": list(self.camera.image_size),
+            "camera": self.camera.to_dict(),
+            "collimator": self.collimator.to_dict() if self.collimator else None,
+            "sigma": dict(self.sigma),
+            "covariance": {"names": list(self.parameter_names), "matrix": self.covariance.tolist()},
+            "rms_px": self.rms_px,
+            "mean_px": self.mean_px,
+            "variance_factor": self.variance_factor,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "views": [
+                {
+                    "name": view.name,
+                    "n": view.n,
+                    "rms_px": view.rms_px,
+                    "mean_px": view.mean_px,
+                    "rotation": rotation,
+                    "centre_mm": centre,
+                }
+                for view, rotation, centre in poses
+            ],
+            "notes": list(self.notes),
+        }

@@ -1,0 +1,16 @@
+"""What every test may ask for."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def reference_data() -> Path:
+    """Folder of recordings published by others; it is not part of the project and may be absent."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("STARBENCH_REFERENCE_DATA", beside))
+    if not folder.is_dir():
+        pytest.skip("the reference recordings are not here; STARBENCH_REFERENCE_DATA names their folder")
+    return folder
