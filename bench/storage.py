@@ -1,0 +1,136 @@
+"""Writing so that it lasts: whole files or none, synced with their folder, failures in plain words.
+
+Knows the file system and nothing of runs. Every file of ours goes to disk through here or through the
+journal; whoever writes elsewhere (a camera, HDF5) has its file put in place by ``put_in_place``.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from bench.errors import StorageError
+
+HASH_CHUNK_BYTES = 1 << 20
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
+
+
+@contextmanager
+def storing(where: Path) -> Iterator[None]:
+    """Turn an OSError of the block into a StorageError that says what to do.
+
+    Parameters
+    ----------
+    where
+        The file or folder being written; named in the message unless the error names another.
+
+    Raises
+    ------
+    StorageError
+        For any OSError raised inside.
+    """
+    try:
+        yield
+    except OSError as error:
+        place = str(error.filename or where)
+        if error.errno in _FULL:
+            what, remedy = "The disk is full.", "Make room, then go on with `starbench resume`."
+        elif error.errno in _DENIED:
+            what, remedy = "No permission.", "Choose a folder you may write to, or change its mode."
+        else:
+            what = f"The file system refused: {error.strerror or error}."
+            remedy = "Check the disk (dmesg, SMART) before going on."
+        raise StorageError(what, where=place, remedy=remedy) from error
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder last through a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and its parents, each name synced.
+
+    Raises
+    ------
+    StorageError
+        When one of them is a file, or cannot be made.
+    """
+    with storing(folder):
+        missing = [p for p in (folder, *folder.parents) if not p.exists()]
+        for path in reversed(missing):
+            path.mkdir(exist_ok=True)
+            sync_folder(path.parent)
+        if not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
+
+
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write every byte; ``os.write`` alone may stop short. Raises OSError."""
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]
+
+
+def write_whole(path: Path, data: bytes, *, mode: int = 0o644) -> None:
+    """Write a file so that its name holds either all of ``data`` or what it held before.
+
+    Temporary file beside it, fsync, rename, fsync of the folder. After a failure nothing is left over.
+
+    Raises
+    ------
+    StorageError
+        Disk full, no permission, or any other failure; ``path`` is as before.
+    """
+    part = path.with_name(f".{path.name}.tmp")
+    with storing(path):
+        with suppress(FileNotFoundError):
+            part.unlink()
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+        try:
+            write_all(descriptor, data)
+            os.fsync(descriptor)
+        except OSError:
+            part.unlink()
+            raise
+        finally:
+            os.close(descriptor)
+        part.rename(path)
+        sync_folder(path.parent)
+
+
+def put_in_place(part: Path, path: Path) -> None:
+    """Give a file written by somebody else its final name: fsync, rename, fsync of the folder.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be synced or renamed.
+    """
+    with storing(part):
+        descriptor = os.open(part, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        part.rename(path)
+        sync_folder(path.parent)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal; memory stays bounded. Raises OSError."""
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while chunk := stream.read(HASH_CHUNK_BYTES):
+            digest.update(chunk)
+    return digest.hexdigest()

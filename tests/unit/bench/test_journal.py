@@ -1,0 +1,225 @@
+"""The journal: chained, synced, torn ends dropped, changes found."""
+
+import errno
+import hashlib
+import json
+import os
+import subprocess
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bench.errors import JournalBroken, RunFolderError, StorageError
+from bench.journal import CLOCK_JUMPED, FIRST_PREV, Journal, read_journal
+
+START = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=UTC)
+
+
+class Clocks:
+    """System time and monotonic time, set by hand."""
+
+    def __init__(self):
+        self.utc, self.mono_s = START, 100.0
+
+    def advance(self, seconds, *, system_s=None):
+        self.mono_s += seconds
+        self.utc += timedelta(seconds=seconds if system_s is None else system_s)
+
+    def kwargs(self):
+        return {"utc_now": lambda: self.utc, "monotonic": lambda: self.mono_s}
+
+
+@pytest.fixture
+def clocks():
+    return Clocks()
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "journal.jsonl"
+
+
+@pytest.fixture
+def three_lines(path, clocks):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        journal.append("run_started", sequence="three_pose", seed=1)
+        journal.append("state", to="homing")
+        journal.append("finished")
+    return path
+
+
+def test_a_line_reads_back_as_it_was_written(path, clocks):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        written = journal.append("capture_stored", capture="captures/a.raw", size=12, note="Müller\n\u2028")
+    (read,), torn = read_journal(path)
+    assert read == written
+    assert torn == b""
+    assert read.data == {"capture": "captures/a.raw", "size": 12, "note": "Müller\n\u2028"}
+    assert (read.seq, read.utc, read.mono_s) == (0, "2026-03-01T12:00:00.123456Z", 100.0)
+
+
+def test_numpy_paths_and_dates_are_written_as_json(path, clocks):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        data = journal.append("x", a=np.float64(1.5), b=np.arange(3), c=Path("a/b"), d=START, e=np.True_).data
+    assert data == {"a": 1.5, "b": [0, 1, 2], "c": "a/b", "d": "2026-03-01T12:00:00.123456+00:00", "e": True}
+
+
+def test_each_line_carries_the_hash_of_the_one_before(three_lines):
+    entries, _ = read_journal(three_lines)
+    assert [e.prev for e in entries] == [FIRST_PREV, entries[0].hash, entries[1].hash]
+    assert len({e.hash for e in entries}) == 3
+
+
+def test_a_shell_can_check_a_line_without_this_program(three_lines):
+    first = json.loads(three_lines.read_text().splitlines()[0])
+    command = f"""sed 's/,"hash":"[0-9a-f]*"}}$/}}/' {three_lines} | head -n 1 | tr -d '\\n' | sha256sum"""
+    printed = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout
+    assert printed.split()[0] == first["hash"]
+
+
+def test_going_on_continues_the_chain(three_lines, clocks):
+    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+        head = journal.head
+        added = journal.append("resumed")
+        assert added.prev == head
+        assert added.seq == 3
+    assert [e.event for e in read_journal(three_lines)[0]] == ["run_started", "state", "finished", "resumed"]
+
+
+def test_a_torn_last_line_is_dropped_and_reported(three_lines, clocks):
+    whole = three_lines.read_bytes()
+    three_lines.write_bytes(whole + b'{"seq":3,"utc":"2026-')
+    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+        assert journal.torn == b'{"seq":3,"utc":"2026-'
+        assert len(journal.entries) == 3
+    assert three_lines.read_bytes() == whole
+
+
+def test_every_prefix_of_a_journal_can_be_gone_on_with(three_lines, clocks):
+    whole = three_lines.read_bytes()
+    for size in range(len(whole) + 1):
+        three_lines.write_bytes(whole[:size])
+        with Journal.open(three_lines, **clocks.kwargs()) as journal:
+            assert len(journal.entries) == whole[:size].count(b"\n")
+            journal.append("resumed")
+        assert read_journal(three_lines)[0][-1].event == "resumed"
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(data=st.data())
+def test_any_changed_byte_of_a_whole_line_is_found(three_lines, data):
+    whole = bytearray(three_lines.read_bytes())
+    try:
+        at = data.draw(st.integers(0, len(whole) - 2))
+        value = data.draw(st.integers(0, 255).filter(lambda v: v != whole[at]))
+        three_lines.write_bytes(whole[:at] + bytes([value]) + whole[at + 1 :])
+        with pytest.raises(JournalBroken) as caught:
+            read_journal(three_lines)
+        # a line feed in the middle of a line makes that very line unreadable
+        assert f":{whole[:at].count(10) + 1}:" in str(caught.value)
+    finally:
+        three_lines.write_bytes(whole)
+
+
+@pytest.mark.parametrize("lines", [(1, 2), (0, 2), (0, 2, 1), (0, 1, 1, 2)], ids=str)
+def test_lines_removed_moved_or_doubled_are_found(three_lines, lines):
+    all_lines = three_lines.read_bytes().splitlines(keepends=True)
+    three_lines.write_bytes(b"".join(all_lines[i] for i in lines))
+    with pytest.raises(JournalBroken):
+        read_journal(three_lines)
+
+
+def test_a_number_edited_with_its_own_hash_made_new_breaks_the_chain(three_lines):
+    lines = three_lines.read_bytes().splitlines()
+    body = lines[0].replace(b'"seed":1', b'"seed":2')
+    body = body[: body.rindex(b',"hash"')] + b"}"
+    new_hash = hashlib.sha256(body).hexdigest().encode()
+    lines[0] = body[:-1] + b',"hash":"' + new_hash + b'"}'
+    three_lines.write_bytes(b"\n".join(lines) + b"\n")
+    with pytest.raises(JournalBroken, match=r":2: .*not chained"):
+        read_journal(three_lines)
+
+
+def test_a_broken_journal_is_left_as_it_is(three_lines, clocks):
+    broken = three_lines.read_bytes().replace(b"homing", b"hominG") + b"torn"
+    three_lines.write_bytes(broken)
+    with pytest.raises(JournalBroken, match="restore the run folder"):
+        Journal.open(three_lines, **clocks.kwargs())
+    assert three_lines.read_bytes() == broken
+
+
+def test_a_jump_of_the_system_clock_is_told(path, clocks):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        journal.append("a")
+        clocks.advance(10, system_s=11.9)
+        journal.append("b")
+        clocks.advance(10, system_s=3610)
+        journal.append("c")
+        clocks.advance(1)
+        journal.append("d")
+    assert [e.event for e in journal.entries] == ["a", "b", CLOCK_JUMPED, "c", "d"]
+    assert journal.entries[2].data == {"jump_s": 3600.0}
+
+
+def test_time_that_ran_back_between_two_processes_is_told(three_lines, clocks):
+    clocks.advance(5, system_s=-60)
+    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+        journal.append("resumed")
+    assert [(e.event, dict(e.data)) for e in journal.entries[3:]] == [
+        (CLOCK_JUMPED, {"jump_s": -60.0}),
+        ("resumed", {}),
+    ]
+
+
+@pytest.mark.parametrize("data", [{"seq": 1}, {"hash": "x"}, {"a": float("nan")}, {"a": object()}], ids=str)
+def test_data_that_cannot_stand_in_a_line_is_refused(path, clocks, data):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        with pytest.raises(ValueError, match="'bad'"):
+            journal.append("bad", **data)
+        journal.append("good")
+    assert [e.event for e in read_journal(path)[0]] == ["good"]
+
+
+def test_a_journal_is_never_begun_twice(three_lines, clocks):
+    with pytest.raises(RunFolderError, match="exists already"):
+        Journal.create(three_lines, **clocks.kwargs())
+
+
+def test_a_full_disk_leaves_no_half_line_and_the_journal_goes_on(three_lines, clocks, monkeypatch):
+    whole = three_lines.read_bytes()
+    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+        real_write = os.write
+        calls = []
+
+        def half_then_full(descriptor, data):
+            calls.append(len(data))
+            if len(calls) == 1:
+                return real_write(descriptor, data[:20])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "write", half_then_full)
+            with pytest.raises(StorageError, match=r"disk is full.*Make room"):
+                journal.append("x")
+        assert calls[1] == calls[0] - 20
+        assert three_lines.read_bytes() == whole
+        journal.append("disk_full")
+    assert [e.event for e in read_journal(three_lines)[0]][-2:] == ["finished", "disk_full"]
+
+
+def test_after_a_failed_sync_nothing_more_is_written(three_lines, clocks, monkeypatch):
+    def fail(_descriptor):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", fail)
+            with pytest.raises(StorageError, match="file system refused"):
+                journal.append("x")
+        with pytest.raises(StorageError, match="a write to it failed"):
+            journal.append("y")
+        assert len(journal.entries) == 3

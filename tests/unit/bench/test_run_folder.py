@@ -1,0 +1,310 @@
+"""The run folder: one holder, whole files only, and order after a crash."""
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from bench import run_folder as run_folder_module
+from bench.errors import RunFolderError, StorageError
+from bench.journal import Journal
+from bench.run_folder import CAPTURE_STORED, RunFolder, capture_name, stored_captures
+
+HOLD = "import sys; from pathlib import Path; from bench.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"
+
+
+def begin_journal(folder):
+    return Journal.create(
+        folder.journal_path, utc_now=lambda: datetime(2026, 1, 1, tzinfo=UTC), monotonic=lambda: 0.0
+    )
+
+
+def record(folder, pose, attempt, data):
+    folder.capture_part(pose, attempt).write_bytes(data)
+    return folder.commit_capture(pose, attempt)
+
+
+@pytest.fixture
+def run(tmp_path):
+    with RunFolder.create(tmp_path / "runs" / "one") as folder:
+        yield folder
+
+
+@pytest.fixture
+def journal(run):
+    with begin_journal(run) as journal:
+        yield journal
+
+
+def visible(path):
+    return sorted(
+        str(p.relative_to(path)) for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")
+    )
+
+
+# ------------------------------------------------------------------ making and holding
+
+
+def test_parents_are_made(run, tmp_path):
+    assert run.path == tmp_path / "runs" / "one"
+    assert (run.path / "captures").is_dir()
+
+
+def test_a_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(RunFolderError, match=r"not empty: it holds notes.txt.*another --output"):
+        RunFolder.create(tmp_path)
+    assert visible(tmp_path) == ["notes.txt"]
+    assert not (tmp_path / "captures").exists()
+
+
+def test_a_folder_whose_making_was_cut_short_is_made_again(tmp_path):
+    RunFolder.create(tmp_path / "run").close()
+    RunFolder.create(tmp_path / "run").close()
+
+
+def test_a_file_in_the_way_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="file"):
+        RunFolder.create(tmp_path / "file" / "run")
+    with pytest.raises(StorageError, match="file"):
+        RunFolder.create(tmp_path / "file")
+
+
+def test_no_permission_is_told(tmp_path, monkeypatch):
+    def deny(self, *_args, **_kwargs):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
+
+    monkeypatch.setattr("pathlib.Path.mkdir", deny)
+    with pytest.raises(StorageError, match=r"run: No permission\. Choose a folder"):
+        RunFolder.create(tmp_path / "run")
+
+
+def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(10**9, 10**9, 5_000_000))
+    with pytest.raises(StorageError, match=r"needs 80 MB and the disk has 5 MB left"):
+        RunFolder.create(tmp_path / "run", bytes_needed=80_000_000)
+
+
+def test_a_second_process_is_refused_and_the_first_one_s_end_frees_the_folder(run, journal):
+    def second():
+        return subprocess.run(
+            [sys.executable, "-c", HOLD, run.path], capture_output=True, text=True, check=False
+        )
+
+    refused = second()
+    assert refused.returncode != 0
+    assert "Another process is working on this run" in refused.stderr
+    run.close()
+    accepted = second()
+    assert accepted.returncode == 0, accepted.stderr
+
+
+@pytest.mark.parametrize("what", ["absent", "no journal", "sealed"])
+def test_what_cannot_be_gone_on_with_is_refused(tmp_path, what):
+    path = tmp_path / "run"
+    words = {
+        "absent": "no such run folder",
+        "no journal": "not a run folder",
+        "sealed": "finished and sealed",
+    }
+    if what != "absent":
+        with RunFolder.create(path) as folder:
+            if what == "sealed":
+                begin_journal(folder).close()
+                folder.write_atomic("SHA256SUMS.sig", b"signature")
+    with pytest.raises(RunFolderError, match=words[what]):
+        RunFolder.open(path)
+
+
+def test_a_refused_folder_is_not_left_locked(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(RunFolderError):
+        RunFolder.create(tmp_path)
+    (tmp_path / "notes.txt").unlink()
+    RunFolder.create(tmp_path).close()
+
+
+# ------------------------------------------------------------------ whole files
+
+
+def test_a_file_is_replaced_as_a_whole(run):
+    run.write_atomic("exports/camera.yaml", b"old")
+    path = run.write_atomic("exports/camera.yaml", b"new")
+    assert path.read_bytes() == b"new"
+    assert visible(run.path) == ["exports/camera.yaml"]
+
+
+@pytest.mark.parametrize("call", ["write", "fsync"])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(run, monkeypatch, call):
+    run.write_atomic("results.json", b"old")
+
+    def full(*_args):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, call, full)
+    with pytest.raises(StorageError, match=r"results.json: The disk is full\."):
+        run.write_atomic("results.json", b"new")
+    monkeypatch.undo()
+    assert (run.path / "results.json").read_bytes() == b"old"
+    assert not list(run.path.rglob("*.tmp"))
+
+
+BAD_NAMES = [
+    "", ".", "..", "../x", "/etc/x", "a/../b", "a//b", "a/", ".hidden", "a b", "a\\b", "a\n", "x..y", "nul",
+    "COM1.txt", "a/con", "ä", "a:b", "a" * 65, "-rf",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_NAMES)
+def test_names_that_lead_elsewhere_are_refused(run, name):
+    with pytest.raises(RunFolderError, match="not a name"):
+        run.write_atomic(name, b"")
+
+
+def test_the_reserve_gives_space_for_the_last_words(run):
+    reserve = run.path / ".reserve"
+    assert reserve.stat().st_size > 100_000
+    run.release_reserve()
+    assert not reserve.exists()
+    run.release_reserve()
+
+
+# ------------------------------------------------------------------ captures
+
+
+def test_a_capture_gets_its_name_when_whole_with_its_hash(run):
+    part = run.capture_part(1, 2)
+    part.write_bytes(b"abc")
+    assert visible(run.path) == ["captures/pose-001-attempt-2.raw.part"]
+    capture = run.commit_capture(1, 2)
+    assert visible(run.path) == ["captures/pose-001-attempt-2.raw"]
+    assert capture.name == "captures/pose-001-attempt-2.raw"
+    assert (capture.size, capture.sha256[:8]) == (3, "ba7816bf")  # FIPS 180-2, appendix B.1
+
+
+def test_a_capture_is_synced_before_and_after_it_gets_its_name(run, monkeypatch):
+    part = run.capture_part(1, 1)
+    part.write_bytes(b"abc")
+    calls = []
+    real_fsync, real_rename = os.fsync, type(part).rename
+
+    def fsync(descriptor):
+        calls.append(f"sync {Path(f'/proc/self/fd/{descriptor}').readlink().name}")
+        real_fsync(descriptor)
+
+    def rename(self, target):
+        calls.append("rename")
+        return real_rename(self, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(type(part), "rename", rename)
+    run.commit_capture(1, 1)
+    assert calls == ["sync pose-001-attempt-1.raw.part", "rename", "sync captures"]
+
+
+def test_a_capture_is_never_written_over(run):
+    record(run, 1, 1, b"first")
+    run.capture_part(1, 1).write_bytes(b"second")
+    with pytest.raises(RunFolderError, match="never written over"):
+        run.commit_capture(1, 1)
+    assert (run.path / capture_name(1, 1)).read_bytes() == b"first"
+
+
+def test_a_part_left_by_an_earlier_try_is_removed(run):
+    run.capture_part(1, 1).write_bytes(b"half")
+    assert not run.capture_part(1, 1).exists()
+
+
+def test_committing_what_was_not_recorded_is_an_error(run):
+    with pytest.raises(StorageError, match="pose-001-attempt-1"):
+        run.commit_capture(1, 1)
+
+
+# ------------------------------------------------------------------ after a crash
+
+
+def test_a_whole_told_capture_stays(run, journal):
+    capture = record(run, 1, 1, b"abc")
+    journal.append(CAPTURE_STORED, pose=1, attempt=1, **capture.as_data())
+    notes = run.recover(journal)
+    assert notes.intact == (capture,)
+    assert notes == type(notes)(intact=(capture,))
+    assert stored_captures(journal.entries) == {capture.name: capture}
+
+
+def test_a_half_written_recording_is_set_aside(run, journal):
+    run.capture_part(2, 1).write_bytes(b"half")
+    assert run.recover(journal).interrupted == ("captures/pose-002-attempt-1.raw.part",)
+    assert (run.path / "quarantine/pose-002-attempt-1.raw.part.1").read_bytes() == b"half"
+    assert not list((run.path / "captures").iterdir())
+
+
+def test_a_capture_not_yet_told_to_the_journal_is_set_aside(run, journal):
+    record(run, 2, 1, b"whole")
+    assert run.recover(journal).unnamed == ("captures/pose-002-attempt-1.raw",)
+    assert (run.path / "quarantine/pose-002-attempt-1.raw.1").read_bytes() == b"whole"
+
+
+def test_what_is_set_aside_twice_is_kept_twice(run, journal):
+    for data in (b"one", b"two"):
+        record(run, 1, 1, data)
+        run.recover(journal)
+    kept = sorted(p.read_bytes() for p in (run.path / "quarantine").iterdir())
+    assert kept == [b"one", b"two"]
+
+
+@pytest.mark.parametrize("data", [b"abd", b"abcd", b""])
+def test_a_changed_capture_is_named_and_set_aside(run, journal, data):
+    capture = record(run, 1, 1, b"abc")
+    journal.append(CAPTURE_STORED, **capture.as_data())
+    (run.path / capture.name).write_bytes(data)
+    notes = run.recover(journal)
+    assert (notes.changed, notes.missing, notes.intact) == ((capture.name,), (), ())
+    assert not (run.path / capture.name).exists()
+
+
+def test_a_lost_capture_is_named(run, journal):
+    capture = record(run, 1, 1, b"abc")
+    journal.append(CAPTURE_STORED, **capture.as_data())
+    (run.path / capture.name).unlink()
+    assert run.recover(journal).missing == (capture.name,)
+
+
+def test_a_link_in_place_of_a_capture_is_not_taken_for_it(run, journal, tmp_path):
+    capture = record(run, 1, 1, b"abc")
+    journal.append(CAPTURE_STORED, **capture.as_data())
+    (run.path / capture.name).rename(tmp_path / "elsewhere.raw")
+    (run.path / capture.name).symlink_to(tmp_path / "elsewhere.raw")
+    assert run.recover(journal).changed == (capture.name,)
+
+
+def test_temporary_files_of_reports_go(run, journal):
+    (run.path / ".results.json.tmp").write_bytes(b"half")
+    run.recover(journal)
+    assert visible(run.path) == ["journal.jsonl"]
+    assert not (run.path / ".results.json.tmp").exists()
+
+
+def test_order_is_made_once(run, journal):
+    record(run, 1, 1, b"untold")
+    run.recover(journal)
+    again = run.recover(journal)
+    assert again == type(again)()
+
+
+def test_capture_entries_without_a_hash_are_refused(run, journal):
+    journal.append(CAPTURE_STORED, capture="captures/x.raw")
+    with pytest.raises(RunFolderError, match="without its name, size or hash"):
+        run.recover(journal)
+
+
+def test_the_reserve_s_size_counts_as_needed(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_folder_module, "_RESERVE_BYTES", 10**15)
+    with pytest.raises(StorageError, match="Make room"):
+        RunFolder.create(tmp_path / "run")
