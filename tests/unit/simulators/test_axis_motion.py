@@ -1,0 +1,163 @@
+"""The physics of an axis: ramps that keep their bounds, a load that settles, a counter that can be wrong."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulators.axis_motion import SETTLED_DEG, Axis, Mechanics, ramp
+
+SCALE = 6400.0
+SPEED = 40.0 * SCALE
+ACCELERATION = 200.0 * SCALE
+
+
+def axis(**changes: float) -> Axis:
+    settings = {"counts_per_deg": SCALE, "lowest_deg": -20.0, "highest_deg": 20.0} | changes
+    return Axis(Mechanics(**settings))
+
+
+def homed_axis(**changes: float) -> Axis:
+    one = axis(**changes)
+    one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
+    assert one.referenced(10.0)
+    return one
+
+
+numbers = st.floats(-1e5, 1e5, allow_nan=False)
+
+
+@given(numbers, numbers, numbers, st.floats(1.0, 1e5), st.floats(1.0, 1e6))
+def test_a_ramp_ends_at_rest_on_its_target(position, velocity, target, speed, acceleration):
+    p, v, scale = position, velocity, abs(position) + abs(target) + velocity**2 / acceleration + 1.0
+    for leg in ramp(position, velocity, target, speed, acceleration):
+        assert leg.duration_s > 0.0
+        p += v * leg.duration_s + leg.acceleration * leg.duration_s**2 / 2.0
+        v += leg.acceleration * leg.duration_s
+    if target != position or velocity != 0.0:
+        assert p == pytest.approx(target, abs=1e-9 * scale)
+        assert v == pytest.approx(0.0, abs=1e-6 * (abs(velocity) + speed))
+
+
+@given(numbers, numbers, st.floats(1.0, 1e5), st.floats(1.0, 1e6))
+def test_a_ramp_from_rest_keeps_its_speed_and_acceleration(position, target, speed, acceleration):
+    v = 0.0
+    for leg in ramp(position, 0.0, target, speed, acceleration):
+        assert abs(leg.acceleration) in (0.0, acceleration)
+        v += leg.acceleration * leg.duration_s
+        assert abs(v) <= speed * (1.0 + 1e-9)
+
+
+def test_a_move_takes_the_time_of_its_trapezoid():
+    one = axis()
+    one.move_to(4.0 * SCALE, 1.0, SPEED, ACCELERATION)
+    expected = 4.0 / 40.0 + 40.0 / 200.0 if 4.0 > 40.0**2 / 200.0 else 2.0 * math.sqrt(4.0 / 200.0)
+    assert one.busy(1.0 + expected - 1e-6)
+    assert not one.busy(1.0 + expected + 1e-6)
+    assert one.counter(1.0 + expected) == 4.0 * SCALE
+
+
+def test_the_load_settles_exponentially_and_then_stands_exactly():
+    one = homed_axis(settle_s=0.02)
+    one.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    end = 20.0 + 2.0 * math.sqrt(3.0 / 200.0)
+    early, later = (3.0 - one.path.angle_deg(end + wait) for wait in (0.01, 0.03))
+    assert later / early == pytest.approx(math.exp(-1.0), rel=1e-6)
+    assert end + 0.01 < one.path.settled_from_s < end + 0.3
+    assert one.path.angle_deg(end + 0.3) == 3.0
+    assert one.path.rest_load == 3 * 6400
+
+
+def test_the_load_matches_a_step_by_step_integration():
+    one = homed_axis(settle_s=0.03)
+    one.move_to(2.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    one.move_to(-1.0 * SCALE, 20.15, SPEED, ACCELERATION)
+    dt, load = 2e-5, one.path.angle_deg(20.0)
+    for t in np.arange(20.0, 20.5, dt):
+        load += dt / 0.03 * (one.path.motor(t + dt / 2) / SCALE - load)
+    assert one.path.angle_deg(20.5) == pytest.approx(load, abs=1e-4)
+
+
+def test_a_new_target_in_motion_is_reached_without_a_jump():
+    one = homed_axis()
+    one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    before = one.path.motor(20.1), one.path.velocity(20.1)
+    one.move_to(-5.0 * SCALE, 20.1, SPEED, ACCELERATION)
+    assert (one.path.motor(20.1), one.path.velocity(20.1)) == pytest.approx(before)
+    assert one.counter(22.0) == -5.0 * SCALE
+
+
+def test_every_new_path_is_published_and_joins_the_one_before():
+    paths = []
+    one = Axis(Mechanics(SCALE, -20.0, 20.0), 0.0, paths.append)
+    one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    one.stop(20.1, ACCELERATION)
+    assert [path.start_s for path in paths] == [0.0, 20.0, 20.1]
+    assert paths[2].angle_deg(20.1) == pytest.approx(paths[1].angle_deg(20.1))
+    assert paths[1].angle_deg(20.4) > paths[2].angle_deg(20.4)
+
+
+def test_stop_brakes_within_the_acceleration():
+    one = homed_axis()
+    one.move_to(15.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    one.stop(20.3, ACCELERATION)
+    assert one.busy(20.3 + 0.19)
+    assert not one.busy(20.3 + 0.21)
+    assert one.counter(21.0) == pytest.approx(one.path.motor(20.3) + SPEED**2 / (2 * ACCELERATION))
+
+
+def test_the_counter_is_wrong_until_homing_finds_the_sensor():
+    one = axis(start_deg=2.4)
+    assert one.counter(0.0) == 0.0
+    assert one.path.angle_deg(0.0) == pytest.approx(2.4)
+    assert not one.referenced(0.0)
+    one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
+    assert not one.referenced(0.1)
+    assert one.referenced(5.0)
+    assert one.counter(5.0) == 0.0
+    assert one.path.angle_deg(5.0) == 0.0
+
+
+def test_homing_that_is_stopped_leaves_no_reference():
+    one = axis(start_deg=5.0)
+    one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
+    one.stop(0.1, ACCELERATION)
+    assert not one.referenced(60.0)
+
+
+def test_a_restart_in_motion_stands_still_at_zero_without_a_reference():
+    one = homed_axis()
+    one.move_to(8.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    one.restart(20.2)
+    assert one.counter(20.2) == 0.0
+    assert not one.referenced(30.0)
+    assert not one.busy(20.2)
+    assert one.path.angle_deg(30.0) == pytest.approx(one.path.motor(20.2) / SCALE)
+
+
+def test_an_end_stop_holds_the_axis():
+    one = homed_axis(highest_deg=12.0)
+    one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    assert one.path.angle_deg(30.0) == 12.0
+
+
+def test_backlash_puts_the_load_behind_the_motor_on_the_side_it_came_from():
+    one = homed_axis(backlash_deg=0.02)
+    one.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    from_below = one.path.angle_deg(25.0)
+    one.move_to(5.0 * SCALE, 25.0, SPEED, ACCELERATION)
+    one.move_to(3.0 * SCALE, 30.0, SPEED, ACCELERATION)
+    assert from_below == pytest.approx(2.99)
+    assert one.path.angle_deg(35.0) == pytest.approx(3.01)
+
+
+def test_a_settled_load_is_within_a_twentieth_of_an_arc_second():
+    one = homed_axis(settle_s=0.05)
+    one.move_to(1.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    settled = one.path.settled_from_s
+    assert 1.0 - one.path.angle_deg(settled - 1e-6) == pytest.approx(SETTLED_DEG, rel=0.01)
+    assert one.path.angle_deg(settled) == 1.0
