@@ -1,0 +1,135 @@
+"""From a file to a checked document: strict text, then a pydantic model, every fault at its line and column.
+
+Knows how a file is opened and checked. Knows no particular model: sequences, stations and queues all come here.
+"""
+
+from __future__ import annotations
+
+import json
+import typing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from sequences.errors import DocumentFaults, Fault
+from sequences.wording import faults_of
+from sequences.yaml_text import MOST_BYTES, DocumentPath, Spot, Tree, parse, path_text
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class Located(Generic[Model]):
+    """A checked document that remembers where everything stood.
+
+    Attributes
+    ----------
+    value
+        The document as its model.
+    text
+        The file's bytes, as they were.
+    file
+        The file, as it was named.
+    """
+
+    value: Model
+    text: bytes
+    file: str
+    tree: Tree
+
+    def position(self, path: DocumentPath) -> Spot:
+        """Where the value at a path begins; for what is not written there, the nearest thing around it."""
+        return self.tree.spot(path)
+
+    def where(self, path: DocumentPath) -> str:
+        """Say where a path is, as ``file:line:column``."""
+        spot = self.position(path)
+        return f"{self.file}:{spot.line}:{spot.column}"
+
+    def fault(self, path: DocumentPath, message: str) -> Fault:
+        """Make a fault of the value at a path."""
+        spot = self.position(path)
+        return Fault(self.file, spot.line, spot.column, path_text(path), message)
+
+
+def read_document(path: Path | str, model: type[Model]) -> Located[Model]:
+    """Read and check a YAML file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    model
+        The pydantic model it must fit.
+
+    Raises
+    ------
+    DocumentFaults
+        With every fault found: a file that cannot be opened, text that is not plain YAML, values that do
+        not fit.
+    """
+    return check_document(_bytes_of(Path(path)), str(path), model)
+
+
+def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]:
+    """Check a YAML document's bytes; as ``read_document``, for text that is in no file of that name.
+
+    Raises
+    ------
+    DocumentFaults
+        With every fault found.
+    """
+    tree = parse(data, file)
+    faults = list(tree.faults)
+    value = None
+    if tree.complete:
+        try:
+            value = model.model_validate(_of_this_format(tree, model))
+        except ValidationError as error:
+            faults += faults_of(error, tree, model)
+    if faults or value is None:
+        raise DocumentFaults(faults)
+    return Located(value, data, file, tree)
+
+
+def json_schema(model: type[BaseModel]) -> str:
+    """Write a kind of document down as JSON Schema (draft 2020-12), for editors and other programs."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+
+
+def _of_this_format(tree: Tree, model: type[BaseModel]) -> dict[str, Any]:
+    """Give the document if it says it is of this kind: else one fault, not one at every line."""
+    if not isinstance(tree.value, dict):
+        found = "empty" if tree.value is None else "something else"
+        message = f"the document must be a mapping (key: value), and is {found}."
+        raise DocumentFaults([*tree.faults, Fault(tree.file, *tree.spot(()), "", message)])
+    wanted = (
+        typing.get_args(model.model_fields["format"].annotation)[0]
+        if "format" in model.model_fields
+        else None
+    )
+    said = tree.value.get("format", wanted)
+    if said != wanted:
+        message = f"this is not a document of the kind wanted here: {wanted!r} (got {said!r})."
+        raise DocumentFaults([*tree.faults, Fault(tree.file, *tree.spot(("format",)), "format", message)])
+    return tree.value
+
+
+def _bytes_of(path: Path) -> bytes:
+    """Read the file: one byte more at most than a document may have."""
+    try:
+        if path.exists() and not path.is_file():
+            message = "this is not a file" + (" but a folder." if path.is_dir() else ".")
+            raise DocumentFaults([Fault(str(path), 0, 0, "", message)])
+        with path.open("rb") as stream:
+            return stream.read(MOST_BYTES + 1)
+    except FileNotFoundError:
+        message = "there is no such file."
+    except PermissionError:
+        message = "no permission to read this file."
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        message = f"the file cannot be read: {getattr(error, 'strerror', None) or error}."
+    raise DocumentFaults([Fault(str(path), 0, 0, "", message)])

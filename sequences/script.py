@@ -1,0 +1,137 @@
+"""The script as it is run: numbered steps, one after another, with nothing left to look up.
+
+Knows what a step holds. ``sequences.flatten`` makes steps from a sequence; the bench runs them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sequences.schema import Answer, CalibrationModel, DistortionTerm, ImageKind, Loss, Waveform
+
+
+@dataclass(frozen=True)
+class Flicker:
+    """What a light is to do; its level is a share of what the station's light may do."""
+
+    waveform: Waveform
+    frequency_hz: float
+    duty_percent: float
+    level_percent: float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A direction of the camera.
+
+    Attributes
+    ----------
+    index
+        From 1 over the recordings of the run; 0 for a pose at which nothing is recorded.
+    name
+        For people; no two poses of a run share it.
+    angles_deg
+        Angle by axis, for every axis the sequence names anywhere.
+    """
+
+    index: int
+    name: str
+    angles_deg: Mapping[str, float]
+
+    @property
+    def key(self) -> str:
+        """For files: ``pose-001``."""
+        return f"pose-{self.index:03d}"
+
+
+@dataclass(frozen=True)
+class Gates:
+    """What a recording must show to be accepted."""
+
+    min_stars: int
+    max_event_rate_mev_s: float
+    require_triggers: bool
+
+
+@dataclass(frozen=True)
+class LightStep:
+    """Switch the light to a flicker, or off (``flicker`` is None)."""
+
+    number: int
+    where: str
+    flicker: Flicker | None
+
+
+@dataclass(frozen=True)
+class MoveStep:
+    """Turn the camera into a pose."""
+
+    number: int
+    where: str
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class SettleStep:
+    """Stand still that long."""
+
+    number: int
+    where: str
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class RecordStep:
+    """Record at a pose, until a recording passes its gates or the attempts are used up."""
+
+    number: int
+    where: str
+    pose: Pose
+    window_ms: float
+    image: ImageKind
+    attempts: int
+    gates: Gates
+
+
+@dataclass(frozen=True)
+class WaitStep:
+    """Let time pass."""
+
+    number: int
+    where: str
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class PromptStep:
+    """Ask the operator; the default answer counts after the time-out."""
+
+    number: int
+    where: str
+    text: str
+    default: Answer
+    timeout_s: float
+
+
+@dataclass(frozen=True)
+class SolveStep:
+    """Calibrate from the poses recorded so far; ``huber_px`` None leaves the choice to the engine."""
+
+    number: int
+    where: str
+    model: CalibrationModel
+    distortion: tuple[DistortionTerm, ...]
+    loss: Loss
+    huber_px: float | None
+
+
+@dataclass(frozen=True)
+class ReportStep:
+    """Write the report and seal the run."""
+
+    number: int
+    where: str
+
+
+Step = LightStep | MoveStep | SettleStep | RecordStep | WaitStep | PromptStep | SolveStep | ReportStep
