@@ -1,0 +1,187 @@
+"""The text header of a RAW file: reads and writes its ``% key value`` lines, knows nothing of words.
+
+A reader of any maker takes the sensor's size from ``format EVT3;height=720;width=1280``, else from
+``geometry 1280x720``, else from the sensor that ``system_ID`` stands for.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Final
+
+from drivers.camera import CameraIdentity
+from drivers.errors import NotARecording
+
+MAX_HEADER_BYTES: Final = 65536
+"""A header that has not ended by then is none."""
+
+MAX_SIDE_PX: Final = 2048
+"""EVT3 addresses have 11 bits."""
+
+_COPY_AGAIN: Final = "Copy the file again from where it was recorded, or record it again."
+
+_SIZE_OF_SYSTEM: Final = {"49": (1280, 720)}  # an IMX636 behind an EVK3 or EVK4
+
+_MAGIC: Final = (
+    (b"\x89HDF", "an HDF5 file"),
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"PK\x03\x04", "a zip archive"),
+    (b"#!AER-DAT", "an AEDAT file"),
+    (b"\x93NUMPY", "a NumPy array"),
+    (b"II*\x00", "a TIFF picture"),
+    (b"MM\x00*", "a TIFF picture"),
+    (b"%PDF", "a PDF document"),
+)
+
+
+@dataclass(frozen=True)
+class RawHeader:
+    """What the header says.
+
+    Attributes
+    ----------
+    fields
+        Every key and its text, runs of white space as one blank; of a repeated key the last.
+    width, height
+        Size of the sensor, px.
+    size_bytes
+        Length of the header: the offset of the first word.
+    """
+
+    fields: Mapping[str, str]
+    width: int
+    height: int
+    size_bytes: int
+
+
+def parse_header(start: bytes, *, where: str) -> RawHeader:
+    """Read the header at the start of a file.
+
+    Parameters
+    ----------
+    start
+        The first 65536 bytes of the file, or all of it.
+    where
+        The file, for messages.
+
+    Raises
+    ------
+    NotARecording
+        When it is no RAW header, ends nowhere, holds another encoding than EVT3 or does not tell the size.
+    """
+    if not start.startswith(b"% ") or start.startswith(b"% Data file containing"):
+        raise NotARecording(
+            f"This is not a RAW recording: it is {_looks_like(start)}.",
+            where=where,
+            remedy='Give a file that an event camera recorded (it starts with "% ").',
+        )
+    fields: dict[str, str] = {}
+    at = 0
+    while start[at : at + 2] == b"% ":
+        end = start.find(b"\n", at)
+        if end < 0:
+            raise NotARecording(
+                f"Its header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
+            )
+        key, _, value = " ".join(start[at + 2 : end].decode("utf-8", "replace").split()).partition(" ")
+        at = end + 1
+        if key == "end":
+            break
+        fields[key] = value
+    width, height = _size(fields, where)
+    return RawHeader(fields, width, height, at)
+
+
+def _looks_like(start: bytes) -> str:
+    """Say in words what a file is that is no RAW."""
+    if not start:
+        return "empty"
+    if start.startswith(b"% Data file containing"):
+        return "a DAT file"
+    for magic, name in _MAGIC:
+        if start.startswith(magic):
+            return name
+    if not start.strip(b"\0"):
+        return "nothing but zeros"
+    head = start[:512]
+    if all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in head):
+        return "a text file"
+    return "binary data without a RAW header"
+
+
+def _size(fields: Mapping[str, str], where: str) -> tuple[int, int]:
+    """Width and height by the header's fields; sees that they agree and that the encoding is EVT3."""
+    encoding, *options = fields.get("format", "").split(";")
+    version = fields.get("evt", "" if encoding else "none")
+    if encoding not in ("", "EVT3") or version not in ("", "3.0"):
+        raise NotARecording(
+            f"It holds {encoding or 'EVT ' + version}; only EVT3 is read here.",
+            where=where,
+            remedy="Record in the format EVT3, or convert the file with the maker's tools.",
+        )
+    by_format = dict(option.partition("=")[::2] for option in options)
+    sizes = {}
+    if "width" in by_format and "height" in by_format:
+        sizes["format"] = _pixels(by_format["width"], by_format["height"], where)
+    if "geometry" in fields:
+        sizes["geometry"] = _pixels(*fields["geometry"].partition("x")[::2], where)
+    if not sizes and fields.get("system_ID") in _SIZE_OF_SYSTEM:
+        sizes["system_ID"] = _SIZE_OF_SYSTEM[fields["system_ID"]]
+    if not sizes:
+        raise NotARecording(
+            "Its header does not tell the sensor's size.",
+            where=where,
+            remedy='Add a line such as "% geometry 1280x720" to a copy of it.',
+        )
+    if len(set(sizes.values())) > 1:
+        said = ", ".join(f"{key} says {width} x {height}" for key, (width, height) in sizes.items())
+        raise NotARecording(f"Its header contradicts itself: {said}.", where=where, remedy=_COPY_AGAIN)
+    return next(iter(sizes.values()))
+
+
+def _pixels(width: str, height: str, where: str) -> tuple[int, int]:
+    """Both as numbers, within what EVT3 can address."""
+    sides = [int(side) if re.fullmatch(r"[0-9]{1,4}", side) else 0 for side in (width, height)]
+    if not all(0 < side <= MAX_SIDE_PX for side in sides):
+        raise NotARecording(
+            f"Its header gives {width!r} x {height!r} as the sensor's size.", where=where, remedy=_COPY_AGAIN
+        )
+    return sides[0], sides[1]
+
+
+def render_header(camera: CameraIdentity, recorded_at: datetime) -> bytes:
+    """Header of a new recording of an EVK4-like camera.
+
+    Parameters
+    ----------
+    camera
+        Whose words will follow.
+    recorded_at
+        Time of the recording, UTC.
+
+    Returns
+    -------
+    bytes
+        The lines, the last one ``% end``.
+    """
+    fields = {
+        "camera_integrator_name": camera.maker,
+        "date": recorded_at.strftime("%Y-%m-%d %H:%M:%S"),
+        "evt": "3.0",
+        "format": f"EVT3;height={camera.height};width={camera.width}",
+        "geometry": f"{camera.width}x{camera.height}",
+        "integrator_name": camera.maker,
+        "plugin_integrator_name": camera.maker,
+        "plugin_name": "hal_plugin_prophesee",
+        "sensor_generation": "4.2",
+        "sensor_name": camera.sensor,
+        "serial_number": camera.serial,
+        "system_ID": "49",
+    }
+    lines = [f"% {key} {' '.join(value.split())}\n" for key, value in fields.items()]
+    return "".join([*lines, "% end\n"]).encode("ascii", "replace")
