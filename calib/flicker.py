@@ -1,0 +1,317 @@
+"""The light's flicker: its period and phase, from trigger edges or from the events themselves.
+
+Knows times and polarities only; it never sees where in the image an event lies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import FlickerNotFound, TooFewEvents
+
+#: An edge further than this share of the period from its place in the train is no edge of it.
+EDGE_TOLERANCE = 0.15
+#: Narrowest and number of bins in which the stream's rate is looked at.
+RATE_BIN_US, RATE_BINS = 100.0, 20_000
+#: Power a period needs, in units of the power of as many events at random times.
+SIGNIFICANCE = 30.0
+#: Power the fundamental has at least, beside the strongest harmonic of a burst of events.
+FUNDAMENTAL_SHARE = 0.4
+#: Harmonics that sharpen the frequency once it is found.
+HARMONICS = 8
+#: Bins in which one period is folded to find where the light rises.
+FOLD_BINS = 256
+
+
+@dataclass(frozen=True)
+class Flicker:
+    """A periodic light as the sensor's clock sees it.
+
+    Attributes
+    ----------
+    period_us
+        Period, us.
+    phase_us
+        Time of the first rising edge, us, on the sensor's clock; the others follow every period.
+    duty
+        Share of the period between a rising edge and the falling one after it; nan where no falling edge
+        was seen.
+    jitter_us
+        Rms distance of the edges used from the fitted train, us; nan where they are too few to say.
+    edges
+        Number of rising edges used (periods covered, where the events told the period).
+    missing
+        Rising edges that the train expects between its first and last, but that were not there.
+    extra
+        Edges of either direction that do not belong to the train, and were left out.
+    source
+        ``"triggers"`` or ``"events"``.
+    """
+
+    period_us: float
+    phase_us: float
+    duty: float
+    jitter_us: float
+    edges: int
+    missing: int
+    extra: int
+    source: Literal["triggers", "events"]
+
+    @property
+    def frequency_hz(self) -> float:
+        """Frequency, Hz of the sensor's clock."""
+        return 1e6 / self.period_us
+
+    def rising_edges_us(self, start_us: float, end_us: float) -> NDArray[np.float64]:
+        """Return the times of the rising edges in ``start_us <= t < end_us``, us.
+
+        Examples
+        --------
+        >>> flicker = Flicker(1000.0, 250.0, 0.5, 0.0, 4, 0, 0, "triggers")
+        >>> flicker.rising_edges_us(0, 2300).tolist()
+        [250.0, 1250.0, 2250.0]
+        """
+        first = np.ceil((start_us - self.phase_us) / self.period_us)
+        last = np.ceil((end_us - self.phase_us) / self.period_us)
+        return np.asarray(self.phase_us + self.period_us * np.arange(first, last), np.float64)
+
+
+def flicker_from_triggers(
+    t_us: NDArray[np.int64], value: NDArray[np.integer], *, expected_hz: float | None = None
+) -> Flicker:
+    """Fit a periodic train of edges to the times of the light's sync signal.
+
+    Missing edges leave gaps and are counted; edges that do not fit (bounces, crosstalk) are left out and
+    counted. The train is t = phase + k period for rising edges, and the same later by duty * period for
+    falling ones, by least squares over the edges that fit.
+
+    Parameters
+    ----------
+    t_us
+        (N,) times of the edges, us, not falling.
+    value
+        (N,) 1 for a rising edge, 0 for a falling one.
+    expected_hz
+        Frequency set at the light; where given, one edge is enough, and a train that differs from it by more
+        than 15 % is refused.
+
+    Raises
+    ------
+    FlickerNotFound
+        When fewer edges than needed are there, or they make no train.
+    """
+    t = np.asarray(t_us, np.float64)
+    is_rising = np.asarray(value) == 1
+    period = _period_guess(t, is_rising, expected_hz)
+    rising, falling = _train(t[is_rising], period), _train(t[~is_rising], period)
+    extra = t.size - rising[0].size - falling[0].size
+    if rising[0].size == 0 or extra > max(2, t.size // 2):
+        raise FlickerNotFound(
+            f"{t.size} trigger edges make no periodic train: {rising[0].size} rising and "
+            f"{falling[0].size} falling ones fit.",
+            where="triggers",
+            remedy="Check the sync cable and that the light flickers.",
+        )
+    period, phase, fall_phase, jitter = _fit_trains(rising, falling, period)
+    _check_expected(period, expected_hz)
+    k = rising[1]
+    return Flicker(
+        period_us=period,
+        phase_us=phase + period * float(k.min()),
+        duty=float(((fall_phase - phase) / period) % 1.0),
+        jitter_us=jitter,
+        edges=k.size,
+        missing=int(k.max() - k.min()) + 1 - k.size,
+        extra=extra,
+        source="triggers",
+    )
+
+
+def flicker_from_events(
+    t_us: NDArray[np.int64], p: NDArray[np.integer], *, band_hz: tuple[float, float] = (15.0, 1000.0)
+) -> Flicker:
+    """Estimate the flicker from the events, for recordings without triggers.
+
+    The power of the ON rate and of the OFF rate at each frequency are added; both are trains of bursts, whose
+    fundamental is as strong as any harmonic, so the lowest strong frequency is the flicker's. The rising edge
+    is where the ON events of the folded period begin. Best given the slice that is imaged: an error of the
+    period grows into one of the phase over a longer time.
+
+    Parameters
+    ----------
+    t_us, p
+        (N,) times, us, not falling, and polarities (1 = ON).
+    band_hz
+        Frequencies looked at.
+
+    Raises
+    ------
+    TooFewEvents
+        When there are not events enough to speak of a rate.
+    FlickerNotFound
+        When no period stands out, or fewer than two periods are covered.
+    """
+    t = np.asarray(t_us, np.float64)
+    if t.size < 100:
+        raise TooFewEvents(f"{t.size} events.", where="flicker", remedy="Check that the light is on.")
+    is_on = np.asarray(p) > 0
+    start, span = float(t[0]), float(t[-1] - t[0])
+    bin_us = max(RATE_BIN_US, span / RATE_BINS)
+    bins = int(span / bin_us) + 1
+    rates = [np.bincount(((t[m] - start) / bin_us).astype(np.int64), minlength=bins) for m in (is_on, ~is_on)]
+    period = 1e6 / _search_frequency(np.array(rates, float), bin_us, band_hz)
+    on, off = (_onset(_fold(t[m] - start, period)) for m in (is_on, ~is_on))
+    return Flicker(
+        period_us=period,
+        phase_us=start + on * period,
+        duty=float((off - on) % 1.0),
+        jitter_us=float("nan"),
+        edges=int(span / period),
+        missing=0,
+        extra=0,
+        source="events",
+    )
+
+
+def _period_guess(t: NDArray[np.float64], rising: NDArray[np.bool_], expected_hz: float | None) -> float:
+    """Median distance of neighbouring edges of one direction; the frequency set, where they are too few."""
+    distances = np.concatenate([np.diff(t[rising]), np.diff(t[~rising])])
+    distances = distances[distances > 0]
+    if expected_hz is not None:
+        near = distances[np.abs(distances * expected_hz / 1e6 - 1.0) < EDGE_TOLERANCE]
+        if near.size:
+            return float(np.median(near))
+        if t.size and not distances.size:
+            return 1e6 / expected_hz
+    if not distances.size:
+        raise FlickerNotFound(
+            f"{t.size} trigger edges: a period needs two of one direction.",
+            where="triggers",
+            remedy="Record at least two periods, and check that the camera's trigger input is enabled.",
+        )
+    return float(np.median(distances))
+
+
+def _train(t: NDArray[np.float64], period: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pick the edges of one direction that lie on a train; return their times and their counts of periods.
+
+    It starts at the edge that most of its neighbours agree with and reaches out in steps, sharpening the
+    period on the way, so that a guess that is a little off does not lose count.
+    """
+    if t.size == 0:
+        return t, t
+    turns = (t[:64, None] - t[None, :64]) / period
+    agree = np.abs(turns - np.round(turns)) < EDGE_TOLERANCE
+    anchor = float(t[np.argmax(agree.sum(axis=0))])
+    for reach in (16.0, 400.0, np.inf):
+        turns = (t - anchor) / period
+        k = np.round(turns)
+        off = np.abs(turns - k)
+        nearest = np.lexsort((off, k))
+        once = nearest[np.concatenate([[True], np.diff(k[nearest]) != 0])]
+        fits = np.sort(once[(off[once] < EDGE_TOLERANCE) & (np.abs(k[once]) <= reach)])
+        if fits.size > 1:
+            period, anchor = (float(v) for v in np.polyfit(k[fits], t[fits], 1))
+    return t[fits], k[fits]
+
+
+def _fit_trains(
+    rising: tuple[NDArray[np.float64], NDArray[np.float64]],
+    falling: tuple[NDArray[np.float64], NDArray[np.float64]],
+    period: float,
+) -> tuple[float, float, float, float]:
+    """Least squares for period, phase of rising and of falling edges; rms residual beside them, us."""
+    t = np.concatenate([rising[0], falling[0]])
+    k = np.concatenate([rising[1], falling[1]])
+    is_rising = np.arange(t.size) < rising[0].size
+    columns = [is_rising.astype(float), (~is_rising).astype(float)]
+    origin = t[0]
+    fixed_period = len(np.unique(rising[1])) < 2 and len(np.unique(falling[1])) < 2
+    target = t - origin - (k * period if fixed_period else 0.0)
+    design = np.column_stack(columns if fixed_period else [*columns, k])
+    solution, _, rank, _ = np.linalg.lstsq(design, target, rcond=None)
+    residuals = target - design @ solution
+    spare = t.size - int(rank)
+    jitter = float(np.sqrt(residuals @ residuals / spare)) if spare > 0 else float("nan")
+    fall_phase = origin + solution[1] if falling[0].size else float("nan")
+    return (
+        period if fixed_period else float(solution[2]),
+        float(origin + solution[0]),
+        float(fall_phase),
+        jitter,
+    )
+
+
+def _check_expected(period_us: float, expected_hz: float | None) -> None:
+    """Refuse a train that is not the light's."""
+    if expected_hz is not None and abs(period_us * expected_hz / 1e6 - 1.0) > EDGE_TOLERANCE:
+        raise FlickerNotFound(
+            f"The triggers come at {1e6 / period_us:.3f} Hz, the light is set to {expected_hz:.3f} Hz.",
+            where="triggers",
+            remedy="Check the sync cable and the light's settings.",
+        )
+
+
+def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[float, float]) -> float:
+    """Return the flicker's frequency, Hz, from the (2, bins) rates of ON and OFF events."""
+    bins = rates.shape[1]
+    span_s = bins * bin_us * 1e-6
+    lowest, highest = max(band_hz[0], 1.8 / span_s), min(band_hz[1], 0.4e6 / bin_us)
+    padded = 1 << int(np.ceil(np.log2(16 * bins)))
+    frequencies = np.fft.rfftfreq(padded, bin_us * 1e-6)
+    centred = rates - rates.mean(axis=1, keepdims=True)
+    power = np.sum(np.abs(np.fft.rfft(centred, padded, axis=1)) ** 2, axis=0) / rates.sum()
+    band = np.flatnonzero((frequencies >= lowest) & (frequencies <= highest))
+    if band.size < 3:
+        raise FlickerNotFound(
+            f"{1000 * span_s:.1f} ms of events cover no two periods in {band_hz[0]:g} to {band_hz[1]:g} Hz.",
+            where="events",
+            remedy="Record for longer.",
+        )
+    inner = band[1:-1]
+    peaks = inner[(power[inner] >= power[inner - 1]) & (power[inner] > power[inner + 1])]
+    strongest = power[peaks].max(initial=0.0)
+    if strongest < SIGNIFICANCE:
+        raise FlickerNotFound(
+            f"No period stands out between {lowest:.0f} and {highest:.0f} Hz.",
+            where="events",
+            remedy="Check that the light flickers, or wire its sync output to the trigger input.",
+        )
+    coarse = float(frequencies[peaks[power[peaks] >= FUNDAMENTAL_SHARE * strongest][0]])
+    fine = coarse + np.linspace(-0.25, 0.25, 101) / span_s
+    return float(fine[np.argmax(_harmonic_power(centred, bin_us, fine))])
+
+
+def _harmonic_power(
+    rates: NDArray[np.float64], bin_us: float, frequencies_hz: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Power of the first harmonics of each frequency together."""
+    times = np.arange(rates.shape[1]) * (bin_us * 1e-6)
+    power = np.zeros(frequencies_hz.size)
+    for harmonic in range(1, HARMONICS + 1):
+        if harmonic * frequencies_hz.max() > 0.4e6 / bin_us:
+            break
+        waves = np.exp(-2j * np.pi * harmonic * frequencies_hz[:, None] * times[None, :])
+        power += np.sum(np.abs(waves @ rates.T) ** 2, axis=1)
+    return power
+
+
+def _fold(t_us: NDArray[np.float64], period_us: float) -> NDArray[np.float64]:
+    """Histogram of the events over one period, `FOLD_BINS` bins."""
+    turns = t_us / period_us
+    at = ((turns - np.floor(turns)) * FOLD_BINS).astype(np.int64)
+    return np.bincount(np.minimum(at, FOLD_BINS - 1), minlength=FOLD_BINS).astype(float)
+
+
+def _onset(folded: NDArray[np.float64]) -> float:
+    """Phase, in periods, where the burst that holds the folded histogram's peak begins."""
+    excess = np.maximum(folded - np.percentile(folded, 25), 0.0)
+    peak = int(np.argmax(excess))
+    back = np.roll(excess[::-1], peak + 1)
+    quiet = np.flatnonzero(back < 0.1 * excess[peak])
+    steps = int(quiet[0]) - 1 if quiet.size else 0
+    return ((peak - steps) % FOLD_BINS) / FOLD_BINS
