@@ -229,7 +229,7 @@ class Axis:
     ) -> None:
         self.mechanics = mechanics
         self._publish = publish
-        start = mechanics.start_deg * mechanics.counts_per_deg
+        start = float(round(mechanics.start_deg * mechanics.counts_per_deg))
         self._origin = start
         self._homing = False
         self._referenced = False
@@ -270,6 +270,7 @@ class Axis:
         self._abandon_homing(t_s)
         velocity = self.path.velocity(t_s)
         rest = self.path.motor(t_s) + velocity * abs(velocity) / (2.0 * acceleration)
+        rest = float(math.ceil(rest) if velocity > 0.0 else math.floor(rest))
         self._go(t_s, [(rest, max(abs(velocity), 1.0))], acceleration)
 
     def halt(self, t_s: float) -> None:
@@ -280,7 +281,7 @@ class Axis:
     def home(self, t_s: float, speed: float, slow: float, acceleration: float) -> None:
         """Find the reference sensor: past it at speed, and onto it slowly from below."""
         self._finish_homing(t_s)
-        sensor = self.mechanics.home_deg * self.mechanics.counts_per_deg
+        sensor = float(round(self.mechanics.home_deg * self.mechanics.counts_per_deg))
         below = sensor - _HOMING_OVERRUN_DEG * self.mechanics.counts_per_deg
         self._go(t_s, [(below, speed), (sensor, slow)], acceleration)
         self._referenced = False
@@ -319,6 +320,7 @@ class Axis:
                 velocity += leg.acceleration * leg.duration_s
                 load = follow(segment, start, self.mechanics.settle_s)
             position, velocity = target, 0.0
+        position = float(round(position))
         segments.append(Segment(start, position, 0.0, 0.0, offset, load))
         self.path = self._made(tuple(segments))
 

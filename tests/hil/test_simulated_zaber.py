@@ -1,0 +1,277 @@
+"""The simulated Zaber gimbal, asked by the maker's own client and byte by byte."""
+
+from __future__ import annotations
+
+import os
+import termios
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import serial
+
+from simulators.axis_motion import Mechanics
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+from simulators.zaber import ZaberChain, checksum
+from simulators.zaber_controller import ZaberController, ZaberModel
+
+SCALE = 6400
+
+
+def controller(
+    serial_number: str, limit_deg: int, start_deg: float, now_s: float, **changes
+) -> ZaberController:
+    mechanics = Mechanics(SCALE, -limit_deg - 2.0, limit_deg + 2.0, start_deg=start_deg)
+    return ZaberController(
+        ZaberModel(mechanics, serial_number, -limit_deg * SCALE, limit_deg * SCALE, **changes), now_s
+    )
+
+
+class Gimbal:
+    """Two chained controllers on a clock that the test turns."""
+
+    def __init__(self, **changes) -> None:
+        self.now_s = 0.0
+        self.pan = controller("100101", 15, 2.4, 0.0, **changes)
+        self.tilt = controller("100102", 10, -1.7, 0.0, **changes)
+        self.chain = ZaberChain([self.pan, self.tilt], lambda: self.now_s)
+
+    def ask(self, body: str) -> list[str]:
+        """Send a request with its checksum; replies without theirs, which are checked."""
+        answer = self.chain.receive(f"/{body}:{checksum(body)}\n".encode())
+        replies = []
+        for line in answer.decode().split("\r\n")[:-1]:
+            text, _, given = line.partition(":")
+            assert given == checksum(text[1:])
+            replies.append(text)
+        return replies
+
+    def wait(self, seconds: float = 60.0) -> None:
+        self.now_s += seconds
+
+
+@pytest.fixture
+def gimbal() -> Gimbal:
+    return Gimbal()
+
+
+@pytest.fixture
+def homed(gimbal: Gimbal) -> Gimbal:
+    gimbal.ask("0 0 01 home")
+    gimbal.wait()
+    return gimbal
+
+
+@pytest.fixture
+def port(tmp_path) -> Iterator[SerialDevice]:
+    now_s = time.monotonic()
+    controllers = [controller("100101", 15, 2.4, now_s), controller("100102", 10, -1.7, now_s)]
+    with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), ZaberChain(controllers, time.monotonic)) as device:
+        yield device
+
+
+# ---------------------------------------------------------------- the maker's client
+def test_the_makers_client_detects_homes_moves_stops_and_reads(port: SerialDevice, tmp_path) -> None:
+    ascii_ = pytest.importorskip("zaber_motion.ascii", reason="the maker's client is not installed")
+    from zaber_motion import Library
+    from zaber_motion.exceptions import BadDataException, CommandFailedException
+
+    Library.enable_device_db_store(str(tmp_path))
+    with ascii_.Connection.open_serial_port(port.address) as connection:
+        devices = connection.detect_devices(identify_devices=False)
+        assert [device.device_address for device in devices] == [1, 2]
+        pan, tilt = (device.get_axis(1) for device in devices)
+        assert not pan.is_homed()
+        assert pan.warnings.get_flags() == {"WR"}
+        for axis in (pan, tilt):
+            axis.home()
+            assert axis.is_homed()
+            assert axis.get_position() == 0
+        pan.move_absolute(20_000)
+        tilt.move_relative(-12_800)
+        assert (pan.get_position(), tilt.get_position()) == (20_000, -12_800)
+        pan.move_max(wait_until_idle=False)
+        assert pan.is_busy()
+        pan.stop()
+        assert not pan.is_busy()
+        assert 20_000 < pan.get_position() < 15 * SCALE
+        with pytest.raises(BadDataException):
+            pan.move_absolute(15 * SCALE + 1)
+        pan.park()
+        assert pan.is_parked()
+        with pytest.raises(CommandFailedException):
+            pan.move_absolute(0)
+        pan.unpark()
+        pan.move_absolute(0)
+        assert pan.get_position() == 0
+        assert devices[1].generic_command("get system.serial").data == "100102"
+
+
+def test_the_makers_client_sees_a_move_interrupted_by_another(port: SerialDevice, tmp_path) -> None:
+    ascii_ = pytest.importorskip("zaber_motion.ascii", reason="the maker's client is not installed")
+    from zaber_motion import Library
+    from zaber_motion.exceptions import MovementInterruptedException
+
+    Library.enable_device_db_store(str(tmp_path))
+    with ascii_.Connection.open_serial_port(port.address) as connection:
+        axis = connection.get_device(1).get_axis(1)
+        axis.home()
+        with ThreadPoolExecutor() as pool:
+            waiting = pool.submit(axis.move_absolute, 15 * SCALE)
+            while connection.generic_command("", device=1, axis=1).status != "BUSY":
+                pass
+            connection.generic_command("move abs 0", device=1, axis=1)
+            with pytest.raises(MovementInterruptedException):
+                waiting.result()
+
+
+# ---------------------------------------------------------------- the protocol
+@pytest.mark.parametrize(
+    ("request_body", "replies"),
+    [
+        ("0 0 00", ["@01 0 00 OK IDLE WR 0", "@02 0 00 OK IDLE WR 0"]),
+        ("1 0 07 get deviceid", ["@01 0 07 OK IDLE WR 50958"]),
+        ("2 0 99 get system.serial", ["@02 0 99 OK IDLE WR 100102"]),
+        ("1 1 08 get pos", ["@01 1 08 OK IDLE WR 0"]),
+        ("1 1 08 get nonsense", ["@01 1 08 RJ IDLE WR BADCOMMAND"]),
+        ("1 1 08 set deviceid 5", ["@01 1 08 RJ IDLE WR BADCOMMAND"]),
+        ("1 1 08 dance", ["@01 1 08 RJ IDLE WR BADCOMMAND"]),
+        ("1 1 08 move abs far", ["@01 1 08 RJ IDLE WR BADDATA"]),
+        ("1 1 08 move abs 96001", ["@01 1 08 RJ IDLE WR BADDATA"]),
+        ("1 2 08 home", ["@01 2 08 RJ IDLE WR BADAXIS"]),
+        ("1 1 08 warnings", ["@01 1 08 OK IDLE WR 01 WR"]),
+        ("1 1 get limit.max", ["@01 1 OK IDLE WR 96000"]),
+        ("3 1 08 home", []),
+    ],
+)
+def test_a_request_is_answered_as_the_protocol_has_it(gimbal: Gimbal, request_body: str, replies: list[str]):
+    assert gimbal.ask(request_body) == replies
+
+
+def test_a_wrong_checksum_is_met_with_silence_and_nothing_moves(homed: Gimbal):
+    assert homed.chain.receive(b"/1 1 05 move abs 50000:B8\n") == b""
+    assert not homed.pan.axis.busy(homed.now_s)
+    assert homed.chain.receive(b"/1 1 05 move abs 50000:B7\n") == b"@01 1 05 OK BUSY -- 0:E2\r\n"
+
+
+def test_a_request_in_pieces_and_behind_noise_is_understood(gimbal: Gimbal):
+    assert gimbal.chain.receive(b"\xff\x00 junk /1 0 0") == b""
+    assert gimbal.chain.receive(b"7 get devi") == b""
+    assert gimbal.chain.receive(b"ceid\r\n").startswith(b"@01 0 07 OK IDLE WR 50958")
+
+
+def test_without_a_checksum_setting_replies_end_bare(gimbal: Gimbal):
+    gimbal.ask("1 0 01 set comm.checksum 1")
+    assert gimbal.chain.receive(b"/1 0 02 set comm.checksum 0\n") == b"@01 0 02 OK IDLE WR 0\r\n"
+
+
+def test_homing_finds_the_sensor_and_takes_the_warning_down(gimbal: Gimbal):
+    assert gimbal.pan.axis.path.angle_deg(0.0) == pytest.approx(2.4)
+    assert gimbal.ask("1 1 01 home") == ["@01 1 01 OK BUSY WR 0"]
+    gimbal.wait(0.05)
+    assert gimbal.ask("1 1 02") == ["@01 1 02 OK BUSY WR 0"]
+    gimbal.wait()
+    assert gimbal.ask("1 1 03 get pos") == ["@01 1 03 OK IDLE -- 0"]
+    assert gimbal.pan.axis.path.angle_deg(gimbal.now_s) == 0.0
+
+
+def test_a_settled_axis_points_exactly_where_its_microsteps_say(homed: Gimbal):
+    homed.ask("1 1 02 move abs -12345")
+    homed.wait()
+    assert homed.pan.axis.path.angle_deg(homed.now_s) == -12345 / SCALE
+    assert homed.ask("1 1 03 get encoder.pos") == ["@01 1 03 OK IDLE -- -12345"]
+
+
+def test_an_interrupted_move_leaves_its_warning_until_cleared(homed: Gimbal):
+    homed.ask("1 1 02 move abs 90000")
+    homed.wait(0.1)
+    assert homed.ask("1 1 03 stop") == ["@01 1 03 OK BUSY NI 0"]
+    homed.wait()
+    assert homed.ask("1 1 04 warnings clear") == ["@01 1 04 OK IDLE -- 01 NI"]
+    assert homed.ask("1 1 05") == ["@01 1 05 OK IDLE -- 0"]
+
+
+def test_a_limit_written_is_read_back_and_kept(homed: Gimbal):
+    assert homed.ask("1 1 02 set limit.max 6400") == ["@01 1 02 OK IDLE -- 0"]
+    assert homed.ask("1 1 03 get limit.max") == ["@01 1 03 OK IDLE -- 6400"]
+    assert homed.ask("1 1 04 move abs 6401") == ["@01 1 04 RJ IDLE -- BADDATA"]
+    homed.ask("1 1 05 move vel 100000")
+    homed.wait()
+    assert homed.ask("1 1 06 get pos") == ["@01 1 06 OK IDLE -- 6400"]
+
+
+def test_speed_and_acceleration_settings_make_the_ramp(homed: Gimbal):
+    homed.ask(f"1 1 02 set maxspeed {round(10 * SCALE * 1.6384)}")
+    homed.ask(f"1 1 03 set accel {round(50 * SCALE * 1.6384 / 10_000)}")
+    homed.ask(f"1 1 04 move abs {10 * SCALE}")
+    homed.wait(1.19)
+    assert homed.ask("1 1 05") == ["@01 1 05 OK BUSY -- 0"]
+    homed.wait(0.02)
+    assert homed.ask("1 1 06") == ["@01 1 06 OK IDLE -- 0"]
+
+
+def test_a_reset_is_followed_by_silence_and_a_lost_reference(homed: Gimbal):
+    homed.ask("1 1 02 move abs 64000")
+    homed.wait(0.1)
+    assert len(homed.ask("1 0 03 system reset")) == 1
+    assert homed.ask("1 0 04") == []
+    homed.wait()
+    assert homed.ask("1 1 05 get pos") == ["@01 1 05 OK IDLE WR 0"]
+    assert homed.ask("2 1 06 get pos") == ["@02 1 06 OK IDLE -- 0"]
+
+
+def test_alerts_come_unasked_when_they_are_wanted(homed: Gimbal):
+    homed.ask("1 1 02 move abs 100")
+    homed.wait()
+    assert homed.chain.unsolicited() == b""
+    homed.ask("1 0 03 set comm.alert 1")
+    homed.ask("1 1 04 move abs 0")
+    assert homed.chain.unsolicited() == b""
+    homed.wait()
+    assert homed.chain.unsolicited() == b"!01 1 IDLE --:" + checksum("01 1 IDLE --").encode() + b"\r\n"
+    assert homed.chain.unsolicited() == b""
+
+
+def test_an_axis_without_encoder_refuses_to_read_one():
+    assert Gimbal(encoder=False).ask("1 1 01 get encoder.pos") == ["@01 1 01 RJ IDLE WR BADCOMMAND"]
+
+
+# ---------------------------------------------------------------- the line
+def test_bytes_take_their_time_on_the_line(port: SerialDevice):
+    with serial.Serial(port.address, 115_200, timeout=5.0) as line:
+        begun = time.monotonic()
+        line.write(b"/0 0 00\n")
+        answer = line.read_until(b"\n") + line.read_until(b"\n")
+        assert time.monotonic() - begun >= (8 + len(answer)) * 10 / 115_200
+
+
+def test_a_wrong_baud_rate_is_garbage(port: SerialDevice):
+    with serial.Serial(port.address, 9600, timeout=0.2) as line:
+        line.write(b"/0 0 00 home\n")
+        answer = line.read(100)
+        assert len(answer) == 13
+        assert not answer.isascii()
+    with serial.Serial(port.address, 115_200, timeout=5.0) as line:
+        line.write(b"/1 1 00\n")
+        assert line.read_until(b"\n").startswith(b"@01 1 00 OK IDLE WR")
+
+
+def test_an_unplugged_port_is_lost_and_comes_back_under_its_name(port: SerialDevice):
+    with serial.Serial(port.address, 115_200, timeout=5.0) as line:
+        port.unplug()
+        assert not os.path.lexists(port.address)
+        with pytest.raises((serial.SerialException, OSError, termios.error)):
+            line.read(1)
+    port.replug()
+    with serial.Serial(port.address, 115_200, timeout=5.0) as line:
+        line.write(b"/2 0 00 get system.serial\n")
+        assert b"100102" in line.read_until(b"\n")
+
+
+def test_the_link_of_a_closed_port_is_gone(tmp_path):
+    terminal = PseudoTerminal(tmp_path / "port")
+    assert terminal.link.is_symlink()
+    terminal.close()
+    assert not terminal.link.is_symlink()
