@@ -1,0 +1,80 @@
+"""A small sealed run, and a key to seal it with."""
+
+import json
+import shutil
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.journal import Journal
+from bench.keys import create_key, load_key, read_signers
+from bench.run_folder import CAPTURE_STORED, RunFolder
+from bench.seal import seal
+
+
+@pytest.fixture(scope="session")
+def home(tmp_path_factory):
+    """A configuration folder with a key in it."""
+    folder = tmp_path_factory.mktemp("home")
+    create_key(folder, principal="bench1@lab.example")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def key(home):
+    return load_key(home)
+
+
+@pytest.fixture(scope="session")
+def signers(home):
+    return read_signers(home / "allowed_signers")
+
+
+def make_a_run(path, *, serial="00050423"):
+    """Make a run of two poses, one of them with two attempts; returns the folder, held, its journal closed."""
+    folder = RunFolder.create(path)
+    clocks = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+    poses = []
+    with Journal.create(folder.journal_path, **clocks) as journal:
+        for pose, attempts in ((1, 2), (2, 1)):
+            told = []
+            for attempt in range(1, attempts + 1):
+                folder.capture_part(pose, attempt).write_bytes(f"recording {pose} {attempt}".encode())
+                capture = folder.commit_capture(pose, attempt)
+                journal.append(CAPTURE_STORED, pose=pose, attempt=attempt, **capture.as_data())
+                told.append({"attempt": attempt, "capture": capture.name, "sha256": capture.sha256})
+            poses.append({"index": pose, "attempts": told})
+        journal.append("finished")
+    results = {
+        "run": {"id": "run-1", "simulated": True},
+        "devices": {"camera": {"serial": serial}},
+        "poses": poses,
+    }
+    folder.write_atomic("results.json", json.dumps(results).encode())
+    folder.write_atomic("exports/camera.yaml", b"fx: 3345.06\n")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def make_run():
+    """What makes a run, as yet unsealed, in a given folder."""
+    return make_a_run
+
+
+@pytest.fixture(scope="session")
+def sealed_once(tmp_path_factory, key):
+    """A sealed run, not to be touched."""
+    path = tmp_path_factory.mktemp("runs") / "sealed"
+    with make_a_run(path) as folder:
+        seal(folder, key)
+    return path
+
+
+@pytest.fixture
+def sealed(sealed_once, tmp_path):
+    """A sealed run that a test may tamper with."""
+    copy = tmp_path / "sealed"
+    shutil.copytree(sealed_once, copy)
+    for path in [copy, *copy.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    return copy

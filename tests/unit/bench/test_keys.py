@@ -1,0 +1,199 @@
+"""Keys: made once, kept from others, opened with their passphrase, and whom to trust."""
+
+import shutil
+import stat
+import subprocess
+from datetime import UTC, datetime
+
+import pytest
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from bench.errors import EvidenceError, StorageError
+from bench.keys import create_key, ensure_key, home_folder, load_key, read_signers, trust
+from bench.sshsig import fingerprint
+
+needs_ssh_keygen = pytest.mark.skipif(
+    shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
+)
+
+
+def test_a_key_is_made_at_first_use_and_kept(tmp_path):
+    first = ensure_key(tmp_path / "home", principal="bench1@lab")
+    second = ensure_key(tmp_path / "home", principal="other@lab")
+    assert (first.created, second.created) == (True, False)
+    assert first.fingerprint == second.fingerprint
+    assert second.principal == "bench1@lab"
+
+
+def test_the_default_principal_names_the_machine(tmp_path, monkeypatch):
+    monkeypatch.setattr("socket.gethostname", lambda: "bench 7/ü")
+    assert create_key(tmp_path).principal == "bench@bench-7--"
+
+
+def test_the_key_can_be_read_by_its_owner_alone(tmp_path):
+    create_key(tmp_path / "home")
+    assert stat.S_IMODE((tmp_path / "home" / "bench_key").stat().st_mode) == 0o600
+    assert stat.S_IMODE((tmp_path / "home").stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o660])
+def test_a_key_that_others_can_read_is_refused(tmp_path, mode):
+    create_key(tmp_path)
+    (tmp_path / "bench_key").chmod(mode)
+    with pytest.raises(EvidenceError, match=rf"read by others \(mode {mode:04o}\).*chmod 600"):
+        load_key(tmp_path)
+
+
+def test_a_key_is_never_made_over_another(tmp_path):
+    create_key(tmp_path)
+    before = (tmp_path / "bench_key").read_bytes()
+    with pytest.raises(EvidenceError, match="has a key already"):
+        create_key(tmp_path)
+    assert (tmp_path / "bench_key").read_bytes() == before
+
+
+def test_no_key_is_told(tmp_path):
+    with pytest.raises(EvidenceError, match="Make one"):
+        load_key(tmp_path)
+
+
+def test_a_protected_key_opens_with_its_passphrase_alone(tmp_path):
+    made = create_key(tmp_path, passphrase=b"correct horse")
+    assert load_key(tmp_path, ask_passphrase=lambda _: b"correct horse").fingerprint == made.fingerprint
+    with pytest.raises(EvidenceError, match="wrong passphrase"):
+        load_key(tmp_path, ask_passphrase=lambda _: b"battery staple")
+    with pytest.raises(EvidenceError, match="nobody to ask"):
+        load_key(tmp_path)
+
+
+def test_what_is_no_ed25519_key_is_refused(tmp_path):
+    create_key(tmp_path)
+    other = ec.generate_private_key(ec.SECP256R1()).private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.OpenSSH, serialization.NoEncryption()
+    )
+    for content, words in ((other, "not an Ed25519 key"), (b"garbage", "not an OpenSSH key")):
+        (tmp_path / "bench_key").write_bytes(content)
+        with pytest.raises(EvidenceError, match=words):
+            load_key(tmp_path)
+
+
+def test_the_secret_does_not_show_when_printed(key):
+    assert "PRIVATE" not in repr(key)
+    assert repr(key) == f"BenchKey(bench1@lab.example, {key.fingerprint})"
+
+
+@needs_ssh_keygen
+def test_ssh_keygen_reads_the_key_and_prints_the_same_fingerprint(home, key):
+    for file in ("bench_key", "bench_key.pub"):
+        printed = subprocess.run(
+            ["ssh-keygen", "-l", "-f", home / file], capture_output=True, text=True, check=True
+        ).stdout
+        assert key.fingerprint in printed
+    public = subprocess.run(
+        ["ssh-keygen", "-y", "-f", home / "bench_key"], capture_output=True, text=True, check=True
+    ).stdout
+    assert public.split()[:2] == key.public_text.split()
+
+
+@needs_ssh_keygen
+def test_a_key_made_by_ssh_keygen_is_taken(tmp_path):
+    subprocess.run(
+        [
+            "ssh-keygen",
+            "-q",
+            "-t",
+            "ed25519",
+            "-N",
+            "pass phrase",
+            "-C",
+            "me@lab",
+            "-f",
+            tmp_path / "bench_key",
+        ],
+        check=True,
+    )
+    key = load_key(tmp_path, ask_passphrase=lambda _: b"pass phrase")
+    assert key.principal == "me@lab"
+
+
+def test_where_keys_lie():
+    assert home_folder({"STARBENCH_HOME": "/a", "XDG_CONFIG_HOME": "/b", "HOME": "/c"}).as_posix() == "/a"
+    assert home_folder({"XDG_CONFIG_HOME": "/b", "HOME": "/c"}).as_posix() == "/b/starbench"
+    assert home_folder({"HOME": "/c"}).as_posix() == "/c/.config/starbench"
+
+
+# ------------------------------------------------------------------ whom to trust
+
+LINE = "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIOMqqnkVzrm0SdG6UOoqKLsabgH5C9okWi0dh2l9GKJl"
+NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)
+
+
+def read_one(tmp_path, line):
+    (tmp_path / "signers").write_text(f"# comment\n\n{line}\n")
+    (signer,) = read_signers(tmp_path / "signers")
+    return signer
+
+
+def test_the_made_key_is_trusted_for_reports_alone(home, key):
+    (signer,) = read_signers(home / "allowed_signers")
+    assert fingerprint(signer.public_key) == key.fingerprint
+    assert signer.principal == "bench1@lab.example"
+    assert signer.objection("starbench-report@v1", NOW) is None
+    assert "not for file" in signer.objection("file", NOW)
+
+
+@pytest.mark.parametrize(
+    ("options", "objection"),
+    [
+        ("", None),
+        ('namespaces="a,starbench-*" ', None),
+        ('namespaces="git" ', "trusted for git"),
+        ('valid-after="20260101" ', None),
+        ('valid-after="20260601130000Z" ', "not valid before 2026-06-01 13:00"),
+        ('valid-before="202606011300Z",namespaces="starbench-report@v1" ', None),
+        ('valid-before="20260601Z" ', "expired 2026-06-01 00:00"),
+    ],
+)
+def test_options_of_a_trusted_key_are_heeded(tmp_path, options, objection):
+    found = read_one(tmp_path, f"bench1@lab {options}{LINE} comment").objection("starbench-report@v1", NOW)
+    assert (found is None) if objection is None else (objection in found)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        LINE,
+        "bench1@lab ssh-ed25519",
+        "bench1@lab ssh-ed25519 !!!!",
+        f"bench1@lab cert-authority {LINE}",
+        f'bench1@lab valid-after="tomorrow" {LINE}',
+        f'bench1@lab namespaces="x {LINE}',
+        "bench1@lab ssh-rsa AAAA",
+    ],
+)
+def test_a_line_that_is_not_understood_is_named(tmp_path, line):
+    with pytest.raises(EvidenceError, match=r"signers:3: This line does not name"):
+        read_one(tmp_path, line)
+
+
+def test_a_missing_list_is_named(tmp_path):
+    with pytest.raises(
+        EvidenceError, match=r"signers: The list of trusted keys cannot be read: No such file"
+    ):
+        read_signers(tmp_path / "signers")
+
+
+def test_a_further_key_is_trusted_once(tmp_path):
+    create_key(tmp_path)
+    for _ in range(2):
+        assert trust(tmp_path, f"bench2@lab {LINE}\n").principal == "bench2@lab"
+    assert [s.principal for s in read_signers(tmp_path / "allowed_signers")][1:] == ["bench2@lab"]
+    with pytest.raises(EvidenceError, match="does not name a trusted"):
+        trust(tmp_path, "nonsense")
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="file"):
+        ensure_key(tmp_path / "file" / "home")

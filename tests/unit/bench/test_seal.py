@@ -1,0 +1,224 @@
+"""The seal: what stock programs make of it, and what it refuses."""
+
+import os
+import re
+import shutil
+import stat
+import subprocess
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.errors import EvidenceError, RunFolderError, StorageError
+from bench.run_folder import RunFolder
+from bench.seal import listing, manifest_of, read_manifest, seal
+from bench.sshsig import encode_public_key, holds, read_signature, sign
+
+needs_ssh_keygen = pytest.mark.skipif(
+    shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
+)
+needs_sha256sum = pytest.mark.skipif(shutil.which("sha256sum") is None, reason="sha256sum is not installed")
+
+
+# ------------------------------------------------------------------ signatures
+
+
+@needs_ssh_keygen
+@pytest.mark.parametrize("message", [b"", b"abc", b"x" * 100_000], ids=len)
+def test_a_signature_is_byte_for_byte_that_of_ssh_keygen(home, key, tmp_path, message):
+    (tmp_path / "m").write_bytes(message)
+    command = [
+        "ssh-keygen",
+        "-q",
+        "-Y",
+        "sign",
+        "-f",
+        home / "bench_key",
+        "-n",
+        "some-thing@v1",
+        tmp_path / "m",
+    ]
+    subprocess.run(command, check=True, capture_output=True)
+    assert sign(key.private, message, "some-thing@v1") == (tmp_path / "m.sig").read_bytes()
+
+
+def test_a_signature_holds_for_its_message_and_namespace_alone(key):
+    signature = read_signature(sign(key.private, b"message", "a@v1"))
+    assert signature.namespace == "a@v1"
+    assert signature.public_key == encode_public_key(key.private.public_key())
+    assert holds(signature, b"message")
+    assert not holds(signature, b"messagE")
+    assert not holds(type(signature)(signature.public_key, "b@v1", "sha512", signature.signature), b"message")
+
+
+@given(data=st.data())
+def test_a_changed_signature_is_refused_or_does_not_hold(key, data):
+    good = bytearray(sign(key.private, b"message", "a@v1"))
+    at = data.draw(st.integers(0, len(good) - 1))
+    value = data.draw(st.integers(0, 255).filter(lambda v: v != good[at]))
+    changed = bytes(good[:at] + bytes([value]) + good[at + 1 :])
+    try:
+        signature = read_signature(changed)
+    except EvidenceError:
+        return
+    # base64 has spare bits and the armour's line ends may change; then it is the very same signature
+    assert not holds(signature, b"message") or signature == read_signature(bytes(good))
+
+
+@given(st.binary(max_size=400))
+def test_any_other_bytes_are_no_signature(data):
+    with pytest.raises(EvidenceError, match="not a signature"):
+        read_signature(b"-----BEGIN SSH SIGNATURE-----\n" + data + b"\n-----END SSH SIGNATURE-----\n")
+
+
+# ------------------------------------------------------------------ the sealed folder
+
+
+def run_instructions(folder, allowed_signers):
+    """Run the commands of VERIFY.txt as a stranger would; returns their statuses."""
+    text = (folder / "VERIFY.txt").read_text()
+    blocks = [
+        b.replace("\n", " ").replace("\\ ", " ") for b in re.findall(r"(?:^ {4}.+\n)+", text, re.MULTILINE)
+    ]
+    commands = [
+        *re.findall(r"ssh-keygen .*?< SHA256SUMS", blocks[0]),
+        *re.findall(r"sha256sum .*", blocks[0]),
+        blocks[1].strip(),
+    ]
+    assert len(commands) == 3
+    commands[0] = commands[0].replace("allowed_signers", str(allowed_signers))
+    return [
+        subprocess.run(["sh", "-c", c], cwd=folder, capture_output=True, check=False).returncode
+        for c in commands
+    ]
+
+
+@needs_ssh_keygen
+@needs_sha256sum
+def test_a_stranger_can_check_it_with_the_commands_it_tells(sealed_once, home):
+    assert run_instructions(sealed_once, home / "allowed_signers") == [0, 0, 0]
+
+
+@needs_ssh_keygen
+@needs_sha256sum
+def test_those_commands_find_what_was_done_to_it(sealed, home):
+    signers = home / "allowed_signers"
+    (sealed / "added.txt").write_text("added")
+    assert run_instructions(sealed, signers) == [0, 0, 1]
+    (sealed / "added.txt").unlink()
+    (sealed / "results.json").write_text("{}")
+    assert run_instructions(sealed, signers) == [0, 1, 0]
+    (sealed / "SHA256SUMS").write_bytes(manifest_of(sealed))
+    assert run_instructions(sealed, signers) == [255, 0, 0]
+
+
+def test_the_list_names_every_file_but_itself_and_its_signature(sealed_once):
+    everything = {p.relative_to(sealed_once).as_posix() for p in sealed_once.rglob("*") if p.is_file()}
+    listed = read_manifest((sealed_once / "SHA256SUMS").read_bytes())
+    assert set(listed) == everything - {"SHA256SUMS", "SHA256SUMS.sig"}
+    assert {"VERIFY.txt", "journal.jsonl", "captures/pose-001-attempt-1.raw"} <= set(listed)
+    assert list(listed) == sorted(listed)
+
+
+def test_the_same_run_and_key_give_the_same_seal(make_run, key, tmp_path):
+    for name in "ab":
+        with make_run(tmp_path / name) as folder:
+            assert seal(folder, key) == key.fingerprint
+    for file in ("SHA256SUMS", "SHA256SUMS.sig", "VERIFY.txt"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_a_sealed_folder_is_read_only_and_never_opened_for_a_run(make_run, key, tmp_path):
+    with make_run(tmp_path / "run") as folder:
+        seal(folder, key)
+    for path in [tmp_path / "run", *(tmp_path / "run").rglob("*")]:
+        assert not path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH), path
+    with pytest.raises(RunFolderError, match="finished and sealed"):
+        RunFolder.open(tmp_path / "run")
+
+
+def test_no_secret_gets_into_the_bundle(sealed_once):
+    for path in sealed_once.rglob("*"):
+        assert path.is_dir() or b"PRIVATE KEY" not in path.read_bytes()
+
+
+@pytest.mark.parametrize("strange", ["link", "folder link", "pipe", "line\nfeed", "back\\slash"])
+def test_what_cannot_be_listed_is_not_sealed(make_run, key, tmp_path, strange):
+    with make_run(tmp_path / "run") as folder:
+        path = folder.path / "exports" / strange
+        if strange == "pipe":
+            os.mkfifo(path)
+        elif "link" in strange:
+            path.symlink_to(tmp_path if strange == "folder link" else folder.path / "results.json")
+        else:
+            path.write_text("")
+        with pytest.raises(EvidenceError, match="cannot be sealed"):
+            seal(folder, key)
+        assert not (folder.path / "SHA256SUMS.sig").exists()
+
+
+def test_a_folder_without_a_journal_is_not_sealed(tmp_path, key):
+    with RunFolder.create(tmp_path / "run") as folder, pytest.raises(EvidenceError, match="no journal"):
+        seal(folder, key)
+
+
+def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path, monkeypatch):
+    (tmp_path / "exports").mkdir()
+    real = os.scandir
+
+    def scandir(path):
+        if str(path).endswith("exports"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    with pytest.raises(StorageError, match="exports: No permission"):
+        manifest_of(tmp_path)
+
+
+def test_everything_is_listed_with_what_it_is(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / "a" / "b" / "file").write_text("")
+    (tmp_path / "a" / "to-file").symlink_to("b/file")
+    (tmp_path / "a" / "to-folder").symlink_to("b")
+    (tmp_path / "dangling").symlink_to("nowhere")
+    os.mkfifo(tmp_path / "pipe")
+    assert listing(tmp_path) == {
+        "a/b/file": "file",
+        "a/to-file": "link",
+        "a/to-folder": "link",
+        "dangling": "link",
+        "pipe": "special file",
+    }
+
+
+H = "0" * 64
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{H} a\n",
+        f"{H} *a\n",
+        f"{H[:-1]}  a\n",
+        f"{H[:-1]}G  a\n",
+        f"{H}  ../a\n",
+        f"{H}  /etc/passwd\n",
+        f"{H}  a/./b\n",
+        f"{H}  a//b\n",
+        f"{H}  b\n{H}  a\n",
+        f"{H}  a\n{H}  a\n",
+        f"{H}  SHA256SUMS\n",
+        f"{H}  a\nrest",
+        f"\\{H}  a\\nb\n",
+        "\n",
+    ],
+)
+def test_a_list_that_is_not_one_of_ours_is_refused(text):
+    with pytest.raises(EvidenceError, match=r"SHA256SUMS:\d: This line"):
+        read_manifest(text.encode())
+
+
+def test_an_empty_list_is_empty():
+    assert read_manifest(b"") == {}

@@ -1,0 +1,222 @@
+"""Verification: the untouched bundle passes, each way of tampering with it is found and named."""
+
+import json
+import shutil
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.errors import RunFolderError
+from bench.keys import NAMESPACE, Signer, create_key, read_signers
+from bench.seal import manifest_of, seal
+from bench.sshsig import sign
+from bench.verify import verify_run
+
+
+def kinds(verification):
+    return sorted((f.kind, f.where) for f in verification.faults)
+
+
+def reseal(folder, key, namespace=NAMESPACE):
+    (folder / "SHA256SUMS").write_bytes(manifest := manifest_of(folder))
+    (folder / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, namespace))
+
+
+@pytest.fixture
+def other_key(tmp_path):
+    return create_key(tmp_path / "other", principal="mallory@lab.example")
+
+
+def test_the_untouched_bundle_passes(sealed_once, signers, key):
+    found = verify_run(sealed_once, signers, camera_serial="00050423")
+    assert found.ok
+    assert found.signer == "bench1@lab.example"
+    assert found.fingerprint == key.fingerprint
+    assert (found.run_id, found.camera_serial, found.simulated) == ("run-1", "00050423", True)
+    assert found.files == 7  # journal, results, export, VERIFY.txt, three captures
+
+
+def test_what_was_found_can_be_written_as_json(sealed, signers):
+    (sealed / "results.json").unlink()
+    found = json.loads(json.dumps(verify_run(sealed, signers).to_dict()))
+    assert found["ok"] is False
+    assert found["faults"] == [{"kind": "missing", "where": "results.json", "what": "it is missing"}]
+
+
+# ------------------------------------------------------------------ attacks
+
+
+def test_an_edited_number_is_found(sealed, signers):
+    export = sealed / "exports" / "camera.yaml"
+    export.write_text(export.read_text().replace("3345.06", "3345.07"))
+    assert kinds(verify_run(sealed, signers)) == [("changed", "exports/camera.yaml")]
+
+
+def test_every_changed_file_is_found(sealed, signers):
+    files = sorted(p for p in sealed.rglob("*") if p.is_file() and not p.name.startswith("SHA256SUMS"))
+    for path in files:
+        before = path.read_bytes()
+        path.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
+        name = path.relative_to(sealed).as_posix()
+        assert ("changed", name) in kinds(verify_run(sealed, signers))
+        path.write_bytes(before)
+    assert verify_run(sealed, signers).ok
+
+
+def test_two_captures_swapped_are_found(sealed, signers):
+    one, two = (sealed / f"captures/pose-00{n}-attempt-1.raw" for n in (1, 2))
+    data = one.read_bytes(), two.read_bytes()
+    one.write_bytes(data[1])
+    two.write_bytes(data[0])
+    assert {k for k, _ in kinds(verify_run(sealed, signers))} == {"changed"}
+    assert len(verify_run(sealed, signers).faults) == 2
+
+
+def test_a_deleted_capture_is_found(sealed, signers):
+    (sealed / "captures/pose-001-attempt-1.raw").unlink()
+    assert kinds(verify_run(sealed, signers)) == [("missing", "captures/pose-001-attempt-1.raw")]
+
+
+@pytest.mark.parametrize(
+    "name", ["captures/pose-003-attempt-1.raw", ".hidden", "exports/.x/y", "SHA256SUMS.sig2"]
+)
+def test_an_added_file_is_found(sealed, signers, name):
+    (sealed / name).parent.mkdir(exist_ok=True)
+    (sealed / name).write_text("added")
+    assert kinds(verify_run(sealed, signers)) == [("added", name)]
+
+
+def test_a_list_made_again_under_the_old_signature_is_found(sealed, signers):
+    (sealed / "results.json").write_bytes((sealed / "results.json").read_bytes().replace(b"run-1", b"run-2"))
+    (sealed / "SHA256SUMS").write_bytes(manifest_of(sealed))
+    assert kinds(verify_run(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
+
+
+def test_a_bundle_signed_by_another_key_is_found(sealed, signers, other_key):
+    (sealed / "exports/camera.yaml").write_text("fx: 1\n")
+    reseal(sealed, other_key)
+    found = verify_run(sealed, signers)
+    assert kinds(found) == [("key", "SHA256SUMS.sig")]
+    assert other_key.fingerprint in found.faults[0].what
+    assert found.signer is None
+
+
+def test_a_report_passed_off_for_another_camera_is_found(make_run, key, signers, tmp_path):
+    with make_run(tmp_path / "run", serial="00050999") as folder:
+        seal(folder, key)
+    found = verify_run(tmp_path / "run", signers, camera_serial="00050423")
+    assert kinds(found) == [("item", "results.json")]
+    assert "camera 00050999, not 00050423" in str(found.faults[0])
+
+
+@pytest.mark.parametrize("target", ["copy", "nowhere"])
+def test_a_link_in_place_of_a_file_is_found(sealed, signers, tmp_path, target):
+    capture = sealed / "captures/pose-001-attempt-1.raw"
+    shutil.move(capture, tmp_path / "copy")
+    capture.symlink_to(tmp_path / target)
+    assert kinds(verify_run(sealed, signers)) == [("link", "captures/pose-001-attempt-1.raw")]
+
+
+@pytest.mark.parametrize("name", ["SHA256SUMS", "SHA256SUMS.sig"])
+def test_a_stripped_seal_is_found(sealed, signers, name):
+    (sealed / name).unlink()
+    assert ("unsealed", name) in kinds(verify_run(sealed, signers))
+
+
+@pytest.mark.parametrize("line", [b"../../etc/passwd", b"/etc/passwd", b"a/../b"])
+def test_a_listed_path_that_leads_out_is_found(sealed, signers, key, line):
+    manifest = b"0" * 64 + b"  " + line + b"\n" + (sealed / "SHA256SUMS").read_bytes()
+    (sealed / "SHA256SUMS").write_bytes(manifest)
+    (sealed / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, NAMESPACE))
+    assert ("manifest", "SHA256SUMS:1") in kinds(verify_run(sealed, signers))
+
+
+def test_a_doubled_line_is_found(sealed, signers, key):
+    lines = (sealed / "SHA256SUMS").read_bytes().splitlines(keepends=True)
+    manifest = b"".join([lines[0], *lines])
+    (sealed / "SHA256SUMS").write_bytes(manifest)
+    (sealed / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, NAMESPACE))
+    assert ("manifest", "SHA256SUMS:2") in kinds(verify_run(sealed, signers))
+
+
+def test_a_signature_for_another_purpose_is_found(sealed, signers, key):
+    reseal(sealed, key, namespace="git")
+    found = verify_run(sealed, signers)
+    assert kinds(found) == [("signature", "SHA256SUMS.sig")]
+    assert "'git'" in found.faults[0].what
+
+
+def test_an_expired_key_is_found(sealed_once, signers):
+    (signer,) = signers
+    expired = Signer(
+        signer.principal, signer.public_key, signer.namespaces, valid_before=datetime(2026, 1, 1, tzinfo=UTC)
+    )
+    found = verify_run(sealed_once, [expired], when=datetime(2026, 1, 2, tzinfo=UTC))
+    assert kinds(found) == [("key", "SHA256SUMS.sig")]
+    assert "expired" in found.faults[0].what
+    assert verify_run(sealed_once, [expired], when=datetime(2025, 12, 31, tzinfo=UTC)).ok
+
+
+def test_any_of_several_lines_of_a_key_may_allow_it(sealed_once, signers):
+    (signer,) = signers
+    elsewhere = Signer("bench1@lab.example", signer.public_key, namespaces=("git",))
+    assert verify_run(sealed_once, [elsewhere, signer]).ok
+
+
+def test_nobody_trusted_means_not_verified(sealed_once):
+    assert [f.kind for f in verify_run(sealed_once, []).faults] == ["key"]
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"garbage", b"-----BEGIN SSH SIGNATURE-----\n!\n-----END SSH SIGNATURE-----\n"]
+)
+def test_a_spoiled_signature_is_found(sealed, signers, content):
+    (sealed / "SHA256SUMS.sig").write_bytes(content)
+    assert kinds(verify_run(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
+
+
+# ------------------------------------------------------------------ what the bench itself may have got wrong
+
+
+def test_a_journal_that_does_not_hold_is_found_even_under_a_good_seal(sealed, signers, key):
+    journal = sealed / "journal.jsonl"
+    journal.write_bytes(journal.read_bytes().replace(b'"pose":2', b'"pose":3'))
+    reseal(sealed, key)
+    found = verify_run(sealed, signers)
+    assert ("journal", "journal.jsonl:3") in kinds(found)
+
+
+def test_results_of_recordings_that_the_journal_does_not_tell_of_are_found(sealed, signers, key):
+    results = json.loads((sealed / "results.json").read_bytes())
+    results["poses"][1]["attempts"][0]["sha256"] = "0" * 64
+    (sealed / "results.json").write_text(json.dumps(results))
+    reseal(sealed, key)
+    found = verify_run(sealed, signers)
+    assert [f.kind for f in found.faults] == ["results", "results"]
+    assert "captures/pose-002-attempt-1.raw" in found.faults[0].what
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"{}", b'{"run":1}', b"\xff", b"[" * 100_000])
+def test_results_that_cannot_be_read_are_found(sealed, signers, key, content):
+    (sealed / "results.json").write_bytes(content)
+    reseal(sealed, key)
+    assert kinds(verify_run(sealed, signers)) == [("results", "results.json")]
+
+
+def test_a_failed_run_without_results_can_be_sealed_and_verified(make_run, key, signers, tmp_path):
+    with make_run(tmp_path / "run") as folder:
+        (folder.path / "results.json").unlink()
+        seal(folder, key)
+    found = verify_run(tmp_path / "run", signers)
+    assert found.ok
+    assert found.run_id is None
+
+
+def test_what_is_no_run_folder_is_an_error(tmp_path):
+    for path in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(RunFolderError, match="not a run folder"):
+            verify_run(path, [])
+
+
+def test_the_keys_of_the_bench_verify_its_runs(sealed_once, home):
+    assert verify_run(sealed_once, read_signers(home / "allowed_signers")).ok
