@@ -106,6 +106,7 @@ class _Place:
 
     name: str | None
     angles_deg: Mapping[str, float]
+    path: DocumentPath
 
 
 class _Unfolding:
@@ -161,16 +162,16 @@ class _Unfolding:
             path = ("poses", poses)
             poses = named
         if isinstance(poses, list):
-            return [_Place(pose.name, pose.angles_deg()) for pose in poses]
+            return [_Place(pose.name, pose.angles_deg(), (*path, i)) for i, pose in enumerate(poses)]
         size = math.prod(len(angles) for angles in poses.angles_deg().values())
         if size > MOST_STEPS:
             self.fault(path, f"this grid has {size} poses; {MOST_STEPS} are the most.")
             return []
-        return [_Place(None, angles) for angles in grid_angles(poses)]
+        return [_Place(None, angles, path) for angles in grid_angles(poses)]
 
     def _move(self, said: MoveWords, path: DocumentPath, here: _Place | None) -> None:
         given = said.angles_deg()
-        place = _Place(said.name, given) if given else here
+        place = _Place(said.name, given, path) if given else here
         if place is None:
             self.fault(
                 path,
@@ -179,7 +180,7 @@ class _Unfolding:
             return
         angles = {axis: place.angles_deg.get(axis, 0.0) for axis in self.axes}
         name = said.name or place.name or " ".join(f"{axis} {angle:g}" for axis, angle in angles.items())
-        self._pose = Pose(0, self._unique(name), angles)
+        self._pose = Pose(0, self._unique(name), angles, place.path)
         self._move_step = MoveStep(**self._number(path), pose=self._pose)
         self.steps.append(self._move_step)
 
@@ -215,7 +216,7 @@ class _Unfolding:
         return ReportStep(**place)
 
     def _number(self, path: DocumentPath) -> dict[str, Any]:
-        return {"number": len(self.steps) + 1, "where": self.document.where(path)}
+        return {"number": len(self.steps) + 1, "where": self.document.where(path), "path": path}
 
     def _unique(self, name: str) -> str:
         """Make a name no other pose has: by a number in brackets, if need be."""

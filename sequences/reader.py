@@ -1,6 +1,6 @@
 """From a file to a checked document: strict text, then a pydantic model, every fault at its line and column.
 
-Knows how a file is opened and checked. Knows no particular model: sequences, stations and queues all come here.
+Knows how a file is opened and checked. Knows no particular model: sequences and stations both come here.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from sequences.errors import DocumentFaults, Fault
-from sequences.wording import faults_of
+from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, DocumentPath, Spot, Tree, parse, path_text
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -76,6 +76,8 @@ def read_document(path: Path | str, model: type[Model]) -> Located[Model]:
 def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]:
     """Check a YAML document's bytes; as ``read_document``, for text that is in no file of that name.
 
+    The model's validators find the whole mapping, as text, under ``document`` in their context.
+
     Raises
     ------
     DocumentFaults
@@ -86,12 +88,33 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
     value = None
     if tree.complete:
         try:
-            value = model.model_validate(_of_this_format(tree, model))
+            document = _of_this_format(tree, model)
+            value = model.model_validate(document, context={"document": document})
         except ValidationError as error:
             faults += faults_of(error, tree, model)
     if faults or value is None:
         raise DocumentFaults(faults)
     return Located(value, data, file, tree)
+
+
+def find_document(name_or_path: str, shipped: Path) -> Path:
+    """Find a file: the one at a path, or by its bare name (no folder, no ending) the one shipped in a folder.
+
+    Raises
+    ------
+    DocumentFaults
+        When neither is there; names those that are shipped.
+    """
+    path = Path(name_or_path)
+    if path.name != name_or_path or path.suffix or path.exists():
+        return path
+    known = {file.stem: file for file in sorted(shipped.glob("*.yaml"))}
+    if name_or_path not in known:
+        hint = did_you_mean(name_or_path, known)
+        raise DocumentFaults(
+            [Fault(name_or_path, 0, 0, "", f"there is no such file, and none is shipped by this name.{hint}")]
+        )
+    return known[name_or_path]
 
 
 def json_schema(model: type[BaseModel]) -> str:

@@ -27,7 +27,7 @@ Waveform = Literal["square", "sine"]
 ImageKind = Literal["auto", "last_polarity", "fired_per_edge", "lock_in", "count"]
 CalibrationModel = Literal["spherical", "planar", "auto"]
 DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3"]
-Loss = Literal["huber", "l2"]
+Loss = Literal["huber", "l2", "cauchy"]
 Answer = Literal["continue", "abort"]
 
 Angle = Annotated[float, Field(ge=-360, le=360)]

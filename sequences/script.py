@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sequences.schema import Answer, CalibrationModel, DistortionTerm, ImageKind, Loss, Waveform
+from sequences.yaml_text import DocumentPath
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,14 @@ class Pose:
         For people; no two poses of a run share it.
     angles_deg
         Angle by axis, for every axis the sequence names anywhere.
+    path
+        Where the sequence says so: the pose, or the grid it is of.
     """
 
     index: int
     name: str
     angles_deg: Mapping[str, float]
+    path: DocumentPath = ()
 
     @property
     def key(self) -> str:
@@ -54,12 +58,19 @@ class Gates:
     require_triggers: bool
 
 
+# Every step has the same first three fields:
+#   number  from 1 over the run
+#   where   ``file:line:column`` of its word in the sequence
+#   path    the same place inside the document
+
+
 @dataclass(frozen=True)
 class LightStep:
     """Switch the light to a flicker, or off (``flicker`` is None)."""
 
     number: int
     where: str
+    path: DocumentPath
     flicker: Flicker | None
 
 
@@ -69,6 +80,7 @@ class MoveStep:
 
     number: int
     where: str
+    path: DocumentPath
     pose: Pose
 
 
@@ -78,6 +90,7 @@ class SettleStep:
 
     number: int
     where: str
+    path: DocumentPath
     duration_s: float
 
 
@@ -87,6 +100,7 @@ class RecordStep:
 
     number: int
     where: str
+    path: DocumentPath
     pose: Pose
     window_ms: float
     image: ImageKind
@@ -100,6 +114,7 @@ class WaitStep:
 
     number: int
     where: str
+    path: DocumentPath
     duration_s: float
 
 
@@ -109,6 +124,7 @@ class PromptStep:
 
     number: int
     where: str
+    path: DocumentPath
     text: str
     default: Answer
     timeout_s: float
@@ -120,6 +136,7 @@ class SolveStep:
 
     number: int
     where: str
+    path: DocumentPath
     model: CalibrationModel
     distortion: tuple[DistortionTerm, ...]
     loss: Loss
@@ -132,6 +149,7 @@ class ReportStep:
 
     number: int
     where: str
+    path: DocumentPath
 
 
 Step = LightStep | MoveStep | SettleStep | RecordStep | WaitStep | PromptStep | SolveStep | ReportStep

@@ -1,7 +1,7 @@
 """Strict YAML text: mappings, lists and plain text, every one with its place, and nothing clever.
 
-Knows the part of YAML our documents may use. All scalars stay text (``serial: 00051234`` is no number, ``no`` is
-not false); only an empty value, ``~`` and ``null`` mean "nothing". Duplicate keys, anchors, aliases, tags,
+Knows the part of YAML our documents may use. All scalars stay text (``serial: 00051234`` is no number, ``no``
+is not false); only an empty value, ``~`` and ``null`` mean "nothing". Duplicate keys, anchors, aliases, tags,
 directives, several documents and bottomless or bloated ones are refused. Knows no schema and opens no file.
 """
 

@@ -1,0 +1,163 @@
+"""Whether a script makes sense on a station: every fault at its place in the sequence, all of them at once.
+
+Knows what goes together - axes, limits, light, windows, the order of steps - and nothing of time or disk. A
+fault means the run cannot succeed; a remark means it can, and somebody should know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from bench.station import Station
+from sequences.errors import Fault
+from sequences.reader import Located
+from sequences.schema import Sequence
+from sequences.script import (
+    Flicker,
+    LightStep,
+    MoveStep,
+    RecordStep,
+    ReportStep,
+    SettleStep,
+    SolveStep,
+    Step,
+    WaitStep,
+)
+from sequences.yaml_text import DocumentPath
+
+FEWEST_POSES = 2
+"""Directions without which no model's focal length is determined."""
+WHOLE_PERIOD_SLACK = 0.02
+"""A window this share shorter than a period still means a whole one (16.6 ms at 60 Hz)."""
+
+
+class Findings(NamedTuple):
+    """What was found: faults forbid the run, remarks do not."""
+
+    faults: tuple[Fault, ...]
+    remarks: tuple[Fault, ...]
+
+
+def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Findings:
+    """Compare a script with a station.
+
+    Parameters
+    ----------
+    document
+        The sequence, for the places of what is found.
+    steps
+        Its steps, flattened.
+    station
+        The station.
+    """
+    faults = [
+        *_pose_faults(document, steps, station),
+        *_light_faults(document, steps, station),
+        *_recording_faults(document, steps, station),
+        *_order_faults(document, steps),
+    ]
+    return Findings(tuple(sorted(set(faults))), tuple(sorted(set(_remarks(document, steps)))))
+
+
+def _pose_faults(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:
+    axes = station.stage.axes
+    for step in steps:
+        if not isinstance(step, MoveStep):
+            continue
+        for axis, angle in step.pose.angles_deg.items():
+            path = (*step.pose.path, f"{axis}_deg")
+            limits = axes[axis].limits_deg if axis in axes else None
+            if limits is None:
+                if path in document.tree.values:
+                    message = f"the station's stage has no {axis} axis; it has {', '.join(axes)}."
+                    yield document.fault(path, message)
+            elif not limits[0] <= angle <= limits[1]:
+                message = (
+                    f"{axis} {angle:g} deg lies outside the station's {limits[0]:g} to {limits[1]:g} deg."
+                )
+                yield document.fault(path, message)
+
+
+def _light_faults(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:
+    lowest, highest = station.light.frequency_range_hz
+    for step in steps:
+        if isinstance(step, LightStep) and step.flicker is not None:
+            frequency = step.flicker.frequency_hz
+            if not lowest <= frequency <= highest:
+                path = _said(document, step.path, "frequency_hz", "light")
+                message = (
+                    f"{frequency:g} Hz lies outside the {lowest:g} to {highest:g} Hz of the station's light."
+                )
+                yield document.fault(path, message)
+
+
+def _recording_faults(
+    document: Located[Sequence], steps: tuple[Step, ...], station: Station
+) -> Iterator[Fault]:
+    flicker: Flicker | None = None
+    for step in steps:
+        if isinstance(step, LightStep):
+            flicker = step.flicker
+        if not isinstance(step, RecordStep):
+            continue
+        if flicker is None:
+            yield document.fault(step.path, "a recording in the dark: switch the light on first (light:).")
+            continue
+        periods = step.window_ms * 1e-3 * flicker.frequency_hz
+        if periods < 1 - WHOLE_PERIOD_SLACK:
+            path = _said(document, step.path, "window_ms", "record")
+            message = f"{step.window_ms:g} ms hold no whole period of {flicker.frequency_hz:g} Hz"
+            yield document.fault(path, f"{message}: {1e3 / flicker.frequency_hz:.4g} ms at least.")
+        if step.gates.require_triggers and not station.light.sync_output:
+            path = _said(document, step.path, "gates", "record")
+            message = "sync triggers are required, and the station's light gives none (sync_output: false)."
+            yield document.fault(path, message)
+
+
+def _order_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
+    directions: set[tuple[tuple[str, float], ...]] = set()
+    solved = reported = False
+    for step in steps:
+        if reported:
+            yield document.fault(step.path, "a step after the report, which has sealed the run.")
+        if isinstance(step, RecordStep):
+            directions.add(tuple(step.pose.angles_deg.items()))
+        elif isinstance(step, SolveStep):
+            solved = True
+            if not directions:
+                yield document.fault(step.path, "nothing is recorded before this solve.")
+            elif len(directions) < FEWEST_POSES:
+                yield document.fault(
+                    step.path, f"one direction is recorded; it takes {FEWEST_POSES} or more."
+                )
+        elif isinstance(step, ReportStep):
+            reported = True
+            if not solved:
+                yield document.fault(step.path, "a report before any solve has no result to show.")
+
+
+def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
+    last: Step | None = None
+    unsolved: RecordStep | None = None
+    for step in steps:
+        if isinstance(step, RecordStep):
+            unsolved = step
+            if isinstance(last, MoveStep):
+                yield document.fault(
+                    step.path, "recorded right after a move: nothing waits for it to settle."
+                )
+        elif isinstance(step, SolveStep):
+            unsolved = None
+        if isinstance(step, MoveStep | SettleStep | WaitStep | RecordStep):
+            last = step
+    if unsolved is not None:
+        yield document.fault(unsolved.path, "recorded after the last solve: no result will use it.")
+    if not any(isinstance(step, ReportStep) for step in steps):
+        yield document.fault(("steps",), "no report step: the run ends without a report.")
+
+
+def _said(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
+    """Find where a step's setting is written: at the step, above it in the defaults, or nowhere."""
+    places = ((*path, key), ("defaults", word, key))
+    return next((place for place in places if place in document.tree.values), path)
