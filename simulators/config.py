@@ -1,0 +1,184 @@
+"""The simulated bench's configuration: which devices stand on it, and in which world.
+
+Knows every key a configuration may have, its default and its range; a fault is one sentence that names the
+key. The sections camera, collimator, optics and noise are `truth`'s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Final, TypeVar
+
+from simulators.errors import ConfigError
+from simulators.truth import Truth, truth_from_config
+from simulators.world import AxisName
+
+_TRUTH_SECTIONS: Final = ("camera", "collimator", "optics", "noise")
+_AXES: Final[tuple[AxisName, ...]] = ("pan", "tilt", "roll")
+
+
+@dataclass(frozen=True)
+class AxisConfig:
+    """One axis of the gimbal.
+
+    Attributes
+    ----------
+    serial
+        Serial number of its controller.
+    limit_deg
+        Soft limit to either side, as the controller comes with; the end stops are 2 degrees further out.
+    start_deg
+        Where it stands at power-up, unknown to its controller.
+    microsteps_per_deg, speed_deg_s, acceleration_deg_s2
+        Scale, and ramp settings at power-up.
+    settle_s
+        Time constant of the load settling after a move.
+    backlash_deg
+        Play of the gear.
+    encoder
+        Whether there is an encoder on the shaft.
+    """
+
+    serial: str
+    limit_deg: float
+    start_deg: float = 0.0
+    microsteps_per_deg: int = 6400
+    speed_deg_s: float = 40.0
+    acceleration_deg_s2: float = 200.0
+    settle_s: float = 0.02
+    backlash_deg: float = 0.0
+    encoder: bool = True
+
+
+@dataclass(frozen=True)
+class LightConfig:
+    """The light's generator.
+
+    Attributes
+    ----------
+    serial
+        Its serial number.
+    error_queue
+        Whether it answers ``SYST:ERR?``.
+    """
+
+    serial: str = "SG0042"
+    error_queue: bool = True
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """A whole simulated bench."""
+
+    truth: Truth = field(default_factory=Truth)
+    axes: Mapping[AxisName, AxisConfig] = field(
+        default_factory=lambda: {
+            "pan": AxisConfig("100101", 15.0, start_deg=2.4),
+            "tilt": AxisConfig("100102", 10.0, start_deg=-1.7),
+        }
+    )
+    light: LightConfig = field(default_factory=LightConfig)
+    camera_serial: str = "00050423"
+    camera_seed: int = 50423
+    paced: bool = True
+
+
+_Section = TypeVar("_Section", AxisConfig, LightConfig)
+_Value = TypeVar("_Value", bool, int, float, str)
+
+
+def bench_config(given: Mapping[str, Any]) -> BenchConfig:
+    """Read a configuration.
+
+    Parameters
+    ----------
+    given
+        Sections ``camera``, ``collimator``, ``optics`` and ``noise`` (see `truth`); ``stage``, a mapping of
+        the axes pan, tilt and roll, in the order of their addresses; ``light``; and the values
+        ``camera_serial``, ``camera_seed`` and ``paced`` (whether bytes take their time on the line). All are
+        optional.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key that is unknown or whose value cannot be.
+
+    Examples
+    --------
+    >>> bench_config({"stage": {"pan": {"limit_deg": 170}}}).axes["pan"].limit_deg
+    170.0
+    """
+    default = BenchConfig()
+    known = [*_TRUTH_SECTIONS, "stage", "light", "camera_serial", "camera_seed", "paced"]
+    for key in given:
+        if key not in known:
+            raise ConfigError("Unknown key.", where=str(key), remedy=f"Known are: {', '.join(known)}.")
+    return BenchConfig(
+        truth=truth_from_config(given),
+        axes=_axes(given["stage"], default.axes) if "stage" in given else default.axes,
+        light=_section("light", default.light, given.get("light", {})),
+        camera_serial=_like(default.camera_serial, given.get("camera_serial", "00050423"), "camera_serial"),
+        camera_seed=_like(default.camera_seed, given.get("camera_seed", 50423), "camera_seed"),
+        paced=_like(default.paced, given.get("paced", True), "paced"),
+    )
+
+
+def _axes(given: object, default: Mapping[AxisName, AxisConfig]) -> Mapping[AxisName, AxisConfig]:
+    """Read the axes that are named, in their order; those not named are not there."""
+    if not isinstance(given, Mapping) or not given:
+        raise ConfigError(
+            "At least one axis is expected.", where="stage", remedy=f"Name some of {', '.join(_AXES)}."
+        )
+    axes: dict[AxisName, AxisConfig] = {}
+    for name, section in given.items():
+        if name not in _AXES:
+            raise ConfigError(
+                "Unknown axis.", where=f"stage.{name}", remedy=f"Known are: {', '.join(_AXES)}."
+            )
+        fallback = default.get(name, AxisConfig(f"1001{len(axes) + 1:02d}", 180.0))
+        axes[name] = _checked(f"stage.{name}", _section(f"stage.{name}", fallback, section))
+    return axes
+
+
+def _checked(where: str, axis: AxisConfig) -> AxisConfig:
+    """See that an axis can be built."""
+    for name in ("limit_deg", "microsteps_per_deg", "speed_deg_s", "acceleration_deg_s2"):
+        if getattr(axis, name) <= 0:
+            raise ConfigError(f"{getattr(axis, name)!r} is not positive.", where=f"{where}.{name}")
+    for name in ("settle_s", "backlash_deg"):
+        if getattr(axis, name) < 0:
+            raise ConfigError(f"{getattr(axis, name)!r} is negative.", where=f"{where}.{name}")
+    if abs(axis.start_deg) > axis.limit_deg:
+        raise ConfigError(f"{axis.start_deg} lies outside the axis's limits.", where=f"{where}.start_deg")
+    return axis
+
+
+def _section(where: str, default: _Section, given: object) -> _Section:
+    """Take over the keys that are given, each checked against the type of its default."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"A mapping is expected, not {given!r}.", where=where)
+    known = [one.name for one in fields(default)]
+    values: dict[str, Any] = {}
+    for key, value in given.items():
+        if key not in known:
+            raise ConfigError(
+                "Unknown key.", where=f"{where}.{key}", remedy=f"Known are: {', '.join(known)}."
+            )
+        values[key] = _like(getattr(default, key), value, f"{where}.{key}")
+    return replace(default, **values)
+
+
+def _like(default: _Value, value: object, where: str) -> _Value:
+    """See that a value is of its default's kind."""
+    if isinstance(default, (bool, str)):
+        if type(value) is not type(default):
+            kind = "true or false" if isinstance(default, bool) else "text"
+            raise ConfigError(f"{kind.capitalize()} is expected, not {value!r}.", where=where)
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ConfigError(f"A finite number is expected, not {value!r}.", where=where)
+    if isinstance(default, int) and value != int(value):
+        raise ConfigError(f"A whole number is expected, not {value!r}.", where=where)
+    return type(default)(value)

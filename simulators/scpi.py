@@ -1,0 +1,228 @@
+"""SCPI as text: headers in short and long form, messages of several units, numbers with units, errors.
+
+Knows IEEE 488.2 and SCPI-99 syntax; knows no instrument. An instrument registers what it understands in a
+`CommandTree` and is given arguments as words.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+#: What a command does with its arguments.
+Setter = Callable[[list[str]], None]
+
+#: What a query answers, given its arguments.
+Getter = Callable[[list[str]], str]
+
+_NODE = re.compile(r"(\[)?:?(\*?[A-Z]+)([a-z]*)(#)?\]?")
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)\s*([A-Z%]*)", re.IGNORECASE)
+
+_ERRORS = {
+    0: "No error",
+    -104: "Data type error",
+    -108: "Parameter not allowed",
+    -109: "Missing parameter",
+    -113: "Undefined header",
+    -131: "Invalid suffix",
+    -221: "Settings conflict",
+    -222: "Data out of range",
+    -224: "Illegal parameter value",
+    -350: "Queue overflow",
+}
+
+
+class ScpiError(Exception):
+    """A fault of a command: a number of SCPI's table and, where there is one, a detail.
+
+    Parameters
+    ----------
+    code
+        Error number, -113 for an undefined header.
+    detail
+        What the instrument adds to the standard text.
+    """
+
+    def __init__(self, code: int, detail: str = "") -> None:
+        self.code = code
+        self.text = _ERRORS[code] + (f"; {detail}" if detail else "")
+        super().__init__(f"{code} {self.text}")
+
+
+class ErrorQueue:
+    """First in, first out, of bounded length; a full queue ends in the word that it is full."""
+
+    def __init__(self, length: int = 20) -> None:
+        self._length = length
+        self._errors: list[ScpiError] = []
+
+    def add(self, error: ScpiError) -> None:
+        """Keep an error, or note that there was no room."""
+        if len(self._errors) < self._length:
+            self._errors.append(error)
+        else:
+            self._errors[-1] = ScpiError(-350)
+
+    def next(self) -> str:
+        """Take the oldest out and give it as an instrument prints it."""
+        error = self._errors.pop(0) if self._errors else ScpiError(0)
+        return f'{error.code:+d},"{error.text}"'
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._errors.clear()
+
+
+class Unit(NamedTuple):
+    """One command or query of a message, its header made absolute."""
+
+    header: str
+    query: bool
+    arguments: list[str]
+
+
+def units(message: str) -> Iterator[Unit]:
+    """Take a message apart at its semicolons; a header without a leading colon goes on from the last one.
+
+    Examples
+    --------
+    >>> [unit.header for unit in units("VOLT:HIGH 5;LOW 0;:FREQ 60;*OPC?")]
+    ['VOLT:HIGH', 'VOLT:LOW', 'FREQ', '*OPC']
+    """
+    path = ""
+    for part in message.split(";"):
+        header, _, rest = part.strip().partition(" ")
+        if not header:
+            continue
+        query = header.endswith("?")
+        name = header.rstrip("?").upper()
+        if not name.startswith("*"):
+            name = name[1:] if name.startswith(":") else path + name
+            path = name[: name.rfind(":") + 1]
+        yield Unit(name, query, [word.strip() for word in rest.split(",")] if rest.strip() else [])
+
+
+def header_pattern(specification: str) -> re.Pattern[str]:
+    """Compile a header as manuals print it.
+
+    Capitals are the short form, brackets hold what may be left out, # stands for channel 1.
+
+    Examples
+    --------
+    >>> pattern = header_pattern("[:SOURce#]:FREQuency[:CW]")
+    >>> [bool(pattern.fullmatch(header)) for header in ("FREQ", "SOURCE1:FREQUENCY:CW", "FREQU")]
+    [True, True, False]
+    """
+    expression = ""
+    for optional, short, tail, channel in _NODE.findall(specification):
+        node = re.escape(short) + (f"(?:{tail.upper()})?" if tail else "") + ("1?" if channel else "")
+        # The first node carries no colon, whichever of the optional ones that is.
+        expression += f"(?:(?:^|(?<!^):){node})?" if optional else f"(?:^|(?<!^):){node}"
+    return re.compile(expression)
+
+
+@dataclass(frozen=True)
+class _Entry:
+    pattern: re.Pattern[str]
+    setter: Setter | None
+    getter: Getter | None
+
+
+class CommandTree:
+    """What an instrument understands.
+
+    Parameters
+    ----------
+    errors
+        Where faults of commands are kept.
+    """
+
+    def __init__(self, errors: ErrorQueue) -> None:
+        self.errors = errors
+        self._entries: list[_Entry] = []
+
+    def add(self, specification: str, setter: Setter | None, getter: Getter | None) -> None:
+        """Understand a header, as a command, as a query, or as both."""
+        self._entries.append(_Entry(header_pattern(specification), setter, getter))
+
+    def answer(self, message: str) -> str | None:
+        """Carry out a message and give what it answers, None when it asks nothing.
+
+        A unit that is not understood ends the message; one that cannot be carried out does not.
+        """
+        answers: list[str] = []
+        for unit in units(message):
+            try:
+                said = self._carry_out(unit)
+            except ScpiError as error:
+                self.errors.add(error)
+                if error.code > -200:
+                    break
+            else:
+                answers += [] if said is None else [said]
+        return ";".join(answers) if answers else None
+
+    def _carry_out(self, unit: Unit) -> str | None:
+        for entry in self._entries:
+            if entry.pattern.fullmatch(unit.header):
+                if unit.query and entry.getter is not None:
+                    return entry.getter(unit.arguments)
+                if not unit.query and entry.setter is not None:
+                    entry.setter(unit.arguments)
+                    return None
+        raise ScpiError(-113)
+
+
+def the_one(arguments: Sequence[str]) -> str:
+    """Take the only argument."""
+    if not arguments:
+        raise ScpiError(-109)
+    if len(arguments) > 1:
+        raise ScpiError(-108)
+    return arguments[0]
+
+
+def no_arguments(arguments: Sequence[str]) -> None:
+    """See that there are none."""
+    if arguments:
+        raise ScpiError(-108)
+
+
+def number(word: str, unit_factors: dict[str, float]) -> float:
+    """Read a number with an optional unit.
+
+    Examples
+    --------
+    >>> number("1.5 kHz", {"HZ": 1.0, "KHZ": 1e3})
+    1500.0
+    """
+    match = _NUMBER.fullmatch(word.strip())
+    if match is None:
+        raise ScpiError(-104)
+    unit = match[2].upper()
+    if unit and unit not in unit_factors:
+        raise ScpiError(-131)
+    return float(match[1]) * (unit_factors[unit] if unit else 1.0)
+
+
+def boolean(word: str) -> bool:
+    """Read ON, OFF, or a number, of which only 0 is off."""
+    if word.upper() in {"ON", "OFF"}:
+        return word.upper() == "ON"
+    return number(word, {}) != 0.0
+
+
+def choice(word: str, choices: Sequence[str]) -> str:
+    """Read one of several words, each in short or long form, and give its short form.
+
+    Examples
+    --------
+    >>> choice("square", ["SINusoid", "SQUare"])
+    'SQU'
+    """
+    for one in choices:
+        if header_pattern(one).fullmatch(word.upper()):
+            return "".join(letter for letter in one if letter.isupper() or letter.isdigit())
+    raise ScpiError(-224)

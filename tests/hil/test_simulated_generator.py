@@ -1,0 +1,162 @@
+"""The simulated function generator, on its serial line and by its dialect."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import serial
+
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.scpi_generator import GeneratorModel, ScpiGenerator
+from simulators.serial_device import SerialDevice
+from simulators.world import LightState, World
+
+
+class Generator:
+    """The generator on a clock that the test turns, with all it ever told the light."""
+
+    def __init__(self, **model) -> None:
+        self.now_s = 100.0
+        self.told: list[LightState] = []
+        self.dialect = ScpiGenerator(GeneratorModel(**model), lambda: self.now_s, self.told.append)
+
+    def say(self, *messages: str) -> str:
+        """Send messages; all that is answered."""
+        return "".join(self.dialect.receive(f"{message}\n".encode()).decode() for message in messages)
+
+    @property
+    def light(self) -> LightState:
+        return self.told[-1]
+
+
+@pytest.fixture
+def generator() -> Generator:
+    return Generator()
+
+
+def test_a_client_sets_reads_back_and_switches_over_the_serial_line(tmp_path):
+    world = World()
+    dialect = ScpiGenerator(GeneratorModel(), world.now_s, world.set_light)
+    with (
+        SerialDevice(PseudoTerminal(tmp_path / "light"), dialect) as device,
+        serial.Serial(device.address, 9600, timeout=5.0) as line,
+    ):
+
+        def ask(query: str) -> str:
+            line.write(f"{query}\n".encode())
+            return line.read_until(b"\n").decode().strip()
+
+        assert ask("*IDN?") == "Keysight Technologies,33250A,SG0042,2.05-1.01-2.00-03-2"
+        for setting in (
+            "*RST",
+            "OUTP:LOAD INF",
+            "FUNC SQU",
+            "FREQ 60",
+            "FUNC:SQU:DCYC 30",
+            "VOLT:HIGH 4",
+            "VOLT:LOW 0",
+        ):
+            line.write(f"{setting}\n".encode())
+        assert float(ask("FREQ?")) == 60.0
+        assert not world.light(world.now_s()).output
+        line.write(b"OUTP ON\n")
+        assert ask("OUTP?") == "1"
+        assert ask("SYST:ERR?") == '+0,"No error"'
+    state = world.light(world.now_s())
+    assert (state.waveform, state.frequency_hz, state.duty_percent) == ("square", 60.0, 30.0)
+    assert (state.low_v, state.high_v, state.output, state.sync) == (0.0, 4.0, True, True)
+
+
+@pytest.mark.parametrize(
+    ("command", "query", "answer"),
+    [
+        ("FUNC SQU", "FUNC?", "SQU"),
+        ("function:shape square", ":SOURCE:FUNC:SHAP?", "SQU"),
+        ("FREQ 1.5 kHz", "FREQUENCY?", "+1.5000000000000E+03"),
+        ("SOUR:FREQ 6E1", "FREQ?", "+6.0000000000000E+01"),
+        ("FUNC:SQU:DCYC 35.5", "func:squ:dcyc?", "+3.5500000000000E+01"),
+        ("VOLT:HIGH 3;LOW -1", "VOLT?;VOLT:OFFS?", "+4.0000000000000E+00;+1.0000000000000E+00"),
+        ("VOLT 2;VOLT:OFFS 1.5", "VOLT:HIGH?;LOW?", "+2.5000000000000E+00;+5.0000000000000E-01"),
+        ("OUTPUT:STATE 1", "OUTP?", "1"),
+        ("OUTP:SYNC OFF", "OUTP:SYNC?", "0"),
+        ("*CLS", "*OPC?", "1"),
+        ("FREQ MAX", "FREQ? MAX", "+8.0000000000000E+07"),
+    ],
+)
+def test_a_setting_reads_back_in_any_form_of_its_header(generator, command, query, answer):
+    assert generator.say(command) == ""
+    assert generator.say(query) == answer + "\n"
+    assert generator.say("SYST:ERR?") == '+0,"No error"\n'
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        ("FREQUEN 60", -113),
+        ("VOLT:HIGH 2;VOLT:LOW 0", -113),
+        ("FREQ sixty", -104),
+        ("FREQ 60 V", -131),
+        ("FREQ", -109),
+        ("FREQ 60,70", -108),
+        ("FUNC TRIANGLE", -224),
+        ("FREQ 1e12", -222),
+        ("FUNC:SQU:DCYC 5", -222),
+        ("VOLT:HIGH 40", -222),
+        ("VOLT:LOW 0;HIGH -1", -221),
+    ],
+)
+def test_a_fault_waits_in_the_queue_until_it_is_asked_for(generator, command, code):
+    assert generator.say(command) == ""
+    assert generator.say("SYST:ERR?").startswith(f"{code},")
+    assert generator.say("SYST:ERR?") == '+0,"No error"\n'
+
+
+def test_a_value_out_of_range_is_clipped_not_refused(generator):
+    generator.say("FUNC SQU", "FUNC:SQU:DCYC 5")
+    assert generator.say("FUNC:SQU:DCYC?") == "+2.0000000000000E+01\n"
+    assert generator.light.duty_percent == 20.0
+
+
+def test_the_error_queue_is_bounded_and_says_so(generator):
+    for _ in range(30):
+        generator.say("NONSENSE")
+    errors = [generator.say("SYST:ERR?") for _ in range(21)]
+    assert errors[18].startswith("-113")
+    assert errors[19].startswith("-350")
+    assert errors[20].startswith("+0")
+
+
+def test_a_generator_without_error_queue_says_nothing():
+    assert Generator(error_queue=False).say("SYST:ERR?") == ""
+
+
+def test_an_open_lamp_sees_twice_the_voltage_shown_for_fifty_ohm(generator):
+    generator.say("VOLT:HIGH 2;LOW 0")
+    assert (generator.light.low_v, generator.light.high_v) == pytest.approx((0.0, 4.0))
+    generator.say("OUTP:LOAD INF")
+    assert generator.say("VOLT:HIGH?") == "+4.0000000000000E+00\n"
+    assert generator.light.high_v == pytest.approx(4.0)
+
+
+def test_the_phase_goes_on_through_a_change_of_frequency(generator):
+    generator.say("FREQ 60")
+    generator.now_s += 0.01
+    before = generator.light.phase_at(generator.now_s)
+    generator.say("FREQ 50")
+    assert generator.light.phase_at(generator.now_s) == pytest.approx(before, abs=1e-6)
+    assert generator.light.phase_at(generator.now_s + 0.02) == pytest.approx(before, abs=1e-6)
+
+
+def test_a_reset_is_dark(generator):
+    generator.say("OUTP ON")
+    assert generator.light.output
+    generator.say("*RST")
+    assert not generator.light.output
+    assert math.isclose(generator.light.frequency_hz, 1000.0)
+
+
+def test_a_message_in_pieces_is_one_message(generator):
+    assert generator.dialect.receive(b"*ID") == b""
+    assert generator.dialect.receive(b"N?\r").decode() == ""
+    assert b"SG0042" in generator.dialect.receive(b"\n")
