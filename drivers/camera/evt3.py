@@ -153,7 +153,7 @@ class Evt3Decoder:
         start = 0
         while start < len(words):
             room = min(max(max_events, VECTOR_COLUMNS), VECTOR_COLUMNS * (len(words) - start))
-            out = empty_events(room + VECTOR_COLUMNS)
+            out = empty_events(room)
             stop = run(words, start, Mode.STORE, self._state, self._gaps, out, self._no_image, self._triggers)
             n = int(self._state[S.STORED])
             yield out.first(n), self._taken_triggers()

@@ -32,7 +32,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 VECTOR_COLUMNS: Final = 12
-"""Columns of the widest vector: room that output arrays need beyond the last event."""
+"""Columns of the widest vector: room that output arrays need for one more word."""
 
 MAX_BACK_STEP_US: Final = 64
 """TIME_LOW of a busy sensor steps back by some us (11 seen); much more means that words are missing."""

@@ -84,7 +84,7 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
     at = 0
     while start[at : at + 2] == b"% ":
         end = start.find(b"\n", at)
-        if end < 0:
+        if end < 0 or end == MAX_HEADER_BYTES - 1:
             raise NotARecording(
                 f"Its header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
             )
@@ -117,10 +117,11 @@ def _looks_like(start: bytes) -> str:
 def _size(fields: Mapping[str, str], where: str) -> tuple[int, int]:
     """Width and height by the header's fields; sees that they agree and that the encoding is EVT3."""
     encoding, *options = fields.get("format", "").split(";")
-    version = fields.get("evt", "" if encoding else "none")
-    if encoding not in ("", "EVT3") or version not in ("", "3.0"):
+    version = fields.get("evt", "")
+    if encoding not in ("", "EVT3") or version not in ("", "3.0") or not encoding + version:
+        held = encoding or (f"EVT {version}" if version else "an encoding that its header does not name")
         raise NotARecording(
-            f"It holds {encoding or 'EVT ' + version}; only EVT3 is read here.",
+            f"It holds {held}; only EVT3 is read here.",
             where=where,
             remedy="Record in the format EVT3, or convert the file with the maker's tools.",
         )

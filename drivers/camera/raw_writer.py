@@ -1,0 +1,100 @@
+"""A new RAW file on disk: made exclusively, written once, synced before it is closed; knows no camera."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from drivers.errors import RecordingFailed
+
+_REMEDIES: Final = {
+    errno.EEXIST: ("There is such a file already", "Recordings are never overwritten: choose another name."),
+    errno.ENOSPC: ("The disk is full", "Free space on that disk, then record again."),
+    errno.EDQUOT: ("The disk quota is used up", "Free space within the quota, then record again."),
+    errno.EACCES: ("This user may not write there", "Give yourself write permission on the folder."),
+    errno.EPERM: ("This user may not write there", "Give yourself write permission on the folder."),
+    errno.EROFS: ("That disk is read-only", "Record to a disk that can be written."),
+    errno.ENOENT: ("There is no such folder", "Make the folder first."),
+    errno.ENOTDIR: ("A part of its path is no folder", "Check the path."),
+}
+
+
+class RawWriter:
+    """A file that did not exist before; used in a ``with`` statement, which syncs and closes it in any case.
+
+    Parameters
+    ----------
+    path
+        Where to make it.
+    header
+        Its first bytes.
+
+    Raises
+    ------
+    RecordingFailed
+        When it exists, cannot be made, or the disk does not take what it is given; what was written stays.
+    """
+
+    def __init__(self, path: Path, header: bytes) -> None:
+        self.path = path
+        self.bytes_written = 0
+        try:
+            self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        except OSError as error:
+            raise disk_refused(path, error) from error
+        try:
+            self.write(header)
+        except RecordingFailed:
+            os.close(self._handle)
+            raise
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Append all of it."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                written = os.write(self._handle, rest)
+                self.bytes_written += written
+                rest = rest[written:]
+        except OSError as error:
+            raise disk_refused(self.path, error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            os.fsync(self._handle)
+            sync_folder(self.path.parent)
+        except OSError as failed:
+            if error is None:  # else the first failure is the one to tell
+                raise disk_refused(self.path, failed) from failed
+        finally:
+            os.close(self._handle)
+
+
+def sync_folder(folder: Path) -> None:
+    """Sync a folder, so that a new file's name is on disk as well."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def disk_refused(path: Path, error: OSError) -> RecordingFailed:
+    """Say in words why a recording could not be written."""
+    otherwise = (f"It cannot be written ({error.strerror or error})", "Check the disk it lies on.")
+    what, remedy = _REMEDIES.get(error.errno or 0, otherwise)
+    kept = (
+        " What was recorded before is kept." if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO) else ""
+    )
+    return RecordingFailed(f"{what}.{kept}", where=str(path), remedy=remedy)

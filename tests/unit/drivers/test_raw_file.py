@@ -1,0 +1,228 @@
+"""RAW files: headers of all makes, events out of them, and files that are something else."""
+
+import os
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.camera import CameraIdentity
+from drivers.camera.raw_file import RawFile
+from drivers.camera.raw_header import MAX_HEADER_BYTES, parse_header, render_header
+from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
+
+HEADER = (
+    b"% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% serial_number 00051234\n% end\n"
+)
+WORDS = [0x8001, 0x6002, 0x0005, 0x2803, 0xA001, 0x6005, 0x2004]
+CAMERA = CameraIdentity("Prophesee", "EVK4", "IMX636", "00050423", "1.2", 1280, 720)
+
+
+@pytest.fixture
+def raw(tmp_path):
+    """Writes a RAW file of these words."""
+
+    def write(words=WORDS, header=HEADER, tail=b""):
+        path = tmp_path / "some.raw"
+        path.write_bytes(header + np.array(words, "<u2").tobytes() + tail)
+        return path
+
+    return write
+
+
+def test_a_recording_reads_back_what_its_words_say(raw):
+    recording = RawFile.open(raw())
+    events, triggers = recording.read()
+    assert (recording.width, recording.height, recording.serial) == (1280, 720, "00051234")
+    assert [field.tolist() for field in events] == [[4098, 4101], [3, 4], [5, 5], [1, 0]]
+    assert [field.tolist() for field in triggers] == [[4098], [1], [0]]
+    assert recording.triggers().t.tolist() == [4098]
+
+
+def test_a_scan_tells_counts_times_and_size(raw):
+    path = raw()
+    scan = RawFile.open(path).scan()
+    assert (scan.events, scan.on_events, scan.triggers) == (2, 1, 1)
+    assert (scan.first_t_us, scan.last_t_us) == (4098, 4101)
+    assert scan.bytes == path.stat().st_size
+    assert not scan.truncated
+
+
+def test_counts_are_the_events_of_each_pixel(raw):
+    image = RawFile.open(raw()).counts()
+    assert image.shape == (2, 720, 1280)
+    assert image.sum() == 2
+    assert image[1, 5, 3] == image[0, 5, 4] == 1
+
+
+def test_chunks_hold_no_more_than_asked_for_and_all_together(raw):
+    words = [0x8001, 0x6002, 0x0005, *[0x2000 | x for x in range(1000)]]
+    chunks = list(RawFile.open(raw(words)).chunks(max_events=64))
+    assert max(len(chunk.t) for chunk in chunks) <= 64
+    assert np.concatenate([chunk.x for chunk in chunks]).tolist() == list(range(1000))
+
+
+def test_a_file_longer_than_a_block_is_read_whole(raw):
+    n = 700_000
+    words = np.full(n + 3, 0x2007)
+    words[:3] = 0x8001, 0x6002, 0x0005
+    assert len(RawFile.open(raw(words)).read()[0].t) == n
+
+
+def test_a_file_that_ends_in_a_word_is_read_up_to_it_and_says_so(raw):
+    recording = RawFile.open(raw(tail=b"\x01"))
+    assert recording.scan().truncated
+    assert len(recording.read()[0].t) == 2
+
+
+@pytest.mark.parametrize("kept", range(2 * len(WORDS) + 1))
+def test_a_file_cut_anywhere_is_readable_up_to_there(raw, kept):
+    path = raw()
+    os.truncate(path, len(HEADER) + kept)
+    recording = RawFile.open(path)
+    assert recording.scan().truncated == (kept % 2 == 1)
+    assert len(recording.read()[0].t) == sum(kept >= end for end in (8, 14))
+
+
+def test_malformed_words_are_named_by_file_and_byte(raw):
+    path = raw([*WORDS, 0x9999])
+    with pytest.raises(RecordingCorrupt, match=r"some\.raw: A word 0x9999") as caught:
+        RawFile.open(path).read()
+    assert caught.value.offset == len(HEADER) + 2 * len(WORDS)
+
+
+def test_an_offset_beyond_the_first_block_is_right(raw):
+    words = np.full(600_000, 0x2007)
+    words[:3] = 0x8001, 0x6002, 0x0005
+    words[555_555] = 0x9000
+    with pytest.raises(RecordingCorrupt) as caught:
+        RawFile.open(raw(words)).scan()
+    assert caught.value.offset == len(HEADER) + 2 * 555_555
+
+
+# ---------------------------------------------------------------- headers
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"% format EVT3;height=720;width=1280\n",
+        b"% format EVT3\n% geometry 1280x720\n",
+        b"% evt 3.0\n% system_ID 49\n",
+        b"% evt 3.0\n% geometry 1280x720\n",
+        b"% format EVT3;width=1280;height=720\r\n% end\r\n",
+        b"%  format   EVT3;height=720;width=1280 \n% my_own key with  text\n% end\n",
+    ],
+)
+def test_headers_of_all_makes_are_understood(raw, header):
+    recording = RawFile.open(raw(header=header))
+    assert (recording.width, recording.height) == (1280, 720)
+    assert recording.scan().events == 2
+
+
+def test_runs_of_white_space_count_as_one_and_unknown_keys_stay():
+    header = parse_header(b"% format EVT3;height=4;width=6\n% lens   f 12   mm\n% end\n", where="x")
+    assert header.fields["lens"] == "f 12 mm"
+    assert (header.width, header.height) == (6, 4)
+
+
+def test_words_that_look_like_a_header_line_are_words_after_its_end():
+    start = b"% format EVT3;height=720;width=1280\n% end\n% \n\n"
+    assert parse_header(start, where="x").size_bytes == len(start) - 4
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        (b"", "it is empty"),
+        (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+        (b"\x89PNG\r\n", "a PNG picture"),
+        (b"% Data file containing CD events.\n% Version 2\n", "a DAT file"),
+        (b"name: three poses\nsteps: []\n", "a text file"),
+        (b"\0" * 100, "nothing but zeros"),
+        (b"\x01\x80\x02\x60", "binary data without a RAW header"),
+        (b"% format EVT21;height=720;width=1280\n% end\n", "It holds EVT21"),
+        (b"% evt 2.0\n% geometry 640x480\n% end\n", "It holds EVT 2.0"),
+        (b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n", "It holds EVT2;"),
+        (b"% geometry 640x480\n% end\n", "an encoding that its header does not name"),
+        (b"% evt 3.0\n% end\n", "does not tell the sensor's size"),
+        (
+            b"% format EVT3;height=720;width=1280\n% geometry 640x480\n",
+            "format says 1280 x 720, geometry says 640 x 480",
+        ),
+        (b"% format EVT3;height=0;width=1280\n", "'1280' x '0' as the sensor's size"),
+        (b"% format EVT3;height=4000;width=1280\n", "'4000'"),
+        (b"% evt 3.0\n% geometry wide\n", "'wide' x ''"),
+        (b"% format EVT3;height=720;width=1280", "does not end"),
+    ],
+)
+def test_other_files_are_told_by_what_they_are(tmp_path, start, message):
+    path = tmp_path / "what.raw"
+    path.write_bytes(start)
+    with pytest.raises(NotARecording, match=message) as caught:
+        RawFile.open(path)
+    assert "what.raw" in str(caught.value)
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize("line", [b"% a b\n", b"% a bcd\n"])
+def test_an_endless_header_is_given_up(tmp_path, line):
+    path = tmp_path / "endless.raw"
+    path.write_bytes(line * MAX_HEADER_BYTES)
+    with pytest.raises(NotARecording, match="does not end within 65536 bytes"):
+        RawFile.open(path)
+
+
+def test_a_missing_file_and_a_folder_are_told_apart(tmp_path):
+    with pytest.raises(RecordingFileError, match="no such file"):
+        RawFile.open(tmp_path / "none.raw")
+    with pytest.raises(NotARecording, match="folder"):
+        RawFile.open(tmp_path)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_a_file_without_permission_says_so(raw):
+    path = raw()
+    path.chmod(0)
+    with pytest.raises(RecordingFileError, match="may not be read"):
+        RawFile.open(path)
+
+
+def test_a_file_that_vanishes_after_opening_is_told(raw):
+    recording = RawFile.open(raw())
+    recording.path.unlink()
+    with pytest.raises(RecordingFileError, match="no such file"):
+        recording.read()
+
+
+def test_a_new_header_reads_back(tmp_path):
+    path = tmp_path / "new.raw"
+    path.write_bytes(render_header(CAMERA, datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)))
+    recording = RawFile.open(path)
+    assert recording.serial == "00050423"
+    assert recording.header["date"] == "2026-11-20 04:05:06"
+    assert recording.header["sensor_name"] == "IMX636"
+    assert (recording.width, recording.height) == (1280, 720)
+    assert recording.scan().events == 0
+
+
+def test_a_name_with_a_line_end_cannot_forge_a_header_line():
+    camera = CameraIdentity("Mine\n% format EVT2", "EVK4", "IMX636", "1", "", 1280, 720)
+    header = parse_header(render_header(camera, datetime(2026, 1, 1, tzinfo=UTC)), where="x")
+    assert header.fields["camera_integrator_name"] == "Mine % format EVT2"
+    assert header.width == 1280
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=300), st.booleans())
+def test_no_bytes_whatever_make_it_fail_in_another_way(tmp_path, data, with_header):
+    path = tmp_path / "fuzz.raw"
+    path.write_bytes((HEADER if with_header else b"% ") + data)
+    try:
+        recording = RawFile.open(path)
+        events, _ = recording.read()
+    except RecordingFileError:
+        return
+    assert len(events.t) <= 6 * path.stat().st_size

@@ -1,0 +1,81 @@
+"""Our EVT3 decoder beside the PyPI package ``evt3``, written by others: the same events from the same words."""
+
+import numpy as np
+import pytest
+
+from drivers.camera.raw_file import RawFile
+
+evt3 = pytest.importorskip("evt3", reason="the PyPI package evt3 is not built for this platform")
+
+HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% end\n"
+
+
+def assert_same(path):
+    """Both decoders read the file alike; returns how many events and triggers it has."""
+    events, triggers = RawFile.open(path).read()
+    theirs, their_triggers = evt3.decode_file_with_triggers(str(path))
+    for name, ours in zip(("t", "x", "y", "p"), events, strict=True):
+        assert np.array_equal(ours, getattr(theirs, name)), name
+    for name, ours in zip(("timestamp", "value", "id"), triggers, strict=True):
+        assert np.array_equal(ours, getattr(their_triggers, name)), name
+    return len(events.t), len(triggers.t)
+
+
+def sensor_words(seed, bursts, *, start_us):
+    """Words as a busy IMX636 sends them: rows of singles and vectors, counters, triggers, clock words."""
+    rng = np.random.default_rng(seed)
+    words: list[int] = []
+    t, ticked = start_us, -1
+    for _ in range(bursts):
+        t += int(rng.integers(1, 60))
+        for tick in range(max(ticked + 1, t // 16), t // 16 + 1):
+            words += [0x8000 | (tick >> 8 & 0xFFF), 0x6000 | (tick << 4 & 0xFFF)]
+        ticked = t // 16
+        words += [0x6000 | (t & 0xFFF), int(rng.integers(720))]
+        polarity = int(rng.integers(2)) << 11
+        match rng.integers(10):
+            case 0:
+                words.append(0xA000 | int(rng.integers(2)))
+            case 1:
+                count = int(rng.integers(1 << 20))
+                words += [0xE014, 0xF000 | count & 0xFFF, 0xF000 | count >> 12, 0x7000]
+            case 2 | 3 | 4 | 5:
+                words.append(0x3000 | polarity | int(rng.integers(1280 - 96)))
+                for _ in range(int(rng.integers(1, 4))):
+                    bits = int(rng.integers(1 << 32))
+                    words += [0x4000 | bits & 0xFFF, 0x4000 | bits >> 12 & 0xFFF, 0x5000 | bits >> 24]
+            case _:
+                words += [0x2000 | polarity | int(x) for x in np.sort(rng.integers(0, 1280, 5))]
+    return np.array(words, "<u2")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_generated_recordings_decode_alike(tmp_path, seed):
+    path = tmp_path / "generated.raw"
+    path.write_bytes(HEADER + sensor_words(seed, 20_000, start_us=seed * 3_000_000).tobytes())
+    events, triggers = assert_same(path)
+    assert events > 250_000
+    assert triggers > 1000
+
+
+def test_a_recording_over_the_wrap_of_the_clock_decodes_alike(tmp_path):
+    path = tmp_path / "wrap.raw"
+    path.write_bytes(HEADER + sensor_words(9, 20_000, start_us=(1 << 24) - 300_000).tobytes())
+    assert_same(path)
+    assert RawFile.open(path).scan().last_t_us > 1 << 24
+
+
+def test_the_real_recording_decodes_alike_and_has_the_published_counts(reference_data):
+    path = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+    assert assert_same(path) == (82_469, 2)
+
+
+def test_the_real_recording_accounts_for_its_events_and_its_trigger_pulse(reference_data):
+    recording = RawFile.open(reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw")
+    scan = recording.scan()
+    triggers = recording.triggers()
+    assert scan.rate_controller_in == scan.rate_controller_out == 82_460
+    assert (scan.gap_count, scan.unplaced_events, scan.truncated) == (0, 0, False)
+    assert triggers.value.tolist() == [0, 1]
+    assert int(triggers.t[1] - triggers.t[0]) == 2000
+    assert scan.duration_s == pytest.approx(1.25, abs=0.01)
