@@ -120,7 +120,7 @@ def ramp(position: float, velocity: float, target: float, speed: float, accelera
 
 
 @dataclass(frozen=True)
-class Path:
+class Trajectory:
     """Where motor and load are from one command until the next: immutable, so that any thread may ask.
 
     Attributes
@@ -210,7 +210,7 @@ def follow(segment: Segment, t_s: float, settle_s: float) -> float:
 
 
 class Axis:
-    """One axis: what its controller commands and believes, and the path that follows from it.
+    """One axis: what its controller commands and believes, and the trajectory that follows from it.
 
     Commands take the time at which they arrive; questions take the time they ask about.
 
@@ -221,11 +221,14 @@ class Axis:
     now_s
         Time of power-up.
     publish
-        Called with every new path: how the world learns where the axis points.
+        Called with every new trajectory: how the world learns where the axis points.
     """
 
     def __init__(
-        self, mechanics: Mechanics, now_s: float = 0.0, publish: Callable[[Path], None] = lambda _path: None
+        self,
+        mechanics: Mechanics,
+        now_s: float = 0.0,
+        publish: Callable[[Trajectory], None] = lambda _trajectory: None,
     ) -> None:
         self.mechanics = mechanics
         self._publish = publish
@@ -233,13 +236,13 @@ class Axis:
         self._origin = start
         self._homing = False
         self._referenced = False
-        self.path = self._made((Segment(now_s, start, 0.0, 0.0, 0.0, start),))
+        self.trajectory = self._made((Segment(now_s, start, 0.0, 0.0, 0.0, start),))
 
     # ------------------------------------------------------------------ questions
     def counter(self, t_s: float) -> float:
         """Where the controller believes the axis is, in counts."""
         self._finish_homing(t_s)
-        return self.path.motor(t_s) - self._origin
+        return self.trajectory.motor(t_s) - self._origin
 
     def encoder(self, t_s: float) -> float:
         """Count of an encoder on the shaft, set to 0 together with the counter."""
@@ -248,11 +251,11 @@ class Axis:
     def rest_counter(self, t_s: float) -> float:
         """Where the present command ends, in counts of the counter."""
         self._finish_homing(t_s)
-        return self.path.rest - self._origin
+        return self.trajectory.rest - self._origin
 
     def busy(self, t_s: float) -> bool:
         """Whether a ramp is still under way; a load that only settles is not busy."""
-        return t_s < self.path.end_s
+        return t_s < self.trajectory.end_s
 
     def referenced(self, t_s: float) -> bool:
         """Whether the counter has been set at the reference sensor."""
@@ -268,8 +271,8 @@ class Axis:
     def stop(self, t_s: float, acceleration: float) -> None:
         """Brake to a halt; ends homing without a reference."""
         self._abandon_homing(t_s)
-        velocity = self.path.velocity(t_s)
-        rest = self.path.motor(t_s) + velocity * abs(velocity) / (2.0 * acceleration)
+        velocity = self.trajectory.velocity(t_s)
+        rest = self.trajectory.motor(t_s) + velocity * abs(velocity) / (2.0 * acceleration)
         rest = float(math.ceil(rest) if velocity > 0.0 else math.floor(rest))
         self._go(t_s, [(rest, max(abs(velocity), 1.0))], acceleration)
 
@@ -291,23 +294,23 @@ class Axis:
         """Power-cycle the controller: it halts, counts from 0 where it stands, and has no reference."""
         self.halt(t_s)
         self._referenced = False
-        self._origin = self.path.motor(t_s)
+        self._origin = self.trajectory.motor(t_s)
 
     def set_counter(self, value: float, t_s: float) -> None:
         """Call the present position by another number."""
         self._finish_homing(t_s)
-        self._origin = self.path.motor(t_s) - value
+        self._origin = self.trajectory.motor(t_s) - value
 
     # ------------------------------------------------------------------ inside
-    def _made(self, segments: tuple[Segment, ...]) -> Path:
-        path = Path(segments, self.mechanics.counts_per_deg, self.mechanics.settle_s)
-        self._publish(path)
-        return path
+    def _made(self, segments: tuple[Segment, ...]) -> Trajectory:
+        trajectory = Trajectory(segments, self.mechanics.counts_per_deg, self.mechanics.settle_s)
+        self._publish(trajectory)
+        return trajectory
 
     def _go(self, t_s: float, stations: list[tuple[float, float]], acceleration: float) -> None:
         """Ramp from here and now through stations (position, speed), resting at each."""
-        position, velocity = self.path.motor(t_s), self.path.velocity(t_s) if stations else 0.0
-        start, load, offset = t_s, self.path.load(t_s), self.path.at(t_s).offset
+        position, velocity = self.trajectory.motor(t_s), self.trajectory.velocity(t_s) if stations else 0.0
+        start, load, offset = t_s, self.trajectory.load(t_s), self.trajectory.at(t_s).offset
         segments: list[Segment] = []
         for station, speed in stations:
             target = self._within_stops(station)
@@ -322,7 +325,7 @@ class Axis:
             position, velocity = target, 0.0
         position = float(round(position))
         segments.append(Segment(start, position, 0.0, 0.0, offset, load))
-        self.path = self._made(tuple(segments))
+        self.trajectory = self._made(tuple(segments))
 
     def _within_stops(self, position: float) -> float:
         """Hold the motor, and with it the load, between the end stops."""
@@ -336,8 +339,8 @@ class Axis:
         return -math.copysign(self.mechanics.backlash_deg * self.mechanics.counts_per_deg / 2.0, velocity)
 
     def _finish_homing(self, t_s: float) -> None:
-        if self._homing and t_s >= self.path.end_s:
-            self._origin = self.path.rest
+        if self._homing and t_s >= self.trajectory.end_s:
+            self._origin = self.trajectory.rest
             self._referenced = True
             self._homing = False
 

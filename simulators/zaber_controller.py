@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from simulators.axis_motion import Axis, Mechanics, Path
+from simulators.axis_motion import Axis, Mechanics, Trajectory
 
 #: Firmware 7 counts speeds in microsteps/s times this, and accelerations in 10000 microsteps/s^2 times this.
 _TICK = 1.6384
@@ -85,11 +85,14 @@ class ZaberController:
     now_s
         Time of power-up.
     publish
-        Called with every new path of the axis.
+        Called with every new trajectory of the axis.
     """
 
     def __init__(
-        self, model: ZaberModel, now_s: float = 0.0, publish: Callable[[Path], None] = lambda _path: None
+        self,
+        model: ZaberModel,
+        now_s: float = 0.0,
+        publish: Callable[[Trajectory], None] = lambda _trajectory: None,
     ) -> None:
         self.model = model
         self.axis = Axis(model.mechanics, now_s, publish)
@@ -184,7 +187,7 @@ class ZaberController:
             "get.settings.max": lambda: "1",
             "resolution": lambda: "64",
             "pos": lambda: str(round(self.axis.counter(t_s))),
-            "vel": lambda: str(round(self.axis.path.velocity(t_s) * _TICK)),
+            "vel": lambda: str(round(self.axis.trajectory.velocity(t_s) * _TICK)),
             "limit.home.triggered": lambda: str(int(self.axis.referenced(t_s))),
             "parking.state": lambda: str(int(self._state.parked)),
         }

@@ -65,40 +65,40 @@ def test_the_load_settles_exponentially_and_then_stands_exactly():
     one = homed_axis(settle_s=0.02)
     one.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
     end = 20.0 + 2.0 * math.sqrt(3.0 / 200.0)
-    early, later = (3.0 - one.path.angle_deg(end + wait) for wait in (0.01, 0.03))
+    early, later = (3.0 - one.trajectory.angle_deg(end + wait) for wait in (0.01, 0.03))
     assert later / early == pytest.approx(math.exp(-1.0), rel=1e-6)
-    assert end + 0.01 < one.path.settled_from_s < end + 0.3
-    assert one.path.angle_deg(end + 0.3) == 3.0
-    assert one.path.rest_load == 3 * 6400
+    assert end + 0.01 < one.trajectory.settled_from_s < end + 0.3
+    assert one.trajectory.angle_deg(end + 0.3) == 3.0
+    assert one.trajectory.rest_load == 3 * 6400
 
 
 def test_the_load_matches_a_step_by_step_integration():
     one = homed_axis(settle_s=0.03)
     one.move_to(2.0 * SCALE, 20.0, SPEED, ACCELERATION)
     one.move_to(-1.0 * SCALE, 20.15, SPEED, ACCELERATION)
-    dt, load = 2e-5, one.path.angle_deg(20.0)
+    dt, load = 2e-5, one.trajectory.angle_deg(20.0)
     for t in np.arange(20.0, 20.5, dt):
-        load += dt / 0.03 * (one.path.motor(t + dt / 2) / SCALE - load)
-    assert one.path.angle_deg(20.5) == pytest.approx(load, abs=1e-4)
+        load += dt / 0.03 * (one.trajectory.motor(t + dt / 2) / SCALE - load)
+    assert one.trajectory.angle_deg(20.5) == pytest.approx(load, abs=1e-4)
 
 
 def test_a_new_target_in_motion_is_reached_without_a_jump():
     one = homed_axis()
     one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    before = one.path.motor(20.1), one.path.velocity(20.1)
+    before = one.trajectory.motor(20.1), one.trajectory.velocity(20.1)
     one.move_to(-5.0 * SCALE, 20.1, SPEED, ACCELERATION)
-    assert (one.path.motor(20.1), one.path.velocity(20.1)) == pytest.approx(before)
+    assert (one.trajectory.motor(20.1), one.trajectory.velocity(20.1)) == pytest.approx(before)
     assert one.counter(22.0) == -5.0 * SCALE
 
 
-def test_every_new_path_is_published_and_joins_the_one_before():
-    paths = []
-    one = Axis(Mechanics(SCALE, -20.0, 20.0), 0.0, paths.append)
+def test_every_new_trajectory_is_published_and_joins_the_one_before():
+    trajectories = []
+    one = Axis(Mechanics(SCALE, -20.0, 20.0), 0.0, trajectories.append)
     one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
     one.stop(20.1, ACCELERATION)
-    assert [path.start_s for path in paths] == [0.0, 20.0, 20.1]
-    assert paths[2].angle_deg(20.1) == pytest.approx(paths[1].angle_deg(20.1))
-    assert paths[1].angle_deg(20.4) > paths[2].angle_deg(20.4)
+    assert [one.start_s for one in trajectories] == [0.0, 20.0, 20.1]
+    assert trajectories[2].angle_deg(20.1) == pytest.approx(trajectories[1].angle_deg(20.1))
+    assert trajectories[1].angle_deg(20.4) > trajectories[2].angle_deg(20.4)
 
 
 def test_stop_brakes_within_the_acceleration():
@@ -107,20 +107,22 @@ def test_stop_brakes_within_the_acceleration():
     one.stop(20.3, ACCELERATION)
     assert one.busy(20.3 + 0.19)
     assert not one.busy(20.3 + 0.21)
-    assert one.counter(21.0) == pytest.approx(one.path.motor(20.3) + SPEED**2 / (2 * ACCELERATION), abs=1.0)
+    assert one.counter(21.0) == pytest.approx(
+        one.trajectory.motor(20.3) + SPEED**2 / (2 * ACCELERATION), abs=1.0
+    )
     assert one.counter(21.0) == round(one.counter(21.0))
 
 
 def test_the_counter_is_wrong_until_homing_finds_the_sensor():
     one = axis(start_deg=2.4)
     assert one.counter(0.0) == 0.0
-    assert one.path.angle_deg(0.0) == pytest.approx(2.4)
+    assert one.trajectory.angle_deg(0.0) == pytest.approx(2.4)
     assert not one.referenced(0.0)
     one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
     assert not one.referenced(0.1)
     assert one.referenced(5.0)
     assert one.counter(5.0) == 0.0
-    assert one.path.angle_deg(5.0) == 0.0
+    assert one.trajectory.angle_deg(5.0) == 0.0
 
 
 def test_homing_that_is_stopped_leaves_no_reference():
@@ -137,28 +139,28 @@ def test_a_restart_in_motion_stands_still_at_zero_without_a_reference():
     assert one.counter(20.2) == 0.0
     assert not one.referenced(30.0)
     assert not one.busy(20.2)
-    assert one.path.angle_deg(30.0) == pytest.approx(one.path.motor(20.2) / SCALE)
+    assert one.trajectory.angle_deg(30.0) == pytest.approx(one.trajectory.motor(20.2) / SCALE)
 
 
 def test_an_end_stop_holds_the_axis():
     one = homed_axis(highest_deg=12.0)
     one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    assert one.path.angle_deg(30.0) == 12.0
+    assert one.trajectory.angle_deg(30.0) == 12.0
 
 
 def test_backlash_puts_the_load_behind_the_motor_on_the_side_it_came_from():
     one = homed_axis(backlash_deg=0.02)
     one.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    from_below = one.path.angle_deg(25.0)
+    from_below = one.trajectory.angle_deg(25.0)
     one.move_to(5.0 * SCALE, 25.0, SPEED, ACCELERATION)
     one.move_to(3.0 * SCALE, 30.0, SPEED, ACCELERATION)
     assert from_below == pytest.approx(2.99)
-    assert one.path.angle_deg(35.0) == pytest.approx(3.01)
+    assert one.trajectory.angle_deg(35.0) == pytest.approx(3.01)
 
 
 def test_a_settled_load_is_within_a_twentieth_of_an_arc_second():
     one = homed_axis(settle_s=0.05)
     one.move_to(1.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    settled = one.path.settled_from_s
-    assert 1.0 - one.path.angle_deg(settled - 1e-6) == pytest.approx(SETTLED_DEG, rel=0.01)
-    assert one.path.angle_deg(settled) == 1.0
+    settled = one.trajectory.settled_from_s
+    assert 1.0 - one.trajectory.angle_deg(settled - 1e-6) == pytest.approx(SETTLED_DEG, rel=0.01)
+    assert one.trajectory.angle_deg(settled) == 1.0
