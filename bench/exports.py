@@ -1,0 +1,261 @@
+"""The calibrated camera in the file formats of other programs.
+
+Each writer knows one format: its field names, its conventions, and which lenses it can carry. A lens that a
+format cannot carry is refused, never trimmed. Writers compute nothing but changes of convention, and say so.
+
+===================  =========================================================================
+file                 read by
+===================  =========================================================================
+opencv.yaml          ``cv::FileStorage``
+ros_camera_info.yaml ROS camera_info_manager, camera_calibration_parsers
+kalibr_camchain.yaml Kalibr (radtan: no k3)
+mrcal.cameramodel    mrcal
+colmap_cameras.txt   COLMAP (pixel centres at half integers there: principal point + 0.5)
+metavision.json      Metavision SDK 4 (intrinsics.json)
+===================  =========================================================================
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from bench.errors import BenchError
+from calib.calibration import Calibration
+from calib.camera import BROWN, CameraModel
+from calib.target import StarTarget
+
+_RADTAN = BROWN[:4]
+_PLUMB_BOB = BROWN[:5]
+
+NOT_WRITTEN = "not-written.txt"
+"""Names the formats that cannot carry a lens model, and why."""
+
+Writer = Callable[[Calibration, str], bytes]
+
+
+class FormatCannotCarry(BenchError):
+    """A format that has no place for this lens model."""
+
+
+def exports(calibration: Calibration, *, camera_name: str) -> dict[str, bytes]:
+    """Write a calibration in every format that can carry it.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    camera_name
+        What the camera is called in files that name it.
+
+    Returns
+    -------
+    dict
+        File name to content. ``not-written.txt`` names the formats that cannot carry the lens model, and
+        why; absent when there is none.
+    """
+    files: dict[str, bytes] = {}
+    refused = []
+    for name, write in WRITERS.items():
+        try:
+            files[name] = write(calibration, camera_name)
+        except FormatCannotCarry as refusal:
+            refused.append(f"{name}: {refusal}\n")
+    if refused:
+        files[NOT_WRITTEN] = "".join(refused).encode()
+    return files
+
+
+def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
+    """Write OpenCV's FileStorage YAML, with the fields of its calibration sample and the covariance.
+
+    ``extrinsic_parameters`` holds a row a view: rotation vector and translation (mm), camera <- target.
+    """
+    return _file_storage(
+        ".yml",
+        {
+            "camera_name": camera_name,
+            "nframes": len(calibration.views),
+            **_image_size(calibration.camera),
+            "camera_matrix": calibration.camera.matrix,
+            "distortion_coefficients": _opencv_coefficients(calibration.camera)[None],
+            "avg_reprojection_error": calibration.rms_px,
+            "per_view_reprojection_errors": np.array([[view.rms_px] for view in calibration.views]),
+            "extrinsic_parameters": np.hstack(_poses(calibration)),
+            "parameter_names": list(calibration.parameter_names),
+            "parameter_covariance": calibration.covariance,
+        },
+    )
+
+
+def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
+    """Write a ROS camera_info YAML: ``plumb_bob`` (five numbers) or ``rational_polynomial`` (eight)."""
+    camera = calibration.camera
+    coefficients = _opencv_coefficients(camera)
+    projection = np.hstack([camera.matrix, np.zeros((3, 1))])
+    return _yaml(
+        {
+            **_image_size(camera),
+            "camera_name": camera_name,
+            "camera_matrix": _ros_matrix(camera.matrix),
+            "distortion_model": "plumb_bob" if len(coefficients) == 5 else "rational_polynomial",
+            "distortion_coefficients": _ros_matrix(coefficients[None]),
+            "rectification_matrix": _ros_matrix(np.eye(3)),
+            "projection_matrix": _ros_matrix(projection),
+        }
+    )
+
+
+def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
+    """Write a Kalibr camchain of one camera: pinhole, radtan.
+
+    Raises
+    ------
+    FormatCannotCarry
+        When the lens has more coefficients than k1 k2 p1 p2.
+    """
+    camera = calibration.camera
+    _refuse_beyond(_RADTAN, camera, "Kalibr's radtan")
+    return _yaml(
+        {
+            "cam0": {
+                "camera_model": "pinhole",
+                "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+                "distortion_model": "radtan",
+                "distortion_coeffs": camera.coefficients[:4].tolist(),
+                "resolution": list(camera.image_size),
+                "rostopic": f"/{camera_name}/events",
+                "cam_overlaps": [],
+            }
+        }
+    )
+
+
+def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
+    """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, the camera at the origin."""
+    camera = calibration.camera
+    coefficients = _opencv_coefficients(camera)
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *coefficients.tolist()]
+    return (
+        f"# {camera_name}\n{{\n"
+        f"    'lensmodel':  'LENSMODEL_OPENCV{len(coefficients)}',\n"
+        f"    'intrinsics': {numbers!r},\n"
+        f"    'extrinsics': {[0.0] * 6!r},\n"
+        f"    'imagersize': {list(camera.image_size)!r}\n}}\n"
+    ).encode()
+
+
+def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
+    """Write COLMAP's cameras.txt: OPENCV or FULL_OPENCV, principal point moved by half a pixel."""
+    camera = calibration.camera
+    model, count = ("FULL_OPENCV", 8) if set(camera.distortion) - set(_RADTAN) else ("OPENCV", 4)
+    numbers = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *camera.coefficients[:count].tolist()]
+    size = " ".join(str(side) for side in camera.image_size)
+    text = " ".join(repr(number) for number in numbers)
+    return f"# {camera_name}\n# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {model} {size} {text}\n".encode()
+
+
+def metavision_json(calibration: Calibration, camera_name: str) -> bytes:
+    """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON); lengths in metres.
+
+    ``pattern`` holds the star target's squares: the program knows no stars.
+    """
+    target = StarTarget()
+    rotations, translations = _poses(calibration)
+    text = _file_storage(
+        ".json",
+        {
+            "camera_name": camera_name,
+            "n_kept_views": len(calibration.views),
+            "image_size": list(calibration.camera.image_size),
+            "pattern": {
+                "n_rows": target.squares_y,
+                "n_cols": target.squares_x,
+                "square_height": target.pitch_mm / 1000,
+                "square_width": target.pitch_mm / 1000,
+            },
+            "camera_matrix": calibration.camera.matrix,
+            "distortion_coefficients": _opencv_coefficients(calibration.camera)[None],
+            "selected_views": [1] * len(calibration.views),
+            "overall_rms_reprojection_error": calibration.rms_px,
+            "per_view_rms_reprojection_errors": [view.rms_px for view in calibration.views],
+            "rvecs": list(rotations[:, None]),
+            "tvecs": list(translations[:, None] / 1000),
+        },
+    )
+    json.loads(text)  # OpenCV is lenient about JSON; other readers are not
+    return text
+
+
+WRITERS: Mapping[str, Writer] = {
+    "opencv.yaml": opencv_yaml,
+    "ros_camera_info.yaml": ros_camera_info,
+    "kalibr_camchain.yaml": kalibr_camchain,
+    "mrcal.cameramodel": mrcal_cameramodel,
+    "colmap_cameras.txt": colmap_cameras,
+    "metavision.json": metavision_json,
+}
+"""File name to what writes it."""
+
+
+def _refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None:
+    further = [name for name in camera.distortion if name not in names]
+    if further:
+        raise FormatCannotCarry(
+            f"{what} has no {', '.join(further)}.",
+            remedy=f"Calibrate with no more than {' '.join(names)} for it.",
+        )
+
+
+def _opencv_coefficients(camera: CameraModel) -> np.ndarray:
+    """Give k1 k2 p1 p2 k3, and k4 k5 k6 where the lens has them: 5 or 8 numbers."""
+    rational = set(camera.distortion) - set(_PLUMB_BOB)
+    return camera.coefficients[: 8 if rational else 5]
+
+
+def _poses(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation vectors, rad, and translations, mm, of the views, camera <- target: (n, 3) each."""
+    rotations = calibration.rotations
+    vectors = np.array([cv2.Rodrigues(rotation)[0].ravel() for rotation in rotations])
+    return vectors, -np.einsum("nij,nj->ni", rotations, calibration.centres)
+
+
+def _image_size(camera: CameraModel) -> dict[str, int]:
+    return {"image_width": camera.image_size[0], "image_height": camera.image_size[1]}
+
+
+def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
+    return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": matrix.ravel().tolist()}
+
+
+def _yaml(content: Mapping[str, Any]) -> bytes:
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=10_000).encode()
+
+
+def _file_storage(extension: str, content: Mapping[str, Any]) -> bytes:
+    storage = cv2.FileStorage(extension, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for name, value in content.items():
+        _store(storage, name, value)
+    text = storage.releaseAndGetString()
+    # OpenCV 4 and 5 write different first lines; both, and OpenCV 3, read this one.
+    return text.replace("%YAML 1.2", "%YAML:1.0", 1).encode()
+
+
+def _store(storage: cv2.FileStorage, name: str, value: Any) -> None:
+    if isinstance(value, Mapping):
+        storage.startWriteStruct(name, cv2.FILE_NODE_MAP)
+        for key, item in value.items():
+            _store(storage, key, item)
+        storage.endWriteStruct()
+    elif isinstance(value, list):
+        storage.startWriteStruct(name, cv2.FILE_NODE_SEQ)
+        for item in value:
+            _store(storage, "", item)
+        storage.endWriteStruct()
+    else:
+        storage.write(name, value if isinstance(value, int | str | float) else np.ascontiguousarray(value))

@@ -1,0 +1,197 @@
+"""Exports: other readers get the same camera, and what a format cannot carry is refused."""
+
+import ast
+import json
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from bench.exports import FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
+from calib.calibration import Calibration, ViewSummary
+from calib.camera import CameraModel
+from calib.collimator import Collimator
+
+LENSES = {
+    "none": {},
+    "k1k2": {"k1": 0.06, "k2": -0.9},
+    "k1k2p1p2": {"k1": 0.06, "k2": -0.9, "p1": 1e-5, "p2": -0.0002},
+    "k1k2k3p1p2": {"k1": 0.06, "k2": -0.9, "p1": 1e-5, "p2": -0.0002, "k3": 0.3},
+    "rational": {
+        "k1": 0.06,
+        "k2": -0.9,
+        "p1": 1e-5,
+        "p2": -0.0002,
+        "k3": 0.3,
+        "k4": 0.01,
+        "k5": 0.02,
+        "k6": -0.1,
+    },
+}
+RAYS = np.array([[0.0, 0.0, 1.0], [0.15, -0.1, 1.0], [-0.2, 0.08, 1.1], [0.05, 0.11, 0.9]])
+
+
+def calibration(lens):
+    camera = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), LENSES[lens])
+    rotations = np.stack([cv2.Rodrigues(np.array(v))[0] for v in ([0.0, 0.1, 0.0], [0.05, 0.0, -0.2])])
+    names = (*camera.parameter_names, "x", "y", "r")
+    return Calibration(
+        model="spherical",
+        camera=camera,
+        collimator=Collimator(96.0, 144.0, 255.0),
+        rotations=rotations,
+        centres=np.array([[96.0, 144.0, -255.0]] * 2),
+        parameter_names=names,
+        values=np.array([*camera.values, 96.0, 144.0, 255.0]),
+        covariance=np.diag(np.arange(1.0, len(names) + 1)),
+        residuals_px=[],
+        weights=[],
+        rms_px=0.081,
+        mean_px=0.07,
+        variance_factor=1.0,
+        degrees_of_freedom=100,
+        views=(ViewSummary("left", 300, 0.08, 0.07), ViewSummary("right", 310, 0.082, 0.07)),
+        converged=True,
+        iterations=5,
+    )
+
+
+def by_opencv(matrix, coefficients):
+    """Image points of the rays, by OpenCV."""
+    image, _ = cv2.projectPoints(
+        RAYS, np.zeros(3), np.zeros(3), np.asarray(matrix, float), np.asarray(coefficients, float)
+    )
+    return image[:, 0]
+
+
+def file_storage(data, extension):
+    storage = cv2.FileStorage(data.decode(), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    assert storage.isOpened(), extension
+    return storage
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_opencv_reads_back_the_same_camera(lens):
+    wanted = calibration(lens)
+    storage = file_storage(opencv_yaml(wanted, "camera"), ".yml")
+    matrix = storage.getNode("camera_matrix").mat()
+    coefficients = storage.getNode("distortion_coefficients").mat()
+    np.testing.assert_array_equal(
+        by_opencv(matrix, coefficients), by_opencv(wanted.camera.matrix, wanted.camera.coefficients)
+    )
+    np.testing.assert_allclose(by_opencv(matrix, coefficients), wanted.camera.project(RAYS), atol=1e-9)
+    assert (storage.getNode("image_width").real(), storage.getNode("image_height").real()) == (1280, 720)
+    np.testing.assert_array_equal(storage.getNode("parameter_covariance").mat(), wanted.covariance)
+    assert storage.getNode("avg_reprojection_error").real() == 0.081
+
+
+def test_opencv_extrinsics_take_target_points_into_the_camera_frame():
+    wanted = calibration("k1k2")
+    storage = file_storage(opencv_yaml(wanted, "camera"), ".yml")
+    rows = storage.getNode("extrinsic_parameters").mat()
+    point = np.array([100.0, 150.0, 0.0])
+    for row, rotation, centre in zip(rows, wanted.rotations, wanted.centres, strict=True):
+        np.testing.assert_allclose(
+            cv2.Rodrigues(row[:3])[0] @ point + row[3:], rotation @ (point - centre), atol=1e-9
+        )
+
+
+def test_the_opencv_file_begins_as_every_opencv_reads_it():
+    assert opencv_yaml(calibration("k1k2"), "camera").startswith(b"%YAML:1.0\n---\n")
+
+
+@pytest.mark.parametrize(
+    ("lens", "model", "count"),
+    [("none", "plumb_bob", 5), ("k1k2k3p1p2", "plumb_bob", 5), ("rational", "rational_polynomial", 8)],
+)
+def test_ros_gets_the_fields_it_demands(lens, model, count):
+    wanted = calibration(lens)
+    info = yaml.safe_load(exports(wanted, camera_name="evk4_00050423")["ros_camera_info.yaml"])
+    assert info["distortion_model"] == model
+    assert info["camera_name"] == "evk4_00050423"
+    shapes = {name: (m["rows"], m["cols"], len(m["data"])) for name, m in info.items() if isinstance(m, dict)}
+    assert shapes == {
+        "camera_matrix": (3, 3, 9),
+        "distortion_coefficients": (1, count, count),
+        "rectification_matrix": (3, 3, 9),
+        "projection_matrix": (3, 4, 12),
+    }
+    matrix = np.reshape(info["camera_matrix"]["data"], (3, 3))
+    coefficients = info["distortion_coefficients"]["data"]
+    np.testing.assert_allclose(by_opencv(matrix, coefficients), wanted.camera.project(RAYS), atol=1e-9)
+    np.testing.assert_array_equal(np.reshape(info["projection_matrix"]["data"], (3, 4))[:, :3], matrix)
+
+
+def test_small_numbers_stay_numbers_in_yaml():
+    # YAML 1.1 takes 1e-05 for a word: a dot must stand in it
+    files = exports(calibration("k1k2p1p2"), camera_name="c")
+    assert yaml.safe_load(files["ros_camera_info.yaml"])["distortion_coefficients"]["data"][2] == 1e-5
+    assert yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]["distortion_coeffs"][2] == 1e-5
+
+
+def test_kalibr_gets_floats_and_whole_sizes():
+    camera = yaml.safe_load(exports(calibration("k1k2p1p2"), camera_name="c")["kalibr_camchain.yaml"])["cam0"]
+    assert all(isinstance(v, float) for v in camera["intrinsics"] + camera["distortion_coeffs"])
+    assert camera["resolution"] == [1280, 720]
+    assert all(isinstance(v, int) for v in camera["resolution"])
+    assert (camera["camera_model"], camera["distortion_model"]) == ("pinhole", "radtan")
+    assert isinstance(camera["rostopic"], str)
+
+
+@pytest.mark.parametrize("lens", ["k1k2k3p1p2", "rational"])
+def test_a_lens_kalibr_cannot_carry_is_refused_and_told(lens):
+    with pytest.raises(FormatCannotCarry, match=r"radtan has no k3.*no more than k1 k2 p1 p2"):
+        kalibr_camchain(calibration(lens), "c")
+    files = exports(calibration(lens), camera_name="c")
+    assert "kalibr_camchain.yaml" not in files
+    assert files["not-written.txt"].startswith(b"kalibr_camchain.yaml: Kalibr's radtan has no k3")
+
+
+def test_a_lens_that_all_carry_leaves_nothing_to_tell():
+    assert "not-written.txt" not in exports(calibration("k1k2"), camera_name="c")
+    assert len(exports(calibration("k1k2"), camera_name="c")) == 6
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_mrcal_s_text_holds_the_camera_in_opencv_s_order(lens):
+    wanted = calibration(lens)
+    model = ast.literal_eval(exports(wanted, camera_name="c")["mrcal.cameramodel"].decode())
+    fx, fy, cx, cy, *coefficients = model["intrinsics"]
+    assert model["lensmodel"] == f"LENSMODEL_OPENCV{len(coefficients)}"
+    assert model["imagersize"] == [1280, 720]
+    matrix = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+    np.testing.assert_allclose(by_opencv(matrix, coefficients), wanted.camera.project(RAYS), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("lens", "model", "count"), [("k1k2p1p2", "OPENCV", 8), ("k1k2k3p1p2", "FULL_OPENCV", 12)]
+)
+def test_colmap_s_pixels_lie_half_a_pixel_further(lens, model, count):
+    wanted = calibration(lens)
+    line = exports(wanted, camera_name="c")["colmap_cameras.txt"].decode().splitlines()[-1].split()
+    assert line[:4] == ["1", model, "1280", "720"]
+    fx, fy, cx, cy, *coefficients = map(float, line[4:])
+    assert len(line[4:]) == count
+    image = by_opencv([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], coefficients)
+    np.testing.assert_allclose(image - 0.5, wanted.camera.project(RAYS), atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_metavision_s_json_is_read_by_opencv_and_by_any_json_reader(lens):
+    wanted = calibration(lens)
+    data = exports(wanted, camera_name="c")["metavision.json"]
+    storage = file_storage(data, ".json")
+    matrix, coefficients = (storage.getNode(n).mat() for n in ("camera_matrix", "distortion_coefficients"))
+    np.testing.assert_allclose(by_opencv(matrix, coefficients), wanted.camera.project(RAYS), atol=1e-9)
+    found = json.loads(data)
+    assert (found["n_kept_views"], found["image_size"], found["selected_views"]) == (2, [1280, 720], [1, 1])
+    translation = found["tvecs"][0]["data"]
+    np.testing.assert_allclose(
+        np.multiply(translation, 1000), -wanted.rotations[0] @ wanted.centres[0], atol=1e-9
+    )
+
+
+def test_the_same_calibration_gives_the_same_bytes():
+    one, two = (exports(calibration("rational"), camera_name="c") for _ in range(2))
+    assert one == two
