@@ -1,0 +1,154 @@
+"""Stars of the target in an image of one pose: which, where, and how surely.
+
+Knows the order of the work: tag, growth, refinement, rejection, covariances. An image may come from events or
+from a frame camera, of any number type and either contrast. A star that is cut, too faint or out of line is
+left out: no star is better than a wrong one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InputMismatch, TooFewStars
+from calib.grid_map import GridMap, fit_view
+from calib.star_growth import grow
+from calib.star_noise import variance_factor
+from calib.star_refine import (
+    RefinedStars,
+    SmoothedImage,
+    StarTemplate,
+    refine_stars,
+    smooth,
+    star_contrasts,
+    symmetry_samples,
+)
+from calib.tag_seed import TagSeed, find_tag
+from calib.target import StarTarget
+from calib.view import View
+
+#: Blur before refinement, px.
+BLUR_PX = 1.0
+#: Correlation with its print that a star needs in the end.
+MIN_CORRELATION = 0.5
+#: Contrast of a star's faintest octant, as a share of its median one: less, and it is cut by the rim.
+MIN_OCTANT = 0.35
+#: Contrast of a star as a share of the median star's.
+MIN_CONTRAST = 0.2
+#: Stars further from the view's smooth map than this many of its sigmas are out of line ...
+OUT_OF_LINE_SIGMAS = 7.0
+#: ... unless within this, px.
+IN_LINE_PX = 0.05
+#: How far refinement may walk, in pitches.
+WALK = 0.06
+#: Stars that a view needs at least.
+MIN_STARS = 12
+
+
+class _Stars(NamedTuple):
+    """Candidates on their way through refinement and rejection."""
+
+    nodes: NDArray[np.int64]
+    points: NDArray[np.float64]
+
+    def kept(self, mask: NDArray[np.bool_]) -> _Stars:
+        return _Stars(self.nodes[mask], self.points[mask])
+
+
+def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view") -> View:
+    """Find the target's stars.
+
+    Parameters
+    ----------
+    image
+        (H, W), any integer or floating type, white bright or white dark.
+    target
+        The printed target.
+    name
+        The pose's name, for the view and for messages.
+
+    Returns
+    -------
+    View
+        Stars wholly in view, by rising id, with their centres' covariances.
+
+    Raises
+    ------
+    TargetNotFound
+        When the target's tag is not in the image, or more than once.
+    TooFewStars
+        When fewer than `MIN_STARS` stars pass.
+    InputMismatch
+        When the image is not one plane.
+    """
+    if image.ndim != 2 or image.size == 0:
+        raise InputMismatch(
+            f"An image of shape {image.shape}.", where=f"view {name}", remedy="Give one grey plane (H, W)."
+        )
+    seed = find_tag(image, target, name=name)
+    values = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
+    grown = grow(values, seed, target)
+    stars = _Stars(grown.nodes(), grown.places())
+    _enough(len(stars.nodes), name)
+    stars, _, _ = _refined(values, stars, target, seed)
+    _enough(len(stars.nodes), name)
+    stars, fine, _ = _refined(values, stars, target, seed)
+    _enough(len(stars.nodes), name)
+    promised = fine.residual[:, None, None] * np.linalg.inv(fine.information)
+    factor = variance_factor(stars.nodes, stars.points, promised)
+    ids = target.id_at(stars.nodes[:, 0], stars.nodes[:, 1])
+    order = np.argsort(ids)
+    return View(
+        name=name,
+        image_size=(image.shape[1], image.shape[0]),
+        ids=ids[order],
+        points_px=stars.points[order],
+        target_mm=target.positions_mm(ids[order]),
+        covariances_px2=(factor * promised)[order],
+    )
+
+
+def _refined(
+    image: SmoothedImage, stars: _Stars, target: StarTarget, seed: TagSeed
+) -> tuple[_Stars, RefinedStars, GridMap]:
+    """Refine all stars with the map that they tell together, and leave out those that do not stand."""
+    grid = stars.nodes.astype(float)
+    view_map, _ = fit_view(grid, stars.points)
+    shape = view_map.shape(grid)
+    pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(shape.linear)))))
+    fine = refine_stars(image, stars.points, shape, symmetry_samples(pitch), WALK * pitch)
+    score, contrast = star_contrasts(
+        image.values, fine.centres, shape.linear, StarTemplate.of(target.segments), seed.sign
+    )
+    middle = np.median(contrast, axis=1)
+    good = fine.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)
+    if good.any():
+        good &= middle >= MIN_CONTRAST * np.median(middle[good])
+    good = _in_line(grid, fine.centres, good)
+    kept = _Stars(stars.nodes, fine.centres).kept(good)
+    return kept, fine.kept(good), view_map
+
+
+def _in_line(
+    grid: NDArray[np.float64], points: NDArray[np.float64], good: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Leave out stars that lie off the smooth map of the others."""
+    if np.count_nonzero(good) < MIN_STARS:
+        return good
+    fitted, residuals = fit_view(grid[good], points[good])
+    out = np.linalg.norm(residuals, axis=1) > max(OUT_OF_LINE_SIGMAS * fitted.sigma_px, IN_LINE_PX)
+    good = good.copy()
+    good[np.flatnonzero(good)[out]] = False
+    return good
+
+
+def _enough(count: int, name: str) -> None:
+    """Refuse a view with too few stars."""
+    if count < MIN_STARS:
+        raise TooFewStars(
+            f"{count} stars were found around the tag; at least {MIN_STARS} are needed.",
+            where=f"view {name}",
+            remedy="Check focus, light and that the target is the one described.",
+        )

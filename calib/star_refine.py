@@ -1,0 +1,297 @@
+"""One star in an image: is it there, and where exactly is its centre.
+
+Knows the look of a single star around a guess of its place and shape; nothing of its neighbours or of ids.
+
+A star is told by the correlation of the image with its segments. Its centre is found by symmetry: with the
+local map q(s) = c + A s + B(s, s) from the target's plane (s in pitches from the star) to the image, half a
+turn about the star leaves the print unchanged, so c minimises
+
+    sum over s of w(s) (I(q(s)) - I(q(-s)))^2 .
+
+A cancels against itself in the pairs' middles and is needed only to know where to look; B, the curvature of
+perspective and distortion, moves the middles and is needed as well as the neighbours can tell it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+#: Radii, in pitches, at which a star's segments are compared with the image.
+TEMPLATE_RADII = (0.12, 0.18, 0.24, 0.30, 0.36, 0.42, 0.47)
+#: Outer of these: a star cut by the disc's rim lacks contrast there.
+OUTER_FROM = 0.35
+#: Places along a segment's width, as shares of it.
+TEMPLATE_ACROSS = (0.2, 0.5, 0.8)
+#: Half the side of the square in which symmetry is looked at, in pitches: the star's own cell, not more, so
+#: that neighbours share no pixels.
+SYMMETRY_REACH = 0.49
+#: Octants in which a star's contrast is looked at.
+OCTANTS = 8
+_STEPS = 12
+
+
+class StarTemplate(NamedTuple):
+    """Samples of a star's segments: where, in pitches from its centre, and white (+1) or black (-1)."""
+
+    offsets: NDArray[np.float64]
+    values: NDArray[np.float64]
+    octants: NDArray[np.int64]
+    outer: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, segments: int) -> StarTemplate:
+        """Template of a star of so many segments, counted from +Y, the first one white."""
+        across = np.array(TEMPLATE_ACROSS)
+        turns = (np.arange(segments)[:, None] + across[None, :]).ravel() / segments
+        angle, radius = np.meshgrid(2 * np.pi * (turns + 0.25), TEMPLATE_RADII)
+        white = np.floor(turns * segments) % 2 == 0
+        octant = np.floor(turns * OCTANTS).astype(np.int64)
+        shape = radius.shape
+        return cls(
+            np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()]),
+            np.broadcast_to(np.where(white, 1.0, -1.0), shape).ravel().copy(),
+            np.broadcast_to(octant, shape).ravel().copy(),
+            (radius >= OUTER_FROM).ravel(),
+        )
+
+
+class SmoothedImage(NamedTuple):
+    """An image prepared for refinement: blurred, and its derivatives along x and y, all float32 (H, W)."""
+
+    values: NDArray[np.float32]
+    along_x: NDArray[np.float32]
+    along_y: NDArray[np.float32]
+
+
+class LocalShape(NamedTuple):
+    """Map around N stars: A (N, 2, 2), px a pitch; B (N, 2, 3), px a pitch^2 for s_x^2, s_x s_y, s_y^2."""
+
+    linear: NDArray[np.float64]
+    curved: NDArray[np.float64]
+
+
+class RefinedStars(NamedTuple):
+    """Stars after refinement.
+
+    Attributes
+    ----------
+    centres
+        (N, 2) px.
+    information
+        (N, 2, 2) J^T J of the symmetry's residuals about the centre, (brightness / px)^2.
+    residual
+        (N,) mean square of the symmetry's residuals.
+    converged
+        (N,) whether the last step was below a thousandth of a pixel.
+    """
+
+    centres: NDArray[np.float64]
+    information: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    converged: NDArray[np.bool_]
+
+    def kept(self, mask: NDArray[np.bool_]) -> RefinedStars:
+        """Return those of the mask."""
+        return RefinedStars(
+            self.centres[mask], self.information[mask], self.residual[mask], self.converged[mask]
+        )
+
+
+def smooth(image: NDArray[np.float32], sigma_px: float) -> SmoothedImage:
+    """Blur an image by a Gaussian and differentiate it (central differences, per px)."""
+    values = cv2.GaussianBlur(image, (0, 0), sigma_px) if sigma_px > 0 else image
+    along_x = cv2.filter2D(values, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], np.float32))
+    along_y = cv2.filter2D(values, cv2.CV_32F, np.array([[-0.5], [0.0], [0.5]], np.float32))
+    return SmoothedImage(*(np.ascontiguousarray(a, np.float32) for a in (values, along_x, along_y)))
+
+
+def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
+    """Return (M, 2) offsets s in pitches, one of each pair (s, -s), about a pixel apart."""
+    side = int(np.clip(np.ceil(2 * SYMMETRY_REACH * pitch_px), 16, 64))
+    steps = (np.arange(side) + 0.5) / side * 2.0 - 1.0
+    u, v = np.meshgrid(steps * SYMMETRY_REACH, steps * SYMMETRY_REACH)
+    upper = (v > 0) | ((v == 0) & (u > 0))
+    return np.column_stack([u[upper], v[upper]])
+
+
+@njit(cache=True, error_model="numpy")
+def _sample(image: Any, x: float, y: float) -> float:
+    """Bilinear value; nan outside."""
+    if not (0.0 <= x < image.shape[1] - 1 and 0.0 <= y < image.shape[0] - 1):
+        return np.nan
+    c, r = int(x), int(y)
+    a, b = x - c, y - r
+    top = (1.0 - a) * image[r, c] + a * image[r, c + 1]
+    bottom = (1.0 - a) * image[r + 1, c] + a * image[r + 1, c + 1]
+    return (1.0 - b) * top + b * bottom
+
+
+@njit(cache=True, error_model="numpy")
+def _correlation(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> float:
+    """Correlation of the image with a star at (x, y); nan where the star is not wholly inside."""
+    n = template.values.size
+    total = squares = product = 0.0
+    for i in range(n):
+        u, v = template.offsets[i, 0], template.offsets[i, 1]
+        value = _sample(
+            image, x + linear[0, 0] * u + linear[0, 1] * v, y + linear[1, 0] * u + linear[1, 1] * v
+        )
+        total += value
+        squares += value * value
+        product += value * template.values[i]
+    variance = squares / n - (total / n) ** 2
+    return product / n / np.sqrt(variance) if variance > 0.0 else (0.0 if variance == 0.0 else np.nan)
+
+
+@njit(cache=True, error_model="numpy")
+def search_stars(
+    image: Any, guesses: Any, linear: Any, reach_px: Any, template: StarTemplate, sign: float
+) -> tuple[Any, Any]:
+    """Find the best place of a star around each guess, on a grid of about one pixel.
+
+    Parameters
+    ----------
+    image
+        (H, W) float32.
+    guesses
+        (N, 2) px.
+    linear
+        (N, 2, 2) px a pitch.
+    reach_px
+        (N,) how far to look, px.
+    template
+        The star's look.
+    sign
+        +1 where white is bright, -1 where it is dark.
+
+    Returns
+    -------
+    (N, 2) px and (N,) correlations; nan where no place lies wholly inside the image.
+    """
+    n = len(guesses)
+    best, score = np.full((n, 2), np.nan), np.full(n, np.nan)
+    for k in range(n):
+        steps = int(np.ceil(reach_px[k]))
+        for i in range(-steps, steps + 1):
+            for j in range(-steps, steps + 1):
+                if i * i + j * j > reach_px[k] ** 2 + 0.5:
+                    continue
+                x, y = guesses[k, 0] + j, guesses[k, 1] + i
+                found = sign * _correlation(image, x, y, linear[k], template)
+                if not found <= score[k] and not np.isnan(found):
+                    score[k], best[k, 0], best[k, 1] = found, x, y
+    return best, score
+
+
+@njit(cache=True, error_model="numpy")
+def star_contrasts(
+    image: Any, centres: Any, linear: Any, template: StarTemplate, sign: float
+) -> tuple[Any, Any]:
+    """Correlation of each star, (N,), and white minus black in each octant's outer part, (N, OCTANTS)."""
+    n = len(centres)
+    score, contrast = np.full(n, np.nan), np.full((n, OCTANTS), np.nan)
+    for k in range(n):
+        x, y = centres[k, 0], centres[k, 1]
+        score[k] = sign * _correlation(image, x, y, linear[k], template)
+        sums, counts = np.zeros(OCTANTS), np.zeros(OCTANTS)
+        for i in range(template.values.size):
+            if template.outer[i]:
+                u, v = template.offsets[i, 0], template.offsets[i, 1]
+                value = _sample(
+                    image,
+                    x + linear[k, 0, 0] * u + linear[k, 0, 1] * v,
+                    y + linear[k, 1, 0] * u + linear[k, 1, 1] * v,
+                )
+                sums[template.octants[i]] += sign * value * template.values[i]
+                counts[template.octants[i]] += 0.5
+        contrast[k] = sums / counts
+    return score, contrast
+
+
+@njit(cache=True, error_model="numpy")
+def _pair(shape: Any, curved: Any, u: float, v: float) -> tuple[float, float, float, float]:
+    """Offsets A s (twice: x, y) and B(s, s) of a sample, px."""
+    uu, uv, vv = u * u, u * v, v * v
+    return (
+        shape[0, 0] * u + shape[0, 1] * v,
+        shape[1, 0] * u + shape[1, 1] * v,
+        curved[0, 0] * uu + curved[0, 1] * uv + curved[0, 2] * vv,
+        curved[1, 0] * uu + curved[1, 1] * uv + curved[1, 2] * vv,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _normal_equations(
+    image: SmoothedImage, x: float, y: float, shape: Any, curved: Any, samples: Any
+) -> tuple[float, float, float, float, float, float]:
+    """Return J^T J (xx, xy, yy), J^T r (x, y) and r^T r over all pairs, divided by their number."""
+    xx = xy = yy = rx = ry = rr = 0.0
+    for i in range(len(samples)):
+        ax, ay, bx, by = _pair(shape, curved, samples[i, 0], samples[i, 1])
+        px, py, mx, my = x + ax + bx, y + ay + by, x - ax + bx, y - ay + by
+        r = _sample(image.values, px, py) - _sample(image.values, mx, my)
+        jx = _sample(image.along_x, px, py) - _sample(image.along_x, mx, my)
+        jy = _sample(image.along_y, px, py) - _sample(image.along_y, mx, my)
+        xx += jx * jx
+        xy += jx * jy
+        yy += jy * jy
+        rx += jx * r
+        ry += jy * r
+        rr += r * r
+    n = len(samples)
+    return xx / n, xy / n, yy / n, rx / n, ry / n, rr / n
+
+
+@njit(cache=True, error_model="numpy")
+def refine_stars(
+    image: SmoothedImage, guesses: Any, shape: LocalShape, samples: Any, reach_px: float
+) -> RefinedStars:
+    """Minimise the symmetry's residuals over each centre by Gauss-Newton.
+
+    Parameters
+    ----------
+    image
+        From `smooth`.
+    guesses
+        (N, 2) px.
+    shape
+        The map around each star.
+    samples
+        From `symmetry_samples`.
+    reach_px
+        A centre that walks further than this from its guess is given up, px.
+
+    Returns
+    -------
+    Centres that were given up, or whose cell leaves the image, are nan and not converged.
+    """
+    n = len(guesses)
+    centres, information = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
+    residual, converged = np.full(n, np.nan), np.zeros(n, np.bool_)
+    for k in range(n):
+        x, y = guesses[k, 0], guesses[k, 1]
+        for _ in range(_STEPS):
+            xx, xy, yy, rx, ry, rr = _normal_equations(image, x, y, shape.linear[k], shape.curved[k], samples)
+            determinant = xx * yy - xy * xy
+            if not determinant > 0.0:
+                break
+            dx, dy = (yy * rx - xy * ry) / determinant, (xx * ry - xy * rx) / determinant
+            length = np.hypot(dx, dy)
+            shorter = min(1.0, 1.5 / length) if length > 0.0 else 1.0
+            x, y = x - shorter * dx, y - shorter * dy
+            if np.hypot(x - guesses[k, 0], y - guesses[k, 1]) > reach_px:
+                break
+            if length < 1e-3:
+                converged[k] = True
+                centres[k, 0], centres[k, 1] = x, y
+                residual[k] = rr
+                m = len(samples)
+                information[k, 0, 0], information[k, 1, 1] = m * xx, m * yy
+                information[k, 0, 1] = information[k, 1, 0] = m * xy
+                break
+    return RefinedStars(centres, information, residual, converged)

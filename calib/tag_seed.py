@@ -1,0 +1,135 @@
+"""The target's AprilTag in an image: which way the target lies, roughly where, and with which contrast.
+
+Knows the tag; nothing of stars. Reading the bits is OpenCV's work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import TargetNotFound
+from calib.picture import to_uint8
+from calib.target import TAG_MODULES, StarTarget
+
+#: Correlation of a tag's modules with the print that it needs at least, of either sign.
+MIN_CORRELATION = 0.5
+#: Images smaller than this are not halved for the search, px.
+HALVING_FROM_PX = 500
+
+
+@dataclass(frozen=True)
+class TagSeed:
+    """Where the tag lies.
+
+    Attributes
+    ----------
+    homography
+        (3, 3) maps [column row 1] of the target's grid of nodes to [u v 1] px, from the tag's corners alone.
+    corners_px
+        (4, 2) corners of the tag's border in the print's order (upper left, upper right, ...).
+    sign
+        +1 where white is bright in the image, -1 where it is dark.
+    correlation
+        Of the 8 x 8 modules with the print, 0 to 1.
+    """
+
+    homography: NDArray[np.float64]
+    corners_px: NDArray[np.float64]
+    sign: float
+    correlation: float
+
+
+def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> TagSeed:
+    """Find the target's own tag, at any roll and with either contrast.
+
+    The image is tried halved, blurred, as it is and median filtered, until the tag is seen.
+
+    Parameters
+    ----------
+    image
+        (H, W) of any integer or floating type.
+    target
+        Says which tag.
+    name
+        The view's name, for messages.
+
+    Raises
+    ------
+    TargetNotFound
+        When the tag is not there, or is there more than once; other tags seen are named.
+    """
+    strangers: set[int] = set()
+    for variant, scale in _variants(to_uint8(image)):
+        seeds = []
+        for corners, tag in _read_tags(variant, scale):
+            seed = _judge(variant, scale, corners, target) if tag == target.tag_id else None
+            if seed is None:
+                strangers.add(tag)
+            else:
+                seeds.append(seed)
+        if len(seeds) > 1:
+            raise TargetNotFound(
+                f"Tag {target.tag_id} of the target is seen {len(seeds)} times.",
+                where=f"view {name}",
+                remedy="Keep mirrors and second targets out of the image.",
+            )
+        if seeds:
+            return seeds[0]
+    others = sorted(strangers - {target.tag_id})
+    seen = f"; tags seen instead: {', '.join(map(str, others))}" if others else ""
+    raise TargetNotFound(
+        f"Tag {target.tag_id} of family 36h11 is not in the image{seen}.",
+        where=f"view {name}",
+        remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
+    )
+
+
+def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], float]]:
+    """Pictures to look at one after the other, and how many of their pixels make one of the image's."""
+    if min(picture.shape) >= HALVING_FROM_PX:
+        yield (
+            np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8),
+            0.5,
+        )
+    yield np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.2), np.uint8), 1.0
+    yield picture, 1.0
+    yield np.asarray(cv2.medianBlur(picture, 5), np.uint8), 1.0
+    yield np.asarray(cv2.GaussianBlur(cv2.medianBlur(picture, 5), (0, 0), 2.5), np.uint8), 1.0
+
+
+def _read_tags(picture: NDArray[np.uint8], scale: float) -> Iterator[tuple[NDArray[np.float64], int]]:
+    """Corners, in px of the full image, and numbers of all tags of the family."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.detectInvertedMarker = True
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    corners, tags, _ = cv2.aruco.ArucoDetector(family, parameters).detectMarkers(picture)
+    for quad, tag in zip(corners, [] if tags is None else np.ravel(tags), strict=True):
+        yield (np.asarray(quad, np.float64).reshape(4, 2) + 0.5) / scale - 0.5, int(tag)
+
+
+def _judge(
+    picture: NDArray[np.uint8], scale: float, corners: NDArray[np.float64], target: StarTarget
+) -> TagSeed | None:
+    """Compare the modules with the print; a seed where they agree, of either contrast."""
+    nodes = target.tag_corners_mm / target.pitch_mm
+    homography = cv2.getPerspectiveTransform(nodes.astype(np.float32), corners.astype(np.float32))
+    left, top = nodes[0]
+    middles = (np.arange(TAG_MODULES) + 0.5) * (target.tag_squares / TAG_MODULES)
+    u, v = np.meshgrid(left + middles, top + middles)
+    grid = np.column_stack([u.ravel(), v.ravel()])
+    at = cv2.perspectiveTransform(grid[None], homography)[0]
+    at = ((at + 0.5) * scale - 0.5).astype(np.float32)
+    seen = cv2.remap(picture, at[:, 0], at[:, 1], cv2.INTER_LINEAR).ravel().astype(float)
+    printed = target.layout.tag_modules.ravel().astype(float)
+    if seen.std() == 0.0:
+        return None
+    correlation = float(np.corrcoef(seen, printed)[0, 1])
+    if abs(correlation) < MIN_CORRELATION:
+        return None
+    return TagSeed(np.asarray(homography, np.float64), corners, float(np.sign(correlation)), abs(correlation))
