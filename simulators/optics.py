@@ -125,7 +125,7 @@ def _corner_rays(camera: CameraTruth) -> NDArray[np.float32]:
 def star_centres(
     truth: Truth, rotation: FloatArray, *, clearance: float = 0.0, border_px: float = 0.0
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """True image points of the stars that are visible in a pose.
+    """Compute the true image points of the stars that are visible in a pose.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def _disc_light(x_mm: float, y_mm: float, disc: NDArray) -> float:
 
 @njit(cache=True)
 def _cell_brightness(top: NDArray, bottom: NDArray, j: int, n: int, layout: TargetLayout) -> float:
-    """Printed brightness averaged over the pixel between two rows of corners, n x n samples."""
+    """Average the printed brightness over the pixel between two rows of corners, n x n samples."""
     total = 0.0
     for a in range(n):
         v = (a + 0.5) / n

@@ -1,0 +1,71 @@
+"""What the IMX636's biases do to its pixels: names, ranges, and the physical settings they lead to.
+
+Biases are offsets from the factory value. The ranges are the camera's own; the laws that map an offset to a
+threshold, a dead time or a bandwidth are monotone stand-ins, chosen to reach the extremes that the maker's
+documents tell (contrast thresholds from 11 %, factory value 25 %; latency tenfold with bias_fo).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+ALLOWED: Final[Mapping[str, tuple[int, int]]] = {
+    "bias_diff_on": (-85, 140),
+    "bias_diff_off": (-35, 190),
+    "bias_fo": (-35, 55),
+    "bias_hpf": (0, 120),
+    "bias_refr": (-20, 235),
+}
+"""Lowest and highest offset the camera takes."""
+
+FACTORY: Final[Mapping[str, int]] = dict.fromkeys(ALLOWED, 0)
+
+
+@dataclass(frozen=True)
+class PixelSettings:
+    """The physical settings of all pixels, before their mismatch.
+
+    Attributes
+    ----------
+    threshold_on, threshold_off
+        Contrast thresholds in units of log intensity.
+    dead_us
+        Refractory time after a read.
+    q_us
+        Time constant of the photoreceptor at nominal brightness (1).
+    ambient
+        Light that is always there (stray light, dark current), nominal brightness = 1.
+    background_gain
+        Factor on the rate of background events.
+    """
+
+    threshold_on: float = math.log(1.25)
+    threshold_off: float = math.log(1.25)
+    dead_us: float = 50.0
+    q_us: float = 20.0
+    ambient: float = 1.0 / 9.0
+    background_gain: float = 1.0
+
+    @classmethod
+    def from_biases(cls, biases: Mapping[str, int]) -> PixelSettings:
+        """Settings for biases given as offsets from the factory value; missing = 0.
+
+        Examples
+        --------
+        >>> PixelSettings.from_biases({"bias_diff_on": 140}).threshold_on > 3 * PixelSettings().threshold_on
+        True
+        """
+        factory = cls()
+        on, off = biases.get("bias_diff_on", 0), biases.get("bias_diff_off", 0)
+        high_pass = biases.get("bias_hpf", 0)
+        return cls(
+            threshold_on=factory.threshold_on * math.exp(on / 120.0),
+            threshold_off=factory.threshold_off * math.exp(off / 120.0),
+            dead_us=factory.dead_us * math.exp(-biases.get("bias_refr", 0) / 60.0),
+            q_us=factory.q_us * math.exp(-biases.get("bias_fo", 0) / 30.0),
+            ambient=factory.ambient,
+            background_gain=math.exp(-high_pass / 40.0 - (on + off) / 120.0),
+        )

@@ -1,0 +1,252 @@
+"""Contrast events and triggers into EVT3 words, as an IMX636 sends them.
+
+Knows the wire format and the sensor's habits: a TIME_HIGH every 16 us, a TIME_LOW after each of them before
+anything that has a time, rate-controller counters every 200 us, vectors where a block of 32 pixels holds
+enough events. Knows nothing of where events come from.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.errors import SimulationMisuse
+
+ADDR_Y: Final = 0x0000
+ADDR_X: Final = 0x2000
+VECT_BASE_X: Final = 0x3000
+VECT_12: Final = 0x4000
+VECT_8: Final = 0x5000
+TIME_LOW: Final = 0x6000
+CONTINUED_4: Final = 0x7000
+TIME_HIGH: Final = 0x8000
+EXT_TRIGGER: Final = 0xA000
+OTHERS: Final = 0xE000
+CONTINUED_12: Final = 0xF000
+RATE_IN: Final = 0x014
+RATE_OUT: Final = 0x016
+ON: Final = 0x0800
+
+TICK_US: Final = 16
+"""Time between two TIME_HIGH."""
+COUNTER_US: Final = 200
+"""Window of the rate controller's counters; they are sent with the first TIME_HIGH after it."""
+MARK_US: Final = 2000
+"""At multiples of this a TIME_LOW follows the TIME_HIGH in any case, so that an idle stream tells its time."""
+BLOCK: Final = 32
+"""Pixels of a vector triple (12 + 12 + 8)."""
+VECTOR_FROM: Final = 5
+"""Events of a block from which on a vector is shorter than single events."""
+
+# Indices into the writer's int64 state.
+_TICK: Final = 0  # time of the next TIME_HIGH
+_LOW: Final = 1  # time of the last TIME_LOW, -1 if a TIME_HIGH came since
+_COUNT_END: Final = 2  # end of the present counter window
+_COUNT_OUT: Final = 3  # events sent in the window
+_COUNT_IN: Final = 4  # events that entered the rate controller in the window
+_BASE: Final = 5  # where the vector base stands, with polarity in bit 11; -1 unknown
+_Y: Final = 6  # row in force, -1 unknown: said again with each read
+_READ_T: Final = 7  # time of the row read in progress
+_N_STATE: Final = 8
+
+
+class Evt3Writer:
+    """Turns slices of a stream into words; the stream goes on from slice to slice.
+
+    Parameters
+    ----------
+    start_us
+        Sensor time at which the stream starts; a multiple of 16.
+    width, height
+        Pixels of the sensor.
+    """
+
+    def __init__(self, start_us: int = 0, *, width: int = 1280, height: int = 720) -> None:
+        if start_us % TICK_US:
+            raise SimulationMisuse(
+                f"A stream cannot start at {start_us} us.", remedy=f"Use a multiple of {TICK_US}."
+            )
+        self.width, self.height = width, height
+        self._now_us = start_us
+        self._state = np.zeros(_N_STATE, np.int64)
+        self._state[_TICK] = start_us
+        self._state[_COUNT_END] = start_us + COUNTER_US
+        self._state[_LOW] = self._state[_BASE] = self._state[_Y] = self._state[_READ_T] = -1
+
+    def write(
+        self,
+        t: NDArray[np.int64],
+        x: NDArray[np.uint16],
+        y: NDArray[np.uint16],
+        p: NDArray[np.uint8],
+        *,
+        until_us: int,
+        trigger_t: NDArray[np.int64] | None = None,
+        trigger_value: NDArray[np.uint8] | None = None,
+        entered_t: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.uint16]:
+        """Words of a slice, from where the last one ended up to ``until_us`` (exclusive).
+
+        How the stream is cut into slices does not change its words.
+
+        Parameters
+        ----------
+        t, x, y, p
+            Events of the slice; t monotone, events of one time, row and polarity from left to right.
+        trigger_t, trigger_value
+            Edges of the trigger input in the slice, monotone; 1 = rising.
+        entered_t
+            Times of the events that entered the rate controller; None: those that left it.
+
+        Raises
+        ------
+        SimulationMisuse
+            When an event lies outside the slice or the sensor.
+        """
+        none_t, none_value = np.empty(0, np.int64), np.empty(0, np.uint8)
+        edges = (
+            none_t if trigger_t is None else trigger_t,
+            none_value if trigger_value is None else trigger_value,
+        )
+        for times in (t, edges[0]):
+            if times.size and not (self._now_us <= times[0] and times[-1] < until_us):
+                raise SimulationMisuse(
+                    f"Events from {times[0]} to {times[-1]} us in a slice that ends at {until_us} us."
+                )
+        if x.size and (int(x.max()) >= self.width or int(y.max()) >= self.height):
+            raise SimulationMisuse(f"An event outside {self.width} x {self.height} pixels.")
+        ticks = (until_us - self._now_us) // TICK_US + 2
+        room = 4 * t.size + 2 * edges[0].size + 3 * ticks + 8 * (ticks * TICK_US // COUNTER_US + 2)
+        words = np.empty(room, np.uint16)
+        n = _write(
+            words,
+            self._state,
+            (t, x, y, p),
+            edges,
+            t if entered_t is None else entered_t,
+            until_us,
+            self.width,
+        )
+        self._now_us = until_us
+        return words[:n]
+
+
+@njit(cache=True)
+def _write(
+    words: NDArray, state: NDArray, events: tuple, edges: tuple, entered_t: NDArray, until: int, width: int
+) -> int:
+    """Merge ticks, edges and row reads by time; returns the number of words."""
+    t, x, y, p = events
+    edge_t, edge_value = edges
+    end = np.int64(until)
+    n, i, k, entered = 0, 0, 0, 0
+    while True:
+        t_event = t[i] if i < t.size else end
+        t_edge = edge_t[k] if k < edge_t.size else end
+        first = min(t_event, t_edge)
+        # Ticks come first: an event at the time of a tick is sent after it.
+        while state[_TICK] <= first and state[_TICK] < end:
+            tick = state[_TICK]
+            if tick >= state[_COUNT_END]:
+                while entered < entered_t.size and entered_t[entered] < tick:
+                    entered += 1
+                    state[_COUNT_IN] += 1
+                n = _write_counters(words, n, state)
+            words[n] = TIME_HIGH | ((tick >> 12) & 0xFFF)
+            n += 1
+            state[_LOW] = -1
+            if tick % MARK_US == 0:
+                n = _write_time_low(words, n, state, tick)
+            state[_TICK] = tick + TICK_US
+        if first == end:
+            break
+        n = _write_time_low(words, n, state, first)
+        if t_edge <= t_event:
+            words[n] = EXT_TRIGGER | edge_value[k]
+            n += 1
+            k += 1
+            continue
+        last = i + 1
+        while (
+            last < t.size
+            and t[last] == t_event
+            and y[last] == y[i]
+            and p[last] == p[i]
+            and x[last] > x[last - 1]
+        ):
+            last += 1
+        n = _write_run(words, n, state, x, y, p, i, last, width)
+        state[_COUNT_OUT] += last - i
+        i = last
+    state[_COUNT_IN] += entered_t.size - entered
+    return n
+
+
+@njit(cache=True)
+def _write_time_low(words: NDArray, n: int, state: NDArray, t: int) -> int:
+    """TIME_LOW, unless it stands already."""
+    if state[_LOW] != t:
+        words[n] = TIME_LOW | (t & 0xFFF)
+        state[_LOW] = t
+        n += 1
+    return n
+
+
+@njit(cache=True)
+def _write_counters(words: NDArray, n: int, state: NDArray) -> int:
+    """Events into and out of the rate controller in the window that ends; begin the next window."""
+    for k in range(2):
+        count = state[_COUNT_IN] if k == 0 else state[_COUNT_OUT]
+        words[n] = OTHERS | (RATE_IN if k == 0 else RATE_OUT)
+        words[n + 1] = CONTINUED_12 | (count & 0xFFF)
+        words[n + 2] = CONTINUED_12 | ((count >> 12) & 0xFFF)
+        words[n + 3] = CONTINUED_4 | ((count >> 24) & 0xF)
+        n += 4
+    state[_COUNT_IN] = state[_COUNT_OUT] = 0
+    state[_COUNT_END] += COUNTER_US
+    return n
+
+
+@njit(cache=True)
+def _write_run(
+    words: NDArray,
+    n: int,
+    state: NDArray,
+    x: NDArray,
+    y: NDArray,
+    p: NDArray,
+    first: int,
+    last: int,
+    width: int,
+) -> int:
+    """Events first .. last - 1, of one time, row and polarity, from left to right."""
+    if state[_Y] != y[first] or state[_READ_T] != state[_LOW]:
+        words[n] = ADDR_Y | y[first]
+        n += 1
+        state[_Y], state[_READ_T] = y[first], state[_LOW]
+    polarity = ON if p[first] else 0
+    while first < last:
+        block = x[first] // BLOCK * BLOCK
+        end, bits = first, 0
+        while end < last and x[end] < block + BLOCK:
+            bits |= 1 << (np.int64(x[end]) - block)
+            end += 1
+        if end - first >= VECTOR_FROM and block + BLOCK <= width:
+            if state[_BASE] != (block | polarity):
+                words[n] = VECT_BASE_X | polarity | block
+                n += 1
+            words[n] = VECT_12 | (bits & 0xFFF)
+            words[n + 1] = VECT_12 | ((bits >> 12) & 0xFFF)
+            words[n + 2] = VECT_8 | (bits >> 24)
+            n += 3
+            state[_BASE] = (block + BLOCK) | polarity
+        else:
+            for j in range(first, end):
+                words[n] = ADDR_X | polarity | x[j]
+                n += 1
+            state[_BASE] = -1
+        first = end
+    return n

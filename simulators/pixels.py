@@ -1,0 +1,369 @@
+"""The sensor: a picture and a flickering light in, contrast events out.
+
+Knows the sensor's fixed pattern and noise, and holds the state that goes on from slice to slice; the loop
+itself is in ``readout``, the photoreceptor in ``photoreceptor``. Knows no optics and no wire format.
+
+The same seeds give the same events, however the time is sliced.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from simulators import readout
+from simulators.biases import PixelSettings
+from simulators.errors import SimulationMisuse
+from simulators.photoreceptor import SMOOTH, SQUARE, Drive, fill_atlas
+from simulators.readout import BLOCK, GROUP, Pixels, Readout
+from simulators.truth import NOISE_LEVELS, NoiseTruth
+from simulators.world import LightState
+
+EPOCH_US: Final = 16384.0
+"""The pixels' times are counted from a multiple of this: float32 then resolves 4 ns."""
+ATLAS_LEVELS: Final = 256
+ATLAS_BINS: Final = 4096
+BRIGHTEST: Final = 1.5
+"""Highest light of a pixel that the atlas covers."""
+LOWEST_CONTRAST: Final = 0.02
+"""Relative change of brightness below which no pixel is ever near its threshold."""
+
+PEAK_EVENTS_US: Final = 1066.0
+"""The sensor reads no faster (1.066 GEPS)."""
+ROW_US: Final = 0.1
+LINK_WORDS_US: Final = 100.0 - 1.0 / 16.0 - 8.0 / 200.0
+"""1.6 Gbit/s of 16-bit words, less those that carry time and counters."""
+FIFO_WORDS: Final = 65536.0
+RATE_SPREAD: Final = 0.4
+"""Standard deviation of the log of a pixel's background rate."""
+THINNEST_THRESHOLD: Final = 0.2
+"""Lowest threshold the mismatch leads to, as a share of the nominal one."""
+
+
+class Events(NamedTuple):
+    """Contrast events, in the order they are read: t int64 us of the sensor's clock, x, y uint16, p uint8."""
+
+    t: NDArray[np.int64]
+    x: NDArray[np.uint16]
+    y: NDArray[np.uint16]
+    p: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Link:
+    """How fast rows are read and carried away.
+
+    ``ideal`` reads at once and carries everything: what the pixels alone would give.
+    """
+
+    row_us: float = ROW_US
+    event_us: float = 1.0 / PEAK_EVENTS_US
+    words_us: float = LINK_WORDS_US
+    fifo_words: float = FIFO_WORDS
+
+    @classmethod
+    def ideal(cls) -> Link:
+        """Neither the arbiter nor the link costs any time."""
+        return cls(row_us=0.0, event_us=0.0, words_us=1e12, fifo_words=1e15)
+
+
+def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
+    """The light as the pixels feel it, a period beginning at ``start_us`` of the sensor's clock."""
+    empty = (np.zeros((2, 2), np.float32), 1.0, 1.0, np.zeros((2, 2), np.int32))
+    steady = light.waveform == "square" or light.high == light.low
+    table = empty if steady else _atlas(light, settings)
+    atlas, lowest, log_step, extremes = table
+    period = light.period_us
+    return Drive(
+        SQUARE if steady else SMOOTH,
+        period,
+        period * light.high_share,
+        light.high,
+        light.low,
+        settings.ambient,
+        settings.q_us,
+        start_us,
+        atlas,
+        lowest,
+        log_step,
+        extremes,
+    )
+
+
+def _atlas(light: LightState, settings: PixelSettings) -> tuple[NDArray, float, float, NDArray]:
+    """Atlas of a sine's periodic steady states: table, lowest light, log step and extremes."""
+    lowest = LOWEST_CONTRAST * settings.ambient / light.high
+    log_step = math.log(BRIGHTEST / lowest) / (ATLAS_LEVELS - 1)
+    lights = lowest * np.exp(log_step * np.arange(ATLAS_LEVELS))
+    phase = (np.arange(ATLAS_BINS) + 0.5) / ATLAS_BINS
+    wave = 0.5 * (light.high + light.low) + 0.5 * (light.high - light.low) * np.sin(2.0 * np.pi * phase)
+    atlas = np.empty((ATLAS_LEVELS, ATLAS_BINS + 1), np.float32)
+    extremes = np.empty((ATLAS_LEVELS, 2), np.int32)
+    bin_q = light.period_us / ATLAS_BINS / settings.q_us
+    fill_atlas(atlas, extremes, lights, wave, settings.ambient, bin_q)
+    return atlas, lowest, log_step, extremes
+
+
+class Sensor:
+    """An event sensor under a flickering light.
+
+    Parameters
+    ----------
+    width, height
+        Pixels of the sensor.
+    noise
+        Fixed pattern and noise.
+    settings
+        Thresholds, dead time, time constant.
+    camera_seed
+        Seed of the fixed pattern.
+    seed
+        Seed of the noise over time.
+    link
+        Readout and link.
+    """
+
+    def __init__(
+        self,
+        width: int = 1280,
+        height: int = 720,
+        *,
+        noise: NoiseTruth = NOISE_LEVELS["typical"],
+        settings: PixelSettings | None = None,
+        camera_seed: int = 0,
+        seed: int | np.random.SeedSequence = 0,
+        link: Link | None = None,
+    ) -> None:
+        self.width, self.height = width, height
+        self.settings = settings if settings is not None else PixelSettings()
+        self._pixels = _make_pixels(width, height, noise, self.settings, camera_seed)
+        self._readout = _make_readout(width, height, noise, self.settings, camera_seed, link or Link())
+        self._state = np.zeros(readout.N_STATE)
+        self._random = np.random.default_rng(seed).integers(1, 2**63, 2, dtype=np.uint64)
+        self._drive: Drive | None = None
+        self._now_us = 0.0
+
+    @property
+    def stalled_us(self) -> float:
+        """How long the readout has waited for the link."""
+        return float(self._state[readout.STALL])
+
+    def begin(
+        self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
+    ) -> None:
+        """Settle under a picture and a light whose phase (in periods) at ``at_us`` is given.
+
+        The pixels live through two periods of the light before that, at most 100 ms, so that they begin in the state a
+        sensor is in that has watched the light for long.
+
+        Parameters
+        ----------
+        picture
+            (height, width), share of the light's drive that reaches each pixel.
+        """
+        warmup_us = min(2.0 * light.period_us, 1e5) if light.high > light.low else 1000.0
+        begin_us = at_us - warmup_us
+        epoch = math.floor(begin_us / EPOCH_US) * EPOCH_US
+        self._drive = make_drive(light, at_us - phase * light.period_us, self.settings)
+        state = self._state
+        state[:] = 0.0
+        state[readout.EPOCH] = epoch
+        state[readout.FREE] = state[readout.FIFO_T] = begin_us - epoch
+        rate = self._readout.noise_rate_us
+        first = (
+            -math.log(1.0 - np.random.default_rng(self._random).random()) / rate if rate > 0.0 else math.inf
+        )
+        state[readout.NOISE] = state[readout.FREE] + first
+        self._see(picture)
+        readout.start_pixels(
+            self._pixels, self._drive, self._readout, state[readout.FREE], state, self._random
+        )
+        self._now_us = begin_us
+        self.run(at_us)
+        state[readout.STALL] = 0.0
+
+    def change(
+        self, picture: NDArray[np.float32] | None, light: LightState, phase: float, step_us: float
+    ) -> None:
+        """Let a new picture (None: the same) or light take effect now; ``phase`` is the light's phase now.
+
+        What the change itself carries beyond a threshold fires within the next ``step_us``.
+        """
+        self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
+        self._see(picture)
+        t = self._now_us - self._state[readout.EPOCH]
+        readout.redrive(self._pixels, self._drive, self._readout, t, step_us, self._state, self._random)
+
+    def _see(self, picture: NDArray[np.float32] | None) -> None:
+        """Take over the picture and find the steady state of each pixel."""
+        if picture is not None:
+            if picture.shape != (self.height, self.width):
+                raise SimulationMisuse(
+                    f"A picture of shape {picture.shape} for {self.height} rows of {self.width}."
+                )
+            self._pixels.cell[:, : self.width, readout.LIGHT] = picture
+        readout.steady_levels(self._pixels, self._drive)
+
+    def run(self, until_us: float) -> Events:
+        """Events from where the last call ended up to a time of the sensor's clock.
+
+        Raises
+        ------
+        SimulationMisuse
+            When no picture has been shown yet.
+        """
+        if self._drive is None:
+            raise SimulationMisuse("The sensor has seen no picture yet.", remedy="Call begin first.")
+        parts = []
+        while self._now_us < until_us:
+            next_epoch = self._state[readout.EPOCH] + EPOCH_US
+            end = min(until_us, next_epoch)
+            parts += self._run_epoch(end - self._state[readout.EPOCH])
+            if end == next_epoch:
+                readout.move_epoch(self._pixels, self._state, EPOCH_US)
+            self._now_us = end
+        if len(parts) == 1:
+            return parts[0]
+        return Events(
+            np.concatenate([p.t for p in parts]) if parts else np.empty(0, np.int64),
+            np.concatenate([p.x for p in parts]) if parts else np.empty(0, np.uint16),
+            np.concatenate([p.y for p in parts]) if parts else np.empty(0, np.uint16),
+            np.concatenate([p.p for p in parts]) if parts else np.empty(0, np.uint8),
+        )
+
+    def _run_epoch(self, until: float) -> list[Events]:
+        """Events up to a time within the epoch, in as many pieces as the buffer needs."""
+        parts = []
+        while True:
+            size = 1 << 20
+            out = (
+                np.empty(size, np.int64),
+                np.empty(size, np.uint16),
+                np.empty(size, np.uint16),
+                np.empty(size, np.uint8),
+            )
+            n = readout.read_rows(
+                self._pixels, self._drive, self._readout, self._state, self._random, until, self.width, out
+            )
+            parts.append(Events(*(a[:n].copy() for a in out)))
+            if self._state[readout.FULL] == 0.0:
+                return parts
+
+
+def simulate(
+    picture: NDArray[np.float32],
+    light: LightState,
+    duration_us: float,
+    *,
+    phase: float = 0.0,
+    noise: NoiseTruth = NOISE_LEVELS["typical"],
+    settings: PixelSettings | None = None,
+    camera_seed: int = 0,
+    seed: int = 0,
+    link: Link | None = None,
+) -> Events:
+    """Events of a still picture under a flickering light, from time 0 to ``duration_us``.
+
+    Parameters
+    ----------
+    picture
+        (height, width) float32, share of the light's drive that reaches each pixel (``optics.render``).
+    light
+        Waveform, frequency and levels.
+    phase
+        Phase of the light at time 0, in periods.
+    noise, settings, camera_seed, seed, link
+        As ``Sensor`` takes them.
+    """
+    height, width = picture.shape
+    sensor = Sensor(
+        width, height, noise=noise, settings=settings, camera_seed=camera_seed, seed=seed, link=link
+    )
+    sensor.begin(picture, light, phase)
+    return sensor.run(duration_us)
+
+
+def _make_pixels(
+    width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
+) -> Pixels:
+    """Pixels with the thresholds of that camera; columns padded to whole blocks, which never request."""
+    blocks = -(-width // BLOCK)
+    shape = (height, blocks * BLOCK)
+    pattern = np.random.default_rng([camera_seed, 1])
+
+    def gain(threshold: float) -> NDArray[np.float32]:
+        spread = 1.0 + noise.mismatch * pattern.standard_normal((height, width), np.float32)
+        return np.asarray(np.exp(threshold * np.maximum(spread, THINNEST_THRESHOLD)), np.float32)
+
+    cell = np.zeros((*shape, readout.N_CELL), np.float32)
+    cell[:, :, readout.U_REF] = 1.0
+    cell[:, :, readout.GAIN_ON] = 0.5
+    cell[:, :, readout.GAIN_OFF] = 2.0
+    cell[:, :width, readout.GAIN_ON] = 1.0 / gain(settings.threshold_on)
+    cell[:, :width, readout.GAIN_OFF] = gain(settings.threshold_off)
+    groups = -(-height // GROUP)
+    return Pixels(
+        t_next=np.full(shape, np.inf, np.float32),
+        cell=cell,
+        block_min=np.full((height, blocks), np.inf, np.float32),
+        row_min=np.full(groups * GROUP, np.inf, np.float32),
+        group_min=np.full(groups, np.inf, np.float32),
+    )
+
+
+def _make_readout(
+    width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int, link: Link
+) -> Readout:
+    """Readout with the noise rates of that camera's pixels."""
+    pattern = np.random.default_rng([camera_seed, 2])
+    n = width * height
+    spread = np.exp(RATE_SPREAD * pattern.standard_normal(n, np.float32) - 0.5 * RATE_SPREAD**2)
+    rates = noise.background_hz * settings.background_gain * spread.astype(np.float64)
+    hot = pattern.choice(n, round(noise.hot_share * n), replace=False)
+    rates[hot] = noise.hot_hz
+    total = float(rates.sum())
+    share, other = np.ones(n, np.float32), np.arange(n, dtype=np.int32)
+    if total > 0.0:
+        _fill_alias(rates * (n / total), share, other)
+    return Readout(
+        settings.dead_us,
+        noise.reset_noise,
+        link.row_us,
+        link.event_us,
+        link.words_us,
+        link.fifo_words,
+        total * 1e-6,
+        share,
+        other,
+        ndtri((np.arange(4096) + 0.5) / 4096).astype(np.float32),
+    )
+
+
+@njit(cache=True)
+def _fill_alias(scaled: NDArray, share: NDArray, other: NDArray) -> None:
+    """Fill Walker's alias table of rates scaled to a mean of 1 (Vose 1991); ``scaled`` is used up."""
+    n = scaled.size
+    small, large = np.empty(n, np.int32), np.empty(n, np.int32)
+    n_small = n_large = 0
+    for i in range(n):
+        if scaled[i] < 1.0:
+            small[n_small] = i
+            n_small += 1
+        else:
+            large[n_large] = i
+            n_large += 1
+    while n_small > 0 and n_large > 0:
+        n_small -= 1
+        i, j = small[n_small], large[n_large - 1]
+        share[i], other[i] = scaled[i], j
+        scaled[j] -= 1.0 - scaled[i]
+        if scaled[j] < 1.0:
+            n_large -= 1
+            small[n_small] = j
+            n_small += 1
