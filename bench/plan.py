@@ -158,8 +158,8 @@ class Plan:
         """Give the plan as JSON carries it."""
         return {
             "schema": "starbench/plan/1",
-            "sequence": {"name": self.sequence.value.name, "file": self.sequence.file},
-            "station": {"name": self.station.value.name, "file": self.station.file},
+            "sequence": self.sequence.value.name,
+            "station": self.station.value.name,
             "simulated": self.station.value.is_simulated,
             "runnable": not self.faults,
             "faults": [_fault_dict(fault) for fault in self.faults],
@@ -171,8 +171,21 @@ class Plan:
                 {"index": pose.index, "name": pose.name, "angles_deg": dict(pose.angles_deg)}
                 for pose in self.poses
             ],
-            "steps": [_step_dict(planned) for planned in self.steps],
+            "steps": [self._step_dict(planned) for planned in self.steps],
         }
+
+    def _step_dict(self, planned: PlannedStep) -> dict[str, Any]:
+        step = planned.step
+        said: dict[str, Any] = {
+            "number": step.number,
+            "what": type(step).__name__.removesuffix("Step").lower(),
+            "line": self.sequence.position(step.path).line,
+            "duration_s": round(planned.duration_s, 3),
+            "done_after_s": round(planned.done_after_s, 3),
+        }
+        if isinstance(step, MoveStep | RecordStep):
+            said["pose"] = step.pose.index
+        return said
 
 
 def load(sequence: str, station: str) -> tuple[Located[Sequence], Located[Station]]:
@@ -181,23 +194,22 @@ def load(sequence: str, station: str) -> tuple[Located[Sequence], Located[Statio
     Raises
     ------
     ScriptError
-        With every fault of both files.
+        With every fault of both files, where one of them cannot be used.
     """
     faults: list[Fault] = []
-    documents: list[Any] = []
+    read_sequence = read_station = None
     try:
-        found = find_document(sequence, SHIPPED_SEQUENCES)
-        documents.append(read_document(found, Sequence))
-        faults += unfold(documents[0])[1]
+        read_sequence = read_document(find_document(sequence, SHIPPED_SEQUENCES), Sequence)
     except DocumentFaults as error:
         faults += error.faults
     try:
-        documents.append(load_station(station))
+        read_station = load_station(station)
     except DocumentFaults as error:
         faults += error.faults
-    if faults:
+    if read_sequence is None or read_station is None:
+        faults += unfold(read_sequence)[1] if read_sequence is not None else []
         raise ScriptError([str(fault) for fault in faults])
-    return documents[0], documents[1]
+    return read_sequence, read_station
 
 
 def plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
@@ -287,17 +299,3 @@ def _homing_s(axis: ZaberAxis) -> float:
 
 def _fault_dict(fault: Fault) -> dict[str, Any]:
     return dataclasses.asdict(fault) | {"text": str(fault)}
-
-
-def _step_dict(planned: PlannedStep) -> dict[str, Any]:
-    step = planned.step
-    said: dict[str, Any] = {
-        "number": step.number,
-        "what": type(step).__name__.removesuffix("Step").lower(),
-        "where": step.where,
-        "duration_s": round(planned.duration_s, 3),
-        "done_after_s": round(planned.done_after_s, 3),
-    }
-    if isinstance(step, MoveStep | RecordStep):
-        said["pose"] = step.pose.index
-    return said

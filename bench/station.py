@@ -219,7 +219,7 @@ class Disk(Words):
 def _plain_values(section: Any) -> Any:
     """Turn a free section's texts into the numbers and truths JSON would see; serial numbers stay text."""
     if isinstance(section, Mapping):
-        return {key: value if key == "serial" else _plain_values(value) for key, value in section.items()}
+        return {key: value if "serial" in key else _plain_values(value) for key, value in section.items()}
     if isinstance(section, list):
         return [_plain_values(value) for value in section]
     try:
