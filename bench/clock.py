@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 
 
-class Aborted(Exception):  # noqa: N818 - it is no error: somebody asked to stop
+class Aborted(Exception):
     """The operator, or the system, asked the run to stop."""
 
     def __init__(self, reason: str) -> None:

@@ -13,7 +13,17 @@ from typing import Any
 
 from transitions import EventData, Machine
 
-READY = ("homing", "recovering", "lighting", "slewing", "settling", "checking", "waiting", "holding", "parking")
+READY = (
+    "homing",
+    "recovering",
+    "lighting",
+    "slewing",
+    "settling",
+    "checking",
+    "waiting",
+    "holding",
+    "parking",
+)
 """States whose work, once done, leaves the bench ready for the next step of the script."""
 
 STATES = (
@@ -26,14 +36,14 @@ END_STATES = ("finished", "aborted", "failed")
 _BUSY = tuple(s for s in STATES if s not in {*END_STATES, "aborting"})
 
 EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
-    ("preflight", ("idle",), "preflight"),
-    ("recover", ("preflight", "idle"), "recovering"),
-    ("home", ("preflight", "recovering"), "homing"),
+    ("recover", ("idle",), "recovering"),
+    ("preflight", ("idle", "recovering", "checking"), "preflight"),
+    ("home", ("preflight",), "homing"),
     ("set_light", READY, "lighting"),
     ("slew", READY, "slewing"),
     ("settle", READY, "settling"),
-    ("record", READY, "recording"),
-    ("check", ("recording",), "checking"),
+    ("record", (*READY, "recording"), "recording"),
+    ("check", ("recording", "recovering", "checking"), "checking"),
     ("wait", READY, "waiting"),
     ("hold", READY, "holding"),
     ("park", READY, "parking"),
@@ -74,7 +84,8 @@ class RunMachine:
             states=list(STATES),
             initial="idle",
             transitions=[
-                {"trigger": trigger, "source": list(sources), "dest": target} for trigger, sources, target in EDGES
+                {"trigger": trigger, "source": list(sources), "dest": target}
+                for trigger, sources, target in EDGES
             ],
             auto_transitions=False,
             send_event=True,
@@ -100,6 +111,7 @@ class RunMachine:
         return trigger in self._machine.get_triggers(self.state)
 
     def _intend(self, event: EventData) -> None:
+        assert event.transition is not None
         self._tell("entering", {"state": event.transition.dest, "from": self.state, **event.kwargs})
 
     def _run_work(self, event: EventData) -> None:

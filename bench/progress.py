@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import TextIO
+from typing import Self, TextIO
 
 from rich.console import Console
 from rich.live import Live
@@ -48,12 +48,13 @@ class Progress:
         self._total_s = total_s
         self._poses = poses
         self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False)
-        self._live = Live(console=self._console, transient=True, get_renderable=self._line, refresh_per_second=8)
-        self._started_s = monotonic()
         self._state, self._detail, self._pose, self._done_s = "idle", "", 0, 0.0
-        self._counted_from_s = self._started_s
+        self._counted_from_s = monotonic()
+        self._live = Live(
+            console=self._console, transient=True, get_renderable=self._line, refresh_per_second=8
+        )
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> Self:
         if self._console.is_terminal:
             self._live.start()
         return self
@@ -61,7 +62,11 @@ class Progress:
     def __exit__(self, *_: object) -> None:
         self._live.stop()
 
-    def show(self, state: str, *, pose: int | None = None, done_s: float | None = None, detail: str = "") -> None:
+    def done(self, seconds: float) -> None:
+        """Tell how much of the expected total lies behind, s."""
+        self._done_s, self._counted_from_s = seconds, self._monotonic()
+
+    def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
         """Tell the present state.
 
         Parameters
@@ -69,16 +74,12 @@ class Progress:
         state
             State of the machine.
         pose
-            Number of the pose at work, from 1.
-        done_s
-            How much of the expected total lies behind, s.
+            Number of the pose at work, from 1; None: as before.
         detail
             A few words more.
         """
         self._state, self._detail = state, detail
-        self._pose = self._pose if pose is None else pose
-        if done_s is not None:
-            self._done_s, self._counted_from_s = done_s, self._monotonic()
+        self._pose = pose or self._pose
         if not self._console.is_terminal:
             self._console.print(self._plain(), soft_wrap=True)
 
@@ -102,6 +103,10 @@ class Progress:
         line = Table.grid(padding=(0, 2))
         pose = f"pose {self._pose} of {self._poses}" if self._pose else ""
         line.add_row(
-            bar, Text(self._state, style="bold"), pose, f"{clock_text(self.left_s())} left", Text(self._detail)
+            bar,
+            Text(self._state, style="bold"),
+            pose,
+            f"{clock_text(self.left_s())} left",
+            Text(self._detail),
         )
         return line

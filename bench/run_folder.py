@@ -249,6 +249,26 @@ class RunFolder:
         """Give a whole recording its name; then it can be told to the journal. As ``commit``."""
         return self.commit(capture_name(pose_index, attempt))
 
+    def set_part_aside(self, pose_index: int, attempt: int) -> str | None:
+        """Keep what there is of a recording that could not be completed, in ``quarantine/``.
+
+        Returns
+        -------
+        str or None
+            Its name there within the run folder; None when nothing had been written.
+
+        Raises
+        ------
+        StorageError
+            When it cannot be moved.
+        """
+        path = self._place(capture_name(pose_index, attempt))
+        part = path.with_name(path.name + _PART)
+        if not part.exists():
+            return None
+        with storing(part):
+            return str(self._set_aside(part).relative_to(self.path))
+
     def recover(self, journal: Journal) -> RecoveryNotes:
         """Put a folder in order after a crash: what is whole and told stays, all else is set aside.
 
@@ -309,7 +329,7 @@ class RunFolder:
                 )
         return self.path.joinpath(*parts)
 
-    def _set_aside(self, path: Path) -> None:
+    def _set_aside(self, path: Path) -> Path:
         aside = self.path / QUARANTINE
         make_folder(aside)
         number = 1
@@ -318,6 +338,7 @@ class RunFolder:
         path.rename(target)
         sync_folder(aside)
         sync_folder(path.parent)
+        return target
 
 
 def _state_of(path: Path, capture: Capture | None) -> str:

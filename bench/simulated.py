@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from bench.errors import SimulationError
 
@@ -45,11 +45,24 @@ class SimulatedBench:
         config_path = folder / "config.json"
         config_path.write_text(json.dumps(dict(config)), encoding="utf-8")
         self._log = (folder / "log.txt").open("w+", encoding="utf-8")
-        command = [sys.executable, "-m", "simulators.bench", "--folder", str(folder), "--config", str(config_path)]
+        command = [
+            sys.executable,
+            "-m",
+            "simulators.bench",
+            "--folder",
+            str(folder),
+            "--config",
+            str(config_path),
+        ]
         command += ["--seed", str(seed), "--until-eof"]
         # A session of its own: Ctrl-C at the terminal reaches the run, which then needs the devices to make safe.
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True, start_new_session=True
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            text=True,
+            start_new_session=True,
         )
         try:
             ready = json.loads(self._first_line())
@@ -105,7 +118,7 @@ class SimulatedBench:
         self._log.close()
         self._folder.cleanup()
 
-    def __enter__(self) -> SimulatedBench:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

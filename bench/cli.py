@@ -1,0 +1,218 @@
+"""The command line: `starbench`. Knows words and exits; the work stands in the modules it calls.
+
+With ``--json`` a command prints one object on standard output and everything else on standard error. Exit status:
+0 done, 1 failed, 2 a wrong word or file, 3 stopped on request.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench import __version__
+
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+STOPPED = 3
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="starbench")
+@click.option("--debug", is_flag=True, help="On an error, show where in the program it arose.")
+def cli(debug: bool) -> None:
+    """Calibrate event cameras on a collimator bench, unattended, and prove what was done.
+
+    Begin with: starbench run three_pose --station simulated
+    """
+
+
+@cli.command()
+@click.argument("sequence")
+@click.option(
+    "--station", "-s", required=True, help="Station file, or the name of a shipped one (simulated)."
+)
+@click.option("--output", "-o", type=click.Path(path_type=Path), help="New folder for the run.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Seed of a simulated bench.")
+@click.option("--operator", help="Who runs it; printed in the report.")
+@_JSON
+def run(
+    sequence: str, station: str, output: Path | None, seed: int | None, operator: str | None, as_json: bool
+) -> int:
+    """Run a SEQUENCE on a station, up to the sealed report.
+
+    SEQUENCE is a file, or the name of a shipped one (three_pose, nine_pose).
+    """
+    from bench.clock import BenchClock
+    from bench.launch import Launch, start_run
+    from bench.output import ask_passphrase, show_run
+
+    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase)
+    end = start_run(sequence, station, output=output, seed=seed, operator=operator, launch=launch)
+    return show_run(end, as_json=as_json)
+
+
+@cli.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@_JSON
+def resume(run_folder: Path, as_json: bool) -> int:
+    """Go on with a RUN that was stopped, failed, killed or cut off."""
+    from bench.clock import BenchClock
+    from bench.launch import Launch, resume_run
+    from bench.output import ask_passphrase, show_run
+
+    return show_run(
+        resume_run(run_folder, Launch(BenchClock(), ask_passphrase=ask_passphrase)), as_json=as_json
+    )
+
+
+@cli.command()
+@click.argument("sequence")
+@click.option("--station", "-s", required=True, help="Station file, or the name of a shipped one.")
+@_JSON
+def plan(sequence: str, station: str, as_json: bool) -> int:
+    """Check a SEQUENCE against a station without touching anything: faults, poses, limits, time, disk."""
+    from bench.output import print_json
+    from bench.plan import load
+    from bench.plan import plan as make_plan
+    from bench.plan_text import render_plan
+
+    planned = make_plan(*load(sequence, station))
+    if as_json:
+        print_json(planned.to_dict())
+    else:
+        click.echo(render_plan(planned))
+    return 2 if planned.faults else 0
+
+
+@cli.command()
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=click.Path(path_type=Path))
+@click.option(
+    "--model", type=click.Choice(["spherical", "planar", "auto"]), default="spherical", show_default=True
+)
+@click.option(
+    "--distortion", default="k1k2", show_default=True, help="Coefficients to estimate, e.g. k1k2k3p1p2, none."
+)
+@click.option("--loss", type=click.Choice(["l2", "huber"]), default="huber", show_default=True)
+@click.option("--image-size", metavar="WxH", help="For point files, which do not know it.")
+@click.option("--views", metavar="1,5,9", help="Use these only, counted from 1 in the order listed.")
+@click.option("--image", default="auto", show_default=True, help="Kind of event image for RAW captures.")
+@click.option(
+    "--origin",
+    type=click.Choice(["corner", "centre"]),
+    default="corner",
+    show_default=True,
+    help="What (0, 0) is in point files: a pixel's corner or its centre.",
+)
+@click.option(
+    "--station", "-s", help="Station file that describes the target, where it is not the standard one."
+)
+@_JSON
+def calibrate(paths: tuple[Path, ...], as_json: bool, **options: Any) -> int:
+    """Calibrate again, without devices, from any PATH.
+
+    A PATH is a run folder, a RAW capture, a photograph of the target, a file of points (columns x, y, X, Y, id),
+    or a folder of such files.
+    """
+    from bench.offline import Choices, calibrate_paths
+    from bench.output import print_calibration
+
+    print_calibration(calibrate_paths(paths, Choices.from_words(**options)), as_json=as_json)
+    return 0
+
+
+@cli.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.option(
+    "--allowed-signers", type=click.Path(path_type=Path), help="Trusted keys; by default this bench's own."
+)
+@click.option("--serial", help="Serial number the calibrated camera must have.")
+@_JSON
+def verify(run_folder: Path, allowed_signers: Path | None, serial: str | None, as_json: bool) -> int:
+    """Check the seal of a RUN: signature, every file, the journal, the printed numbers."""
+    from bench.keys import SIGNERS_FILE, home_folder, read_signers
+    from bench.output import show_verification
+    from bench.verify import verify_run
+
+    signers = read_signers(allowed_signers or home_folder() / SIGNERS_FILE)
+    return show_verification(verify_run(run_folder, signers, camera_serial=serial), as_json=as_json)
+
+
+@cli.command()
+@click.option(
+    "--station", "-s", default="simulated", show_default=True, help="Station whose devices to simulate."
+)
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True)
+def simulate(station: str, seed: int) -> int:
+    """Keep a simulated bench running in a process of its own, and print its ports."""
+    from bench.output import serve_simulated_bench
+
+    return serve_simulated_bench(station, seed)
+
+
+@cli.group()
+def keys() -> None:
+    """Show, make and trust signing keys."""
+
+
+@keys.command("show")
+def keys_show() -> int:
+    """Show this bench's key, the line to give to others, and the keys it trusts."""
+    from bench.output import show_keys
+
+    return show_keys()
+
+
+@keys.command("create")
+@click.option("--principal", help="Who signs, as name@place; by default bench@ and the machine's name.")
+@click.option("--passphrase", is_flag=True, help="Protect the key; asked for whenever it signs.")
+def keys_create(principal: str | None, passphrase: bool) -> int:
+    """Make this bench's key."""
+    from bench.output import make_key
+
+    return make_key(principal, protect=passphrase)
+
+
+@keys.command("trust")
+@click.argument("line")
+def keys_trust(line: str) -> int:
+    """Trust another bench's key: LINE as its `keys show` prints it."""
+    from bench.output import trust_key
+
+    return trust_key(line)
+
+
+@cli.command()
+@click.argument("document", type=click.Choice(["sequence", "station"]))
+def schema(document: str) -> int:
+    """Print the JSON Schema of sequence or station files, for editors."""
+    from bench.output import print_schema
+
+    return print_schema(document)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit; every foreseen error is one message, never a traceback."""
+    words = sys.argv[1:] if arguments is None else arguments
+    sys.exit(_guarded(lambda: cli.main(args=words, prog_name="starbench", standalone_mode=False), words))
+
+
+def _guarded(command: Callable[[], Any], words: list[str]) -> int:
+    try:
+        status = command()
+    except click.exceptions.Abort:
+        click.echo("Stopped.", err=True)
+        return 128 + 2
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except KeyboardInterrupt:
+        click.echo("Stopped.", err=True)
+        return 128 + 2
+    except Exception as error:  # noqa: BLE001 - the last place where an error can be told in plain words
+        from bench.output import tell_error
+
+        return tell_error(error, as_json="--json" in words, debug="--debug" in words)
+    return int(status or 0)

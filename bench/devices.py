@@ -1,0 +1,143 @@
+"""Opens the devices a station file names, holds them together, and makes them safe together.
+
+Knows which driver a word of the station file stands for. A port such as ``sim:gimbal`` is one of the simulated
+bench, which is then started first; beyond that nothing differs between a simulated device and a real one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from typing import Any
+
+from drivers.camera.metavision import MetavisionEvk4
+
+from bench.clock import BenchClock
+from bench.errors import SimulationError
+from bench.simulated import SimulatedBench
+from bench.station import SIMULATED, MetavisionCamera, SimulatedEvk4, Station
+from drivers.camera import EventCamera
+from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
+from drivers.errors import DriverError
+from drivers.light import Light
+from drivers.light.scpi import ScpiLight
+from drivers.stage import Stage
+from drivers.stage.zaber import ZaberStage
+from drivers.stage.zaber_axis import ZaberAxis
+from drivers.wire_log import WireLog
+
+
+class Devices:
+    """A stage, a light and a camera, open. Opening moves nothing and switches nothing on.
+
+    Parameters
+    ----------
+    station
+        What the station file says.
+    seed
+        Seed of the simulated bench, where there is one.
+    clock
+        The run's clock; every wait of a driver goes through it.
+    wire_log
+        Where bytes on serial lines are kept.
+
+    Raises
+    ------
+    drivers.errors.DriverError
+        When a device cannot be opened, or is another one than named; those opened before are closed again.
+    SimulationError
+        When the simulated bench does not start.
+    """
+
+    def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
+        self._clock = clock
+        self._simulation: SimulatedBench | None = None
+        with ExitStack() as opened:
+            if station.is_simulated:
+                self._simulation = opened.enter_context(SimulatedBench(station.simulation or {}, seed))
+            self.stage: Stage = _open_stage(station, self._port, clock, wire_log)
+            opened.callback(self.stage.close)
+            self.light: Light = _open_light(station, self._port, clock, wire_log)
+            opened.callback(self.light.close)
+            self.camera: EventCamera = _open_camera(station, self._port, clock)
+            opened.callback(self.camera.close)
+            self._opened = opened.pop_all()
+
+    def truth(self) -> dict[str, Any] | None:
+        """What the simulated world is made of, for the final comparison; None on a real bench."""
+        return self._simulation.truth() if self._simulation is not None else None
+
+    def make_safe(self) -> list[str]:
+        """Stop the stage, switch the light off, stop the camera: each, whatever the others do.
+
+        Returns
+        -------
+        list of str
+            What could not be made safe, and why; empty when all is safe.
+        """
+        actions: Mapping[str, Callable[[], None]] = {
+            "the stage did not confirm its stop": self.stage.stop,
+            "the light did not confirm that it is off": self.light.off,
+            "the camera did not confirm that it stopped": self.camera.stop,
+        }
+        faults = []
+        for fault, action in actions.items():
+            try:
+                action()
+            except DriverError as error:
+                faults.append(f"{fault}: {error}")
+        return faults
+
+    def close(self) -> None:
+        """Give all ports back; nothing moves."""
+        self._opened.close()
+
+    def _port(self, name: str) -> str:
+        """Give the real name of a port: that of the simulated bench's, where it is one of those."""
+        if not name.startswith(SIMULATED):
+            return name
+        assert self._simulation is not None
+        endpoint = self._simulation.endpoints.get(name.removeprefix(SIMULATED))
+        if endpoint is None:
+            known = ", ".join(SIMULATED + e for e in self._simulation.endpoints)
+            raise SimulationError(f"The simulated bench has no {name}.", remedy=f"It has {known}.")
+        return endpoint
+
+
+PortName = Callable[[str], str]
+
+
+def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
+    said = station.stage
+    axes = [
+        ZaberAxis(
+            name=name,
+            device=axis.device,
+            axis=axis.axis,
+            serial=axis.serial,
+            microsteps_per_deg=axis.microsteps_per_deg,
+            zero_deg=axis.zero_deg,
+            limits=axis.limits,
+            tolerance_deg=axis.tolerance_deg,
+            encoder_tolerance_deg=axis.encoder_tolerance_deg,
+        )
+        for name, axis in said.axes.items()
+    ]
+    return ZaberStage.open(port(said.port), axes, baudrate=said.baudrate, clock=clock, wire_log=wire_log)
+
+
+def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
+    said = station.light
+    return ScpiLight.open(
+        port(said.port), serial=said.serial, baudrate=said.baudrate, clock=clock, wire_log=wire_log
+    )
+
+
+def _open_camera(station: Station, port: PortName, clock: BenchClock) -> EventCamera:
+    match station.camera:
+        case SimulatedEvk4() as said:
+            return SimulatedEvk4Camera.open(
+                port(said.address), serial=said.serial, clock=clock, utc_now=clock.utc_now
+            )
+        case MetavisionCamera() as said:
+            return MetavisionEvk4.open(serial=said.serial, clock=clock)

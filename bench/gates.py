@@ -1,0 +1,116 @@
+"""Gates of a recording: what it must show to count, judged from facts alone.
+
+Knows no device and no file; each refusal is a sentence that says what was found and what was wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from drivers.camera import RecordingFacts
+from sequences.script import Gates
+
+Verdict = Literal["pass", "marginal", "fail"]
+
+FREQUENCY_TOLERANCE = 0.005
+"""The camera's clock and the light's may differ by this much before the light is not what was set."""
+FILTERS_THAT_EAT_FLICKER = ("afk", "stc", "trail", "erc")
+MARGIN = 0.1
+"""A value within this share of its limit passes, but only just: marginal."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One gate as it was judged."""
+
+    name: str
+    value: float
+    unit: str
+    limit: str
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """Give the gate as results and journal carry it."""
+        return {
+            "name": self.name,
+            "value": self.value,
+            "unit": self.unit,
+            "limit": self.limit,
+            "verdict": self.verdict,
+        }
+
+
+def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
+    """Judge a value that must not be below its limit.
+
+    >>> at_least("stars", 300, 40, "").verdict, at_least("stars", 42, 40, "").verdict, at_least("s", 9, 40, "").verdict
+    ('pass', 'marginal', 'fail')
+    """
+    verdict: Verdict = "fail" if value < limit else "marginal" if value < limit * (1 + MARGIN) else "pass"
+    return Gate(name, value, unit, f">= {limit:g}", verdict)
+
+
+def at_most(name: str, value: float, limit: float, unit: str) -> Gate:
+    """Judge a value that must not be above its limit.
+
+    >>> at_most("rate", 99, 100, "Mev/s").verdict, at_most("rate", 101, 100, "Mev/s").verdict
+    ('marginal', 'fail')
+    """
+    verdict: Verdict = "fail" if value > limit else "marginal" if value > limit * (1 - MARGIN) else "pass"
+    return Gate(name, value, unit, f"<= {limit:g}", verdict)
+
+
+def recording_gates(
+    facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: Mapping[str, Any], stars: int
+) -> list[Gate]:
+    """Judge one recording by its numbers.
+
+    Parameters
+    ----------
+    facts
+        What the driver knows of it.
+    gates
+        What the sequence demands.
+    frequency_hz
+        What the light was set to.
+    measured
+        ``flicker_hz``, ``triggers_expected``, ``triggers_found`` as the recording itself tells (absent where it
+        cannot).
+    stars
+        Stars found.
+    """
+    rate_mev_s = facts.events / facts.duration_s / 1e6 if facts.duration_s > 0 else 0.0
+    judged = [
+        at_least("stars", stars, gates.min_stars, ""),
+        at_most("event rate", rate_mev_s, gates.max_event_rate_mev_s, "Mev/s"),
+    ]
+    if gates.require_triggers and "triggers_expected" in measured:
+        missed = abs(int(measured["triggers_expected"]) - int(measured["triggers_found"]))
+        judged.append(Gate("triggers missed", missed, "", "<= 1", "fail" if missed > 1 else "pass"))
+    if "flicker_hz" in measured:
+        off = abs(float(measured["flicker_hz"]) / frequency_hz - 1.0)
+        verdict: Verdict = "fail" if off > FREQUENCY_TOLERANCE else "pass"
+        judged.append(
+            Gate("flicker off nominal", 100 * off, "%", f"<= {100 * FREQUENCY_TOLERANCE:g}", verdict)
+        )
+    return judged
+
+
+def refusals(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
+    """Say why a recording does not count; empty when it does."""
+    reasons = [
+        f"{g.name} {g.value:.6g}{' ' + g.unit if g.unit else ''}, wanted {g.limit}"
+        for g in judged
+        if g.verdict == "fail"
+    ]
+    reasons += [f"data lost: {gap}" for gap in facts.gaps]
+    eaten = [f for f in FILTERS_THAT_EAT_FLICKER if facts.filters.get(f)]
+    if eaten:
+        reasons.append(f"on-chip filters were on: {', '.join(eaten)}")
+    if gates.require_triggers and facts.triggers == 0:
+        reasons.append("no sync triggers: check the cable from the light's sync output to the camera")
+    if not facts.complete:
+        reasons.append("the recording ended before its time")
+    return reasons

@@ -1,0 +1,170 @@
+"""What has happened in a run, replayed from its journal: a run's state is its journal and nothing else.
+
+Names every event a run writes and what each carries; knows no devices and no files but the journal's lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from bench.errors import JournalBroken
+from bench.journal import Entry, Journal
+from bench.run_folder import CAPTURE_STORED
+
+
+class Event(StrEnum):
+    """What a line of a run's journal tells."""
+
+    RUN_STARTED = "run_started"
+    """First line: id, seed, sequence and station names with the SHA-256 of their files, software, operator."""
+    RUN_RESUMED = "run_resumed"
+    """A process took the run up again; carries what the run folder looked like (RecoveryNotes)."""
+    DEVICES = "devices"
+    """Who the devices said they are."""
+    ENTERING = "entering"
+    """The machine is about to enter a state."""
+    LEFT_OFF = "left_off"
+    """The work of a state ended; with ``error`` where it did not end well."""
+    CAPTURE_STORED = CAPTURE_STORED
+    """A recording is whole and in its place, with what was known when it was made."""
+    STEP_DONE = "step_done"
+    """A step of the script is done and will not be done again."""
+    ATTEMPT_CHECKED = "attempt_checked"
+    """A recording was looked at: accepted or not, and why."""
+    ATTEMPT_LOST = "attempt_lost"
+    """A recording that the camera could not complete; nothing was stored."""
+    MADE_SAFE = "made_safe"
+    """Stage stopped, light off, camera stopped; with ``faults`` where one of them did not answer."""
+    SOLVED = "solved"
+    """A calibration stands: its main numbers."""
+    RECOVERED = "recovered"
+    """What a crash had left of the run folder (RecoveryNotes)."""
+    ANSWERED = "answered"
+    """An operator's (or the default) answer to a prompt."""
+    DEVIATION = "deviation"
+    """Something went otherwise than the script says; printed in the report."""
+    RUN_ENDED = "run_ended"
+    """Last line: finished, aborted or failed, and why."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One recording at one pose, as journaled when stored."""
+
+    pose_index: int
+    pose_name: str
+    attempt: int
+    stored: Mapping[str, Any]
+    checked: Mapping[str, Any] | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it passed its gates."""
+        return self.checked is not None and bool(self.checked["accepted"])
+
+
+@dataclass
+class History:
+    """A run so far."""
+
+    started: Mapping[str, Any] = field(default_factory=dict)
+    started_utc: str = ""
+    devices: Mapping[str, Any] = field(default_factory=dict)
+    done_steps: set[int] = field(default_factory=set)
+    attempts: list[Attempt] = field(default_factory=list)
+    lost: dict[int, int] = field(default_factory=dict)
+    """Recordings the camera could not complete, by pose index."""
+    states: list[dict[str, Any]] = field(default_factory=list)
+    deviations: list[str] = field(default_factory=list)
+    resumed: int = 0
+    ended: str = ""
+
+    def accepted(self) -> dict[int, Attempt]:
+        """The accepted recording of each pose that has one, by pose index."""
+        return {a.pose_index: a for a in self.attempts if a.accepted}
+
+    def attempts_at(self, pose_index: int) -> Sequence[Attempt]:
+        """All recordings stored at a pose, in order."""
+        return [a for a in self.attempts if a.pose_index == pose_index]
+
+    def next_attempt(self, pose_index: int) -> int:
+        """Number of the next recording at a pose: after those stored and those lost."""
+        return len(self.attempts_at(pose_index)) + self.lost.get(pose_index, 0) + 1
+
+    def unchecked(self, pose_index: int) -> Attempt | None:
+        """The last recording of a pose, when it was stored but not yet looked at."""
+        attempts = self.attempts_at(pose_index)
+        return attempts[-1] if attempts and attempts[-1].checked is None else None
+
+
+class RunLog:
+    """A run's journal together with what it amounts to, kept up to date line by line."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+        self.history = replay(journal.entries)
+
+    def tell(self, event: Event, **data: Any) -> None:
+        """Write one line; when this returns it lasts, and ``history`` knows it. Raises StorageError."""
+        _take(self.history, self.journal.append(event, **data))
+
+
+def replay(entries: Iterable[Entry]) -> History:
+    """Replay a journal.
+
+    Raises
+    ------
+    JournalBroken
+        When an event lacks what it must carry: another program wrote it.
+    """
+    history = History()
+    for entry in entries:
+        try:
+            _take(history, entry)
+        except (KeyError, TypeError, ValueError) as error:
+            raise JournalBroken(
+                f"Line {entry.seq + 1} ({entry.event}) lacks {error}.",
+                remedy="This journal was written by another program or version; it cannot be resumed by this one.",
+            ) from error
+    return history
+
+
+def _take(history: History, entry: Entry) -> None:
+    data = entry.data
+    match entry.event:
+        case Event.RUN_STARTED:
+            history.started, history.started_utc = data, entry.utc
+        case Event.RUN_RESUMED:
+            history.resumed += 1
+            history.ended = ""
+        case Event.DEVICES:
+            history.devices = data
+        case Event.ENTERING:
+            history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
+        case Event.STEP_DONE:
+            history.done_steps.add(int(data["step"]))
+        case Event.DEVIATION:
+            history.deviations.append(str(data["what"]))
+        case Event.ATTEMPT_LOST:
+            history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
+        case Event.RUN_ENDED:
+            history.ended = str(data["how"])
+        case Event.ATTEMPT_CHECKED:
+            _check(history, data)
+        case Event.CAPTURE_STORED:
+            history.attempts.append(
+                Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), data)
+            )
+
+
+def _check(history: History, data: Mapping[str, Any]) -> None:
+    for i, attempt in enumerate(history.attempts):
+        if (attempt.pose_index, attempt.attempt) == (data["pose"], data["attempt"]):
+            history.attempts[i] = Attempt(
+                attempt.pose_index, attempt.pose_name, attempt.attempt, attempt.stored, data
+            )
+            return
+    raise ValueError(f"a stored recording for pose {data['pose']}, attempt {data['attempt']}")

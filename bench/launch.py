@@ -1,0 +1,201 @@
+"""Begins a run, or takes one up again: files checked, folder made and held, journal begun, result sealed.
+
+Joins plan, run folder, journal, runner and seal. Everything that can be wrong with the files is found before the
+folder is made, and everything wrong with the folder before a device is opened.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TextIO
+
+from bench.clock import BenchClock
+from bench.devices import Devices
+from bench.errors import BenchError, RunFolderError
+from bench.history import Event, replay
+from bench.job import Job
+from bench.journal import Journal
+from bench.keys import ensure_key, home_folder
+from bench.plan import Plan
+from bench.progress import Progress
+from bench.result import REPORT, RESULTS, Outcome, software
+from bench.run_folder import RunFolder
+from bench.runner import RunEnd, Runner
+from bench.seal import seal
+from bench.signals import stop_on_signals
+from drivers.wire_log import WireLogFile
+
+SEQUENCE_COPY = "sequence.yaml"
+STATION_COPY = "station.yaml"
+PLAN = "plan.json"
+WIRE_LOG = "wire.jsonl"
+
+AskPassphrase = Callable[[Path], bytes]
+
+
+@dataclass(frozen=True)
+class Launch:
+    """What both ways of running need from whoever calls.
+
+    Attributes
+    ----------
+    clock
+        The run's clock.
+    stream
+        Where progress goes; standard error by default.
+    ask_passphrase
+        Asked for the passphrase of a protected signing key.
+    """
+
+    clock: BenchClock
+    stream: TextIO | None = None
+    ask_passphrase: AskPassphrase | None = None
+
+
+def start_run(
+    sequence: str,
+    station: str,
+    *,
+    output: Path | None,
+    seed: int | None,
+    operator: str | None,
+    launch: Launch,
+) -> RunEnd:
+    """Run a sequence on a station, from plan to sealed report.
+
+    Parameters
+    ----------
+    sequence, station
+        Paths of the files, or names of shipped ones.
+    output
+        The new run folder; by default one below ``runs/``, named by time and sequence.
+    seed
+        Seed of a simulated bench; drawn, and recorded, when not given.
+    operator
+        Who runs it.
+
+    Raises
+    ------
+    ScriptError
+        With everything that is wrong with the files.
+    RunFolderError, StorageError
+        When the folder cannot be used.
+    EvidenceError
+        When the signing key cannot be used.
+    """
+    seed = secrets.randbits(31) if seed is None else seed
+    job = Job.from_files(sequence, station, seed=seed, operator=operator)
+    plan = job.plan
+    folder_path = output or default_folder(plan, launch.clock.utc_now())
+    needed = plan.size_bytes + int(plan.station.value.disk.min_free_gb * 1e9)
+    with RunFolder.create(folder_path, bytes_needed=needed) as folder:
+        documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
+        for name, text in documents.items():
+            folder.write_atomic(name, text)
+        folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
+        with Journal.create(
+            folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
+        ) as journal:
+            journal.append(
+                Event.RUN_STARTED,
+                id=folder_path.resolve().name,
+                sequence=plan.sequence.value.name,
+                station=plan.station.value.name,
+                sha256={name: hashlib.sha256(text).hexdigest() for name, text in documents.items()},
+                seed=seed,
+                operator=job.operator,
+                simulated=job.simulated,
+                software=software(),
+            )
+            return _run_and_seal(job, folder, journal, launch)
+
+
+def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
+    """Take up a run that was aborted, failed, killed or cut off.
+
+    What is stored stays; the step at which it stopped is done again, after the move it stands on.
+
+    Raises
+    ------
+    RunFolderError
+        When there is no run, it is sealed, or another process works on it.
+    JournalBroken
+        When its journal does not hold.
+    ScriptError
+        When its sequence or station file no longer is what it was begun with.
+    """
+    with RunFolder.open(folder_path) as folder, Journal.open(
+        folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
+    ) as journal:
+        history = replay(journal.entries)
+        if not history.started:
+            raise RunFolderError(
+                "This run was cut off before it began.", where=str(folder.path), remedy="Start it anew."
+            )
+        _refuse_changed(folder.path, history.started["sha256"])
+        job = Job.from_files(
+            str(folder.path / SEQUENCE_COPY),
+            str(folder.path / STATION_COPY),
+            seed=history.started["seed"],
+            operator=history.started["operator"],
+        )
+        if history.ended == "finished":
+            return _seal_finished(folder, journal, launch)
+        journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software())
+        return _run_and_seal(job, folder, journal, launch)
+
+
+def default_folder(plan: Plan, now: datetime) -> Path:
+    """Name a run's folder by time and sequence, below ``runs/``."""
+    words = "".join(c if c.isalnum() and c.isascii() else "-" for c in plan.sequence.value.name.lower())
+    name = "-".join(filter(None, words.split("-")))[:40] or "run"
+    return Path("runs") / f"{now:%Y%m%d-%H%M%S}-{name}"
+
+
+def _run_and_seal(job: Job, folder: RunFolder, journal: Journal, launch: Launch) -> RunEnd:
+    clock = launch.clock
+    key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
+    wire_log = WireLogFile(folder.path / WIRE_LOG)
+    progress = Progress(clock.monotonic, job.plan.duration_s, len(job.plan.poses), launch.stream)
+
+    def open_devices() -> Devices:
+        return Devices(job.station, seed=job.seed, clock=clock, wire_log=wire_log)
+
+    with progress, stop_on_signals(clock.request_stop):
+        if key.created:
+            progress.say(f"A signing key for this bench was made: {key.fingerprint}; see `starbench keys`.")
+        end = Runner(job, folder, journal, open_devices, clock, progress).run()
+        wire_log.close()
+        if end.how == "finished":
+            journal.close()
+            seal(folder, key)
+    return end
+
+
+def _seal_finished(folder: RunFolder, journal: Journal, launch: Launch) -> RunEnd:
+    """Seal a run that was cut off between its last line and its seal."""
+    key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
+    journal.close()
+    results: dict[str, Any] = json.loads((folder.path / RESULTS).read_text(encoding="utf-8"))
+    seal(folder, key)
+    return RunEnd("finished", "", folder.path, Outcome(results, folder.path / REPORT))
+
+
+def _refuse_changed(folder: Path, hashes: dict[str, str]) -> None:
+    for name, sha256 in hashes.items():
+        try:
+            data = (folder / name).read_bytes()
+        except OSError as error:
+            raise BenchError(f"{name} cannot be read: {error.strerror}.", where=str(folder)) from error
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise RunFolderError(
+                f"{name} is not what this run was begun with.",
+                where=str(folder),
+                remedy="Put the original back, or start a new run with the changed one.",
+            )

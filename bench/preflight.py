@@ -1,0 +1,63 @@
+"""What must hold before anything moves: who answers, what they are set to, what faults they report."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from bench.devices import Devices
+from bench.errors import PreflightFailed
+from bench.gates import FILTERS_THAT_EAT_FLICKER
+from bench.job import Job
+from drivers.camera import CameraSettings
+
+
+def preflight(devices: Devices, job: Job) -> dict[str, Any]:
+    """Identify the devices, set the camera, and collect everything that stands against a run.
+
+    Nothing moves and the light stays off.
+
+    Parameters
+    ----------
+    devices
+        Open devices; their serial numbers were compared with the station file's at opening.
+    job
+        What is to be run.
+
+    Returns
+    -------
+    dict
+        ``camera``, ``stage`` (a list) and ``light``: who they say they are; ``camera_settings`` as read back.
+
+    Raises
+    ------
+    PreflightFailed
+        With every reason at once.
+    drivers.errors.DriverError
+        When a device does not answer, or is another one than named.
+    """
+    stage, light = devices.stage.identify(), devices.light.identify()
+    camera = devices.camera.identify()
+    devices.light.off()
+    settings = devices.camera.apply(CameraSettings(biases=job.biases, trigger_in=True))
+    filters = devices.camera.filters()
+    reasons = [f"stage: {fault}" for fault in devices.stage.faults()]
+    reasons += [f"light: {fault}" for fault in devices.light.faults()]
+    reasons += [
+        f"camera: its {f.upper()} filter cannot be switched off"
+        for f in FILTERS_THAT_EAT_FLICKER
+        if filters.get(f)
+    ]
+    if not settings.trigger_in:
+        reasons.append("camera: its trigger input cannot be enabled")
+    if reasons:
+        raise PreflightFailed(
+            f"The bench is not ready: {'; '.join(reasons)}.",
+            remedy="Mend this and run again; nothing has moved.",
+        )
+    return {
+        "camera": {**asdict(camera), "lens": job.lens},
+        "stage": [asdict(axis) for axis in stage],
+        "light": asdict(light),
+        "camera_settings": asdict(settings),
+    }

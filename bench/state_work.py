@@ -1,0 +1,215 @@
+"""What is done in each state of a run: the hardware actions and their journal lines.
+
+Reaches devices through their protocols only. When what is done, and what follows a failure, is the runner's
+business; what is computed from recordings stands in `bench.measure` and `bench.result`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from bench.clock import Aborted, BenchClock
+from bench.devices import Devices
+from bench.gates import recording_gates, refusals
+from bench.history import Event, RunLog
+from bench.job import Job, ScriptStep
+from bench.measure import Measurement
+from bench.plan import recording_duration_s
+from bench.preflight import preflight
+from bench.prompt import ask
+from bench.result import ResultWriter
+from bench.run_folder import RunFolder
+from drivers.camera import RecordingFacts
+from sequences.script import (
+    LightStep,
+    MoveStep,
+    PromptStep,
+    RecordStep,
+    SettleStep,
+    SolveStep,
+    WaitStep,
+)
+
+
+class StateWork:
+    """The work of the states, for the step at hand (``step``)."""
+
+    def __init__(
+        self,
+        job: Job,
+        folder: RunFolder,
+        log: RunLog,
+        open_devices: Callable[[], Devices],
+        clock: BenchClock,
+        say: Callable[[str], None],
+    ) -> None:
+        self.step: ScriptStep | None = None
+        self.results = ResultWriter(job, folder)
+        self._job = job
+        self._folder = folder
+        self._log = log
+        self._open_devices = open_devices
+        self._clock = clock
+        self._say = say
+        self._devices: Devices | None = None
+        self._measured: dict[int, Measurement] = {}
+
+    def table(self) -> Mapping[str, Callable[..., None]]:
+        """The work of each state that has some, for the state machine."""
+        return {
+            "recovering": self.recover,
+            "preflight": self.preflight,
+            "homing": self.home,
+            "lighting": self.set_light,
+            "slewing": self.slew,
+            "settling": self.stand_still,
+            "waiting": self.stand_still,
+            "recording": self.record,
+            "checking": self.check,
+            "holding": self.hold,
+            "parking": self.park,
+            "solving": self.solve,
+            "reporting": self.report,
+            "aborting": self.make_safe,
+        }
+
+    @property
+    def devices(self) -> Devices:
+        """The open devices; the machine has no edge that leads here before preflight."""
+        assert self._devices is not None
+        return self._devices
+
+    def recover(self, **_: Any) -> None:
+        """Put the run folder in order after a process died in it."""
+        notes = self._folder.recover(self._log.journal)
+        self._log.tell(Event.RECOVERED, **notes.as_data())
+        for name in notes.missing:
+            self._log.tell(Event.DEVIATION, what=f"{name} was missing when the run was resumed.")
+        for name in notes.changed:
+            self._log.tell(
+                Event.DEVIATION, what=f"{name} had changed when the run was resumed; it was set aside."
+            )
+
+    def preflight(self, **_: Any) -> None:
+        """Open the devices and see that they are those of the station file, and fit to begin."""
+        self._devices = self._open_devices()
+        self._log.tell(Event.DEVICES, **preflight(self._devices, self._job))
+
+    def home(self, **_: Any) -> None:
+        """Find the stage's reference, unless it has one."""
+        if not self.devices.stage.is_homed():
+            self.devices.stage.home()
+
+    def set_light(self, **_: Any) -> None:
+        """Switch the light as the step says."""
+        assert isinstance(self.step, LightStep)
+        if self.step.flicker is None:
+            self.devices.light.off()
+            return
+        self.devices.light.apply(self._job.light_settings(self.step.flicker))
+        self.devices.light.on()
+
+    def slew(self, **_: Any) -> None:
+        """Turn the camera into the step's pose."""
+        assert isinstance(self.step, MoveStep)
+        self.devices.stage.move_to(self.step.pose.angles_deg)
+
+    def stand_still(self, **_: Any) -> None:
+        """Let the step's time pass."""
+        assert isinstance(self.step, SettleStep | WaitStep)
+        self._clock.sleep(self.step.duration_s)
+
+    def record(self, *, attempt: int, **_: Any) -> None:
+        """Record at the step's pose; when this returns, the recording is whole, in its place and journaled."""
+        assert isinstance(self.step, RecordStep)
+        pose = self.step.pose
+        duration_s = recording_duration_s(self.step.window_ms, self._job.frequency_hz(self.step))
+        before = self._position()
+        light = self.devices.light.read()
+        part = self._folder.capture_part(pose.index, attempt)
+        facts = self.devices.camera.record(part, duration_s)
+        after = self._position()
+        capture = self._folder.commit_capture(pose.index, attempt)
+        self._log.tell(
+            Event.CAPTURE_STORED,
+            **capture.as_data(),
+            pose=pose.index,
+            pose_name=pose.name,
+            attempt=attempt,
+            commanded_deg=dict(pose.angles_deg),
+            measured_deg=before,
+            measured_after_deg=after,
+            light=asdict(light),
+            facts=asdict(facts),
+        )
+
+    def check(self, *, attempt: int, **_: Any) -> None:
+        """Look at the recording just stored: stars, event rate, triggers, motion; accept it or say why not."""
+        assert isinstance(self.step, RecordStep)
+        pose, gates = self.step.pose, self.step.gates
+        stored = next(a for a in self._log.history.attempts_at(pose.index) if a.attempt == attempt).stored
+        facts = RecordingFacts(**stored["facts"])
+        found = self._job.measure(self._folder.path / stored["capture"], self.step)
+        judged = recording_gates(facts, gates, self._job.frequency_hz(self.step), found.facts, found.stars)
+        judged += self._job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
+        reasons = [found.fault] if found.fault else []
+        reasons += refusals(facts, gates, judged)
+        if not reasons:
+            self._measured[pose.index] = found
+        self._log.tell(
+            Event.ATTEMPT_CHECKED,
+            pose=pose.index,
+            attempt=attempt,
+            accepted=not reasons,
+            reasons=reasons,
+            stars=found.stars,
+            gates=[gate.as_data() for gate in judged],
+            measured=dict(found.facts),
+        )
+
+    def hold(self, **_: Any) -> None:
+        """Ask the operator, and go on or abort as answered."""
+        assert isinstance(self.step, PromptStep)
+        answer = ask(
+            self.step.text,
+            default=self.step.default,
+            timeout_s=self.step.timeout_s,
+            clock=self._clock,
+            say=self._say,
+        )
+        self._log.tell(Event.ANSWERED, step=self.step.number, answer=answer.word, by=answer.by)
+        if answer.word == "abort":
+            raise Aborted(f"{self.step.text} was answered with abort ({answer.by})")
+
+    def park(self, **_: Any) -> None:
+        """Light off, stage back to zero: nothing more is needed of them."""
+        self.devices.light.off()
+        self.devices.stage.move_to(dict.fromkeys(self.devices.stage.axes, 0.0))
+
+    def solve(self, **_: Any) -> None:
+        """Calibrate from the accepted recordings."""
+        assert isinstance(self.step, SolveStep)
+        solved = self.results.solve(self.step, self._log.history, self._measured, self._clock.check)
+        self._log.tell(Event.SOLVED, **solved)
+
+    def report(self, **_: Any) -> None:
+        """Write results, pictures, exports and the report."""
+        truth = self._devices.truth() if self._devices is not None else self._job.read_truth()
+        self.results.write(self._log, truth)
+
+    def make_safe(self, **_: Any) -> None:
+        """Stop the stage, switch the light off, stop the camera: each, whatever the others do. Never raises."""
+        if self._devices is not None:
+            for fault in self._devices.make_safe():
+                self._say(f"CHECK THE BENCH: {fault}")
+
+    def close(self) -> None:
+        """Let the devices go; nothing moves."""
+        if self._devices is not None:
+            self._devices.close()
+
+    def _position(self) -> dict[str, float]:
+        stage = self.devices.stage
+        return {**stage.position_deg(), **{f"{axis}_encoder": a for axis, a in stage.encoder_deg().items()}}

@@ -1,0 +1,53 @@
+"""Gates: what is refused, and in which words."""
+
+import pytest
+
+from bench.gates import recording_gates, refusals
+from drivers.camera import RecordingFacts
+from sequences.script import Gates
+
+GATES = Gates(min_stars=40, max_event_rate_mev_s=100.0, require_triggers=True)
+MEASURED = {"flicker_hz": 60.0, "triggers_expected": 3, "triggers_found": 3}
+
+
+def facts(**changes):
+    given = {
+        "serial": "1", "model": "EVK4", "width": 1280, "height": 720, "bytes": 9, "duration_s": 0.05, "events": 3_000_000,
+        "triggers": 6, "biases": {}, "filters": {"afk": False, "erc": False},
+    }  # fmt: skip
+    return RecordingFacts(**(given | changes))
+
+
+def reasons(*, stars=300, measured=MEASURED, gates=GATES, frequency_hz=60.0, **changes):
+    told = facts(**changes)
+    return refusals(told, gates, recording_gates(told, gates, frequency_hz, measured, stars))
+
+
+def test_a_good_recording_is_not_refused():
+    assert reasons() == []
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"stars": 12}, "stars 12, wanted >= 40"),
+        ({"events": 9_000_000}, "event rate 180 Mev/s, wanted <= 100"),
+        ({"measured": MEASURED | {"triggers_found": 1}}, "triggers missed 2, wanted <= 1"),
+        ({"measured": MEASURED | {"flicker_hz": 50.0}}, "flicker off nominal 16.6667 %"),
+        ({"gaps": ("words are missing",)}, "data lost: words are missing"),
+        ({"filters": {"afk": True}}, "on-chip filters were on: afk"),
+        ({"triggers": 0}, "no sync triggers"),
+        ({"complete": False}, "ended before its time"),
+    ],
+)
+def test_each_fault_is_refused_in_words_that_name_it(given, words):
+    assert any(words in reason for reason in reasons(**given)), reasons(**given)
+
+
+def test_triggers_are_not_demanded_where_the_sequence_says_so():
+    free = Gates(40, 100.0, require_triggers=False)
+    assert reasons(gates=free, triggers=0, measured={"flicker_hz": 60.0}) == []
+
+
+def test_an_empty_recording_has_no_rate_and_does_not_divide_by_zero():
+    assert "stars 0, wanted >= 40" in reasons(stars=0, duration_s=0.0, events=0)

@@ -1,0 +1,89 @@
+"""What the operator sees and is asked."""
+
+import io
+
+import pytest
+
+from bench.clock import Aborted, BenchClock
+from bench.progress import Progress, clock_text
+from bench.prompt import ask
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_without_a_terminal_each_change_is_a_line_with_state_pose_and_time_left():
+    now = [100.0]
+    stream = io.StringIO()
+    with Progress(lambda: now[0], total_s=90.0, poses=3, stream=stream) as progress:
+        progress.show("slewing", pose=2, detail="upper left")
+        now[0] = 110.0
+        progress.done(60.0)
+        now[0] = 115.0
+        progress.show("recording", pose=2)
+    lines = stream.getvalue().splitlines()
+    assert "slewing" in lines[0]
+    assert "pose 2 of 3" in lines[0]
+    assert "1:30 left" in lines[0]
+    assert "upper left" in lines[0]
+    assert "0:25 left" in lines[1]
+
+
+def test_time_left_never_falls_below_zero():
+    now = [0.0]
+    progress = Progress(lambda: now[0], total_s=5.0, poses=1, stream=io.StringIO())
+    now[0] = 60.0
+    assert progress.left_s() == 0.0
+    assert clock_text(progress.left_s()) == "0:00"
+
+
+def test_where_nobody_is_there_the_default_counts_at_once():
+    said = []
+    reply = ask(
+        "Cap on?", default="abort", timeout_s=600, clock=BenchClock(), say=said.append, terminal=io.StringIO()
+    )
+    assert (reply.word, reply.by) == ("abort", "nobody there")
+    assert "Cap on?" in said[0]
+
+
+def test_the_default_counts_after_the_time_out(monkeypatch):
+    monkeypatch.setattr("bench.prompt.select.select", lambda *_: ([], [], []))
+    clock = BenchClock()
+    reply = ask(
+        "Go?", default="continue", timeout_s=0.05, clock=clock, say=lambda _: None, terminal=Terminal()
+    )
+    assert (reply.word, reply.by) == ("continue", "time-out")
+
+
+@pytest.mark.parametrize(
+    ("typed", "word"),
+    [("a\n", "abort"), ("continue\n", "continue"), ("what\nn\n", "abort"), ("\n", "continue")],
+)
+def test_the_operators_word_counts(monkeypatch, typed, word):
+    terminal = Terminal(typed)
+    monkeypatch.setattr("bench.prompt.select.select", lambda *_: ([terminal], [], []))
+    reply = ask(
+        "Go?", default="continue", timeout_s=60, clock=BenchClock(), say=lambda _: None, terminal=terminal
+    )
+    assert (reply.word, reply.by) == (word, "operator")
+
+
+def test_a_stop_ends_the_question(monkeypatch):
+    monkeypatch.setattr("bench.prompt.select.select", lambda *_: ([], [], []))
+    clock = BenchClock()
+    clock.request_stop("SIGTERM received")
+    with pytest.raises(Aborted, match="SIGTERM"):
+        ask("Go?", default="continue", timeout_s=60, clock=clock, say=lambda _: None, terminal=Terminal())
+
+
+def test_a_shielded_clock_is_not_interrupted():
+    clock = BenchClock()
+    clock.request_stop("first reason")
+    clock.request_stop("second reason")
+    with clock.shielded():
+        clock.sleep(0.0)
+        clock.check()
+    with pytest.raises(Aborted, match="first reason"):
+        clock.check()
