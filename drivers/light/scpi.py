@@ -1,0 +1,268 @@
+"""Flicker lights driven by an SCPI function generator: its output feeds the lamp, its sync the camera.
+
+Knows the words of a generator (those of the Keysight 33250A) and what may go wrong with a setting: clipped,
+refused, taken and silently dropped. Every setting is read back. Nothing is switched by opening.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Literal, TypeVar
+
+from drivers.clock import Clock
+from drivers.errors import LightFault, ReplyGarbled, SettingRefused, WrongDevice
+from drivers.light import LightIdentity, LightSettings, Waveform
+from drivers.scpi_line import InstrumentError, ScpiLine
+from drivers.serial_port import Port, SerialPort
+from drivers.wire_log import WireLog
+
+Load = Literal["high-z", "50-ohm", "unchanged"]
+"""What the generator takes its output to be connected to: its levels are those at this load."""
+
+_WAVEFORMS: dict[str, Waveform] = {"SQU": "square", "SQUARE": "square", "SIN": "sine", "SINUSOID": "sine"}
+_WORDS: dict[Waveform, str] = {"square": "SQU", "sine": "SIN"}
+_TRIES = 3
+
+# How far a value read back may lie from the one asked: the finest of what generators resolve and print.
+_FREQUENCY_REL = 1e-6
+_DUTY_PERCENT = 0.01
+_LEVEL_REL = 1e-3
+_LEVEL_V = 0.002
+
+T = TypeVar("T")
+
+
+class ScpiLight:
+    """A light behind an SCPI generator. Implements ``drivers.light.Light``.
+
+    Open it with ``ScpiLight.open``; the constructor takes a port that is open already.
+
+    Parameters
+    ----------
+    port
+        The open port.
+    serial
+        The generator's serial number as ``*IDN?`` says it; None when it need not be checked.
+    clock, wire_log
+        See ``drivers.link.Link``.
+    load
+        Set before the levels; "unchanged" for a generator that has no such setting.
+
+    Raises
+    ------
+    WrongDevice
+        Another serial number answers; nothing was set.
+    ReplyError, PortLost
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        *,
+        serial: str | None = None,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+        load: Load = "high-z",
+    ) -> None:
+        self._serial = serial
+        self._load: Load = load
+        self._switched_on = False
+        try:
+            self._line = ScpiLine(port, clock=clock, wire_log=wire_log)
+            self.identify()
+        except BaseException:
+            port.close()
+            raise
+
+    @classmethod
+    def open(
+        cls,
+        port: str,
+        *,
+        serial: str | None = None,
+        baudrate: int = 9600,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+        load: Load = "high-z",
+    ) -> ScpiLight:
+        """Open the port and check who answers. Sets and switches nothing.
+
+        Raises PortNotFound, PortBusy, PortDenied, and what the constructor raises.
+        """
+        opened = SerialPort(port, baudrate=baudrate)
+        return cls(opened, serial=serial, clock=clock, wire_log=wire_log, load=load)
+
+    def identify(self) -> LightIdentity:
+        """Return who it is. Raises WrongDevice when the serial number is not the station file's."""
+        identity = LightIdentity(*self._line.identity)
+        if self._serial is not None and identity.serial != self._serial:
+            raise WrongDevice(
+                f"the station file says serial {self._serial}, but {identity.maker} {identity.model} with"
+                f" serial {identity.serial} answers. Nothing was set.",
+                where=self._line.name,
+                remedy="Check the port and the serial in the station file.",
+            )
+        return identity
+
+    def apply(self, settings: LightSettings) -> LightSettings:
+        """Set everything, read it back, and return what the generator says.
+
+        Raises SettingRefused, naming what was asked and what the generator has instead.
+        """
+        if self._load != "unchanged":
+            self._set("load", f"OUTP:LOAD {'INF' if self._load == 'high-z' else '50'}")
+        self._set("waveform", f"FUNC {_WORDS[settings.waveform]}")
+        self._set("frequency", f"FREQ {settings.frequency_hz:.12g}")
+        if settings.waveform == "square":
+            self._set("duty", f"FUNC:SQU:DCYC {settings.duty_percent:.6g}")
+        for name, command in self._levels(settings):
+            self._set(name, command)
+        self._set("sync", f"OUTP:SYNC {'ON' if settings.sync_output else 'OFF'}")
+        got = self.read()
+        _compare(settings, got, self._line.name)
+        return got
+
+    def read(self) -> LightSettings:
+        """Return the present settings, asked of the generator.
+
+        Everything is read twice: SCPI has no checksums, and a digit can change on the line. Raises
+        LightFault when it makes neither square nor sine; ReplyGarbled when two readings never agree.
+        """
+        return self._agreeing(self._read_once)
+
+    def on(self) -> None:
+        """Switch the output on and see that it is. Raises LightFault, SettingRefused."""
+        self._set("output", "OUTP ON")
+        if not self.is_on():
+            raise LightFault(
+                "the output was switched on, but reads off.",
+                where=self._line.name,
+                remedy="See whether the generator shows an overload on its output.",
+            )
+        self._switched_on = True
+
+    def off(self) -> None:
+        """Switch the output off and see that it is. Goes out at once, before any resynchronising.
+
+        Raises LightFault; ReplyError, PortLost when it cannot be known.
+        """
+        self._switched_on = False
+        self._line.blurt("OUTP OFF")
+        if not self.is_on():
+            return
+        self._line.tell("OUTP OFF")
+        if self.is_on():
+            raise LightFault(
+                "the output was switched off, but reads on.",
+                where=self._line.name,
+                remedy="Switch the generator's output off by hand.",
+            )
+
+    def is_on(self) -> bool:
+        """Whether the output is on, asked of the generator twice."""
+        return self._agreeing(lambda: self._line.switch("OUTP?"))
+
+    def faults(self) -> Sequence[str]:
+        """Return the generator's errors since last asked, and whether it went dark by itself."""
+        found = [f"the generator reports {error}" for error in self._line.errors()]
+        if self._switched_on and not self.is_on():
+            found.append("the output was switched on, but is off")
+        return found
+
+    def close(self) -> None:
+        """Give the port back; does not switch anything."""
+        self._line.close()
+
+    # ------------------------------------------------------------ inside
+
+    def _set(self, name: str, command: str) -> None:
+        errors = self._line.tell(command)
+        if errors:
+            raise SettingRefused(
+                f"{name} is not taken: '{command}' is answered by {_in_words(errors)}.",
+                where=self._line.name,
+                remedy=_remedy(name, errors),
+            )
+
+    def _levels(self, settings: LightSettings) -> list[tuple[str, str]]:
+        """Order the two levels so that high stays above low in between, whatever they were."""
+        high = ("high level", f"VOLT:HIGH {settings.high_v:.6g}")
+        low = ("low level", f"VOLT:LOW {settings.low_v:.6g}")
+        return [high, low] if settings.high_v > self._line.number("VOLT:LOW?") else [low, high]
+
+    def _read_once(self) -> LightSettings:
+        word = self._line.ask("FUNC?").upper()
+        if word not in _WAVEFORMS:
+            raise LightFault(
+                f"the generator makes {word}, neither a square nor a sine.",
+                where=self._line.name,
+                remedy="Apply the light's settings first.",
+            )
+        settings = LightSettings(
+            waveform=_WAVEFORMS[word],
+            frequency_hz=self._line.number("FREQ?"),
+            low_v=self._line.number("VOLT:LOW?"),
+            high_v=self._line.number("VOLT:HIGH?"),
+            sync_output=self._line.switch("OUTP:SYNC?"),
+        )
+        if settings.waveform == "square":
+            settings = replace(settings, duty_percent=self._line.number("FUNC:SQU:DCYC?"))
+        return settings
+
+    def _agreeing(self, read: Callable[[], T]) -> T:
+        """Read until two readings in a row agree."""
+        before = read()
+        for _ in range(_TRIES):
+            now = read()
+            if now == before:
+                return now
+            before = now
+        raise ReplyGarbled(
+            "two readings of the generator's settings never agree.",
+            where=self._line.name,
+            remedy="Check the cable, and that nobody turns its knobs.",
+        )
+
+
+def _compare(asked: LightSettings, got: LightSettings, where: str) -> None:
+    """Raise SettingRefused, naming every setting that reads back otherwise than asked."""
+    level_v = _LEVEL_V + _LEVEL_REL * max(abs(asked.high_v), abs(asked.low_v))
+    pairs = [
+        ("waveform", asked.waveform, got.waveform, asked.waveform == got.waveform),
+        (
+            "frequency_hz",
+            asked.frequency_hz,
+            got.frequency_hz,
+            math.isclose(asked.frequency_hz, got.frequency_hz, rel_tol=_FREQUENCY_REL),
+        ),
+        (
+            "duty_percent",
+            asked.duty_percent,
+            got.duty_percent,
+            asked.waveform != "square" or abs(asked.duty_percent - got.duty_percent) <= _DUTY_PERCENT,
+        ),
+        ("high_v", asked.high_v, got.high_v, abs(asked.high_v - got.high_v) <= level_v),
+        ("low_v", asked.low_v, got.low_v, abs(asked.low_v - got.low_v) <= level_v),
+        ("sync_output", asked.sync_output, got.sync_output, asked.sync_output == got.sync_output),
+    ]
+    wrong = [f"{name}: asked {want}, got {have}" for name, want, have, same in pairs if not same]
+    if wrong:
+        raise SettingRefused(
+            f"the generator has other settings than asked ({'; '.join(wrong)}).",
+            where=where,
+            remedy="Ask for values within the generator's range and resolution.",
+        )
+
+
+def _in_words(errors: Sequence[InstrumentError]) -> str:
+    return "; ".join(map(str, errors))
+
+
+def _remedy(name: str, errors: Sequence[InstrumentError]) -> str:
+    if any(error.code == -113 for error in errors):
+        if name == "load":
+            return "Say 'load: unchanged' in the station file: this generator has no load setting."
+        return "See that the station file names the right driver for this generator."
+    return "Ask for a value within the generator's range."

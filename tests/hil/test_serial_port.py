@@ -1,0 +1,264 @@
+"""Real ports: pseudo-terminals that are held, refused, unplugged and plugged in again."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import socket
+import subprocess
+import sys
+import termios
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.errors import PortBusy, PortDenied, PortLost, PortNotFound, ReplyTimeout
+from drivers.link import Link
+from drivers.serial_port import SerialPort
+
+HOLD = """
+import sys, time
+from drivers.serial_port import SerialPort
+port = SerialPort(sys.argv[1], baudrate=9600)
+print("held", flush=True)
+time.sleep(600)
+"""
+
+
+class Plug:
+    """A pseudo-terminal under a name that stays, as /dev/serial/by-id does."""
+
+    def __init__(self, link: Path) -> None:
+        self.link = link
+        self.plug()
+
+    def plug(self) -> None:
+        self.ours, self.theirs = pty.openpty()
+        tty.setraw(self.theirs)
+        self.link.unlink(missing_ok=True)
+        self.link.symlink_to(os.ttyname(self.theirs))
+
+    def unplug(self) -> None:
+        os.close(self.ours)
+        os.close(self.theirs)
+        self.ours = self.theirs = -1
+
+    def close(self) -> None:
+        if self.ours >= 0:
+            self.unplug()
+
+
+@pytest.fixture
+def plug(tmp_path) -> Iterator[Plug]:
+    plug = Plug(tmp_path / "device")
+    yield plug
+    plug.close()
+
+
+@pytest.fixture
+def port(plug) -> Iterator[SerialPort]:
+    port = SerialPort(str(plug.link), baudrate=115200)
+    yield port
+    port.close()
+
+
+def test_bytes_go_both_ways(plug, port) -> None:
+    port.write(b"to the device\n")
+    assert os.read(plug.ours, 100) == b"to the device\n"
+    os.write(plug.ours, b"from it\n")
+    data = b""
+    while len(data) < 8:
+        data += port.read(5.0)
+    assert data == b"from it\n"
+
+
+def test_reading_returns_nothing_when_nothing_comes(port) -> None:
+    began_s = time.monotonic()
+    assert port.read(0.0) == b""
+    assert port.read(0.12) == b""
+    assert time.monotonic() - began_s >= 0.12
+
+
+def test_opening_sends_nothing(plug, port) -> None:
+    os.set_blocking(plug.ours, False)
+    with pytest.raises(BlockingIOError):
+        os.read(plug.ours, 1)
+
+
+def test_closing_leaves_the_modem_lines_up(plug, port) -> None:
+    assert not termios.tcgetattr(plug.theirs)[2] & termios.HUPCL
+
+
+def test_two_stop_bits_reach_the_line(plug) -> None:
+    port = SerialPort(str(plug.link), baudrate=115200, stopbits=2)
+    assert termios.tcgetattr(plug.theirs)[2] & termios.CSTOPB
+    port.close()
+
+
+def test_a_port_is_opened_once_only_in_one_process(plug, port) -> None:
+    with pytest.raises(PortBusy, match="another program holds the port"):
+        SerialPort(str(plug.link), baudrate=9600)
+
+
+def test_a_refused_opening_does_not_touch_the_holders_line(plug, port) -> None:
+    before = termios.tcgetattr(plug.theirs)
+    with pytest.raises(PortBusy):
+        SerialPort(str(plug.link), baudrate=9600)
+    assert termios.tcgetattr(plug.theirs) == before
+
+
+def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> None:
+    holder = subprocess.Popen([sys.executable, "-c", HOLD, str(plug.link)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(PortBusy):
+            SerialPort(str(plug.link), baudrate=9600)
+        holder.send_signal(signal.SIGKILL)
+        holder.wait()
+        os.set_blocking(plug.ours, False)
+        with pytest.raises(BlockingIOError):
+            os.read(plug.ours, 1)
+        SerialPort(str(plug.link), baudrate=9600).close()
+    finally:
+        holder.kill()
+        holder.wait()
+        holder.stdout.close()
+
+
+def test_a_closed_port_can_be_opened_again(plug, port) -> None:
+    port.close()
+    port.close()
+    SerialPort(str(plug.link), baudrate=9600).close()
+
+
+def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:
+    with pytest.raises(
+        PortNotFound, match=r"nowhere: there is no such port\. See that the device is plugged in"
+    ):
+        SerialPort(str(tmp_path / "nowhere"), baudrate=9600)
+
+
+def test_a_file_is_no_port(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PortNotFound, match="cannot be opened as a serial port"):
+        SerialPort(str(tmp_path / "file"), baudrate=9600)
+
+
+def test_an_unknown_url_is_no_port() -> None:
+    with pytest.raises(PortNotFound, match="this is no port"):
+        SerialPort("nonsense://1", baudrate=9600)
+
+
+def test_no_permission_is_told_with_its_remedy(plug, monkeypatch) -> None:
+    def refuse(*arguments):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("serial.serialposix.os.open", refuse)
+    with pytest.raises(PortDenied, match="dialout"):
+        SerialPort(str(plug.link), baudrate=9600)
+
+
+def read_on(port: SerialPort) -> None:
+    while True:
+        port.read(30.0)
+
+
+@pytest.mark.parametrize(
+    "action",
+    [lambda port: port.read(5.0), lambda port: port.read(0.0), lambda port: port.write(b"x\n"), read_on],
+    ids=["read", "read without waiting", "write", "read on"],
+)
+def test_an_unplugged_port_is_lost_whatever_is_done_with_it(plug, port, action) -> None:
+    plug.unplug()
+    with pytest.raises(PortLost, match="the port is gone"):
+        action(port)
+    with pytest.raises(PortLost, match="lost before"):
+        port.write(b"x\n")
+    port.close()
+
+
+def test_unplugging_ends_a_waiting_read_within_seconds(plug, port) -> None:
+    timer = threading.Timer(0.1, plug.unplug)
+    timer.start()
+    began_s = time.monotonic()
+    with pytest.raises(PortLost):
+        read_on(port)
+    assert time.monotonic() - began_s < 5.0
+    timer.join()
+
+
+def test_after_replugging_the_same_name_is_opened_anew(plug, port) -> None:
+    plug.unplug()
+    with pytest.raises(PortLost):
+        port.read(1.0)
+    port.close()
+    plug.plug()
+    again = SerialPort(str(plug.link), baudrate=9600)
+    again.write(b"hello\n")
+    assert os.read(plug.ours, 100) == b"hello\n"
+    again.close()
+
+
+def test_a_socket_serves_as_a_port() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = SerialPort(f"socket://127.0.0.1:{server.getsockname()[1]}", baudrate=9600)
+        peer, _ = server.accept()
+        port.write(b"over the net\n")
+        assert peer.recv(100) == b"over the net\n"
+        peer.sendall(b"and back\n")
+        data = b""
+        while len(data) < 9:
+            data += port.read(5.0)
+        assert data == b"and back\n"
+        peer.close()
+        with pytest.raises(PortLost):
+            read_on(port)
+        port.close()
+
+
+def test_a_closed_network_port_is_not_found() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        number = server.getsockname()[1]
+    with pytest.raises(PortNotFound):
+        SerialPort(f"socket://127.0.0.1:{number}", baudrate=9600)
+
+
+def test_silence_ends_at_the_deadline(port) -> None:
+    link = Link(port, clock=SystemClock(), resynchronise=lambda: None)
+    began_s = time.monotonic()
+    with pytest.raises(ReplyTimeout):
+        link.exchange(b"anybody?\n", lambda incoming: incoming.line(), deadline_s=0.2)
+    assert time.monotonic() - began_s >= 0.2
+
+
+def test_threads_take_turns_on_one_line(plug, port) -> None:
+    def echo() -> None:
+        served = 0
+        while served < 80:
+            data = os.read(plug.ours, 100)
+            os.write(plug.ours, data)
+            served += data.count(b"\n")
+
+    device = threading.Thread(target=echo)
+    device.start()
+    link = Link(port, clock=SystemClock(), resynchronise=lambda: None)
+    wrong = []
+
+    def ask(name: str) -> None:
+        for number in range(20):
+            text = f"{name}{number}\n".encode()
+            if link.exchange(text, lambda incoming: incoming.line(), deadline_s=30.0) != text:
+                wrong.append(text)
+
+    threads = [threading.Thread(target=ask, args=(name,)) for name in "abcd"]
+    for thread in threads:
+        thread.start()
+    for thread in [*threads, device]:
+        thread.join()
+    assert wrong == []

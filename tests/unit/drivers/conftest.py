@@ -1,0 +1,63 @@
+"""Ends of a line for driver tests: a transcript that must be followed to the byte, and a clock that is turned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+
+class ScriptedPort:
+    """Answers what a transcript of (sent, received) pairs says, and nothing else."""
+
+    name = "scripted"
+
+    def __init__(self, pairs: list[tuple[bytes, bytes]]) -> None:
+        self.pairs = list(pairs)
+        self.ready = b""
+        self.closed = False
+
+    def write(self, data: bytes) -> None:
+        assert self.pairs, f"{data!r} was sent after the end of the transcript"
+        sent, received = self.pairs.pop(0)
+        assert data == sent
+        self.ready += received
+
+    def read(self, timeout_s: float) -> bytes:
+        data, self.ready = self.ready, b""
+        return data
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class TurnedClock:
+    """Time passes only where somebody waits."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+@pytest.fixture
+def clock() -> TurnedClock:
+    return TurnedClock()
+
+
+@pytest.fixture
+def scripted() -> Iterator:
+    """Make ports that follow a transcript; at the end of the test none of it may be left over."""
+    ports: list[ScriptedPort] = []
+
+    def make(pairs: list[tuple[bytes, bytes]]) -> ScriptedPort:
+        ports.append(ScriptedPort(pairs))
+        return ports[-1]
+
+    yield make
+    for port in ports:
+        assert port.pairs == [], "a part of the transcript was never sent"

@@ -1,0 +1,94 @@
+"""What all stages' moves have in common."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits
+from drivers.stage import AxisLimits
+from drivers.stage.motion import MoveWatch, check_targets, deadline_s, longest_move_s, travel_time_s
+
+PAN = AxisLimits(-15.0, 15.0, speed_deg_s=10.0, acceleration_deg_s2=20.0)
+TILT = AxisLimits(-10.0, 10.0, speed_deg_s=1.0, acceleration_deg_s2=20.0)
+LIMITS = {"pan": PAN, "tilt": TILT}
+
+
+def watch(target_deg: float | None = 5.0) -> MoveWatch:
+    return MoveWatch("pan", target_deg, tolerance_deg=0.001, now_s=0.0, allowed_s=4.0, patience_s=1.0)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(0.1, 100.0), st.floats(0.1, 1000.0))
+def test_travel_time_is_that_of_the_speed_profile_integrated(distance, speed, acceleration) -> None:
+    total = travel_time_s(distance, speed, acceleration)
+    ramp = min(total / 2.0, speed / acceleration)
+    assert acceleration * ramp * (total - ramp) == pytest.approx(distance, rel=1e-9)
+
+
+def test_the_slowest_axis_decides_the_time_of_a_move() -> None:
+    assert longest_move_s(LIMITS, {"pan": 0.0, "tilt": 0.0}, {"pan": 10.0, "tilt": 5.0}) == pytest.approx(
+        5.05
+    )
+    assert longest_move_s(LIMITS, {"pan": 0.0}, {}) == 0.0
+
+
+def test_the_deadline_grows_with_the_distance() -> None:
+    assert deadline_s(PAN, 0.0, 10.0) == pytest.approx(1.5 + 2 * 0.5 + 3.0)
+
+
+def test_all_axes_at_fault_are_named_at_once() -> None:
+    with pytest.raises(OutsideLimits) as caught:
+        check_targets(LIMITS, {"pan": 15.1, "tilt": -11.0, "yaw": 0.0}, "port")
+    assert "pan 15.1 deg is outside -15 to 15 deg" in str(caught.value)
+    assert "tilt -11 deg is outside -10 to 10 deg" in str(caught.value)
+    assert "no axis 'yaw'" in str(caught.value)
+    check_targets(LIMITS, {"pan": 15.0, "tilt": -10.0}, "port")
+
+
+def test_not_a_number_is_outside_all_limits() -> None:
+    with pytest.raises(OutsideLimits):
+        check_targets(LIMITS, {"pan": float("nan")}, "port")
+
+
+def test_a_move_has_arrived_after_two_idle_reads_at_its_target() -> None:
+    move = watch()
+    assert not move.look(0.1, 2.0, busy=True)
+    assert not move.look(0.2, 5.0, busy=False)
+    assert move.look(0.3, 5.0005, busy=False)
+
+
+def test_one_idle_read_in_mid_move_decides_nothing() -> None:
+    move = watch()
+    for tick, busy in enumerate([True, False, True, False, True]):
+        assert not move.look(0.1 * tick, float(tick), busy=busy)
+
+
+def test_a_move_that_stops_short_has_failed() -> None:
+    move = watch()
+    move.look(0.1, 4.9, busy=False)
+    with pytest.raises(
+        MoveFailed, match=r"pan: stopped at 4\.9000 deg, -0\.1000 deg from its target 5\.0000 deg"
+    ):
+        move.look(0.2, 4.9, busy=False)
+
+
+def test_an_axis_that_is_busy_without_progress_has_failed() -> None:
+    move = watch()
+    move.look(0.1, 2.0, busy=True)
+    move.look(1.0, 2.0, busy=True)
+    with pytest.raises(MoveFailed, match=r"busy without progress for 1 s, at 2\.0000 deg"):
+        move.look(1.2, 2.0, busy=True)
+
+
+def test_an_axis_that_creeps_for_ever_meets_its_deadline() -> None:
+    move = watch()
+    for tick in range(41):
+        assert not move.look(0.1 * tick, 0.001 * tick, busy=True)
+    with pytest.raises(MoveTimeout, match=r"still moving after 4\.0 s"):
+        move.look(4.1, 0.1, busy=True)
+
+
+def test_a_search_for_the_reference_ends_wherever_it_ends() -> None:
+    search = watch(None)
+    search.look(0.1, -3.0, busy=True)
+    search.look(0.2, 0.0, busy=False)
+    assert search.look(0.3, 0.0, busy=False)

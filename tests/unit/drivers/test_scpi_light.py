@@ -1,0 +1,359 @@
+"""The SCPI light: what it sends, and that no setting is taken for made that was not.
+
+A small model of a generator answers in memory; each test breaks one thing about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.errors import DriverError, LightFault, ReplyError, SettingRefused, WrongDevice
+from drivers.light import LightSettings
+from drivers.light.scpi import ScpiLight
+from drivers.scpi_line import ScpiLine
+
+IDENTITY = "Agilent Technologies,33250A,SG0042,2.00"
+
+
+class Generator:
+    """Settings by their header, and an error queue. `spoil` may change a reply line."""
+
+    name = "generator"
+
+    def __init__(self) -> None:
+        self.values = {
+            "FUNC": "SIN",
+            "FREQ": 1000.0,
+            "FUNC:SQU:DCYC": 50.0,
+            "VOLT:HIGH": 0.05,
+            "VOLT:LOW": -0.05,
+            "OUTP": "0",
+            "OUTP:SYNC": "1",
+            "OUTP:LOAD": 50.0,
+        }
+        self.highest_hz = 80e6
+        self.queue: list[str] = []
+        self.has_queue = True
+        self.identity = IDENTITY
+        self.ready = b""
+        self.sent: list[str] = []
+        self.closed = False
+        self.spoil: Callable[[bytes], bytes] = lambda line: line
+        self.before: Callable[[str], None] = lambda line: None
+
+    def write(self, data: bytes) -> None:
+        assert data.endswith(b"\n")
+        line = data[:-1].decode("ascii")
+        self.sent.append(line)
+        self.before(line)
+        header, _, value = line.partition(" ")
+        if header.endswith("?"):
+            answer = self.answer(header[:-1])
+            if answer is not None:
+                self.ready += self.spoil(f"{answer}\r\n".encode())
+        elif header in self.values:
+            self.set(header, value)
+        else:
+            self.queue.append('-113,"Undefined header"')
+
+    def answer(self, header: str) -> str | None:
+        if header == "*IDN":
+            return self.identity
+        if header == "SYST:ERR":
+            if not self.has_queue:
+                return None
+            return self.queue.pop(0) if self.queue else '+0,"No error"'
+        if header not in self.values:
+            self.queue.append('-113,"Undefined header"')
+            return None
+        value = self.values[header]
+        return value if isinstance(value, str) else f"{value:+.13E}"
+
+    def set(self, header: str, value: str) -> None:
+        if header in {"OUTP", "OUTP:SYNC"}:
+            self.values[header] = {"ON": "1", "OFF": "0"}[value]
+        elif header == "FUNC":
+            self.values[header] = value
+        elif header == "OUTP:LOAD" and value == "INF":
+            self.values[header] = 9.9e37
+        else:
+            self.clip(header, float(value))
+
+    def clip(self, header: str, number: float) -> None:
+        if header == "FREQ" and number > self.highest_hz:
+            number = self.highest_hz
+            self.queue.append('-222,"Data out of range"')
+        if (header == "VOLT:HIGH" and number <= self.values["VOLT:LOW"]) or (
+            header == "VOLT:LOW" and number >= self.values["VOLT:HIGH"]
+        ):
+            self.queue.append('-221,"Settings conflict"')
+            return
+        self.values[header] = number
+
+    def read(self, timeout_s: float) -> bytes:
+        data, self.ready = self.ready, b""
+        return data
+
+    def close(self) -> None:
+        self.closed = True
+
+    def commands(self) -> list[str]:
+        return [line for line in self.sent if "?" not in line]
+
+
+@pytest.fixture
+def generator() -> Generator:
+    return Generator()
+
+
+@pytest.fixture
+def light(generator, clock) -> ScpiLight:
+    return ScpiLight(generator, serial="SG0042", clock=clock)
+
+
+FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 3.3, sync_output=True)
+
+
+def test_opening_sets_and_switches_nothing(light, generator) -> None:
+    assert generator.commands() == []
+
+
+def test_identity_is_what_the_generator_says(light) -> None:
+    identity = light.identify()
+    assert (identity.maker, identity.model) == ("Agilent Technologies", "33250A")
+    assert (identity.serial, identity.firmware) == ("SG0042", "2.00")
+
+
+def test_another_serial_number_is_refused(generator, clock) -> None:
+    with pytest.raises(
+        WrongDevice, match="serial SG0043, but Agilent Technologies 33250A with serial SG0042"
+    ):
+        ScpiLight(generator, serial="SG0043", clock=clock)
+    assert generator.closed
+    assert generator.commands() == []
+
+
+def test_a_flicker_is_set_in_the_generators_words(light, generator) -> None:
+    assert light.apply(FLICKER) == FLICKER
+    assert generator.commands() == [
+        "OUTP:LOAD INF",
+        "FUNC SQU",
+        "FREQ 60",
+        "FUNC:SQU:DCYC 30",
+        "VOLT:HIGH 3.3",
+        "VOLT:LOW 0",
+        "OUTP:SYNC ON",
+    ]
+    assert generator.values["OUTP"] == "0"
+
+
+def test_a_sine_has_no_duty(light, generator) -> None:
+    sine = LightSettings("sine", 59.94, low_v=1.0, high_v=2.0, sync_output=False)
+    assert light.apply(sine) == sine
+    assert not any("DCYC" in line for line in generator.sent)
+
+
+@pytest.mark.parametrize(("low", "high"), [(6.0, 8.0), (-8.0, -6.0), (-5.0, 0.5)])
+def test_levels_are_set_in_an_order_that_never_crosses_them(light, generator, low, high) -> None:
+    generator.values.update({"VOLT:LOW": low, "VOLT:HIGH": high})
+    light.apply(FLICKER)
+    assert (generator.values["VOLT:LOW"], generator.values["VOLT:HIGH"]) == (0.0, 3.3)
+
+
+def test_a_clipped_value_with_an_error_is_refused(light, generator) -> None:
+    generator.highest_hz = 50.0
+    with pytest.raises(SettingRefused, match=r'frequency is not taken: .FREQ 60. .*-222 "Data out of range"'):
+        light.apply(FLICKER)
+
+
+def test_a_value_clipped_in_silence_is_refused_with_both_values(light, generator) -> None:
+    generator.highest_hz = 50.0
+    generator.has_queue = False
+    quiet = ScpiLight(generator, clock=SystemClock())
+    with pytest.raises(SettingRefused, match=r"frequency_hz: asked 60\.0, got 50\.0"):
+        quiet.apply(FLICKER)
+
+
+@pytest.mark.parametrize(
+    ("header", "value", "name"),
+    [
+        ("FREQ", 59.94, "frequency_hz"),
+        ("FUNC:SQU:DCYC", 50.0, "duty_percent"),
+        ("VOLT:HIGH", 3.2, "high_v"),
+        ("VOLT:LOW", 0.1, "low_v"),
+        ("OUTP:SYNC", "0", "sync_output"),
+        ("FUNC", "SIN", "waveform"),
+    ],
+)
+def test_a_setting_that_does_not_stick_is_refused(light, generator, header, value, name) -> None:
+    read = generator.answer
+    generator.answer = lambda asked: (
+        (value if isinstance(value, str) else f"{value:.6g}") if asked == header else read(asked)
+    )
+    with pytest.raises(SettingRefused, match=f"{name}: asked"):
+        light.apply(FLICKER)
+
+
+def test_rounding_to_the_generators_digits_is_no_refusal(light, generator) -> None:
+    read = generator.answer
+    generator.answer = lambda asked: (
+        {"FREQ": "+6.000000E+01", "VOLT:HIGH": "3.3003"}.get(asked) or read(asked)
+    )
+    assert light.apply(FLICKER).high_v == pytest.approx(3.3003)
+
+
+def test_a_generator_without_error_queue_is_served_all_the_same(generator, clock) -> None:
+    generator.has_queue = False
+    light = ScpiLight(generator, clock=clock)
+    assert light.apply(FLICKER) == FLICKER
+    light.on()
+    assert light.faults() == []
+
+
+def test_a_generator_without_load_setting_is_told_how_to_be_named(light, generator) -> None:
+    del generator.values["OUTP:LOAD"]
+    with pytest.raises(SettingRefused, match="load: unchanged"):
+        light.apply(FLICKER)
+    assert ScpiLight(generator, clock=SystemClock(), load="unchanged").apply(FLICKER) == FLICKER
+
+
+def test_errors_from_before_us_are_not_ours(generator, clock) -> None:
+    generator.queue = ['-410,"Query INTERRUPTED"', '-222,"Data out of range"']
+    light = ScpiLight(generator, clock=clock)
+    assert light.apply(FLICKER) == FLICKER
+
+
+def test_the_output_is_switched_and_seen_to_be(light, generator) -> None:
+    assert not light.is_on()
+    light.on()
+    assert light.is_on()
+    light.off()
+    assert not light.is_on()
+    assert generator.commands() == ["OUTP ON", "OUTP OFF"]
+
+
+@pytest.mark.parametrize(("word", "on"), [("1", True), ("ON", True), ("0", False), ("OFF", False)])
+def test_on_and_off_are_read_in_either_dialect(light, generator, word, on) -> None:
+    generator.values["OUTP"] = word
+    assert light.is_on() is on
+
+
+def test_an_output_that_does_not_come_on_is_a_fault(light, generator) -> None:
+    generator.set = lambda header, value: None
+    with pytest.raises(LightFault, match="switched on, but reads off"):
+        light.on()
+
+
+def test_an_output_that_does_not_go_off_is_a_fault(light, generator) -> None:
+    light.on()
+    generator.set = lambda header, value: None
+    with pytest.raises(LightFault, match="by hand"):
+        light.off()
+    assert generator.commands().count("OUTP OFF") == 2
+
+
+def test_an_output_that_goes_dark_by_itself_is_told(light, generator) -> None:
+    light.on()
+    assert light.faults() == []
+    generator.values["OUTP"] = "0"
+    generator.queue.append('-315,"Overload"')
+    assert light.faults() == [
+        'the generator reports -315 "Overload"',
+        "the output was switched on, but is off",
+    ]
+
+
+def test_off_goes_out_before_the_line_comes_into_step(light, generator) -> None:
+    light.on()
+    generator.spoil = lambda line: b""
+    with pytest.raises(ReplyError):
+        light.is_on()
+    generator.spoil = lambda line: line
+    generator.sent.clear()
+    light.off()
+    assert generator.sent[0] == "OUTP OFF"
+    assert generator.values["OUTP"] == "0"
+
+
+def test_another_waveform_is_told_not_taken_for_one_of_ours(light, generator) -> None:
+    generator.values["FUNC"] = "RAMP"
+    with pytest.raises(LightFault, match="makes RAMP"):
+        light.read()
+
+
+def test_a_late_reply_never_becomes_another_setting(light, generator) -> None:
+    light.apply(FLICKER)
+    held = []
+
+    def hold_one(line: bytes) -> bytes:
+        if not held and b"E+" in line:
+            held.append(line)
+            return b""
+        return line
+
+    def release(line: str) -> None:
+        if held and held[0]:
+            generator.ready += held[0]
+            held[0] = b""
+
+    generator.spoil, generator.before = hold_one, release
+    assert light.read() == FLICKER
+    assert held == [b""]
+
+
+def test_a_digit_changed_on_the_line_is_not_believed(light, generator) -> None:
+    light.apply(FLICKER)
+    hit = []
+
+    def spoil(line: bytes) -> bytes:
+        if b"+6.0" in line and not hit:
+            hit.append(line)
+            return line.replace(b"+6.0", b"+6.1")
+        return line
+
+    generator.spoil = spoil
+    assert light.read() == FLICKER
+    assert hit
+
+
+@pytest.mark.parametrize("garbage", [b"\xff\xfe\r\n", b"\r\n", b"six\r\n", b"nan\r\n", b"1,2\r\n"])
+def test_what_is_no_number_is_refused(light, generator, garbage) -> None:
+    generator.spoil = lambda line: garbage if b"E+" in line else line
+    with pytest.raises(ReplyError):
+        light.read()
+
+
+def test_something_else_than_an_instrument_is_refused(generator, clock) -> None:
+    generator.identity = "hello"
+    with pytest.raises(ReplyError, match="not maker, model, serial and firmware"):
+        ScpiLight(generator, clock=clock)
+    assert generator.closed
+
+
+def test_a_silent_port_is_refused(scripted, clock) -> None:
+    port = scripted([(b"*IDN?\n", b"")] * 3)
+    with pytest.raises(DriverError, match="no complete reply"):
+        ScpiLight(port, clock=clock)
+
+
+def test_a_query_the_instrument_does_not_know_is_told_in_its_words(generator, clock) -> None:
+    line = ScpiLine(generator, clock=clock)
+    with pytest.raises(DriverError, match=r'FLICKER\? is refused: -113 "Undefined header"'):
+        line.ask("FLICKER?")
+
+
+def test_an_error_queue_that_never_ends_is_given_up(generator, clock) -> None:
+    line = ScpiLine(generator, clock=clock)
+    generator.answer = lambda header: '-222,"Data out of range"'
+    with pytest.raises(ReplyError, match="never ends"):
+        line.errors()
+
+
+def test_closing_switches_nothing(light, generator) -> None:
+    light.on()
+    light.close()
+    assert generator.closed
+    assert generator.values["OUTP"] == "1"

@@ -1,0 +1,134 @@
+"""Zaber's ASCII protocol, byte by byte; the strings are those the maker's own client exchanges."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import ReplyGarbled
+from drivers.stage.zaber_protocol import (
+    FLAGS,
+    checksum,
+    in_words,
+    is_fault,
+    parse_flags,
+    parse_reply,
+    parse_unsolicited,
+    request,
+)
+
+GOOD = b"@01 1 05 OK BUSY -- 0:D2\r\n"
+
+
+def sealed(body: str) -> bytes:
+    """Close a reply's body with its checksum, computed here by hand: the sum must come to zero."""
+    total = sum(body.encode()) % 256
+    return f"@{body}:{(256 - total) % 256:02X}\r\n".encode()
+
+
+@pytest.mark.parametrize(
+    ("device", "axis", "message_id", "words", "sent"),
+    [
+        (0, 0, 0, "", b"/0 0 00:00\n"),
+        (1, 0, 1, "get comm.packet.size.max", b"/1 0 01 get comm.packet.size.max:CF\n"),
+        (1, 1, 3, "home", b"/1 1 03 home:32\n"),
+        (1, 1, 4, "", b"/1 1 04:FA\n"),
+        (1, 1, 5, "move abs 50000", b"/1 1 05 move abs 50000:B7\n"),
+        (1, 1, 2, "get pos", b"/1 1 02 get pos:2A\n"),
+        (0, 0, 11, "stop", b"/0 0 11 stop:18\n"),
+    ],
+)
+def test_requests_are_the_makers_clients(device, axis, message_id, words, sent) -> None:
+    assert request(device, axis, message_id, words) == sent
+
+
+def test_a_reply_is_taken_apart() -> None:
+    reply = parse_reply(b"@02 0 00 OK IDLE WR 0:BD\r\n")
+    assert (reply.device, reply.axis, reply.message_id) == (2, 0, 0)
+    assert (reply.accepted, reply.busy, reply.flag, reply.data) == (True, False, "WR", "0")
+
+
+@given(
+    st.integers(1, 99),
+    st.integers(0, 9),
+    st.integers(0, 99),
+    st.booleans(),
+    st.booleans(),
+    st.integers(-(10**9), 10**9),
+)
+def test_every_well_formed_reply_is_understood(device, axis, message_id, accepted, busy, value) -> None:
+    verdict, state = "OK" if accepted else "RJ", "BUSY" if busy else "IDLE"
+    reply = parse_reply(sealed(f"{device:02d} {axis} {message_id:02d} {verdict} {state} -- {value}"))
+    assert (reply.device, reply.axis, reply.message_id) == (device, axis, message_id)
+    assert (reply.accepted, reply.busy, int(reply.data)) == (accepted, busy, value)
+
+
+@given(st.integers(0, len(GOOD) - 1), st.integers(0, 255))
+def test_no_reply_with_one_byte_changed_is_taken(place, value) -> None:
+    line = bytearray(sealed("01 1 05 OK BUSY -- 31000"))
+    if line[place] != value:
+        line[place] = value
+        with pytest.raises(ReplyGarbled):
+            parse_reply(bytes(line))
+
+
+@given(st.binary(max_size=60))
+def test_noise_is_refused_and_nothing_else_happens(noise) -> None:
+    with pytest.raises(ReplyGarbled):
+        parse_reply(noise)
+    assert parse_unsolicited(noise) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("no checksum", b"@01 1 05 OK IDLE -- 0\r\n"),
+        ("wrong checksum", b"@01 1 05 OK IDLE -- 0:00\r\n"),
+        ("LF only", sealed("01 1 05 OK IDLE -- 0").replace(b"\r", b"")),
+        ("CR only", sealed("01 1 05 OK IDLE -- 0").replace(b"\n", b"")),
+        ("no id", sealed("01 1 OK IDLE -- 0")),
+        ("one-digit address", sealed("1 1 05 OK IDLE -- 0")),
+        ("lower-case verdict", sealed("01 1 05 ok IDLE -- 0")),
+        ("other state word", sealed("01 1 05 OK Idle -- 0")),
+        ("no flag field", sealed("01 1 05 OK IDLE 0")),
+        ("no data", sealed("01 1 05 OK IDLE --")),
+        ("echo", b"/1 1 05 get pos:27\n"),
+    ],
+)
+def test_what_breaks_the_form_is_refused(name, line) -> None:
+    with pytest.raises(ReplyGarbled):
+        parse_reply(line, "port")
+
+
+def test_a_missing_checksum_comes_with_its_remedy() -> None:
+    with pytest.raises(ReplyGarbled, match=r"port: .*set comm\.checksum 1"):
+        parse_reply(b"@01 1 05 OK IDLE -- 0\r\n", "port")
+
+
+def test_alerts_and_information_lines_are_told_from_replies() -> None:
+    alert = parse_unsolicited(b"!" + sealed("01 1 IDLE FS")[1:])
+    assert alert is not None
+    assert (alert.kind, alert.device, alert.axis, alert.text) == ("!", 1, 1, "IDLE FS")
+    assert parse_unsolicited(GOOD) is None
+    with pytest.raises(ReplyGarbled):
+        parse_unsolicited(b"!01 1 IDLE FS:00\r\n")
+
+
+def test_flags_are_counted() -> None:
+    assert parse_flags("00") == ()
+    assert parse_flags("02 WR NI") == ("WR", "NI")
+    for wrong in ("01", "00 WR", "2 WR NI", "01 wr", "01  WR", "", "WR"):
+        with pytest.raises(ReplyGarbled):
+            parse_flags(wrong)
+
+
+def test_faults_are_those_an_axis_must_not_be_moved_with() -> None:
+    assert all(is_fault(flag) for flag in FLAGS if flag.startswith("F"))
+    assert is_fault("FX")
+    assert is_fault("WM")
+    assert not any(map(is_fault, ["--", "NI", "WR", "WT"]))
+    assert in_words("ZZ") == "unknown warning (ZZ)"
+
+
+def test_the_checksum_makes_the_sum_of_all_bytes_zero() -> None:
+    body = b"1 1 05 move abs 50000"
+    assert (sum(body) + checksum(body)) % 256 == 0
