@@ -6,7 +6,7 @@ Knows shapes and names; computes nothing but summaries.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -87,6 +87,31 @@ class ViewSummary:
 
 
 @dataclass(frozen=True)
+class Candidate:
+    """A model that was fitted while one was to be chosen.
+
+    Attributes
+    ----------
+    model
+        Its name.
+    parameters
+        Number of parameters, the views' own included.
+    rms_px
+        Root mean square of the residuals, px.
+    left_out_rms_px
+        The same for views that had no part in the fit, only their rotation solved; None with two views.
+    bic
+        Bayesian information criterion; smaller is better.
+    """
+
+    model: str
+    parameters: int
+    rms_px: float
+    left_out_rms_px: float | None
+    bic: float
+
+
+@dataclass(frozen=True)
 class Calibration:
     """A calibrated camera and all that was estimated with it.
 
@@ -123,6 +148,8 @@ class Calibration:
         Whether the refinement reached its optimum, and in how many steps.
     notes
         What the reader should know, in words.
+    candidates
+        The models compared, when one was to be chosen.
     """
 
     model: Literal["spherical", "planar"]
@@ -143,6 +170,7 @@ class Calibration:
     converged: bool
     iterations: int
     notes: tuple[str, ...] = field(default=())
+    candidates: tuple[Candidate, ...] = field(default=())
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -183,5 +211,6 @@ class Calibration:
                 }
                 for view, rotation, centre in poses
             ],
+            "candidates": [asdict(candidate) for candidate in self.candidates],
             "notes": list(self.notes),
         }

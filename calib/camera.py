@@ -154,11 +154,19 @@ class CameraModel:
         """
         wanted = (np.asarray(points_px, float) - [self.cx, self.cy]) / [self.fx, self.fy]
         normalised = wanted.copy()
-        for _ in range(20):
+        for _ in range(30):
             distorted, slope, _ = _brown_with_jacobians(normalised, self.coefficients)
-            step = np.linalg.solve(slope, (wanted - distorted)[:, :, None])[:, :, 0]
+            determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
+            # Where the determinant is not positive, the distortion has folded back.
+            miss = (wanted - distorted) / np.where(determinant > 0, determinant, np.nan)[:, None]
+            step = np.column_stack(
+                [
+                    slope[:, 1, 1] * miss[:, 0] - slope[:, 0, 1] * miss[:, 1],
+                    slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0],
+                ]
+            )
             normalised = normalised + step
-            if not np.abs(step).max(initial=0.0) > 1e-14:
+            if not (np.abs(step) > 1e-14).any():
                 break
         inverted = np.abs(_brown(normalised, self.coefficients) - wanted).max(axis=1) < 1e-9
         rays = np.column_stack([normalised, np.ones(len(normalised))])

@@ -1,0 +1,124 @@
+"""Closed forms of the spherical motion model: intrinsics and collimator from the views' homographies.
+
+Knows homographies scaled to determinant 1, and the equation they share (the paper's last one):
+H^-1 K K^T H^-T = s [[r^2 + x^2, xy, x], [xy, r^2 + y^2, y], [x, y, 1]]. Linear in the entries of K K^T and of
+the right side; no distortion, no noise model. Its answers start the refinement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.collimator import Collimator
+from calib.rotation import nearest_rotation
+
+Array = NDArray[np.float64]
+
+_UPPER = np.triu_indices(3)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a refinement of the spherical model begins.
+
+    Attributes
+    ----------
+    name
+        How it was found.
+    matrix
+        (3, 3) camera matrix K.
+    collimator
+        The shared centre.
+    """
+
+    name: str
+    matrix: Array
+    collimator: Collimator
+
+
+def linear_start(
+    homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
+) -> Start | None:
+    """Solve the shared equation of n views in the least squares sense.
+
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) from `calib.homography.fit_homography`; n >= 2, or n >= 3 with a free principal point.
+    image_size
+        Width and height, px.
+    free_principal_point
+        Whether cx and cy are unknown too; otherwise they are put at the image's centre.
+
+    Returns
+    -------
+    Start or None
+        None when the solution is no camera (a negative square), which noise can do to weak views.
+    """
+    if len(homographies) < (3 if free_principal_point else 2):
+        return None
+    to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
+    inverses = np.linalg.inv(to_unit @ homographies @ plane)
+    unknown = [(0, 0), (1, 1), (0, 2), (1, 2), (0, 1)] if free_principal_point else [(0, 0), (1, 1)]
+    left = np.concatenate([_equations(g, unknown) for g in inverses])
+    right = np.concatenate([-np.outer(g[:, 2], g[:, 2])[_UPPER] for g in inverses])
+    scale = np.linalg.norm(left, axis=0)
+    solution = np.linalg.lstsq(left / scale, right, rcond=None)[0] / scale
+
+    image = dict(zip(unknown, solution, strict=False))
+    cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
+    squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])
+    target = np.zeros((3, 3))
+    target[_UPPER] = solution[len(unknown) :]
+    x, y = target[0, 2] / target[2, 2], target[1, 2] / target[2, 2]
+    r_squared = 0.5 * ((target[0, 0] + target[1, 1]) / target[2, 2] - x**2 - y**2)
+    if not (squares > 0).all() or not r_squared > 0:
+        return None
+    fx, fy = np.sqrt(squares)
+    matrix = np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    x_mm, y_mm, _ = plane @ [x, y, 1.0]
+    collimator = Collimator(float(x_mm), float(y_mm), float(np.sqrt(r_squared) * plane[0, 0]))
+    name = "linear, principal point " + ("free" if free_principal_point else "at the image's centre")
+    return Start(name, matrix, collimator)
+
+
+def rotations_about(homographies: Array, matrix: Array, collimator: Collimator) -> Array:
+    """Return each view's rotation, (n, 3, 3), given the camera matrix and the shared centre.
+
+    H ~ K R [e1 e2 -c], so R is the rotation nearest to K^-1 H [e1 e2 -c]^-1.
+    """
+    frame = np.eye(3)
+    frame[:, 2] = -collimator.centre
+    return nearest_rotation(np.linalg.inv(matrix) @ homographies @ np.linalg.inv(frame))
+
+
+def _image_conditioning(image_size: tuple[int, int]) -> Array:
+    """Return the similarity that takes the image's centre to 0 and its half diagonal to 1."""
+    width, height = image_size
+    scale = 2.0 / np.hypot(width, height)
+    return np.array(
+        [[scale, 0.0, -scale * (width - 1) / 2], [0.0, scale, -scale * (height - 1) / 2], [0.0, 0.0, 1.0]]
+    )
+
+
+def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Array:
+    """Return the similarity of the target plane that takes units to mm about where the cameras look."""
+    centre = np.array([(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0])
+    looked_at = np.linalg.inv(homographies) @ centre
+    middle = np.median(looked_at[:, :2] / looked_at[:, 2:], axis=0)
+    right = np.linalg.inv(homographies) @ (centre + np.array([np.hypot(*image_size) / 4, 0.0, 0.0]))
+    scale = np.median(np.linalg.norm(right[:, :2] / right[:, 2:] - middle, axis=1)) * 2
+    return np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]], [0.0, 0.0, 1.0]])
+
+
+def _equations(g: Array, unknown: list[tuple[int, int]]) -> Array:
+    """Return the rows g W g^T - B for the chosen entries of W, then those of B; 6 rows a view."""
+    columns = []
+    for i, j in unknown:
+        basis = np.zeros((3, 3))
+        basis[i, j] = basis[j, i] = 1.0
+        columns.append((g @ basis @ g.T)[_UPPER])
+    return np.column_stack([*columns, -np.eye(6)])

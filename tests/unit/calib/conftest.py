@@ -1,0 +1,94 @@
+"""A camera in front of a collimator, imagined with OpenCV's projection: nothing of the engine takes part."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.target import StarTarget
+from calib.view import View
+
+TARGET = StarTarget()
+
+
+def rotation(pan_deg, tilt_deg, roll_deg=0.0):
+    """Rz(roll) Rx(tilt) Ry(pan)."""
+    pan, tilt, roll = np.deg2rad([pan_deg, tilt_deg, roll_deg])
+    return (
+        cv2.Rodrigues(np.array([0.0, 0.0, roll]))[0]
+        @ cv2.Rodrigues(np.array([tilt, 0.0, 0.0]))[0]
+        @ cv2.Rodrigues(np.array([0.0, pan, 0.0]))[0]
+    )
+
+
+@dataclass
+class Bench:
+    """The paper's camera behind a collimator whose disc spans 24 degrees."""
+
+    fx: float = 3345.06
+    fy: float = 3345.27
+    cx: float = 642.10
+    cy: float = 363.32
+    k: tuple = (0.06, -0.90)
+    size: tuple = (1280, 720)
+    centre: tuple = (97.0, 140.1, -255.0)
+    half_angle_deg: float = 12.0
+    poses: tuple = field(default=((-5.0, 2.0), (0.5, -2.5, 10.0), (5.0, 2.5, -20.0)))
+
+    @property
+    def truth(self):
+        x, y, z = self.centre
+        pinhole = {
+            "fx": self.fx,
+            "fy": self.fy,
+            "cx": self.cx,
+            "cy": self.cy,
+            "k1": self.k[0],
+            "k2": self.k[1],
+        }
+        return {**pinhole, "x": x, "y": y, "r": -z}
+
+    @property
+    def rotations(self):
+        return np.array([rotation(*pose) for pose in self.poses])
+
+    def project(self, target_mm, turn, centre):
+        matrix = np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+        world = np.column_stack([target_mm, np.zeros(len(target_mm))])
+        shift = -turn @ centre
+        coefficients = np.array([*self.k, 0.0, 0.0])
+        return cv2.projectPoints(world, cv2.Rodrigues(turn)[0], shift, matrix, coefficients)[0][:, 0]
+
+    def view(self, name, turn, rng=None, sigma_px=0.0, centre=None):
+        """The stars inside the disc and the frame, with noise of sigma_px per axis."""
+        centre = np.asarray(self.centre if centre is None else centre)
+        ids = TARGET.ids
+        target = TARGET.positions_mm(ids)
+        radius = np.linalg.norm(target - centre[:2], axis=1)
+        pixels = self.project(target, turn, centre)
+        inside = (pixels > 8).all(axis=1) & (pixels < np.array(self.size) - 9).all(axis=1)
+        seen = inside & (radius < -centre[2] * np.tan(np.deg2rad(self.half_angle_deg)))
+        found = pixels[seen]
+        if rng is not None:
+            found = found + sigma_px * rng.standard_normal(found.shape)
+        covariances = np.tile(np.eye(2) * max(sigma_px, 1e-2) ** 2, (len(found), 1, 1))
+        return View(name, self.size, ids[seen], found, target[seen], covariances)
+
+    def views(self, rng=None, sigma_px=0.0, poses=None, centres=None):
+        poses = self.poses if poses is None else poses
+        centres = [None] * len(poses) if centres is None else centres
+        return [
+            self.view(f"pose-{i + 1:03d}", rotation(*pose), rng, sigma_px, centre)
+            for i, (pose, centre) in enumerate(zip(poses, centres, strict=True))
+        ]
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+@pytest.fixture
+def make_bench():
+    return Bench

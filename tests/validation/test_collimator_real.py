@@ -1,0 +1,93 @@
+"""Real recordings of a collimator, against numbers other programs gave.
+
+The recordings are those published with "Camera Calibration using a Collimator System" (ECCV 2024), set data1. Their
+corner origin is half a pixel away from OpenCV's. The planar numbers are OpenCV's own, computed here; the spherical
+ones those of an independent prototype.
+"""
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.calibrate import CalibrationOptions, calibrate
+from calib.selection import left_out_rms_px
+from calib.target import StarTarget
+from calib.view import View
+
+SIZE = (2448, 2048)
+L2 = CalibrationOptions(loss="l2")
+
+
+@pytest.fixture(scope="module")
+def views(reference_data):
+    return [read(reference_data / "collimator_real" / f"image{i}.txt") for i in range(1, 21)]
+
+
+def read(path):
+    rows = np.loadtxt(path)
+    covariances = np.tile(np.eye(2), (len(rows), 1, 1))
+    return View(path.stem, SIZE, rows[:, 4].astype(np.int64), rows[:, :2] - 0.5, rows[:, 2:4], covariances)
+
+
+def opencv(views, flags):
+    objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
+    images = [v.points_px.astype(np.float32)[:, None] for v in views]
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
+    return cv2.calibrateCamera(objects, images, SIZE, None, None, flags=flags, criteria=stop)
+
+
+def test_star_ids_and_positions_are_those_of_the_target(views):
+    target = StarTarget()
+    for view in views:
+        assert np.abs(target.positions_mm(view.ids) - view.target_mm).max() < 1e-4
+
+
+def test_spherical_model_of_all_views(views):
+    result = calibrate(views, L2)
+    assert result.camera.fx == pytest.approx(2424.5, abs=0.5)
+    assert result.collimator.r == pytest.approx(257.0, abs=0.1)
+    assert result.rms_px == pytest.approx(0.400, abs=0.001)
+    assert result.mean_px == pytest.approx(0.3218, abs=0.0005)
+    assert result.degrees_of_freedom == 2 * 8892 - 69
+
+
+@pytest.mark.parametrize(
+    ("distortion", "flags"),
+    [
+        ("k1k2", cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST),
+        ("k1k2k3p1p2", 0),
+        ("none", cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST),
+    ],
+)
+def test_planar_model_is_that_of_opencv(views, distortion, flags):
+    result = calibrate(views, CalibrationOptions(model="planar", distortion=distortion, loss="l2"))
+    rms, matrix, coefficients, *_ = opencv(views, flags)
+    assert result.camera.values[:4] == pytest.approx(matrix[[0, 1, 0, 1], [0, 1, 2, 2]], abs=0.01)
+    assert result.camera.coefficients[:5] == pytest.approx(coefficients.ravel()[:5], abs=1e-4)
+    assert result.rms_px == pytest.approx(rms, abs=1e-6)
+
+
+def test_views_left_out_are_predicted_as_the_prototype_found(views):
+    for model, expected in (("spherical", 0.436), ("planar", 0.621)):
+        options = CalibrationOptions(model=model, loss="l2")
+        assert left_out_rms_px(views, calibrate(views, options), options) == pytest.approx(
+            expected, abs=0.001
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [2, 3])
+def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
+    from calib.fit import bundle_of
+    from calib.homography import fit_homography
+    from calib.refine import Loss, refine
+    from calib.start import spherical_states
+
+    rng = np.random.default_rng(size)
+    for _ in range(100):
+        subset = [views[i] for i in rng.choice(20, size, replace=False)]
+        bundle = bundle_of(subset, L2, "spherical")
+        h = np.array([fit_homography(view) for view in subset])
+        ends = [refine(bundle, s, Loss("l2")).cost for s in spherical_states(h, SIZE, ("k1", "k2"))]
+        misses = np.concatenate(calibrate(subset, L2).residuals_px)
+        assert 0.5 * (misses**2).sum() <= min(ends) * (1 + 1e-6)
