@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from simulators.axis_motion import Axis, Mechanics, Trajectory
+from simulators.axis_motion import Axis, Mechanics
+from simulators.trajectory import Pointing
 
 #: Firmware 7 counts speeds in microsteps/s times this, and accelerations in 10000 microsteps/s^2 times this.
 _TICK = 1.6384
@@ -59,7 +60,7 @@ class ZaberModel:
 
 
 @dataclass
-class Refused(Exception):  # noqa: N818 - a reply of the protocol, no fault of ours
+class Refused(Exception):
     """A rejection: the word that stands in the reply's data."""
 
     reason: str
@@ -85,14 +86,14 @@ class ZaberController:
     now_s
         Time of power-up.
     publish
-        Called with every new trajectory of the axis.
+        Called with every new course of the axis.
     """
 
     def __init__(
         self,
         model: ZaberModel,
         now_s: float = 0.0,
-        publish: Callable[[Trajectory], None] = lambda _trajectory: None,
+        publish: Callable[[Pointing], None] = lambda _pointing: None,
     ) -> None:
         self.model = model
         self.axis = Axis(model.mechanics, now_s, publish)
@@ -187,7 +188,7 @@ class ZaberController:
             "get.settings.max": lambda: "1",
             "resolution": lambda: "64",
             "pos": lambda: str(round(self.axis.counter(t_s))),
-            "vel": lambda: str(round(self.axis.trajectory.velocity(t_s) * _TICK)),
+            "vel": lambda: str(round(self.axis.velocity(t_s) * _TICK)),
             "limit.home.triggered": lambda: str(int(self.axis.referenced(t_s))),
             "parking.state": lambda: str(int(self._state.parked)),
         }

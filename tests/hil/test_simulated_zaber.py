@@ -168,19 +168,19 @@ def test_without_a_checksum_setting_replies_end_bare(gimbal: Gimbal):
 
 
 def test_homing_finds_the_sensor_and_takes_the_warning_down(gimbal: Gimbal):
-    assert gimbal.pan.axis.trajectory.angle_deg(0.0) == pytest.approx(2.4)
+    assert gimbal.pan.axis.pointing.angle_deg(0.0) == pytest.approx(2.4)
     assert gimbal.ask("1 1 01 home") == ["@01 1 01 OK BUSY WR 0"]
     gimbal.wait(0.05)
     assert gimbal.ask("1 1 02") == ["@01 1 02 OK BUSY WR 0"]
     gimbal.wait()
     assert gimbal.ask("1 1 03 get pos") == ["@01 1 03 OK IDLE -- 0"]
-    assert gimbal.pan.axis.trajectory.angle_deg(gimbal.now_s) == 0.0
+    assert gimbal.pan.axis.pointing.angle_deg(gimbal.now_s) == 0.0
 
 
 def test_a_settled_axis_points_exactly_where_its_microsteps_say(homed: Gimbal):
     homed.ask("1 1 02 move abs -12345")
     homed.wait()
-    assert homed.pan.axis.trajectory.angle_deg(homed.now_s) == -12345 / SCALE
+    assert homed.pan.axis.pointing.angle_deg(homed.now_s) == -12345 / SCALE
     assert homed.ask("1 1 03 get encoder.pos") == ["@01 1 03 OK IDLE -- -12345"]
 
 

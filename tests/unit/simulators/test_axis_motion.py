@@ -9,19 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.axis_motion import SETTLED_DEG, Axis, Mechanics, ramp
+from simulators.axis_motion import Axis, Mechanics, MotionEvent, MotionFault
+from simulators.trajectory import SETTLED_DEG, ramp
 
 SCALE = 6400.0
 SPEED = 40.0 * SCALE
 ACCELERATION = 200.0 * SCALE
 
 
-def axis(**changes: float) -> Axis:
+def axis(**changes) -> Axis:
     settings = {"counts_per_deg": SCALE, "lowest_deg": -20.0, "highest_deg": 20.0} | changes
     return Axis(Mechanics(**settings))
 
 
-def homed_axis(**changes: float) -> Axis:
+def homed_axis(**changes) -> Axis:
     one = axis(**changes)
     one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
     assert one.referenced(10.0)
@@ -65,40 +66,40 @@ def test_the_load_settles_exponentially_and_then_stands_exactly():
     one = homed_axis(settle_s=0.02)
     one.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
     end = 20.0 + 2.0 * math.sqrt(3.0 / 200.0)
-    early, later = (3.0 - one.trajectory.angle_deg(end + wait) for wait in (0.01, 0.03))
+    early, later = (3.0 - one.pointing.angle_deg(end + wait) for wait in (0.01, 0.03))
     assert later / early == pytest.approx(math.exp(-1.0), rel=1e-6)
-    assert end + 0.01 < one.trajectory.settled_from_s < end + 0.3
-    assert one.trajectory.angle_deg(end + 0.3) == 3.0
-    assert one.trajectory.rest_load == 3 * 6400
+    assert end + 0.01 < one.pointing.settled_from_s < end + 0.3
+    assert one.pointing.angle_deg(end + 0.3) == 3.0
+    assert one.pointing.rest == 3 * 6400
 
 
 def test_the_load_matches_a_step_by_step_integration():
     one = homed_axis(settle_s=0.03)
     one.move_to(2.0 * SCALE, 20.0, SPEED, ACCELERATION)
     one.move_to(-1.0 * SCALE, 20.15, SPEED, ACCELERATION)
-    dt, load = 2e-5, one.trajectory.angle_deg(20.0)
+    dt, load = 2e-5, one.pointing.angle_deg(20.0)
     for t in np.arange(20.0, 20.5, dt):
-        load += dt / 0.03 * (one.trajectory.motor(t + dt / 2) / SCALE - load)
-    assert one.trajectory.angle_deg(20.5) == pytest.approx(load, abs=1e-4)
+        load += dt / 0.03 * (one.motor.position(t + dt / 2) / SCALE - load)
+    assert one.pointing.angle_deg(20.5) == pytest.approx(load, abs=1e-4)
 
 
 def test_a_new_target_in_motion_is_reached_without_a_jump():
     one = homed_axis()
     one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    before = one.trajectory.motor(20.1), one.trajectory.velocity(20.1)
+    before = one.motor.position(20.1), one.motor.velocity(20.1)
     one.move_to(-5.0 * SCALE, 20.1, SPEED, ACCELERATION)
-    assert (one.trajectory.motor(20.1), one.trajectory.velocity(20.1)) == pytest.approx(before)
+    assert (one.motor.position(20.1), one.motor.velocity(20.1)) == pytest.approx(before)
     assert one.counter(22.0) == -5.0 * SCALE
 
 
-def test_every_new_trajectory_is_published_and_joins_the_one_before():
-    trajectories = []
-    one = Axis(Mechanics(SCALE, -20.0, 20.0), 0.0, trajectories.append)
+def test_every_new_course_is_published_and_joins_the_one_before():
+    courses = []
+    one = Axis(Mechanics(SCALE, -20.0, 20.0), 0.0, courses.append)
     one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
     one.stop(20.1, ACCELERATION)
-    assert [one.start_s for one in trajectories] == [0.0, 20.0, 20.1]
-    assert trajectories[2].angle_deg(20.1) == pytest.approx(trajectories[1].angle_deg(20.1))
-    assert trajectories[1].angle_deg(20.4) > trajectories[2].angle_deg(20.4)
+    assert [one.course.start_s for one in courses] == [0.0, 20.0, 20.1]
+    assert courses[2].angle_deg(20.1) == pytest.approx(courses[1].angle_deg(20.1))
+    assert courses[1].angle_deg(20.4) > courses[2].angle_deg(20.4)
 
 
 def test_stop_brakes_within_the_acceleration():
@@ -108,7 +109,7 @@ def test_stop_brakes_within_the_acceleration():
     assert one.busy(20.3 + 0.19)
     assert not one.busy(20.3 + 0.21)
     assert one.counter(21.0) == pytest.approx(
-        one.trajectory.motor(20.3) + SPEED**2 / (2 * ACCELERATION), abs=1.0
+        one.motor.position(20.3) + SPEED**2 / (2 * ACCELERATION), abs=1.0
     )
     assert one.counter(21.0) == round(one.counter(21.0))
 
@@ -116,13 +117,13 @@ def test_stop_brakes_within_the_acceleration():
 def test_the_counter_is_wrong_until_homing_finds_the_sensor():
     one = axis(start_deg=2.4)
     assert one.counter(0.0) == 0.0
-    assert one.trajectory.angle_deg(0.0) == pytest.approx(2.4)
+    assert one.pointing.angle_deg(0.0) == pytest.approx(2.4)
     assert not one.referenced(0.0)
     one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
     assert not one.referenced(0.1)
     assert one.referenced(5.0)
     assert one.counter(5.0) == 0.0
-    assert one.trajectory.angle_deg(5.0) == 0.0
+    assert one.pointing.angle_deg(5.0) == 0.0
 
 
 def test_homing_that_is_stopped_leaves_no_reference():
@@ -139,28 +140,125 @@ def test_a_restart_in_motion_stands_still_at_zero_without_a_reference():
     assert one.counter(20.2) == 0.0
     assert not one.referenced(30.0)
     assert not one.busy(20.2)
-    assert one.trajectory.angle_deg(30.0) == pytest.approx(one.trajectory.motor(20.2) / SCALE)
+    assert one.pointing.angle_deg(30.0) == pytest.approx(one.motor.position(20.2) / SCALE)
 
 
 def test_an_end_stop_holds_the_axis():
     one = homed_axis(highest_deg=12.0)
     one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    assert one.trajectory.angle_deg(30.0) == 12.0
+    assert one.pointing.angle_deg(30.0) == 12.0
 
 
 def test_backlash_puts_the_load_behind_the_motor_on_the_side_it_came_from():
     one = homed_axis(backlash_deg=0.02)
     one.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    from_below = one.trajectory.angle_deg(25.0)
+    from_below = one.pointing.angle_deg(25.0)
     one.move_to(5.0 * SCALE, 25.0, SPEED, ACCELERATION)
     one.move_to(3.0 * SCALE, 30.0, SPEED, ACCELERATION)
     assert from_below == pytest.approx(2.99)
-    assert one.trajectory.angle_deg(35.0) == pytest.approx(3.01)
+    assert one.pointing.angle_deg(35.0) == pytest.approx(3.01)
 
 
 def test_a_settled_load_is_within_a_twentieth_of_an_arc_second():
     one = homed_axis(settle_s=0.05)
     one.move_to(1.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    settled = one.trajectory.settled_from_s
-    assert 1.0 - one.trajectory.angle_deg(settled - 1e-6) == pytest.approx(SETTLED_DEG, rel=0.01)
-    assert one.trajectory.angle_deg(settled) == 1.0
+    settled = one.pointing.settled_from_s
+    assert 1.0 - one.pointing.angle_deg(settled - 1e-6) == pytest.approx(SETTLED_DEG, rel=0.01)
+    assert one.pointing.angle_deg(settled) == 1.0
+
+
+# ---------------------------------------------------------------- what can go wrong
+def move_with(fault: MotionFault | None) -> Axis:
+    """Move from 0 to 10 degrees, from second 20 on, with a fault; it takes 0.45 s."""
+    one = homed_axis()
+    one.arm(fault)
+    one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    return one
+
+
+@pytest.mark.parametrize("kind", ["stall", "limit", "restart"])
+def test_a_motion_cut_short_is_noticed_once(kind):
+    one = move_with(MotionFault(kind, share=0.5))
+    assert one.take_event(20.2) is None
+    event = one.take_event(20.3)
+    assert event == MotionEvent(kind, pytest.approx(20.225))
+    assert one.take_event(20.4) is None
+    assert not one.busy(20.3)
+    assert one.counter(30.0) == pytest.approx(5.0 * SCALE, abs=1.0)
+    assert one.pointing.angle_deg(30.0) == pytest.approx(5.0, abs=1e-3)
+
+
+def test_a_motion_that_stops_short_tells_nobody():
+    one = move_with(MotionFault("stop_short", share=0.75))
+    assert one.take_event(30.0) is None
+    assert not one.busy(20.4)
+    assert one.counter(30.0) == one.encoder(30.0) < 10.0 * SCALE
+
+
+def test_a_slip_shows_in_the_encoder_only_and_stays_until_homing():
+    one = move_with(MotionFault("slip", share=0.5))
+    assert one.counter(30.0) == 10.0 * SCALE
+    assert one.encoder(30.0) == pytest.approx(5.0 * SCALE, abs=1.0)
+    one.move_to(0.0, 30.0, SPEED, ACCELERATION)
+    assert one.pointing.angle_deg(35.0) == pytest.approx(-5.0, abs=1e-3)
+    one.home(40.0, SPEED, SPEED / 10, ACCELERATION)
+    assert one.counter(50.0) == one.encoder(50.0) == 0.0
+    assert one.pointing.angle_deg(50.0) == 0.0
+
+
+def test_creep_begins_after_arrival_and_never_settles():
+    one = move_with(MotionFault("creep", creep_deg_s=0.5))
+    assert not one.busy(20.5)
+    assert one.counter(22.45) == 10.0 * SCALE
+    assert one.encoder(22.45) == pytest.approx(11.0 * SCALE)
+    assert math.isinf(one.pointing.settled_from_s)
+    one.move_to(0.0, 22.45, SPEED, ACCELERATION)
+    assert one.pointing.angle_deg(30.0) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_only_the_next_motion_goes_wrong():
+    one = move_with(MotionFault("stop_short"))
+    one.move_to(10.0 * SCALE, 30.0, SPEED, ACCELERATION)
+    assert one.counter(40.0) == 10.0 * SCALE
+    assert one.pointing.angle_deg(40.0) == 10.0
+
+
+def test_an_end_stop_is_noticed_by_a_controller_that_watches_for_stalls():
+    one = homed_axis(highest_deg=12.0)
+    one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    event = one.take_event(30.0)
+    assert event is not None
+    assert event.kind == "stall"
+    assert one.counter(30.0) == 12.0 * SCALE
+
+
+def test_an_end_stop_makes_a_controller_that_counts_on_lose_steps():
+    one = homed_axis(highest_deg=12.0, stall_detection=False)
+    one.move_to(30.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    assert one.take_event(30.0) is None
+    assert one.counter(30.0) == 30.0 * SCALE
+    assert one.encoder(30.0) == 12.0 * SCALE
+    assert one.pointing.angle_deg(30.0) == 12.0
+
+
+def test_a_stall_while_homing_leaves_no_reference():
+    one = axis(start_deg=5.0)
+    one.arm(MotionFault("stall"))
+    one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
+    assert not one.referenced(10.0)
+
+
+def test_a_push_turns_the_shaft_and_not_the_counter():
+    one = move_with(None)
+    one.push(0.25 * SCALE, 30.0)
+    assert one.counter(31.0) == 10.0 * SCALE
+    assert one.encoder(31.0) == 10.25 * SCALE
+    assert one.pointing.angle_deg(30.0) == pytest.approx(10.0)
+    assert one.pointing.angle_deg(31.0) == 10.25
+
+
+def test_a_push_in_motion_keeps_the_motion():
+    one = move_with(None)
+    one.push(0.25 * SCALE, 20.1)
+    assert one.encoder(30.0) == pytest.approx(10.25 * SCALE)
+    assert one.counter(30.0) == 10.0 * SCALE
