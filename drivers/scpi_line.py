@@ -20,6 +20,7 @@ from drivers.wire_log import WireLog
 _REPLY_S = 2.0
 """Some generators need a tenth of a second to change their waveform, and answer nothing meanwhile."""
 _MARKER_S = 1.0
+"""For what an instrument answers at once, or never."""
 _QUIET_S = 0.1
 _LOUD_S = 2.0
 _TRIES = 3
@@ -80,17 +81,13 @@ class ScpiLine:
         Raises DeviceRefused when the instrument says that it knows no such query; ReplyTimeout,
         ReplyGarbled, PortLost.
         """
-        for attempt in range(_TRIES):
-            try:
-                return self._ask(query, _REPLY_S)
-            except ReplyTimeout:
-                self._refuse_errors(query)
-                if attempt == _TRIES - 1:
-                    raise
-            except ReplyGarbled:
-                if attempt == _TRIES - 1:
-                    raise
-        raise AssertionError
+        try:
+            return self._ask(query, _REPLY_S)
+        except ReplyTimeout:
+            self._refuse_errors(query)
+        except ReplyGarbled:
+            pass  # garbled once is noise on the line
+        return self._ask_again(query, _REPLY_S, tries=_TRIES - 1)
 
     def number(self, query: str) -> float:
         """Send a query whose answer is one finite number. Raises as ``ask``."""
@@ -151,6 +148,14 @@ class ScpiLine:
             f"{query}\n".encode("ascii"), receive, deadline_s=deadline_s, urgent=urgent
         )
 
+    def _ask_again(self, query: str, deadline_s: float, *, tries: int = _TRIES) -> str:
+        for _ in range(tries - 1):
+            try:
+                return self._ask(query, deadline_s)
+            except ReplyError:
+                continue
+        return self._ask(query, deadline_s)
+
     def _text(self, line: bytes) -> str:
         """Understand a line: printable ASCII, with LF or CR LF at its end, not empty."""
         body = line.removesuffix(b"\n").removesuffix(b"\r")
@@ -159,24 +164,19 @@ class ScpiLine:
         return body.decode("ascii").strip()
 
     def _next_error(self) -> InstrumentError:
-        for attempt in range(_TRIES):
-            try:
-                text = self._ask("SYST:ERR?", _REPLY_S)
-                match = _ERROR.fullmatch(text)
-                if match is None:
-                    raise self._garbled(f"SYST:ERR? answered {text!r}.")
-                return InstrumentError(int(match[1]), match[2] or match[3] or "")
-            except ReplyError:
-                if attempt == _TRIES - 1:
-                    raise
-        raise AssertionError
+        text = self._ask_again("SYST:ERR?", _REPLY_S)
+        match = _ERROR.fullmatch(text)
+        if match is None:
+            raise self._garbled(f"SYST:ERR? answered {text!r}.")
+        return InstrumentError(int(match[1]), match[2] or match[3] or "")
 
     def _find_error_queue(self) -> bool:
-        """Whether ``SYST:ERR?`` is answered; empties the queue of what was before us."""
+        """Whether ``SYST:ERR?`` is answered, asked twice; then empty it of what was before us."""
         try:
-            self.errors()
+            self._ask_again("SYST:ERR?", _MARKER_S, tries=2)
         except ReplyTimeout:
             return False
+        self.errors()
         return True
 
     def _refuse_errors(self, query: str) -> None:
@@ -192,7 +192,7 @@ class ScpiLine:
     def _identify(self) -> str:
         for attempt in range(_TRIES):
             try:
-                text = self._ask("*IDN?", _REPLY_S)
+                text = self._ask("*IDN?", _MARKER_S)
                 _fields(text, self.name)
             except ReplyError:
                 self._link.drain(_QUIET_S, _LOUD_S)
