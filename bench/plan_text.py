@@ -31,7 +31,7 @@ def render_plan(plan: Plan) -> str:
     if plan.remarks:
         lines += ["To know beforehand:", *map(str, plan.remarks), ""]
     lines += [_steps(plan), "", _sums(plan)]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def duration_text(seconds: float) -> str:

@@ -44,6 +44,8 @@ from sequences.yaml_text import DocumentPath
 
 MOST_STEPS = 100_000
 """A longer script is refused: a night of one pose a second has about this many steps."""
+MOST_FAULTS = 1000
+"""More are not looked for: the same ones come again in every round of a repeat."""
 
 
 def flatten(document: Located[Sequence]) -> tuple[Step, ...]:
@@ -73,7 +75,8 @@ def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
     try:
         unfolding.add_all(document.value.steps, ("steps",), here=None)
     except _TooLong:
-        unfolding.fault(("steps",), f"the script unfolds into more than {MOST_STEPS} steps.")
+        if not unfolding.faults:
+            unfolding.fault(("steps",), f"the script unfolds into more than {MOST_STEPS} steps.")
     return tuple(unfolding.steps), list(dict.fromkeys(unfolding.faults))
 
 
@@ -97,7 +100,7 @@ def grid_angles(grid: Grid) -> Iterator[dict[str, float]]:
 
 
 class _TooLong(Exception):
-    """The script passed its bound."""
+    """The script, or the list of its faults, passed its bound."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,8 @@ class _Unfolding:
         self.axes = axes_named(document.value)
         self.steps: list[Step] = []
         self.faults: list[Fault] = []
-        self._names: set[str] = set()
+        self._names: dict[str, int] = {}  # every name given, and how often it was wished for
+        self._name = ""  # as wished for at the present pose
         self._recordings = 0
         self._pose: Pose | None = None  # where the camera stands
         self._move_step: MoveStep  # the step that brought it there
@@ -131,7 +135,7 @@ class _Unfolding:
             self._add(step, (*path, i), here)
 
     def _add(self, step: StepWords, path: DocumentPath, here: _Place | None) -> None:
-        if len(self.steps) >= MOST_STEPS or len(self.faults) >= MOST_STEPS:
+        if len(self.steps) >= MOST_STEPS or len(self.faults) >= MOST_FAULTS:
             raise _TooLong
         said = getattr(step, step.word)
         spot = (*path, step.word)
@@ -179,8 +183,9 @@ class _Unfolding:
             )
             return
         angles = {axis: place.angles_deg.get(axis, 0.0) for axis in self.axes}
-        name = said.name or place.name or " ".join(f"{axis} {angle:g}" for axis, angle in angles.items())
-        self._pose = Pose(0, self._unique(name), angles, place.path)
+        by_angles = " ".join(f"{axis} {angle:g}" for axis, angle in angles.items())
+        self._name = said.name or place.name or by_angles
+        self._pose = Pose(0, self._unique(self._name), angles, place.path)
         self._move_step = MoveStep(**self._number(path), pose=self._pose)
         self.steps.append(self._move_step)
 
@@ -194,8 +199,7 @@ class _Unfolding:
             self._move_step = replace(self._move_step, pose=self._pose)
             self.steps[self._move_step.number - 1] = self._move_step
         else:
-            name = self._unique(self._pose.name)
-            self._pose = replace(self._pose, index=self._recordings, name=name)
+            self._pose = replace(self._pose, index=self._recordings, name=self._unique(self._name))
         settings = merged(said, self.sequence.defaults.record)
         settings["gates"] = Gates(**settings["gates"])
         self.steps.append(RecordStep(**self._number(path), pose=self._pose, **settings))
@@ -220,11 +224,12 @@ class _Unfolding:
 
     def _unique(self, name: str) -> str:
         """Make a name no other pose has: by a number in brackets, if need be."""
-        free, again = name, 1
+        free, wishes = name, self._names.get(name, 0)
         while free in self._names:
-            again += 1
-            free = f"{name} ({again})"
-        self._names.add(free)
+            wishes += 1
+            free = f"{name} ({wishes})"
+        self._names[name] = max(wishes, 1)
+        self._names.setdefault(free, 1)
         return free
 
 

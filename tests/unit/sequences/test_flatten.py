@@ -1,0 +1,279 @@
+"""How a sequence unfolds into steps: poses, repeats, defaults, numbers that stay, and what cannot unfold."""
+
+from collections.abc import Sequence as List
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sequences.errors import DocumentFaults
+from sequences.flatten import MOST_STEPS, flatten, unfold
+from sequences.reader import check_document
+from sequences.schema import Sequence
+from sequences.script import (
+    Flicker,
+    Gates,
+    LightStep,
+    MoveStep,
+    PromptStep,
+    RecordStep,
+    ReportStep,
+    SettleStep,
+    SolveStep,
+    Step,
+    WaitStep,
+)
+
+HEAD = "format: starbench/sequence/1\nname: test\n"
+
+
+def read(text: str):
+    return check_document((HEAD + text).encode(), "s.yaml", Sequence)
+
+
+def steps(text: str) -> tuple[Step, ...]:
+    return flatten(read(text))
+
+
+def poses(script: List[Step]) -> list[tuple[int, str, dict[str, float]]]:
+    return [(s.pose.index, s.pose.name, s.pose.angles_deg) for s in script if isinstance(s, RecordStep)]
+
+
+def faults(text: str) -> list[str]:
+    with pytest.raises(DocumentFaults) as caught:
+        steps(text)
+    return [str(fault) for fault in caught.value.faults]
+
+
+def test_bare_words_stand_for_steps_with_their_defaults():
+    light, move, settle, record, solve, report = steps(
+        "steps: [light, {move: {pan_deg: 1}}, settle, record, solve, report]\n"
+    )
+    assert light == LightStep(1, "s.yaml:3:9", ("steps", 0, "light"), Flicker("square", 60, 50, 100))
+    assert isinstance(move, MoveStep)
+    assert settle.duration_s == 0.5
+    assert (record.window_ms, record.image, record.attempts) == (33, "auto", 2)
+    assert record.gates == Gates(min_stars=40, max_event_rate_mev_s=100, require_triggers=True)
+    assert (solve.model, solve.distortion, solve.loss, solve.huber_px) == (
+        "spherical",
+        ("k1", "k2"),
+        "huber",
+        None,
+    )
+    assert isinstance(report, ReportStep)
+
+
+def test_a_step_takes_from_the_defaults_what_it_does_not_say_itself():
+    light, _, record, off, _ = steps(
+        "defaults:\n"
+        "  light: {frequency_hz: 80, duty_percent: 30}\n"
+        "  record: {window_ms: 50, attempts: 5, gates: {min_stars: 7, require_triggers: no}}\n"
+        "steps:\n"
+        "  - light: {duty_percent: 40}\n"
+        "  - move: {pan_deg: 0}\n"
+        "  - record: {attempts: 3, gates: {min_stars: 9}}\n"
+        "  - light: off\n"
+        "  - light: {output: off, frequency_hz: 70}\n"
+    )
+    assert light.flicker == Flicker("square", 80, 40, 100)
+    assert (record.window_ms, record.attempts) == (50, 3)
+    assert record.gates == Gates(min_stars=9, max_event_rate_mev_s=100, require_triggers=False)
+    assert off.flicker is None
+
+
+def test_waits_and_prompts_say_how_long():
+    wait, prompt = steps(
+        "steps: [{wait: {duration_s: 5}}, {prompt: {text: 'Cap off?', default: abort, timeout_s: 9}}]\n"
+    )
+    assert isinstance(wait, WaitStep)
+    assert wait.duration_s == 5
+    assert isinstance(prompt, PromptStep)
+    assert (prompt.text, prompt.default, prompt.timeout_s) == ("Cap off?", "abort", 9)
+
+
+def test_a_repeat_over_a_named_set_visits_its_poses_in_order():
+    script = steps(
+        "poses:\n  two: [{name: left, pan_deg: -1}, {name: up, tilt_deg: 2}]\n"
+        "steps: [{repeat: {poses: two, steps: [move, settle, record]}}]\n"
+    )
+    assert [type(step) for step in script] == [MoveStep, SettleStep, RecordStep] * 2
+    assert poses(script) == [(1, "left", {"pan": -1, "tilt": 0}), (2, "up", {"pan": 0, "tilt": 2})]
+    assert [step.pose.key for step in script if isinstance(step, RecordStep)] == ["pose-001", "pose-002"]
+
+
+def test_an_axis_a_pose_does_not_name_stands_at_zero_wherever_the_camera_was_before():
+    script = steps("steps: [{move: {pan_deg: 5, roll_deg: 3}}, record, {move: {tilt_deg: 1}}, record]\n")
+    assert [angles for _, _, angles in poses(script)] == [
+        {"pan": 5, "tilt": 0, "roll": 3},
+        {"pan": 0, "tilt": 1, "roll": 0},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("order", "pans"), [("serpentine", [-1, 0, 1, 1, 0, -1]), ("rows", [-1, 0, 1, -1, 0, 1])]
+)
+def test_a_grid_goes_along_pan_first(order, pans):
+    script = steps(
+        "steps:\n  - repeat:\n"
+        f"      poses: {{pan_deg: {{first: -1, last: 1, count: 3}}, tilt_deg: [2, 4], order: {order}}}\n"
+        "      steps: [move, record]\n"
+    )
+    assert [(a["pan"], a["tilt"]) for _, _, a in poses(script)] == list(
+        zip(pans, [2, 2, 2, 4, 4, 4], strict=True)
+    )
+
+
+def test_a_serpentine_of_three_axes_moves_one_axis_at_a_time():
+    script = steps(
+        "steps:\n  - repeat:\n      poses: {pan_deg: [0, 1, 2], tilt_deg: [0, 1, 2], roll_deg: [0, 1]}\n"
+        "      steps: [move, record]\n"
+    )
+    visited = [tuple(angles.values()) for _, _, angles in poses(script)]
+    assert len(set(visited)) == 18
+    changes = [sum(a != b for a, b in zip(*both, strict=True)) for both in pairwise(visited)]
+    assert changes == [1] * 17
+
+
+def test_a_span_of_one_is_its_middle_and_a_long_one_ends_exactly():
+    script = steps(
+        "steps:\n  - repeat: {poses: {pan_deg: {first: 1, last: 3, count: 1}}, steps: [move, record]}\n"
+        "  - repeat: {poses: {pan_deg: {first: 0, last: 0.3, count: 4}}, steps: [move, record]}\n"
+    )
+    pans = [angles["pan"] for _, _, angles in poses(script)]
+    assert pans[0] == 2
+    assert pans[-1] == 0.3
+
+
+def test_recording_twice_at_one_place_gives_two_poses_with_names_of_their_own():
+    script = steps("steps: [{move: {name: here, pan_deg: 1}}, {repeat: {times: 3, steps: [record]}}]\n")
+    assert poses(script) == [
+        (1, "here", {"pan": 1}),
+        (2, "here (2)", {"pan": 1}),
+        (3, "here (3)", {"pan": 1}),
+    ]
+
+
+def test_a_name_given_twice_and_a_name_that_looks_like_the_answer_stay_apart():
+    script = steps(
+        "poses: {a: [{name: x, pan_deg: 1}, {name: x (2), pan_deg: 2}, {name: x, pan_deg: 3}]}\n"
+        "steps: [{repeat: {poses: a, steps: [move, record]}}]\n"
+    )
+    assert [name for _, name, _ in poses(script)] == ["x", "x (2)", "x (3)"]
+
+
+def test_a_pose_without_a_name_is_called_by_its_angles():
+    assert poses(steps("steps: [{move: {pan_deg: -6, tilt_deg: 2.5}}, record]\n"))[0][1] == "pan -6 tilt 2.5"
+
+
+def test_a_move_at_which_nothing_is_recorded_takes_no_number():
+    script = steps("steps: [{move: {pan_deg: 1}}, {move: {pan_deg: 2}}, record, {move: {pan_deg: 0}}]\n")
+    assert [step.pose.index for step in script if isinstance(step, MoveStep)] == [0, 1, 0]
+    assert script[2].pose == script[1].pose
+
+
+def test_repeats_nest_and_the_inner_pose_wins():
+    script = steps(
+        "poses: {a: [{pan_deg: 1}, {pan_deg: 2}], b: [{pan_deg: 9}]}\n"
+        "steps:\n  - repeat:\n      poses: a\n      steps:\n"
+        "        - repeat: {times: 2, steps: [move, record]}\n"
+        "        - repeat: {poses: b, steps: [move, record]}\n"
+    )
+    assert [angles["pan"] for _, _, angles in poses(script)] == [1, 1, 9, 2, 2, 9]
+
+
+def test_a_step_says_where_it_is_written():
+    document = read(
+        "steps:\n  - light\n  - repeat:\n      times: 2\n      steps:\n        - wait: {duration_s: 1}\n"
+    )
+    light, first, again = flatten(document)
+    assert light.where == "s.yaml:4:5"
+    assert first.where == again.where == "s.yaml:8:17"
+    assert first.path == ("steps", 1, "repeat", "steps", 0, "wait")
+
+
+def test_all_that_cannot_unfold_is_reported_at_once():
+    said = faults(
+        "poses:\n  three: [{pan_deg: 1}]\n"
+        "steps:\n  - record\n  - move\n  - repeat: {poses: tree, steps: [move]}\n"
+        "  - repeat: {times: 2, steps: [{move: {name: x}}]}\n"
+    )
+    beginnings = [
+        "s.yaml:6:5: steps[0].record: a recording before any move",
+        "s.yaml:7:5: steps[1].move: no pose to move to",
+        "s.yaml:8:21: steps[2].repeat.poses: no set of poses has this name (got 'tree'). Did you mean 'three'?",
+        "s.yaml:9:39: steps[3].repeat.steps[0].move: no pose to move to",
+    ]
+    assert [a.startswith(b) for a, b in zip(said, beginnings, strict=True)] == [True] * 4
+
+
+@pytest.mark.parametrize(
+    "steps_text",
+    [
+        "{repeat: {times: 100000, steps: [{repeat: {times: 100000, steps: [{wait: {duration_s: 1}}]}}]}}",
+        "{repeat: {times: 100000, steps: [{repeat: {times: 100000, steps: [move]}}]}}",
+        "{repeat: {times: 100000, steps: [{repeat: {poses: none, steps: [move]}}]}}",
+    ],
+)
+def test_a_script_that_unfolds_without_end_is_stopped(steps_text):
+    assert len(faults(f"steps: [{steps_text}]\n")) == 1
+
+
+def test_a_grid_that_unfolds_without_end_is_stopped():
+    axis = "{first: 0, last: 1, count: 10000}"
+    (fault,) = faults(
+        f"steps: [{{repeat: {{poses: {{pan_deg: {axis}, tilt_deg: {axis}, roll_deg: {axis}}}, steps: [move]}}}}]\n"
+    )
+    assert f"this grid has 1000000000000 poses; {MOST_STEPS} are the most" in fault
+
+
+words = st.sampled_from(
+    [
+        "light",
+        "light: off",
+        "move",
+        "move: {pan_deg: 3}",
+        "move: {tilt_deg: 1, name: n}",
+        "settle",
+        "record",
+        "solve",
+        "report",
+    ]
+)
+
+
+@st.composite
+def scripts(draw, depth=2) -> str:
+    """Flow text of a list of steps, some of which make no sense."""
+    items = []
+    for _ in range(draw(st.integers(1, 4))):
+        if depth and draw(st.booleans()):
+            over = draw(
+                st.sampled_from(["times: 2", "poses: a", "poses: g", "poses: [{roll_deg: 1}]", "poses: zz"])
+            )
+            items.append(f"{{repeat: {{{over}, steps: {draw(scripts(depth=depth - 1))}}}}}")
+        else:
+            word = draw(words)
+            items.append(f"{{{word}}}" if ":" in word else word)
+    return f"[{', '.join(items)}]"
+
+
+@settings(max_examples=150)
+@given(scripts())
+def test_numbers_names_and_poses_hold_together_in_any_script(text):
+    document = read(
+        f"poses: {{a: [{{pan_deg: 1}}, {{name: n, pan_deg: 2}}], g: {{pan_deg: [1, 2]}}}}\nsteps: {text}\n"
+    )
+    script, found = unfold(document)
+    assert (script, found) == unfold(document)
+    assert [step.number for step in script] == list(range(1, len(script) + 1))
+    recorded = [step.pose for step in script if isinstance(step, RecordStep)]
+    assert [pose.index for pose in recorded] == list(range(1, len(recorded) + 1))
+    assert len({pose.name for pose in recorded}) == len(recorded)
+    angles = None
+    for step in script:
+        if isinstance(step, MoveStep):
+            angles = step.pose.angles_deg
+        if isinstance(step, RecordStep):
+            assert step.pose.angles_deg == angles
+    assert not any(isinstance(step, SolveStep) and step.distortion != ("k1", "k2") for step in script)

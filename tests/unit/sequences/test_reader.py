@@ -1,0 +1,185 @@
+"""From a file to a checked document: places, words and completeness of faults; files that cannot be read."""
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import Field
+
+from sequences.errors import DocumentFaults
+from sequences.reader import check_document, find_document, json_schema, read_document
+from sequences.schema import Sequence, Words
+
+SHIPPED = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
+
+
+class Lamp(Words):
+    kind: Literal["lamp"]
+    watts: Annotated[float, Field(gt=0)]
+
+
+class Laser(Words):
+    kind: Literal["laser"]
+    serial: str
+    on: bool = False
+
+
+class Table(Words):
+    format: Literal["test/1"]
+    light: Annotated[Lamp | Laser, Field(discriminator="kind")]
+    legs: dict[str, tuple[int, int]] = Field(default_factory=dict)
+
+
+def faults(text: str, model=Table) -> list[str]:
+    with pytest.raises(DocumentFaults) as caught:
+        check_document(text.encode(), "t.yaml", model)
+    return [str(fault) for fault in caught.value.faults]
+
+
+def test_a_document_keeps_its_bytes_and_its_places():
+    data = b"format: test/1\nlight:\n  kind: laser\n  serial: 00051234 # zeros count\n  on: yes\n"
+    document = check_document(data, "t.yaml", Table)
+    assert document.value.light == Laser(kind="laser", serial="00051234", on=True)
+    assert document.text == data
+    assert document.position(("light", "serial")) == (4, 11)
+    assert document.where(("light", "serial")) == "t.yaml:4:11"
+    assert str(document.fault(("light", "on"), "no.")) == "t.yaml:5:7: light.on: no."
+
+
+def test_every_fault_is_reported_at_once_in_the_order_of_the_file():
+    assert faults(
+        "format: test/1\nlihgt: 1\nlight: {kind: lamp, wats: 3}\nlegs:\n  a: [1, x]\n  b: [1.5, 2]\n  a: 2\n"
+    ) == [
+        "t.yaml:2:1: lihgt: unknown key. Did you mean 'light'?",
+        "t.yaml:3:8: light.watts: required, and missing.",
+        "t.yaml:3:21: light.wats: unknown key. Did you mean 'watts'?",
+        "t.yaml:5:10: legs.a[1]: must be a whole number (got 'x').",
+        "t.yaml:6:7: legs.b[0]: must be a whole number (got '1.5').",
+        "t.yaml:7:3: legs.a: duplicate key; it stands in line 5 already.",
+    ]
+
+
+def test_an_unknown_kind_is_met_with_the_known_ones():
+    assert faults("format: test/1\nlight: {kind: candle}\n") == [
+        "t.yaml:2:15: light.kind: must be one of 'lamp', 'laser' (got 'candle')."
+    ]
+    assert faults("format: test/1\nlight: {watts: 3}\n") == [
+        "t.yaml:2:8: light.kind: must be one of 'lamp', 'laser', and is missing."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("light", "fault"),
+    [
+        ("{kind: lamp, watts: sixty}", "light.watts: must be a number (got 'sixty')."),
+        ("{kind: lamp, watts: }", "light.watts: must be a number (got nothing)."),
+        ("{kind: lamp, watts: [1]}", "light.watts: must be a number."),
+        ("{kind: lamp, watts: .nan}", "light.watts: must be a number (got '.nan')."),
+        ("{kind: lamp, watts: inf}", "light.watts: must be a finite number (got 'inf')."),
+        ("{kind: lamp, watts: -1}", "light.watts: must be more than 0 (got '-1')."),
+        ("{kind: laser, serial: {a: b}}", "light.serial: must be text."),
+        ("{kind: laser, serial: x, on: maybe}", "light.on: must be true or false (got 'maybe')."),
+        ("[1, 2]", "light: must be a mapping (key: value)."),
+        ("x", "light: must be a mapping (key: value) (got 'x')."),
+    ],
+)
+def test_a_wrong_value_is_met_in_plain_words_with_what_was_got(light, fault):
+    (said,) = faults(f"format: test/1\nlight: {light}\n")
+    assert said.partition(": ")[2] == fault
+
+
+def test_a_long_value_is_quoted_in_part():
+    (said,) = faults(f"format: test/1\nlight: {{kind: lamp, watts: {'9x' * 500}}}\n")
+    assert len(said) < 150
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "[a, b]\n", "word\n"])
+def test_what_is_no_mapping_is_one_fault(text):
+    (said,) = faults(text)
+    assert said.startswith("t.yaml:1:1: the document must be a mapping")
+
+
+def test_a_document_of_another_kind_is_one_fault_not_one_a_line():
+    (said,) = faults("format: starbench/station/1\nname: x\nstage: {}\n", Sequence)
+    assert said.startswith("t.yaml:1:9: format: this is not a document of the kind wanted here")
+    assert said.endswith("'starbench/sequence/1' (got 'starbench/station/1').")
+
+
+def test_a_document_cut_off_by_a_syntax_error_is_not_blamed_for_what_was_not_reached():
+    (said,) = faults("format: test/1\nlight: {kind: lamp, watts: 3\nlegs: {}\n")
+    assert "not valid YAML" in said
+
+
+def test_a_file_that_is_not_there_is_a_folder_or_cannot_be_read_is_one_fault(tmp_path):
+    def fault_of(path) -> str:
+        with pytest.raises(DocumentFaults) as caught:
+            read_document(path, Table)
+        return str(caught.value)
+
+    assert fault_of(tmp_path / "no.yaml") == f"{tmp_path}/no.yaml: there is no such file."
+    assert fault_of(tmp_path) == f"{tmp_path}: this is not a file but a folder."
+    os.mkfifo(tmp_path / "pipe")
+    assert fault_of(tmp_path / "pipe") == f"{tmp_path}/pipe: this is not a file."
+    assert "cannot be read" in fault_of(tmp_path / "a\0b")
+    assert "cannot be read" in fault_of(tmp_path / ("x" * 300))
+
+
+def test_a_file_without_permission_is_one_fault(tmp_path, monkeypatch):
+    secret = tmp_path / "secret.yaml"
+    secret.write_text("a: 1\n")
+
+    def refuse(*_args, **_kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)  # root may read everything, so a mode would not do
+    with pytest.raises(DocumentFaults, match=r"secret.yaml: no permission to read this file\."):
+        read_document(secret, Table)
+
+
+def test_a_bare_name_finds_what_is_shipped_and_a_path_what_it_names(tmp_path, monkeypatch):
+    (tmp_path / "shipped").mkdir()
+    (tmp_path / "shipped" / "three.yaml").touch()
+    monkeypatch.chdir(tmp_path)
+    assert find_document("three", tmp_path / "shipped") == tmp_path / "shipped" / "three.yaml"
+    assert find_document("shipped/three", tmp_path / "shipped") == Path("shipped/three")
+    assert find_document("three.yaml", tmp_path / "shipped") == Path("three.yaml")
+    with pytest.raises(DocumentFaults, match=r"none is shipped by this name\. Did you mean 'three'\?"):
+        find_document("tree", tmp_path / "shipped")
+    (tmp_path / "three").touch()
+    assert find_document("three", tmp_path / "shipped") == Path("three")
+
+
+def test_the_schema_is_exported_as_json_schema():
+    schema = json.loads(json_schema(Sequence))
+    assert schema["$schema"].startswith("https://json-schema.org/")
+    assert set(schema["required"]) == {"format", "name", "steps"}
+    assert schema["additionalProperties"] is False
+
+
+@st.composite
+def damaged(draw) -> bytes:
+    """A shipped sequence with some of its bytes cut, doubled or replaced."""
+    data = draw(st.sampled_from(SHIPPED)).read_bytes()
+    for _ in range(draw(st.integers(1, 4))):
+        at = draw(st.integers(0, len(data)))
+        end = min(len(data), at + draw(st.integers(0, 30)))
+        new = draw(
+            st.binary(max_size=4) | st.sampled_from([b"\n", b": ", b"- ", b"{", b"&a ", data[at:end] * 2])
+        )
+        data = data[:at] + new + data[end:]
+    return data
+
+
+@settings(max_examples=150)
+@given(damaged())
+def test_a_damaged_sequence_is_a_document_or_faults_with_places_never_anything_else(data):
+    found = []
+    try:
+        assert check_document(data, "t.yaml", Sequence).text == data
+    except DocumentFaults as error:
+        found = error.faults or ["none"]
+    assert all(str(fault).startswith(f"t.yaml:{fault.line}:{fault.column}: ") for fault in found)
