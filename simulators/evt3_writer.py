@@ -134,7 +134,7 @@ class Evt3Writer:
         return words[:n]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _write(
     words: NDArray, state: NDArray, events: tuple, edges: tuple, entered_t: NDArray, until: int, width: int
 ) -> int:
@@ -163,7 +163,7 @@ def _write(
             state[_TICK] = tick + TICK_US
         if first == end:
             break
-        n = _write_time_low(words, n, state, first)
+        n = _write_time_low(words, n, state, int(first))
         if t_edge <= t_event:
             words[n] = EXT_TRIGGER | edge_value[k]
             n += 1
@@ -185,7 +185,7 @@ def _write(
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _write_time_low(words: NDArray, n: int, state: NDArray, t: int) -> int:
     """TIME_LOW, unless it stands already."""
     if state[_LOW] != t:
@@ -195,7 +195,7 @@ def _write_time_low(words: NDArray, n: int, state: NDArray, t: int) -> int:
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _write_counters(words: NDArray, n: int, state: NDArray) -> int:
     """Events into and out of the rate controller in the window that ends; begin the next window."""
     for k in range(2):
@@ -210,7 +210,7 @@ def _write_counters(words: NDArray, n: int, state: NDArray) -> int:
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _write_run(
     words: NDArray,
     n: int,

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -30,7 +30,7 @@ TARGET: Final = StarTarget()
 """The printed target behind the collimator."""
 
 
-def pose_rotation(angles_deg: Mapping[str, float], optics: OpticsTruth) -> FloatArray:
+def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> FloatArray:
     """Rotation camera <- target of a gimbal pose, R = Rz(roll) Rx(tilt) Ry(pan) R0.
 
     Parameters
@@ -196,7 +196,7 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     return np.asarray(image, np.float32)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _plane_row(rays: NDArray, r_t: NDArray, centre: NDArray, out: NDArray) -> None:
     """Where a row of rays, (W + 1, 2), meets the target plane: (W + 1, 2) mm; NaN if it goes away from it."""
     for j in range(rays.shape[0]):
@@ -207,7 +207,7 @@ def _plane_row(rays: NDArray, r_t: NDArray, centre: NDArray, out: NDArray) -> No
         out[j, 1] = centre[1] + scale * (r_t[1, 0] * xn + r_t[1, 1] * yn + r_t[1, 2])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _disc_light(x_mm: float, y_mm: float, disc: NDArray) -> float:
     """Brightness of the illuminated disc at a point of the target plane: soft rim and linear gradient."""
     dx, dy = (x_mm - disc[0]) / disc[2], (y_mm - disc[1]) / disc[2]
@@ -221,7 +221,7 @@ def _disc_light(x_mm: float, y_mm: float, disc: NDArray) -> float:
     return light
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _cell_brightness(top: NDArray, bottom: NDArray, j: int, n: int, layout: TargetLayout) -> float:
     """Average the printed brightness over the pixel between two rows of corners, n x n samples."""
     total = 0.0
@@ -236,7 +236,7 @@ def _cell_brightness(top: NDArray, bottom: NDArray, j: int, n: int, layout: Targ
     return total / (n * n)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _render(
     rays: NDArray, r_t: NDArray, centre: NDArray, disc: NDArray, layout: TargetLayout, n: int
 ) -> NDArray:

@@ -14,7 +14,7 @@ and arrays only; times in microseconds.
 from __future__ import annotations
 
 from math import exp, floor, log
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 SQUARE: Final = 0
 SMOOTH: Final = 1
 
-JIT: Final = {"cache": True, "error_model": "numpy"}
+JIT: Final[dict[str, Any]] = {"cache": True, "error_model": "numpy", "nogil": True}
 """How everything here is compiled."""
 
 
@@ -86,7 +86,7 @@ def _square_next(
     d: Drive, light: float, u_rise: float, u_fall: float, on_at: float, off_at: float, phase: float
 ) -> tuple[float, int]:
     """Phase (may exceed the period) and polarity of the next crossing of ``on_at`` or ``off_at``; inf = none."""
-    can_on, can_off = u_fall <= on_at and on_at < u_rise, u_rise >= off_at and off_at > u_fall
+    can_on, can_off = u_fall <= on_at < u_rise, u_rise >= off_at > u_fall
     if phase < d.high_us:
         if u_fall <= on_at:
             return max(phase, _square_on(d, light, u_rise, on_at) if can_on else phase), 1

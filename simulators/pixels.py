@@ -34,6 +34,8 @@ BRIGHTEST: Final = 1.5
 LOWEST_CONTRAST: Final = 0.02
 """Relative change of brightness below which no pixel is ever near its threshold."""
 
+BUFFER_EVENTS: Final = 1 << 20
+
 PEAK_EVENTS_US: Final = 1066.0
 """The sensor reads no faster (1.066 GEPS)."""
 ROW_US: Final = 0.1
@@ -146,6 +148,12 @@ class Sensor:
         self._readout = _make_readout(width, height, noise, self.settings, camera_seed, link or Link())
         self._state = np.zeros(readout.N_STATE)
         self._random = np.random.default_rng(seed).integers(1, 2**63, 2, dtype=np.uint64)
+        self._buffer = (
+            np.empty(BUFFER_EVENTS, np.int64),
+            np.empty(BUFFER_EVENTS, np.uint16),
+            np.empty(BUFFER_EVENTS, np.uint16),
+            np.empty(BUFFER_EVENTS, np.uint8),
+        )
         self._drive: Drive | None = None
         self._now_us = 0.0
 
@@ -198,7 +206,7 @@ class Sensor:
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
         self._see(picture)
         t = self._now_us - self._state[readout.EPOCH]
-        readout.redrive(self._pixels, self._drive, self._readout, t, step_us, self._state, self._random)
+        readout.redrive(self._pixels, self._drive, t, step_us, self._state, self._random)
 
     def _see(self, picture: NDArray[np.float32] | None) -> None:
         """Take over the picture and find the steady state of each pixel."""
@@ -241,17 +249,18 @@ class Sensor:
         """Events up to a time within the epoch, in as many pieces as the buffer needs."""
         parts = []
         while True:
-            size = 1 << 20
-            out = (
-                np.empty(size, np.int64),
-                np.empty(size, np.uint16),
-                np.empty(size, np.uint16),
-                np.empty(size, np.uint8),
-            )
             n = readout.read_rows(
-                self._pixels, self._drive, self._readout, self._state, self._random, until, self.width, out
+                self._pixels,
+                self._drive,
+                self._readout,
+                self._state,
+                self._random,
+                until,
+                self.width,
+                self._buffer,
             )
-            parts.append(Events(*(a[:n].copy() for a in out)))
+            t, x, y, p = self._buffer
+            parts.append(Events(t[:n].copy(), x[:n].copy(), y[:n].copy(), p[:n].copy()))
             if self._state[readout.FULL] == 0.0:
                 return parts
 
@@ -345,7 +354,7 @@ def _make_readout(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _fill_alias(scaled: NDArray, share: NDArray, other: NDArray) -> None:
     """Fill Walker's alias table of rates scaled to a mean of 1 (Vose 1991); ``scaled`` is used up."""
     n = scaled.size

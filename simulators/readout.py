@@ -10,7 +10,7 @@ times of the pixels are relative.
 from __future__ import annotations
 
 from math import floor, log
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -41,7 +41,12 @@ EPOCH: Final = 5  # sensor time of the epoch
 FULL: Final = 6  # 1 when the last call ended because the output was nearly full
 N_STATE: Final = 7
 
-JIT: Final = {"cache": True, "error_model": "numpy", "fastmath": {"nnan", "nsz", "reassoc"}}
+JIT: Final[dict[str, Any]] = {
+    "cache": True,
+    "error_model": "numpy",
+    "nogil": True,
+    "fastmath": {"nnan", "nsz", "reassoc"},
+}
 """No infinities are assumed away: a pixel without a request has its next one at infinity."""
 
 VECTOR_FROM: Final = 5
@@ -317,9 +322,7 @@ def start_pixels(px: Pixels, drive: Drive, ro: Readout, t: float, state: NDArray
 
 
 @njit(**JIT)
-def redrive(
-    px: Pixels, drive: Drive, ro: Readout, t: float, step_us: float, state: NDArray, random: NDArray
-) -> None:
+def redrive(px: Pixels, drive: Drive, t: float, step_us: float, state: NDArray, random: NDArray) -> None:
     """Let a new light or a new picture take effect at t: references stay, next crossings are found anew.
 
     A pixel that the change itself carries beyond its threshold requests at a random time of the step.
