@@ -1,14 +1,18 @@
-"""A new RAW file on disk: made exclusively, written once, synced before it is closed; knows no camera."""
+"""A new RAW file on disk: never over another one, written once, synced; knows no camera."""
 
 from __future__ import annotations
 
 import errno
 import os
+import shutil
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
 from drivers.errors import RecordingFailed
+
+FULL_BYTES: Final = 1 << 20
+"""A disk with less free space than this is taken for full."""
 
 _REMEDIES: Final = {
     errno.EEXIST: ("There is such a file already", "Recordings are never overwritten: choose another name."),
@@ -79,6 +83,40 @@ class RawWriter:
                 raise disk_refused(self.path, failed) from failed
         finally:
             os.close(self._handle)
+
+
+def check_new(path: Path) -> None:
+    """Raise RecordingFailed when there is such a file already, or its folder is missing or may not be written."""
+    code = 0
+    if path.exists():
+        code = errno.EEXIST
+    elif not path.parent.is_dir():
+        code = errno.ENOENT
+    elif not os.access(path.parent, os.W_OK):
+        code = errno.EACCES
+    if code:
+        raise disk_refused(path, OSError(code, os.strerror(code)))
+
+
+def check_space(path: Path) -> None:
+    """Raise RecordingFailed when the disk of a file is full."""
+    if shutil.disk_usage(path.parent).free < FULL_BYTES:
+        raise disk_refused(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+
+
+def sync_file(path: Path) -> None:
+    """Sync a file that another program wrote, and its name; a file that is not there needs none."""
+    if not path.exists():
+        return
+    try:
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise disk_refused(path, error) from error
 
 
 def sync_folder(folder: Path) -> None:

@@ -1,0 +1,320 @@
+"""Prophesee cameras through the HAL of Metavision or OpenEB: knows its Python calls, opens no camera on import.
+
+The vendor's software is looked for when a camera is opened, not before. Only calls that return at once are
+used, since its blocking ones keep every other Python thread from running. It logs the camera's bytes to the
+file itself; whether all of them arrived (it does not tell a full disk) is read from the file afterwards.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
+from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
+from drivers.camera.raw_file import RawFile, RecordingScan
+from drivers.camera.raw_writer import check_new, check_space, sync_file
+from drivers.clock import Clock
+from drivers.errors import (
+    CameraError,
+    CameraLost,
+    CameraNotFound,
+    CameraSettingRefused,
+    CameraSoftwareMissing,
+    RecordingFailed,
+    RecordingFileError,
+    WrongDevice,
+)
+
+SILENCE_S: Final = 5.0
+"""A sensor that streams sends its clock every 16 us."""
+
+_POLL_S: Final = 0.001
+
+_LARGEST_STEP_US: Final = 1_000_000
+"""Between two buffers of one stream lie milliseconds; a longer step is the clock of another start."""
+
+
+@dataclass(frozen=True)
+class FoundCamera:
+    """A camera that the vendor's software sees; ``serial`` is what a station file calls it."""
+
+    serial: str
+    integrator: str
+    plugin: str
+    connection: str
+
+
+def discover() -> tuple[FoundCamera, ...]:
+    """List the cameras that are connected. Raises CameraSoftwareMissing."""
+    hal = _vendor_software()
+    return tuple(
+        FoundCamera(
+            str(c.serial), str(c.integrator_name), str(c.plugin_name), str(c.connection).split(".")[-1]
+        )
+        for c in hal.DeviceDiscovery.list_available_sources()
+    )
+
+
+class MetavisionEvk4:
+    """An ``EventCamera`` behind ``metavision_hal``.
+
+    Parameters
+    ----------
+    device
+        An open HAL device: a camera, or a RAW file opened as one.
+    hal
+        The module it comes from.
+    serial
+        The serial number it must have; None takes any.
+    clock
+        All waits pass through it.
+    """
+
+    def __init__(self, device: Any, hal: Any, *, serial: str | None, clock: Clock) -> None:
+        self._device = device
+        self._hal = hal
+        self._serial = serial
+        self._clock = clock
+        self._stop_asked = threading.Event()
+
+    @classmethod
+    def open(cls, *, serial: str | None = None, clock: Clock) -> MetavisionEvk4:
+        """Open a camera in the format EVT3; None takes the first one found.
+
+        Raises
+        ------
+        CameraSoftwareMissing
+            When ``metavision_hal`` cannot be imported.
+        CameraNotFound
+            When there is no such camera, or another program holds it.
+        WrongDevice, CameraSettingRefused
+            When another camera answers, or it does not send EVT3.
+        """
+        hal = _vendor_software()
+        config = hal.DeviceConfig()
+        config.set_format("EVT3")
+        reason = ""
+        device = None
+        try:
+            device = hal.DeviceDiscovery.open(serial or "", config)
+        except RuntimeError as error:
+            reason = f" ({_first_line(error)})"
+        if device is None:
+            seen = ", ".join(camera.serial for camera in discover()) or "none"
+            raise CameraNotFound(
+                f"Camera {serial or 'of any number'} cannot be opened{reason}; connected cameras: {seen}.",
+                remedy="Check its cable and power, the serial number in the station file, the udev rules, and "
+                "that no other program uses it.",
+            )
+        camera = cls(device, hal, serial=serial, clock=clock)
+        camera.identify()
+        camera._see_encoding()
+        return camera
+
+    def identify(self) -> CameraIdentity:
+        """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
+        try:
+            who = self._facility("get_i_hw_identification", "identification")
+            geometry = self._facility("get_i_geometry", "geometry")
+            about = dict(who.get_system_info())
+            version = next((key for key in about if key.endswith(" Release Version")), "")
+            identity = CameraIdentity(
+                maker=str(who.get_integrator()),
+                model=version.removesuffix(" Release Version"),
+                sensor=str(who.get_sensor_info().name),
+                serial=str(who.get_serial()),
+                firmware=str(about.get(version, "")),
+                width=int(geometry.get_width()),
+                height=int(geometry.get_height()),
+            )
+        except RuntimeError as error:
+            raise self._lost(error) from error
+        if self._serial is not None and identity.serial != self._serial:
+            raise WrongDevice(
+                f"It is camera {identity.serial}, not {self._serial}.",
+                where=self._where,
+                remedy="Correct the serial number in the station file, or plug in the right camera.",
+            )
+        return identity
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Set biases and trigger input, switch all filters off; return what was read back.
+
+        Biases that are not named go back to their factory value. Raises CameraSettingRefused.
+        """
+        return apply_settings(self._device, self._hal, settings, where=self._where)
+
+    def filters(self) -> Mapping[str, bool]:
+        """On-chip filters that it has and whether each is on."""
+        return read_filters(self._device, self._hal, where=self._where)
+
+    def temperature_c(self) -> float | None:
+        """Sensor temperature, or None where it cannot tell."""
+        return read_monitoring(self._device, "get_temperature")
+
+    def record(self, path: Path, duration_s: float) -> RecordingFacts:
+        """Record at least that long of the sensor's clock into a new RAW file; see ``EventCamera.record``.
+
+        Raises
+        ------
+        RecordingFailed
+            When the file cannot be made, or turns out shorter than what was streamed; it is kept.
+        CameraLost
+            When the camera goes away meanwhile; what came before is kept.
+        """
+        if not (math.isfinite(duration_s) and duration_s > 0):
+            raise RecordingFailed(f"A recording of {duration_s} s was asked for.", where=self._where)
+        check_new(path)
+        self._stop_asked.clear()
+        identity = self.identify()
+        biases, filters = read_biases(self._device, where=self._where), self.filters()
+        complete = self._run(path, duration_s)
+        scan = self._scan(path)
+        if complete and scan.duration_s < duration_s:
+            check_space(path)
+            raise RecordingFailed(
+                f"It covers only {scan.duration_s:.6f} s of the sensor's clock, not {duration_s} s.",
+                where=str(path),
+                remedy="Record it again.",
+            )
+        return RecordingFacts(
+            serial=identity.serial,
+            model=identity.model,
+            width=identity.width,
+            height=identity.height,
+            bytes=scan.bytes,
+            duration_s=scan.duration_s,
+            events=scan.events,
+            triggers=scan.triggers,
+            biases=biases,
+            filters=filters,
+            rate_controller_in=scan.rate_controller_in,
+            rate_controller_out=scan.rate_controller_out,
+            temperature_c=self.temperature_c(),
+            illumination_lux=read_monitoring(self._device, "get_illumination"),
+            gaps=scan.gaps_in_words(),
+            complete=complete,
+        )
+
+    def stop(self) -> None:
+        """End a recording at its next buffer; callable from any thread."""
+        self._stop_asked.set()
+
+    def close(self) -> None:
+        """Let the camera go."""
+        self._device = None
+
+    # ------------------------------------------------------------- streaming
+
+    def _run(self, path: Path, duration_s: float) -> bool:
+        """Stream into the file until the time is covered; returns whether it was."""
+        stream = self._facility("get_i_events_stream", "event stream")
+        # Logging starts before the stream does, or its first buffers would be missing.
+        if not stream.log_raw_data(str(path)):
+            raise RecordingFailed(
+                "The camera's software cannot write it.",
+                where=str(path),
+                remedy="Check that the folder exists and may be written.",
+            )
+        try:
+            stream.start()
+            return self._poll(stream, duration_s)
+        except RuntimeError as error:
+            raise self._lost(error, path) from error
+        except CameraLost as error:
+            raise self._lost(error, path) from error
+        finally:
+            for end in (stream.stop_log_raw_data, stream.stop):
+                with suppress(RuntimeError):
+                    end()
+            sync_file(path)
+
+    def _poll(self, stream: Any, duration_s: float) -> bool:
+        """Take buffers until the sensor's clock has covered the duration; False when stopped or ended."""
+        decoder = self._device.get_i_events_stream_decoder()
+        wanted_us = math.ceil(duration_s * 1e6)
+        covered_us, last_us = 0, -1
+        deadline = self._clock.monotonic() + SILENCE_S
+        while covered_us < wanted_us:
+            ready = stream.poll_buffer()
+            if self._stop_asked.is_set() or ready < 0:
+                return False
+            if ready == 0:
+                if self._clock.monotonic() > deadline:
+                    raise CameraLost(f"It has sent nothing for {SILENCE_S:g} s.", where=self._where)
+                self._clock.sleep(_POLL_S)
+                continue
+            decoder.decode(stream.get_latest_raw_data())
+            now_us = int(decoder.get_last_timestamp())
+            step_us = now_us - last_us
+            if last_us >= 0 and 0 < step_us < _LARGEST_STEP_US:
+                covered_us += step_us
+                deadline = self._clock.monotonic() + SILENCE_S
+            last_us = now_us
+            self._clock.sleep(0.0)
+        return True
+
+    def _scan(self, path: Path) -> RecordingScan:
+        """Read the new file once. Raises RecordingFailed."""
+        try:
+            return RawFile.open(path).scan()
+        except RecordingFileError as error:
+            check_space(path)
+            raise RecordingFailed(error.what, where=error.where, remedy="Record it again.") from error
+
+    # ------------------------------------------------------------- the rest
+
+    @property
+    def _where(self) -> str:
+        return f"camera {self._serial or 'at Metavision'}"
+
+    def _facility(self, getter: str, name: str) -> Any:
+        """Return a facility that every camera has. Raises CameraError when this one does not, or is closed."""
+        facility = getattr(self._device, getter)() if self._device is not None else None
+        if facility is None:
+            raise CameraError(
+                f"Its {name} cannot be reached.",
+                where=self._where,
+                remedy="Reconnect the camera, then resume.",
+            )
+        return facility
+
+    def _see_encoding(self) -> None:
+        encoding = str(self._facility("get_i_hw_identification", "x").get_current_data_encoding_format())
+        if not encoding.startswith("EVT3"):
+            raise CameraSettingRefused(
+                f"It sends {encoding or 'an unknown format'}, not EVT3.",
+                where=self._where,
+                remedy="Update the camera's firmware, or use one that sends EVT3.",
+            )
+
+    def _lost(self, error: Exception, path: Path | None = None) -> CameraLost:
+        kept = f" What came before is in {path}." if path else ""
+        said = error.what if isinstance(error, CameraError) else f"It has gone ({_first_line(error)})."
+        return CameraLost(
+            said + kept, where=self._where, remedy="Check its cable and power, then resume the run."
+        )
+
+
+def _vendor_software() -> Any:
+    """Import ``metavision_hal``. Raises CameraSoftwareMissing."""
+    try:
+        return importlib.import_module("metavision_hal")
+    except ImportError as error:
+        raise CameraSoftwareMissing(
+            f"The camera's software, metavision_hal, cannot be imported ({error}).",
+            remedy="Install OpenEB or the Metavision SDK 5 (docs.prophesee.ai; not from PyPI), for the same "
+            "version of Python as Starbench's, and make its Python folder known by PYTHONPATH.",
+        ) from error
+
+
+def _first_line(error: Exception) -> str:
+    """Give the first line of the vendor's message that says something."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

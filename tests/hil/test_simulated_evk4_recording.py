@@ -1,0 +1,111 @@
+"""Recordings of the simulated EVK4, made by the driver over its socket."""
+
+from contextlib import contextmanager
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from drivers.camera import CameraSettings
+from drivers.camera.raw_file import RawFile
+from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
+from drivers.clock import SystemClock
+from drivers.errors import CameraError, CameraSettingRefused
+from simulators.evk4 import SimulatedEvk4
+from simulators.truth import truth_from_config
+from simulators.world import LightState, World
+
+NOW = datetime(2026, 11, 20, tzinfo=UTC)
+SETTINGS = CameraSettings({"bias_diff_on": 5})
+
+
+@contextmanager
+def bench(light):
+    """A simulated camera under that light, as the driver sees it, and its address."""
+    world = World(truth_from_config({}), seed=1)
+    world.set_light(light)
+    simulated = SimulatedEvk4(world, paced=False)
+    simulated.start()
+    try:
+        camera = SimulatedEvk4Camera.open(
+            simulated.address, serial="00050423", clock=SystemClock(), utc_now=lambda: NOW
+        )
+        try:
+            yield camera, simulated.address
+        finally:
+            camera.close()
+    finally:
+        simulated.close()
+
+
+def record_flicker(path):
+    with bench(LightState(output=True, sync=True)) as (camera, _):
+        camera.apply(SETTINGS)
+        return camera.record(path, 0.035)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A recording of a 60 Hz flicker: its file and what the driver said of it."""
+    path = tmp_path_factory.mktemp("recorded") / "pose.raw"
+    return path, record_flicker(path)
+
+
+@pytest.fixture
+def dark():
+    with bench(LightState(output=False, sync=True)) as (camera, address):
+        yield camera, address
+
+
+def test_both_decoders_read_a_simulated_recording_alike(recorded):
+    evt3 = pytest.importorskip("evt3", reason="the PyPI package evt3 is not built for this platform")
+    path, facts = recorded
+    events, triggers = RawFile.open(path).read()
+    theirs, their_triggers = evt3.decode_file_with_triggers(str(path))
+    assert np.array_equal(events.t, theirs.t)
+    assert np.array_equal(events.x, theirs.x)
+    assert np.array_equal(events.y, theirs.y)
+    assert np.array_equal(events.p, theirs.p)
+    assert np.array_equal(triggers.t, their_triggers.timestamp)
+    assert np.array_equal(triggers.value, their_triggers.value)
+    assert facts.events == len(theirs) > 100_000
+
+
+def test_facts_agree_with_the_file(recorded):
+    path, facts = recorded
+    scan = RawFile.open(path).scan()
+    assert (facts.events, facts.triggers, facts.bytes) == (scan.events, scan.triggers, path.stat().st_size)
+    assert facts.duration_s == scan.duration_s
+    assert 0.035 <= facts.duration_s < 0.038
+    assert facts.biases["bias_diff_on"] == 5
+    assert facts.filters == {"afk": False, "stc": False, "trail": False, "erc": False}
+    assert facts.complete
+    assert facts.gaps == ()
+
+
+def test_the_lights_edges_arrive_as_triggers_a_half_period_apart(recorded):
+    triggers = RawFile.open(recorded[0]).triggers()
+    assert len(triggers.t) >= 4
+    assert np.diff(triggers.t) == pytest.approx(1e6 / 120, abs=2)
+    assert set(np.diff(triggers.value.astype(int))) == {-1, 1}
+
+
+def test_the_same_seed_gives_the_same_file(recorded, tmp_path):
+    record_flicker(tmp_path / "again.raw")
+    assert (tmp_path / "again.raw").read_bytes() == recorded[0].read_bytes()
+
+
+def test_without_trigger_input_there_are_no_triggers(dark, tmp_path):
+    camera, _ = dark
+    camera.apply(CameraSettings(trigger_in=False))
+    assert camera.record(tmp_path / "pose.raw", 0.01).triggers == 0
+
+
+def test_a_bias_out_of_range_is_refused_by_the_camera(dark):
+    with pytest.raises(CameraSettingRefused, match="bias_fo"):
+        dark[0].apply(CameraSettings({"bias_fo": 500}))
+
+
+def test_a_second_host_is_told_that_the_camera_is_held(dark):
+    with pytest.raises(CameraError, match="Another host"):
+        SimulatedEvk4Camera.open(dark[1], clock=SystemClock(), utc_now=lambda: NOW)
