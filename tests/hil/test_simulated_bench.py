@@ -1,0 +1,154 @@
+"""The simulated bench as a process: its ports, its truth, its end, and one world behind all devices."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import serial
+
+from simulators.bench import Bench
+from simulators.config import bench_config
+from simulators.errors import ConfigError
+
+
+def start(folder, *words: str, until_eof: bool = True) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "simulators.bench", "--folder", str(folder), *words]
+    return subprocess.Popen(
+        command + ["--until-eof"] * until_eof,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ask(line: serial.Serial, request: str) -> str:
+    line.write(f"{request}\n".encode())
+    return line.read_until(b"\n").decode().strip()
+
+
+def test_one_line_tells_where_everything_is_and_the_end_of_input_ends_it(tmp_path):
+    config = tmp_path / "config.json"
+    config.write_text(json.dumps({"collimator": {"r": 700.0}, "light": {"serial": "SG7"}}))
+    process = start(tmp_path / "ports", "--config", str(config), "--seed", "5")
+    said = json.loads(process.stdout.readline())
+    assert said["pid"] == process.pid
+    truth = json.loads(Path(said["truth"]).read_text(encoding="utf-8"))
+    assert truth["collimator"]["r"] == 700.0
+    assert truth["camera"]["fx"] == 3345.06
+    with serial.Serial(said["endpoints"]["gimbal"], 115_200, timeout=5.0) as line:
+        assert "100102" in ask(line, "/2 0 00 get system.serial")
+    with serial.Serial(said["endpoints"]["light"], 9600, timeout=5.0) as line:
+        assert ",SG7," in ask(line, "*IDN?")
+    host, _, port = said["endpoints"]["camera"].partition(":")
+    assert host == "127.0.0.1"
+    assert int(port) > 0
+    _, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (0, "")
+    assert not os.path.lexists(said["endpoints"]["gimbal"])
+    assert not os.path.lexists(said["endpoints"]["light"])
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_and_takes_the_ports_away(tmp_path, number):
+    process = start(tmp_path, until_eof=False)
+    said = json.loads(process.stdout.readline())
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (0, "")
+    assert not os.path.lexists(said["endpoints"]["gimbal"])
+
+
+def test_ports_left_behind_by_a_killed_bench_are_taken_over(tmp_path):
+    first = start(tmp_path)
+    said = json.loads(first.stdout.readline())
+    first.kill()
+    first.communicate(timeout=30)
+    assert os.path.lexists(said["endpoints"]["gimbal"])
+    with Bench(tmp_path) as bench, serial.Serial(bench.endpoints["gimbal"], 115_200, timeout=5.0) as line:
+        assert ask(line, "/1 0 00 get system.serial").startswith("@01 0 00 OK IDLE WR 100101")
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ('{"stage": {"pan": {"serial": 5}}}', "stage.pan.serial: Text is expected, not 5."),
+        ('{"noise": "loud"}', "noise: No noise level 'loud'."),
+        ("{", "It is not JSON"),
+        ("[1]", "A mapping of sections is expected."),
+    ],
+)
+def test_a_configuration_that_cannot_be_ends_in_one_line(tmp_path, config, said):
+    path = tmp_path / "config.json"
+    path.write_text(config)
+    process = start(tmp_path, "--config", str(path))
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert output == ""
+    assert said in errors
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "where"),
+    [
+        ({"stag": {}}, "stag"),
+        ({"stage": {}}, "stage"),
+        ({"stage": {"yaw": {}}}, "stage.yaw"),
+        ({"stage": {"pan": {"limits": 5}}}, "stage.pan.limits"),
+        ({"stage": {"pan": {"limit_deg": -5}}}, "stage.pan.limit_deg"),
+        ({"stage": {"pan": {"settle_s": -1}}}, "stage.pan.settle_s"),
+        ({"stage": {"pan": {"start_deg": 50}}}, "stage.pan.start_deg"),
+        ({"stage": {"pan": {"microsteps_per_deg": 1.5}}}, "stage.pan.microsteps_per_deg"),
+        ({"light": {"error_queue": 1}}, "light.error_queue"),
+        ({"light": 5}, "light"),
+        ({"camera": {"fx": "wide"}}, "camera.fx"),
+        ({"camera_seed": None}, "camera_seed"),
+        ({"paced": "yes"}, "paced"),
+    ],
+)
+def test_a_fault_of_the_configuration_names_its_key(given, where):
+    with pytest.raises(ConfigError) as caught:
+        bench_config(given)
+    assert caught.value.where == where
+
+
+def test_a_named_axis_keeps_the_defaults_of_what_is_not_said():
+    axes = bench_config({"stage": {"pan": {"limit_deg": 5}}}).axes
+    assert list(axes) == ["pan"]
+    assert axes["pan"].limit_deg == 5.0
+    assert axes["pan"].serial == "100101"
+
+
+def test_what_the_ports_are_told_happens_in_the_world(tmp_path):
+    with (
+        Bench(tmp_path, bench_config({"paced": False})) as bench,
+        serial.Serial(bench.endpoints["gimbal"], 115_200, timeout=5.0) as gimbal,
+        serial.Serial(bench.endpoints["light"], 9600, timeout=5.0) as light,
+    ):
+        world = bench.world
+        assert world.angles_deg(world.now_s())["pan"] == pytest.approx(2.4)
+        for request in ("/1 0 00 home", "/2 0 00 home"):
+            ask(gimbal, request)
+        deadline = time.monotonic() + 30.0
+        while "BUSY" in ask(gimbal, "/1 0 00") + ask(gimbal, "/2 0 00"):
+            assert time.monotonic() < deadline
+        ask(gimbal, "/1 1 00 move abs 12801")
+        ask(gimbal, "/2 1 00 move abs -6400")
+        assert not world.is_settled(world.now_s())
+        while not world.is_settled(world.now_s()):
+            assert time.monotonic() < deadline
+        now = world.now_s()
+        assert world.angles_deg(now) == {"pan": 12801 / 6400, "tilt": -1.0, "roll": 0.0}
+        assert world.resting_microsteps(now) == {"pan": 12801, "tilt": -6400}
+        light.write(b"FUNC SQU;:FREQ 60;:OUTP ON\n")
+        assert ask(light, "*OPC?") == "1"
+        assert world.light(world.now_s()).output
+        assert world.light(world.now_s()).frequency_hz == 60.0
