@@ -25,14 +25,12 @@ from bench.keys import ensure_key, home_folder
 from bench.plan import Plan
 from bench.progress import Progress
 from bench.result import REPORT, RESULTS, Outcome, software
-from bench.run_folder import RunFolder
+from bench.run_folder import SEQUENCE_COPY, STATION_COPY, RunFolder
 from bench.runner import RunEnd, Runner
 from bench.seal import seal
 from bench.signals import stop_on_signals
 from drivers.wire_log import WireLogFile
 
-SEQUENCE_COPY = "sequence.yaml"
-STATION_COPY = "station.yaml"
 PLAN = "plan.json"
 WIRE_LOG = "wire.jsonl"
 
@@ -130,9 +128,12 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     ScriptError
         When its sequence or station file no longer is what it was begun with.
     """
-    with RunFolder.open(folder_path) as folder, Journal.open(
-        folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
-    ) as journal:
+    with (
+        RunFolder.open(folder_path) as folder,
+        Journal.open(
+            folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
+        ) as journal,
+    ):
         history = replay(journal.entries)
         if not history.started:
             raise RunFolderError(

@@ -15,15 +15,14 @@ from typing import Any, Self, cast, get_args
 import cv2
 import numpy as np
 
+from bench.comparison import planar_beside
 from bench.errors import BenchError, UsageError
 from bench.history import replay
 from bench.job import Job
 from bench.journal import read_journal
-from bench.launch import SEQUENCE_COPY, STATION_COPY
 from bench.measure import Measurement, measure
 from bench.point_files import Origin, read_point_file
-from bench.result import planar_beside
-from bench.run_folder import JOURNAL
+from bench.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
 from bench.station import load_station
 from calib.calibrate import Calibration, CalibrationOptions, calibrate
 from calib.detect import detect
@@ -145,7 +144,7 @@ def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
         try:
             views.append(source.read())
         except CalibrationError as error:
-            skipped.append(f"{source.path}: {error}")
+            skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
     if not views:
         raise BenchError(
             "No usable view.", remedy=" ".join(skipped) or "Name runs, captures, images or point files."

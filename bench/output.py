@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from bench.runner import RunEnd
     from bench.verify import Verification
 
-_UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "x": "mm", "y": "mm", "r": "mm"}
 STOPPED = 3
 
 
@@ -74,8 +73,7 @@ def _run_text(results: Mapping[str, Any]) -> str:
     if results["comparison"]:
         lines += ["", "SIMULATED devices. Distance from the simulated truth:"]
         lines += [
-            f"  {row['name']:<3} {row['error']:+12.4f} {_UNITS.get(row['name'], ''):<3}"
-            f" = {row['error_sigmas']:+.2f} sigma"
+            f"  {row['name']:<3} {row['error']:+12.4f} {_unit(row['name']):<3} = {row['error_sigmas']:+.2f} sigma"
             for row in results["comparison"]
         ]
     lines += [f"Deviation: {what}" for what in results["deviations"]]
@@ -83,17 +81,15 @@ def _run_text(results: Mapping[str, Any]) -> str:
 
 
 def _calibration_text(calibration: Mapping[str, Any]) -> str:
-    from bench.report.text import with_uncertainty
+    from bench.report.text import COVERAGE_FACTOR, with_uncertainty
 
     values = {**calibration["camera"], **(calibration["collimator"] or {})}
-    stars = sum(view["n"] for view in calibration["views"])
-    lines = [
-        f"{calibration['model'].capitalize()} model, {len(calibration['views'])} views, {stars} stars; U with k = 2:"
-    ]
+    views = calibration["views"]
+    stars = sum(view["n"] for view in views)
+    lines = [f"{calibration['model'].capitalize()} model, {len(views)} views, {stars} stars; U with k = 2:"]
     for name, sigma in calibration["sigma"].items():
-        lines.append(
-            f"  {name:<3} {with_uncertainty(values[name], 2 * sigma):>26} {_UNITS.get(name, '')}".rstrip()
-        )
+        value, expanded = with_uncertainty(values[name], COVERAGE_FACTOR * sigma)
+        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {_unit(name)}".rstrip())
     lines.append(
         f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
         " (how well the model follows the stars; not how accurate it is)."
@@ -101,6 +97,13 @@ def _calibration_text(calibration: Mapping[str, Any]) -> str:
     if not calibration["converged"]:
         lines.append("NOT CONVERGED: these numbers are no result.")
     return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
+
+
+def _unit(name: str) -> str:
+    from bench.report.text import unit_of
+
+    unit = unit_of(name)
+    return "" if unit == "1" else unit
 
 
 def show_verification(verification: Verification, *, as_json: bool) -> int:

@@ -41,7 +41,8 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
     devices.light.off()
     settings = devices.camera.apply(CameraSettings(biases=job.biases, trigger_in=True))
     filters = devices.camera.filters()
-    reasons = [f"stage: {fault}" for fault in devices.stage.faults()]
+    # An axis without its reference warns of just that until it is homed; what is left is looked at afterwards.
+    reasons = stage_faults(devices) if devices.stage.is_homed() else []
     reasons += [f"light: {fault}" for fault in devices.light.faults()]
     reasons += [
         f"camera: its {f.upper()} filter cannot be switched off"
@@ -61,3 +62,17 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
         "light": asdict(light),
         "camera_settings": asdict(settings),
     }
+
+
+def stage_faults(devices: Devices) -> list[str]:
+    """Ask the stage for its faults and warnings."""
+    return [f"stage: {fault}" for fault in devices.stage.faults()]
+
+
+def refuse(reasons: list[str]) -> None:
+    """Raise PreflightFailed with every reason, if there is one."""
+    if reasons:
+        raise PreflightFailed(
+            f"The bench is not ready: {'; '.join(reasons)}.",
+            remedy="Mend this, then go on with `starbench resume`.",
+        )

@@ -91,10 +91,13 @@ class Progress:
         """Expected time to the end, s: the plan's, counted down while the present step lasts."""
         return max(0.0, self._total_s - self._done_s - (self._monotonic() - self._counted_from_s))
 
+    def _where(self) -> str:
+        if not self._pose:
+            return ""
+        return f"pose {self._pose} of {self._poses}" + (f" ({self._detail})" if self._detail else "")
+
     def _plain(self) -> str:
-        pose = f"pose {self._pose} of {self._poses}" if self._pose else ""
-        parts = [f"{self._state:<10}", f"{pose:<14}", f"{clock_text(self.left_s()):>6} left", self._detail]
-        return "  ".join(parts).rstrip()
+        return f"{self._state:<10}  {self._where():<28}  {clock_text(self.left_s()):>6} left"
 
     def _line(self) -> Table:
         share = 1.0 if self._total_s <= 0 else min(1.0, 1.0 - self.left_s() / self._total_s)

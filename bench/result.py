@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench import __version__
+from bench.comparison import compare, planar_beside
 from bench.errors import BenchError
 from bench.exports import exports
 from bench.history import Attempt, History, RunLog
@@ -25,13 +26,11 @@ from bench.run_folder import RunFolder
 from bench.views_file import views_file
 from calib.calibrate import Calibration, CalibrationOptions, calibrate
 from calib.picture import to_uint8
-from calib.view import View
 from sequences.script import SolveStep
 
 RESULTS = "results.json"
 REPORT = "report.html"
 VIEWS = "views.h5"
-_COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r")
 
 
 @dataclass(frozen=True)
@@ -187,37 +186,6 @@ class ResultWriter:
             "truth": dict(truth) if truth is not None else None,
             "comparison": compare(calibration, truth) if truth is not None else [],
         }
-
-
-def planar_beside(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
-    """Calibrate by Zhang's planar model on the same points, for comparison; None where it cannot be done."""
-    from calib.errors import CalibrationError
-
-    try:
-        return calibrate(
-            views, CalibrationOptions("planar", options.distortion, options.loss, options.huber_px)
-        )
-    except CalibrationError:
-        return None
-
-
-def compare(calibration: Calibration, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Say how far each value lies from the simulated truth, in its own unit and in its own sigmas."""
-    true = {**truth["camera"], **truth["collimator"]}
-    values = dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True))
-    sigmas = calibration.sigma
-    return [
-        {
-            "name": name,
-            "value": values[name],
-            "sigma": sigmas[name],
-            "truth": true[name],
-            "error": values[name] - true[name],
-            "error_sigmas": (values[name] - true[name]) / sigmas[name],
-        }
-        for name in _COMPARED
-        if name in values and name in true
-    ]
 
 
 def software() -> dict[str, str]:

@@ -24,6 +24,9 @@ from bench.journal import Entry, Journal
 from bench.storage import make_folder, put_in_place, sha256_of, storing, sync_folder, write_whole
 
 JOURNAL = "journal.jsonl"
+SEQUENCE_COPY = "sequence.yaml"
+STATION_COPY = "station.yaml"
+"""The files a run was begun with, byte for byte."""
 CAPTURES = "captures"
 QUARANTINE = "quarantine"
 SIGNATURE = "SHA256SUMS.sig"

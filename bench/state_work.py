@@ -17,7 +17,7 @@ from bench.history import Event, RunLog
 from bench.job import Job, ScriptStep
 from bench.measure import Measurement
 from bench.plan import recording_duration_s
-from bench.preflight import preflight
+from bench.preflight import preflight, refuse, stage_faults
 from bench.prompt import ask
 from bench.result import ResultWriter
 from bench.run_folder import RunFolder
@@ -101,6 +101,7 @@ class StateWork:
         """Find the stage's reference, unless it has one."""
         if not self.devices.stage.is_homed():
             self.devices.stage.home()
+        refuse(stage_faults(self.devices))
 
     def set_light(self, **_: Any) -> None:
         """Switch the light as the step says."""

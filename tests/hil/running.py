@@ -1,0 +1,84 @@
+"""Runs the command line as an operator does, in processes of its own; kills it where a test says."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+STARBENCH = [sys.executable, "-m", "bench"]
+PATIENCE_S = 240.0
+
+
+def environment(home: Path) -> dict[str, str]:
+    return {**os.environ, "STARBENCH_HOME": str(home)}
+
+
+def starbench(*words, home: Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*STARBENCH, *map(str, words)],
+        env=environment(home),
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+
+
+def start(*words, home: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*STARBENCH, *map(str, words)],
+        env=environment(home),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def journal(folder: Path) -> list[dict]:
+    """Whole lines of a run's journal; empty while there is none."""
+    path = folder / "journal.jsonl"
+    if not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text().split("\n")[:-1]]
+
+
+def end_when(process: subprocess.Popen[str], folder: Path, reached, number=signal.SIGKILL) -> str:
+    """Send a signal as soon as the journal shows what is waited for; return what the process said on stderr."""
+    deadline = time.monotonic() + PATIENCE_S
+    while process.poll() is None and time.monotonic() < deadline:
+        if any(map(reached, journal(folder))):
+            process.send_signal(number)
+            break
+        time.sleep(0.003)
+    else:
+        process.kill()
+        raise AssertionError(f"it ended, or hung, before that: {process.communicate()[1]}")
+    return process.communicate(timeout=PATIENCE_S)[1]
+
+
+def entering(state: str, pose: int | None = None):
+    return lambda line: (
+        line["event"] == "entering" and line["state"] == state and line.get("pose") in {pose, None}
+    )
+
+
+def results(folder: Path) -> dict:
+    return json.loads((folder / "results.json").read_text())
+
+
+def numbers(folder: Path) -> dict:
+    """What a run measured, without its times and names."""
+    told = results(folder)
+    images = [{k: v for k, v in pose["image"].items() if k != "window_us"} for pose in told["poses"]]
+    return {
+        "calibration": told["calibration"],
+        "stars": [pose["stars"] for pose in told["poses"]],
+        "images": images,
+        "accepted": [sum(a["accepted"] for a in pose["attempts"]) for pose in told["poses"]],
+    }

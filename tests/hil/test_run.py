@@ -1,0 +1,135 @@
+"""The main job as an operator sees it: from a sequence file to a sealed report, and back again."""
+
+import json
+import shutil
+import signal
+import subprocess
+
+import pytest
+from running import end_when, entering, journal, numbers, results, start, starbench
+
+SEED = 7
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, home):
+    """A run that nobody disturbed: what the command said, and its folder."""
+    folder = tmp_path_factory.mktemp("runs") / "undisturbed"
+    said = starbench(
+        "run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", folder, "--json", home=home
+    )
+    assert said.returncode == 0, said.stderr
+    return json.loads(said.stdout), said.stderr, folder
+
+
+def test_a_run_ends_with_a_report_and_every_parameter_near_the_truth(finished):
+    told, _, folder = finished
+    assert (folder / "report.html").read_text().startswith("<!DOCTYPE html>")
+    assert told["converged"]
+    assert set(told["camera"]) >= {"fx", "fy", "cx", "cy", "k1", "k2"}
+    assert set(told["sigma"]) == {*"x y r".split(), *"fx fy cx cy k1 k2".split()}
+    comparison = told["results"]["comparison"]
+    assert {row["name"] for row in comparison} == set(told["sigma"])
+    assert max(abs(row["error_sigmas"]) for row in comparison) < 4
+    assert told["rms_px"] < 0.2
+
+
+def test_progress_tells_state_pose_and_time_left(finished):
+    _, progress, _ = finished
+    assert "recording   pose 2 of 3 (right)" in progress
+    assert " left" in progress
+
+
+def test_the_same_seed_gives_the_same_numbers_to_the_last_digit(finished, home, tmp_path):
+    _, _, folder = finished
+    again = tmp_path / "again"
+    assert (
+        starbench("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", again, home=home).returncode
+        == 0
+    )
+    assert numbers(again) == numbers(folder)
+
+
+def test_the_seal_holds_for_us_and_for_the_programs_everyone_has(finished, home):
+    _, _, folder = finished
+    verified = starbench("verify", folder, "--json", home=home)
+    assert json.loads(verified.stdout)["ok"], verified.stdout
+    if shutil.which("ssh-keygen"):
+        principal = (home / "allowed_signers").read_text().split()[0]
+        command = ["ssh-keygen", "-Y", "verify", "-f", home / "allowed_signers", "-I", principal]
+        command += ["-n", "starbench-report@v1", "-s", folder / "SHA256SUMS.sig"]
+        with (folder / "SHA256SUMS").open("rb") as manifest:
+            assert subprocess.run(command, stdin=manifest, capture_output=True, check=False).returncode == 0
+    check = subprocess.run(
+        ["sha256sum", "--strict", "-c", "SHA256SUMS"], cwd=folder, capture_output=True, check=False
+    )
+    assert check.returncode == 0
+
+
+def test_a_second_run_into_the_same_folder_and_a_resume_of_a_sealed_one_are_refused(finished, home):
+    _, _, folder = finished
+    second = starbench("run", "three_pose", "-s", "simulated", "-o", folder, home=home)
+    assert second.returncode == 1
+    assert "not empty" in second.stderr
+    resumed = starbench("resume", folder, home=home)
+    assert resumed.returncode == 1
+    assert "sealed" in resumed.stderr
+
+
+def test_calibrating_again_from_the_run_folder_gives_the_same_numbers(finished, home):
+    told, _, folder = finished
+    again = starbench("calibrate", folder, "--json", home=home)
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["camera"] == told["camera"]
+
+
+def test_calibrating_from_bare_captures_comes_within_the_uncertainty(finished, home):
+    told, _, folder = finished
+    again = starbench("calibrate", *sorted((folder / "captures").iterdir()), "--json", home=home)
+    assert again.returncode == 0, again.stderr
+    camera = json.loads(again.stdout)["camera"]
+    assert all(
+        abs(camera[n] - told["camera"][n]) < 3 * told["sigma"][n]
+        for n in ("fx", "fy", "cx", "cy", "k1", "k2")
+    )
+
+
+KILLED = [
+    entering("homing"),
+    entering("recording", 2),
+    lambda line: line["event"] == "capture_stored" and line["pose"] == 2,
+    entering("reporting"),
+]
+
+
+@pytest.mark.parametrize("reached", KILLED, ids=["homing", "recording", "stored", "reporting"])
+def test_a_killed_run_resumes_to_the_same_numbers(finished, home, tmp_path, reached):
+    _, _, undisturbed = finished
+    folder = tmp_path / "killed"
+    process = start("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", folder, home=home)
+    end_when(process, folder, reached)
+    resumed = starbench("resume", folder, home=home)
+    assert resumed.returncode == 0, resumed.stderr
+    assert numbers(folder) == numbers(undisturbed)
+    stored = [line["capture"] for line in journal(folder) if line["event"] == "capture_stored"]
+    assert len(stored) == len(set(stored)) == 3
+    assert results(folder)["run"]["resumed"] == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_the_run_safely_and_it_can_be_resumed(home, tmp_path, number):
+    folder = tmp_path / "stopped"
+    process = start("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", folder, home=home)
+    said = end_when(process, folder, entering("slewing", 2), number)
+    assert process.returncode == 3
+    assert f"starbench resume {folder}" in said
+    lines = journal(folder)
+    assert [line["state"] for line in lines if line["event"] == "entering"][-2:] == ["aborting", "aborted"]
+    assert lines[-1]["event"] == "run_ended"
+    assert number.name in lines[-1]["why"]
+    assert not list((folder / "captures").glob("*.part"))
