@@ -7,13 +7,15 @@ refused, taken and silently dropped. Every setting is read back. Nothing is swit
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal, TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import LightFault, ReplyGarbled, SettingRefused, WrongDevice
+from drivers.errors import LightFault, SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings, Waveform
+from drivers.readings import agreeing
 from drivers.scpi_line import InstrumentError, ScpiLine
 from drivers.serial_port import Port, SerialPort
 from drivers.wire_log import WireLog
@@ -23,7 +25,6 @@ Load = Literal["high-z", "50-ohm", "unchanged"]
 
 _WAVEFORMS: dict[str, Waveform] = {"SQU": "square", "SQUARE": "square", "SIN": "sine", "SINUSOID": "sine"}
 _WORDS: dict[Waveform, str] = {"square": "SQU", "sine": "SIN"}
-_TRIES = 3
 
 # How far a value read back may lie from the one asked: the finest of what generators resolve and print.
 _FREQUENCY_REL = 1e-6
@@ -130,7 +131,7 @@ class ScpiLight:
         Everything is read twice: SCPI has no checksums, and a digit can change on the line. Raises
         LightFault when it makes neither square nor sine; ReplyGarbled when two readings never agree.
         """
-        return self._agreeing(self._read_once)
+        return self._agreeing(self._read_once, "the settings")
 
     def on(self) -> None:
         """Switch the output on and see that it is. Raises LightFault, SettingRefused."""
@@ -162,7 +163,7 @@ class ScpiLight:
 
     def is_on(self) -> bool:
         """Whether the output is on, asked of the generator twice."""
-        return self._agreeing(lambda: self._line.switch("OUTP?"))
+        return self._agreeing(lambda: self._line.switch("OUTP?"), "the output's switch")
 
     def faults(self) -> Sequence[str]:
         """Return the generator's errors since last asked, and whether it went dark by itself."""
@@ -211,19 +212,8 @@ class ScpiLight:
             settings = replace(settings, duty_percent=self._line.number("FUNC:SQU:DCYC?"))
         return settings
 
-    def _agreeing(self, read: Callable[[], T]) -> T:
-        """Read until two readings in a row agree."""
-        before = read()
-        for _ in range(_TRIES):
-            now = read()
-            if now == before:
-                return now
-            before = now
-        raise ReplyGarbled(
-            "two readings of the generator's settings never agree.",
-            where=self._line.name,
-            remedy="Check the cable, and that nobody turns its knobs.",
-        )
+    def _agreeing(self, read: Callable[[], T], what: str) -> T:
+        return agreeing(read, operator.eq, what=what, where=self._line.name)
 
 
 def _compare(asked: LightSettings, got: LightSettings, where: str) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 from drivers.clock import Clock
 from drivers.errors import DriverError, MoveFailed, MoveTimeout, NotHomed, PortLost, WrongDevice
+from drivers.readings import agreeing
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion, zaber_axis, zaber_protocol
 from drivers.stage.zaber_axis import ZaberAxis
@@ -118,11 +119,11 @@ class ZaberStage:
 
     def position_deg(self) -> Mapping[str, float]:
         """Position counter, by axis, in degrees."""
-        return {name: axis.angle_deg(self._look(axis)[0]) for name, axis in self._axes.items()}
+        return {name: self._reading_deg(axis, "pos") for name, axis in self._axes.items()}
 
     def encoder_deg(self) -> Mapping[str, float]:
         """Read the encoders of those axes that have one, in degrees."""
-        return {axis.name: self._encoder_deg(axis) for axis in self._encoders}
+        return {axis.name: self._reading_deg(axis, "encoder.pos") for axis in self._encoders}
 
     def faults(self) -> Sequence[str]:
         """Present warning flags of all axes in plain words."""
@@ -258,8 +259,8 @@ class ZaberStage:
         for flag in self._flags(axis):
             self._refuse_flag_in_motion(axis, flag, homing=False)
         if axis in self._encoders:
-            counter_deg = axis.angle_deg(self._look(axis)[0])
-            encoder_deg = self._encoder_deg(axis)
+            counter_deg = self._reading_deg(axis, "pos")
+            encoder_deg = self._reading_deg(axis, "encoder.pos")
             if abs(encoder_deg - counter_deg) > axis.encoder_tolerance_deg:
                 raise MoveFailed(
                     f"slipped: the counter says {counter_deg:.4f} deg, the encoder {encoder_deg:.4f} deg.",
@@ -335,8 +336,18 @@ class ZaberStage:
     def _flags(self, axis: ZaberAxis) -> tuple[str, ...]:
         return self._chain.flags(axis.device, axis.axis)
 
-    def _encoder_deg(self, axis: ZaberAxis) -> float:
-        return axis.angle_deg(self._chain.number(axis.device, axis.axis, "get encoder.pos"))
+    def _reading_deg(self, axis: ZaberAxis, counter: str) -> float:
+        """Read a counter until two readings agree: as far as the axis can have moved between them."""
+
+        def read() -> tuple[float, float, bool]:
+            reply = self._chain.query(axis.device, axis.axis, f"get {counter}")
+            return axis.angle_deg(self._chain.whole(reply.data)), self._clock.monotonic(), reply.busy
+
+        def alike(before: tuple[float, float, bool], now: tuple[float, float, bool]) -> bool:
+            moving_s = now[1] - before[1] if before[2] or now[2] else 0.0
+            return abs(now[0] - before[0]) <= axis.tolerance_deg + axis.limits.speed_deg_s * moving_s
+
+        return agreeing(read, alike, what=f"{axis.name}'s position", where=self._chain.name)[0]
 
     def _has_encoder(self, axis: ZaberAxis) -> bool:
         return self._chain.setting(axis.device, axis.axis, "encoder.pos") is not None
