@@ -105,7 +105,7 @@ class MetavisionEvk4:
         try:
             device = hal.DeviceDiscovery.open(serial or "", config)
         except RuntimeError as error:
-            reason = f" ({_first_line(error)})"
+            reason = f" ({_reason(error)})"
         if device is None:
             seen = ", ".join(camera.serial for camera in discover()) or "none"
             raise CameraNotFound(
@@ -297,7 +297,7 @@ class MetavisionEvk4:
 
     def _lost(self, error: Exception, path: Path | None = None) -> CameraLost:
         kept = f" What came before is in {path}." if path else ""
-        said = error.what if isinstance(error, CameraError) else f"It has gone ({_first_line(error)})."
+        said = error.what if isinstance(error, CameraError) else f"It has gone ({_reason(error)})."
         return CameraLost(
             said + kept, where=self._where, remedy="Check its cable and power, then resume the run."
         )
@@ -315,6 +315,9 @@ def _vendor_software() -> Any:
         ) from error
 
 
-def _first_line(error: Exception) -> str:
-    """Give the first line of the vendor's message that says something."""
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+def _reason(error: Exception) -> str:
+    """Give the line of the vendor's message, often framed and titled, that says what happened."""
+    lines = [line.strip() for line in str(error).splitlines() if any(c.isalpha() for c in line)]
+    return next(
+        (line for line in lines if line.startswith("Error")), lines[0] if lines else "no reason given"
+    )
