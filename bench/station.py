@@ -6,7 +6,8 @@ differs between a simulated bench and a real one; sequences fit both.
 
 from __future__ import annotations
 
-import json
+import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -216,16 +217,22 @@ class Disk(Words):
     min_free_gb: Annotated[float, Field(ge=0, le=1_000_000)] = 1.0
 
 
+_TRUTHS = {"true": True, "false": False}
+_NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
+
 def _plain_values(section: Any) -> Any:
-    """Turn a free section's texts into the numbers and truths JSON would see; serial numbers stay text."""
+    """Turn a free section's texts into numbers and truths; serial numbers and 007 stay text."""
     if isinstance(section, Mapping):
         return {key: value if "serial" in key else _plain_values(value) for key, value in section.items()}
     if isinstance(section, list):
         return [_plain_values(value) for value in section]
-    try:
-        return json.loads(section, parse_constant=str) if isinstance(section, str) else section
-    except ValueError:
+    if not isinstance(section, str) or not _NUMBER.fullmatch(section):
+        return _TRUTHS.get(section, section) if isinstance(section, str) else section
+    number = float(section)
+    if not math.isfinite(number):
         return section
+    return int(section) if section.lstrip("+-").isdigit() else number
 
 
 Stage = ZaberAsciiStage

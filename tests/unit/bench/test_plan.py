@@ -1,0 +1,280 @@
+"""Plans: times, disk, how long to record, and every fault of a script on a station at its place."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.errors import ScriptError
+from bench.plan import load, plan, recording_duration_s, travel_s, whole_periods
+from bench.plan_text import duration_text, render_plan
+from bench.station import SHIPPED, Station
+from sequences.reader import check_document
+from sequences.schema import Sequence
+
+SEQUENCES = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
+STATION_TEXT = (SHIPPED / "simulated.yaml").read_text(encoding="utf-8")
+STATION = check_document(STATION_TEXT.encode(), "b.yaml", Station)
+HEAD = "format: starbench/sequence/1\nname: test\n"
+
+
+def planned(text: str, station=STATION):
+    return plan(check_document((HEAD + text).encode(), "s.yaml", Sequence), station)
+
+
+def faults(text: str, station=STATION) -> list[str]:
+    return [str(fault) for fault in planned(text, station).faults]
+
+
+def station_with(old: str, new: str):
+    assert old in STATION_TEXT
+    return check_document(STATION_TEXT.replace(old, new).encode(), "b.yaml", Station)
+
+
+GOOD = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: 2}}, settle, record, solve, report]\n"
+
+
+@pytest.mark.parametrize("path", SEQUENCES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("station", ["simulated", "example_evk4"])
+def test_every_shipped_sequence_runs_on_every_shipped_station(path, station):
+    made = plan(*load(path.stem, station))
+    assert (made.faults, made.remarks) == ((), ())
+    assert len(made.poses) == {"three_pose": 3, "nine_pose": 9, "turntable": 7}[path.stem]
+
+
+def test_the_paper_s_sequence_is_two_periods_of_60_hz_at_three_poses():
+    made = plan(*load("three_pose", "simulated"))
+    records = [step for step in made.script if hasattr(step, "window_ms")]
+    assert {whole_periods(step.window_ms, 60) for step in records} == {2}
+    assert [pose.name for pose in made.poses] == ["left", "right", "below"]
+
+
+@given(st.floats(0.1, 10_000), st.floats(0.1, 1000))
+def test_a_recording_holds_its_whole_periods_wherever_the_light_stands(window_ms, frequency_hz):
+    periods = whole_periods(window_ms, frequency_hz)
+    duration_s = recording_duration_s(window_ms, frequency_hz)
+    assert periods >= 1
+    assert abs(periods - window_ms * 1e-3 * frequency_hz) <= max(0.5, 1 - window_ms * 1e-3 * frequency_hz)
+    worst_wait_s = 1 / frequency_hz  # the recording begins just after an edge
+    assert duration_s >= worst_wait_s + periods / frequency_hz
+    assert duration_s < worst_wait_s + (periods + 1) / frequency_hz + 0.01
+
+
+@given(st.floats(0, 360), st.floats(0.1, 100), st.floats(0.1, 1000))
+def test_a_move_takes_as_long_as_its_trapezoid_is_wide(distance, speed, acceleration):
+    duration = travel_s(distance, speed, acceleration)
+    ramp_s = min(speed / acceleration, duration / 2)
+    reached = acceleration * ramp_s
+    assert math.isclose(reached * (duration - ramp_s), distance, rel_tol=1e-9, abs_tol=1e-9)
+    assert reached <= speed * (1 + 1e-9)
+
+
+def test_the_time_of_a_plan_is_the_sum_of_its_steps_and_moves_count_from_where_the_stage_stands():
+    made = planned(
+        "steps: [light, {move: {pan_deg: 10}}, {settle: {duration_s: 2}}, record, {move: {pan_deg: 10, tilt_deg: 1}},"
+        " {wait: {duration_s: 100}}, record, {prompt: {text: x, timeout_s: 30}}, solve, report]\n"
+    )
+    took = {step.step.number: step.duration_s for step in made.steps}
+    assert made.duration_s == pytest.approx(sum(took.values()))
+    assert took[3] == 2
+    assert took[5] == pytest.approx(travel_s(1, 40, 200), abs=0.2)  # tilt alone: pan is there already
+    assert took[2] > travel_s(10, 40, 200) + 1  # and finds its reference first
+    assert (took[6], took[8]) == (100, 30)
+
+
+def test_disk_is_counted_for_every_pose_and_every_attempt():
+    one = planned(GOOD)
+    five = planned("defaults: {record: {attempts: 5, window_ms: 330}}\n" + GOOD)
+    assert five.size_bytes > one.size_bytes > 0
+    assert five.most_bytes > 10 * one.most_bytes / 5
+    assert one.most_bytes > one.size_bytes
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fault"),
+    [
+        ("", "{move: {pan_deg: 16}}", ".move.pan_deg: pan 16 deg lies outside the station's -15 to 15 deg."),
+        (
+            "",
+            "{move: {tilt_deg: -10.1}}",
+            ".move.tilt_deg: tilt -10.1 deg lies outside the station's -10 to 10",
+        ),
+        (
+            "",
+            "{move: {roll_deg: 1}}",
+            ".move.roll_deg: the station's stage has no roll axis; it has pan, tilt.",
+        ),
+        (
+            "",
+            "{light: {frequency_hz: 20000}}",
+            ".light.frequency_hz: 20000 Hz lies outside the 0.1 to 10000 Hz",
+        ),
+        (
+            "",
+            "{record: {window_ms: 10}}",
+            ".window_ms: 10 ms hold no whole period of 60 Hz: 16.67 ms at least.",
+        ),
+        ("{light: off}", "", "steps[6].record: a recording in the dark: switch the light on first (light:)."),
+        ("solve", "", "steps[1].solve: nothing is recorded before this solve."),
+        ("report", "", "steps[1].report: a report before any solve has no result to show."),
+        ("report", "", "steps[2].move: a step after the report, which has sealed the run."),
+    ],
+)
+def test_a_step_that_cannot_be_done_on_the_station_is_a_fault_at_its_place(before, after, fault):
+    steps = [
+        "light", before, "{move: {pan_deg: 1}}", "settle", "record", "{move: {pan_deg: 2}}", "record", after,
+        "solve", "report",
+    ]  # fmt: skip
+    said = faults(f"steps: [{', '.join(filter(None, steps))}]\n")
+    assert any(fault in line for line in said), said
+
+
+def test_a_fault_stands_at_the_value_not_at_its_step():
+    (fault,) = faults(GOOD.replace("pan_deg: 1}", "pan_deg: 16}"))
+    assert fault.startswith("s.yaml:3:33: steps[1].move.pan_deg: ")
+
+
+def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
+    text = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: PAN}}, settle, record, solve, report]\n"
+    assert faults(text.replace("PAN", "2")) == []
+    (fault,) = faults(text.replace("PAN", "1"))
+    assert fault == "s.yaml:3:92: steps[7].solve: one direction is recorded; it takes 2 or more."
+
+
+def test_a_setting_of_the_defaults_is_blamed_where_it_is_written():
+    assert faults("defaults:\n  light: {frequency_hz: 20000}\n  record: {window_ms: 0.01}\n" + GOOD) == [
+        "s.yaml:4:25: defaults.light.frequency_hz: 20000 Hz lies outside the 0.1 to 10000 Hz of the station's light.",
+        "s.yaml:5:23: defaults.record.window_ms: 0.01 ms hold no whole period of 20000 Hz: 0.05 ms at least.",
+    ]
+
+
+def test_every_pose_of_a_set_outside_the_limits_is_blamed_in_the_set_once():
+    said = faults(
+        "poses:\n  a:\n    - {pan_deg: 20}\n    - {pan_deg: 1, tilt_deg: 30}\n"
+        "steps: [light, {repeat: {times: 3, steps: [{repeat: {poses: a, steps: [move, settle, record]}}]}}, solve, report]\n"
+    )
+    assert said == [
+        "s.yaml:5:17: poses.a[0].pan_deg: pan 20 deg lies outside the station's -15 to 15 deg.",
+        "s.yaml:6:30: poses.a[1].tilt_deg: tilt 30 deg lies outside the station's -10 to 10 deg.",
+    ]
+
+
+def test_an_unnamed_axis_at_zero_must_be_within_its_limits_too():
+    station = station_with("[-10, 10]", "[5, 10]")
+    said = faults(
+        "steps: [light, {move: {tilt_deg: 6}}, record, {move: {pan_deg: 2}}, record, solve, report]\n",
+        station,
+    )
+    assert said == ["s.yaml:3:54: steps[3].move.tilt_deg: tilt 0 deg lies outside the station's 5 to 10 deg."]
+
+
+def test_triggers_cannot_be_required_of_a_light_that_gives_none():
+    station = station_with("high_v: 5", "sync_output: false")
+    (fault, again) = faults(GOOD, station)
+    assert "sync triggers are required" in fault
+    assert "sync triggers are required" in again
+    relaxed = "defaults: {record: {gates: {require_triggers: false}}}\n"
+    assert faults(relaxed + GOOD, station) == []
+
+
+def test_what_somebody_should_know_is_said_and_forbids_nothing():
+    made = planned("steps: [light, {move: {pan_deg: 1}}, record, {move: {pan_deg: 2}}, settle, record, solve, {move: {pan_deg: 3}}, settle, record]\n")  # fmt: skip
+    assert made.faults == ()
+    assert [remark.message for remark in made.remarks] == [
+        "no report step: the run ends without a report.",
+        "recorded right after a move: nothing waits for it to settle.",
+        "recorded after the last solve: no result will use it.",
+    ]
+
+
+def test_faults_of_unfolding_and_of_the_station_come_together():
+    said = faults(
+        "steps: [light, {move: {pan_deg: 99}}, {repeat: {poses: none, steps: [record]}}, solve, report]\n"
+    )
+    assert len(said) == 3
+    assert said[0].startswith("s.yaml:3:33: steps[1].move.pan_deg: pan 99 deg")
+
+
+def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
+    sequence = tmp_path / "sequence.yaml"
+    sequence.write_text(
+        "format: starbench/sequence/1\n"
+        "nam: x\n"  # 1 unknown key, 2 name missing
+        "defaults:\n"
+        "  light: {frequency_hz: sixty, waveform: saw}\n"  # 3, 4
+        "  record: {window_ms: -33, attempts: 0, image: best, gates: {min_stars: 1.5}}\n"  # 5, 6, 7, 8
+        "  record: {}\n"  # 9 duplicate
+        "poses:\n"
+        "  a: [{pan_deg: .inf}, {name: only}]\n"  # 10, 11
+        "steps:\n"
+        "  - lihgt\n"  # 12
+        "  - wait\n"  # 13 duration missing
+        "  - prompt: {text: x, default: perhaps}\n"  # 14
+        "  - repeat: {steps: [move]}\n"  # 15 neither poses nor times
+        "  - solve: {distortion: [k1, k4], loss: &l1 l1}\n"  # 16, 17, 18 anchor
+    )
+    station = tmp_path / "station.yaml"
+    station.write_text(
+        STATION_TEXT.replace("driver: scpi", "driver: scpy")  # 19
+        .replace("serial: 100101", "serial:")  # 20
+        .replace("[-10, 10]", "[10, -10]")  # 21
+        .replace("sim:camera", "sim:webcam")  # 22
+        .replace("simulation: {}", "simulation: {}\ndisc: {}")  # 23
+    )
+    with pytest.raises(ScriptError) as caught:
+        load(str(sequence), str(station))
+    assert len(caught.value.faults) == 23, str(caught.value)
+    assert all(line.startswith((f"{sequence}:", f"{station}:")) for line in caught.value.faults)
+    assert caught.value.exit_status == 2
+
+
+def test_a_good_sequence_is_unfolded_before_a_bad_station_is_reported(tmp_path):
+    sequence = tmp_path / "s.yaml"
+    sequence.write_text(HEAD + "steps: [move]\n")
+    with pytest.raises(ScriptError) as caught:
+        load(str(sequence), str(tmp_path / "none.yaml"))
+    assert ["no pose to move to" in fault or "no such file" in fault for fault in caught.value.faults] == [
+        True,
+        True,
+    ]
+
+
+def test_the_plan_as_json_is_plain_and_names_no_place_of_this_machine():
+    made = plan(*load("nine_pose", "simulated"))
+    text = json.dumps(made.to_dict(), allow_nan=False)
+    assert str(Path.cwd()) not in text
+    assert str(SHIPPED.parent) not in text
+    data = json.loads(text)
+    assert (data["runnable"], data["simulated"], len(data["poses"])) == (True, True, 9)
+    assert data["steps"][-1]["done_after_s"] == pytest.approx(data["duration_s"])
+
+
+def test_the_plan_for_people_shows_every_step_its_time_and_the_sums():
+    text = render_plan(plan(*load("three_pose", "simulated")))
+    assert text.startswith("Three poses on Simulated bench (SIMULATED)\n")
+    assert "    2  move to pan -6, tilt 2 deg (left)" in text
+    assert "light square 60 Hz, 50 % duty" in text
+    assert text.endswith(" at most).")
+    assert max(map(len, text.splitlines())) <= 82
+
+
+def test_a_long_plan_for_people_leaves_its_middle_out():
+    text = render_plan(planned("steps: [light, {repeat: {times: 400, steps: [{wait: {duration_s: 60}}]}}]\n"))
+    assert "281 steps" in text
+    assert len(text.splitlines()) < 140
+    assert "6 h 40 min" in text
+
+
+def test_a_plan_that_cannot_be_run_says_so_first():
+    text = render_plan(planned("steps: [solve, report]\n"))
+    assert text.splitlines()[2] == "It cannot be run: 1 fault."
+
+
+@given(st.floats(0, 1e7))
+def test_a_duration_is_said_without_sixty_seconds_or_minutes(seconds):
+    text = duration_text(seconds)
+    assert "60 s" not in text
+    assert "60 min" not in text

@@ -1,0 +1,139 @@
+"""Station files: what they may name, what is refused, and what the shipped ones say."""
+
+import pytest
+
+from bench.station import SHIPPED, ScpiLight, Station, load_station
+from calib.target import StarTarget
+from drivers.light import LightSettings
+from drivers.stage import AxisLimits
+from sequences.errors import DocumentFaults
+from sequences.reader import check_document
+from sequences.script import Flicker
+
+SIMULATED = (SHIPPED / "simulated.yaml").read_text(encoding="utf-8")
+
+
+def faults(text: str) -> list[str]:
+    with pytest.raises(DocumentFaults) as caught:
+        check_document(text.encode(), "b.yaml", Station)
+    return [str(fault) for fault in caught.value.faults]
+
+
+def changed(old: str, new: str) -> str:
+    assert old in SIMULATED
+    return SIMULATED.replace(old, new)
+
+
+def test_the_simulated_station_has_the_simulated_bench_s_devices():
+    station = load_station("simulated").value
+    assert station.is_simulated
+    assert {name: (axis.device, axis.serial) for name, axis in station.stage.axes.items()} == {
+        "pan": (1, "100101"),
+        "tilt": (2, "100102"),
+    }
+    assert station.stage.axes["pan"].limits == AxisLimits(-15, 15, 40, 200)
+    assert station.camera.serial == "00050423"
+    assert station.target.pattern() == StarTarget()
+
+
+def test_every_shipped_station_reads_without_a_fault():
+    shipped = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+    assert shipped == ["example_evk4", "simulated"]
+    assert [load_station(name).value.is_simulated for name in shipped] == [False, True]
+
+
+def test_an_unknown_station_is_met_with_those_that_are_shipped():
+    with pytest.raises(DocumentFaults, match=r"none is shipped by this name\. Did you mean 'simulated'\?"):
+        load_station("simulatd")
+    with pytest.raises(DocumentFaults, match=r"nowhere\.yaml: there is no such file"):
+        load_station("nowhere.yaml")
+
+
+def test_serial_numbers_stay_text_zeros_included():
+    station = check_document(changed("100101", "000100101").encode(), "b", Station).value
+    assert station.stage.axes["pan"].serial == "000100101"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("driver: scpi", "driver: scpy", "light.driver: must be 'scpi' (got 'scpy'). Did you mean 'scpi'?"),
+        (
+            "driver: simulated_evk4",
+            "driver: evk5",
+            "camera.driver: must be one of 'simulated_evk4', 'metavision' (got 'evk5').",
+        ),
+        (
+            "sim:light",
+            "sim:lamp",
+            "light.port: no such simulated device; known: sim:gimbal, sim:light, sim:camera.",
+        ),
+        ("    pan:", "    yaw:", "stage.axes.yaw: must be 'pan', 'tilt' or 'roll' (got 'yaw')."),
+        ("[-15, 15]", "[15, -15]", "stage.axes.pan.limits_deg: the lower limit must be below the upper one."),
+        ("[-15, 15]", "[-15]", "stage.axes.pan.limits_deg[1]: required, and missing."),
+        ("device: 2", "device: 1", "stage.axes: two axes have the same device and axis number."),
+        (
+            "microsteps_per_deg: 6400\n      limits_deg: [-15",
+            "microsteps_per_deg: 0\n      limits_deg: [-15",
+            "stage.axes.pan.microsteps_per_deg: a scale of 0 moves nothing.",
+        ),
+        ("high_v: 5", "high_v: 0", "light: low_v must be below high_v."),
+        (
+            "serial: SG0042",
+            "frequency_range_hz: [9, 3]",
+            "light: frequency_range_hz must be [lowest, highest].",
+        ),
+        (
+            "lens: ",
+            "biases: {bias_fo: 300}\n  lens: ",
+            "camera.biases.bias_fo: must be 200 or less (got '300').",
+        ),
+        (
+            "lens: ",
+            "biases: {bias_diff: 1}\n  lens: ",
+            "camera.biases.bias_diff: unknown key. Did you mean 'bias_diff_on'?",
+        ),
+        (
+            "simulation: {}",
+            "target: {segments: 6}\nsimulation: {}",
+            "target: no such target can be printed: 6 segments",
+        ),
+        ("simulation: {}", "simulation: yes", "simulation: must be a mapping (key: value)"),
+    ],
+    ids=lambda text: text[:25].strip(),
+)
+def test_what_makes_no_sense_is_refused_with_what_would(old, new, fault):
+    said = faults(changed(old, new))
+    assert any(fault in line for line in said), said
+
+
+def test_simulated_ports_are_refused_where_nothing_is_simulated():
+    said = faults(changed("simulation: {}\n", ""))
+    assert [line.split(": ")[1] for line in said] == ["stage.port", "light.port", "camera.address"]
+    assert all("needs a simulation section (simulation: {} will do)" in line for line in said)
+
+
+def test_the_faults_of_all_devices_come_at_once():
+    text = SIMULATED.replace("scpi", "x").replace("simulated_evk4", "y").replace("zaber_ascii", "z")
+    assert len(faults(text)) == 3
+
+
+def test_the_simulation_section_has_the_values_json_would_have_but_serial_numbers_stay_text():
+    section = "simulation: {camera_serial: 123, camera: {fx: 3e3, k1: .06}, a: [true, 5, '6'], b: null, c: 007, d: NaN, e: 1e999, f: -2}"
+    station = check_document(changed("simulation: {}", section).encode(), "b", Station).value
+    assert station.simulation == {
+        "camera_serial": "123",
+        "camera": {"fx": 3000.0, "k1": 0.06},
+        "a": [True, 5, 6],
+        "b": None,
+        "c": "007",
+        "d": "NaN",
+        "e": "1e999",
+        "f": -2,
+    }
+
+
+def test_a_level_is_a_share_of_what_the_station_s_light_may_do():
+    light = ScpiLight(driver="scpi", port="x", low_v=1, high_v=3)
+    settings = light.settings(Flicker("sine", 80, 50, level_percent=25))
+    assert settings == LightSettings("sine", 80, 50, low_v=1, high_v=1.5, sync_output=True)
