@@ -1,0 +1,48 @@
+"""Compiles the event kernels ahead of the first run: numba keeps them beside the code, for every run that follows.
+
+One recording of the simulated bench, from light to stars, passes through all of them. The stage does not move.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import click
+
+from bench.clock import BenchClock
+from bench.devices import Devices
+from bench.measure import measure
+from bench.station import load_station
+from drivers.camera import CameraSettings
+from drivers.light import LightSettings
+
+
+def warm_up() -> int:
+    """Record and measure once; return the number of stars seen.
+
+    Raises
+    ------
+    drivers.errors.DriverError, SimulationError
+        When the simulated bench does not work here.
+    """
+    station = load_station("simulated").value
+    devices = Devices(station, seed=0, clock=BenchClock(), wire_log=None)
+    try:
+        devices.camera.apply(CameraSettings())
+        devices.light.apply(LightSettings())
+        devices.light.on()
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "warm-up.raw"
+            devices.camera.record(path, 0.051)
+            found = measure(
+                path, name="warm-up", target=station.target.pattern(), image="auto", periods=2, expected_hz=60.0
+            )
+    finally:
+        devices.make_safe()
+        devices.close()
+    return found.stars
+
+
+if __name__ == "__main__":
+    click.echo(f"Event kernels are compiled ({warm_up()} stars seen).")
