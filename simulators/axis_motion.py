@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 from simulators.trajectory import Course, Pointing
@@ -69,11 +69,14 @@ class MotionFault:
         When, as a share of the motion's duration; not of ``creep``, which begins at its end.
     creep_deg_s
         Speed of the drift.
+    skip
+        Motions to let pass before.
     """
 
     kind: FaultKind
     share: float = 0.5
     creep_deg_s: float = 0.01
+    skip: int = 0
 
 
 class MotionEvent(NamedTuple):
@@ -112,6 +115,8 @@ class Axis:
         self._homing = False
         self._referenced = False
         self._armed: MotionFault | None = None
+        self._false_idles = 0
+        self.stuck_busy = False
         self._event: MotionEvent | None = None
         self.commanded = self.motor = Course.resting(now_s, start)
         self.pointing = self._followed(start, 0.0)
@@ -134,6 +139,14 @@ class Axis:
     def busy(self, t_s: float) -> bool:
         """Whether a ramp is still under way; a load that only settles is not busy."""
         return t_s < self.commanded.end_s
+
+    def says_busy(self, t_s: float) -> bool:
+        """What the controller tells of that: the truth, unless a fault of reporting was set."""
+        busy = self.busy(t_s)
+        if busy and self._false_idles > 0:
+            self._false_idles -= 1
+            return False
+        return busy or self.stuck_busy
 
     def referenced(self, t_s: float) -> bool:
         """Whether the counter has been set at the reference sensor."""
@@ -195,8 +208,12 @@ class Axis:
 
     # ------------------------------------------------------------------ faults
     def arm(self, fault: MotionFault | None) -> None:
-        """Let something go wrong with the next motion; None for nothing."""
+        """Let something go wrong with a motion to come, in place of what was armed before; None for nothing."""
         self._armed = fault
+
+    def say_idle(self, times: int) -> None:
+        """Have it reported idle that many times while it still moves."""
+        self._false_idles = times
 
     def push(self, counts: float, t_s: float) -> None:
         """Turn the shaft from outside, unknown to the counter."""
@@ -241,8 +258,10 @@ class Axis:
         shifted = [(station + lost, speed) for station, speed in stations]
         self.motor = Course.through(t_s, begin, velocity, shifted, acceleration)
         self._event = None
-        fault, self._armed = self._armed, None
-        if fault is not None:
+        if self._armed is not None and self._armed.skip > 0:
+            self._armed = replace(self._armed, skip=self._armed.skip - 1)
+        elif self._armed is not None:
+            fault, self._armed = self._armed, None
             self._go_wrong(fault)
         self._meet_end_stops()
         self.pointing = self._followed(load, offset)

@@ -103,11 +103,12 @@ class ZaberController:
     # ------------------------------------------------------------------ what replies carry
     def awake(self, t_s: float) -> bool:
         """Whether it answers at all: not while it boots."""
+        self._notice(t_s)
         return t_s >= self._awake_from_s
 
     def status(self, t_s: float) -> str:
         """BUSY while a ramp is under way, else IDLE."""
-        return "BUSY" if self.axis.busy(t_s) else "IDLE"
+        return "BUSY" if self.axis.says_busy(t_s) else "IDLE"
 
     def warnings(self, t_s: float) -> list[str]:
         """All flags that are up, the gravest first."""
@@ -268,6 +269,8 @@ class ZaberController:
         """Refuse a motion that cannot be; else note whether it interrupts another."""
         if self._state.parked:
             raise Refused("PARKED")
+        if "FH" in self._state.flags:
+            raise Refused("DRIVERDISABLED")
         if self.axis.busy(t_s):
             self._state.flags.add("NI")
         else:
@@ -315,6 +318,24 @@ class ZaberController:
         return "0"
 
     # ------------------------------------------------------------------ what is not on the wire
+    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
+        """Press the emergency stop, which halts the axis and holds it, or release it."""
+        if released:
+            self._state.flags.discard("FH")
+            return
+        self.axis.halt(t_s)
+        self._state.flags.add("FH")
+
+    def _notice(self, t_s: float) -> None:
+        """Take up what has happened to the motion by now."""
+        event = self.axis.take_event(t_s)
+        if event is None:
+            return
+        if event.kind == "restart":
+            self.restart(event.t_s)
+        else:
+            self._state.flags.add("FS" if event.kind == "stall" else "FE")
+
     def restart(self, t_s: float) -> None:
         """Reboot, as after a reset or a loss of power: silent for a while, then without a reference.
 

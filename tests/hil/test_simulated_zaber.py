@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import serial
 
-from simulators.axis_motion import Mechanics
+from simulators.axis_motion import Mechanics, MotionFault
 from simulators.pseudo_terminal import PseudoTerminal
 from simulators.serial_device import SerialDevice
 from simulators.zaber import ZaberChain, checksum
@@ -232,6 +232,41 @@ def test_alerts_come_unasked_when_they_are_wanted(homed: Gimbal):
     homed.wait()
     assert homed.chain.unsolicited() == b"!01 1 IDLE --:" + checksum("01 1 IDLE --").encode() + b"\r\n"
     assert homed.chain.unsolicited() == b""
+
+
+# ---------------------------------------------------------------- faults
+def test_a_stall_stops_the_axis_and_raises_its_flag_until_cleared(homed: Gimbal):
+    homed.pan.axis.arm(MotionFault("stall", share=0.5))
+    homed.ask("1 1 02 move abs 64000")
+    homed.wait()
+    assert homed.ask("1 1 03 get pos") == ["@01 1 03 OK IDLE FS 32000"]
+    assert homed.ask("1 1 04 warnings clear") == ["@01 1 04 OK IDLE -- 01 FS"]
+
+
+def test_a_limit_switch_raises_its_flag(homed: Gimbal):
+    homed.tilt.axis.arm(MotionFault("limit", share=0.5))
+    homed.ask("2 1 02 move abs 32000")
+    homed.wait()
+    assert homed.ask("2 1 03") == ["@02 1 03 OK IDLE FE 0"]
+
+
+def test_a_restart_in_motion_is_silence_then_a_lost_reference(homed: Gimbal):
+    homed.pan.axis.arm(MotionFault("restart", share=0.5))
+    homed.ask("1 1 02 move abs 64000")
+    homed.wait(0.3)
+    assert homed.ask("1 1 03") == []
+    homed.wait(0.5)
+    assert homed.ask("1 1 04 get pos") == ["@01 1 04 OK IDLE WR 0"]
+
+
+def test_an_emergency_stop_holds_the_axis_until_released(homed: Gimbal):
+    homed.ask("1 1 02 move abs 64000")
+    homed.wait(0.2)
+    homed.pan.emergency_stop(homed.now_s)
+    assert homed.ask("1 1 03 move abs 0") == ["@01 1 03 RJ IDLE FH DRIVERDISABLED"]
+    assert homed.ask("1 1 04 warnings clear") == ["@01 1 04 OK IDLE FH 01 FH"]
+    homed.pan.emergency_stop(homed.now_s, released=True)
+    assert homed.ask("1 1 05 move abs 0") == ["@01 1 05 OK BUSY -- 0"]
 
 
 def test_an_axis_without_encoder_refuses_to_read_one():

@@ -248,6 +248,24 @@ def test_a_stall_while_homing_leaves_no_reference():
     assert not one.referenced(10.0)
 
 
+def test_a_fault_waits_for_its_motion():
+    one = homed_axis()
+    one.arm(MotionFault("stop_short", skip=1))
+    one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    assert one.counter(30.0) == 10.0 * SCALE
+    one.move_to(0.0, 30.0, SPEED, ACCELERATION)
+    assert one.counter(40.0) > 0.0
+
+
+def test_a_report_may_be_false_while_the_motion_is_not():
+    one = move_with(None)
+    one.say_idle(2)
+    assert [one.says_busy(20.1) for _ in range(3)] == [False, False, True]
+    one.stuck_busy = True
+    assert one.says_busy(30.0)
+    assert not one.busy(30.0)
+
+
 def test_a_push_turns_the_shaft_and_not_the_counter():
     one = move_with(None)
     one.push(0.25 * SCALE, 30.0)
