@@ -18,7 +18,7 @@ from calib.errors import InputMismatch
 Array = NDArray[np.float64]
 
 #: A promised reduction below this share of the cost a star has is far below the parameters' own uncertainty.
-_RELATIVE_TOLERANCE = 1e-14
+_RELATIVE_TOLERANCE = 1e-12
 _ABSOLUTE_TOLERANCE = 1e-16
 _MAX_DAMPING = 1e12
 
