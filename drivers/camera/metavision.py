@@ -20,6 +20,7 @@ from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
 from drivers.camera.raw_file import RawFile, RecordingScan
 from drivers.camera.raw_writer import check_new, check_space, sync_file
+from drivers.camera.recording import Recorded, check_duration, recording_facts
 from drivers.clock import Clock
 from drivers.errors import (
     CameraError,
@@ -169,8 +170,7 @@ class MetavisionEvk4:
         CameraLost
             When the camera goes away meanwhile; what came before is kept.
         """
-        if not (math.isfinite(duration_s) and duration_s > 0):
-            raise RecordingFailed(f"A recording of {duration_s} s was asked for.", where=self._where)
+        check_duration(duration_s, where=self._where)
         check_new(path)
         self._stop_asked.clear()
         identity = self.identify()
@@ -184,23 +184,13 @@ class MetavisionEvk4:
                 where=str(path),
                 remedy="Record it again.",
             )
-        return RecordingFacts(
-            serial=identity.serial,
-            model=identity.model,
-            width=identity.width,
-            height=identity.height,
-            bytes=scan.bytes,
-            duration_s=scan.duration_s,
-            events=scan.events,
-            triggers=scan.triggers,
+        return recording_facts(
+            identity,
+            Recorded(scan, scan.bytes, complete),
             biases=biases,
             filters=filters,
-            rate_controller_in=scan.rate_controller_in,
-            rate_controller_out=scan.rate_controller_out,
             temperature_c=self.temperature_c(),
             illumination_lux=read_monitoring(self._device, "get_illumination"),
-            gaps=scan.gaps_in_words(),
-            complete=complete,
         )
 
     def stop(self) -> None:

@@ -9,26 +9,18 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.evk4_line import Evk4Line
-from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.raw_header import render_header
-from drivers.camera.raw_writer import RawWriter
+from drivers.camera.recording import Watch, check_duration, record_words, recording_facts
 from drivers.clock import Clock
 from drivers.errors import (
-    CameraError,
-    CameraLost,
     CameraSettingRefused,
     DeviceRefused,
-    DriverError,
-    RecordingFailed,
     ReplyGarbled,
     WrongDevice,
 )
@@ -176,33 +168,26 @@ class SimulatedEvk4Camera:
         CameraLost
             When the camera goes away meanwhile; what came before is kept.
         """
-        if not (math.isfinite(duration_s) and duration_s > 0):
-            raise RecordingFailed(f"A recording of {duration_s} s was asked for.", where=self._where)
+        check_duration(duration_s, where=self._where)
         with self._in_use:
             self._stop_asked.clear()
             identity = self.identify()
             biases, filters, monitor = self._biases(), self.filters(), self._ask("monitor")
-            decoder = Evt3Decoder(identity.width, identity.height, where=self._where)
-            with RawWriter(path, render_header(identity, self._utc_now())) as file:
-                complete = self._run(file, decoder, duration_s)
-        told = decoder.told()
-        return RecordingFacts(
-            serial=identity.serial,
-            model=identity.model,
-            width=identity.width,
-            height=identity.height,
-            bytes=file.bytes_written,
-            duration_s=told.duration_s,
-            events=told.events,
-            triggers=told.triggers,
+            recorded = record_words(
+                _Stream(self._line),
+                path,
+                render_header(identity, self._utc_now()),
+                (identity.width, identity.height),
+                duration_s,
+                Watch(self._clock, self._stop_asked, self._line.silence_s, self._where),
+            )
+        return recording_facts(
+            identity,
+            recorded,
             biases=biases,
             filters=filters,
-            rate_controller_in=told.rate_controller_in,
-            rate_controller_out=told.rate_controller_out,
             temperature_c=self._number(monitor, "temperature_c"),
             illumination_lux=self._number(monitor, "illumination_lux"),
-            gaps=told.gaps_in_words(),
-            complete=complete,
         )
 
     def stop(self) -> None:
@@ -212,46 +197,6 @@ class SimulatedEvk4Camera:
     def close(self) -> None:
         """Let the camera go: the connection is closed, and with it the stream."""
         self._line.close()
-
-    # ------------------------------------------------------------- streaming
-
-    def _run(self, file: RawWriter, decoder: Evt3Decoder, duration_s: float) -> bool:
-        """Start, write words until the time is covered, stop; returns whether it was."""
-        try:
-            self._line.request("start")
-            complete = self._write_words(file, decoder, duration_s)
-        except BaseException as error:
-            # The first trouble is the one to tell; the way out is not interrupted, and short.
-            with suppress(DriverError):
-                self._line.request("stop", interruptible=False, within_s=STOP_S)
-            if isinstance(error, DriverError) and not isinstance(error, RecordingFailed):
-                raise _with_partial(error, file.path) from error
-            raise
-        self._line.request("stop", interruptible=False)
-        return complete
-
-    def _write_words(self, file: RawWriter, decoder: Evt3Decoder, duration_s: float) -> bool:
-        """Write words until the sensor's clock has covered the duration; False when stopped before."""
-        wanted_us = math.ceil(duration_s * 1e6)
-        covered_us = -1
-        while decoder.covered_us < wanted_us:
-            if self._stop_asked.is_set():
-                return False
-            if decoder.covered_us > covered_us:
-                covered_us = decoder.covered_us
-                deadline = self._clock.monotonic() + self._line.silence_s
-            elif self._clock.monotonic() > deadline:
-                raise CameraLost(
-                    f"Its clock has not gone on for {self._line.silence_s:g} s.",
-                    where=self._where,
-                    remedy="Restart the simulated bench, then resume.",
-                )
-            self._clock.sleep(0.0)
-            frame = self._line.receive()
-            if frame is not None and frame.kind == b"D":
-                file.write(frame.payload)
-                decoder.tally(np.frombuffer(frame.payload, "<u2"))
-        return True
 
     # ------------------------------------------------------------- asking
 
@@ -305,8 +250,18 @@ class SimulatedEvk4Camera:
         )
 
 
-def _with_partial(error: DriverError, path: Path) -> CameraError:
-    """Build the error of a recording that broke off: what happened, and which file holds what came before."""
-    kind = CameraLost if isinstance(error, CameraLost) else RecordingFailed
-    what = f"{error.what} The recording broke off; what came before is in {path}."
-    return kind(what, where=error.where, remedy=error.remedy)
+class _Stream:
+    """The camera's words between start and stop."""
+
+    def __init__(self, line: Evk4Line) -> None:
+        self._line = line
+
+    def start(self) -> None:
+        self._line.request("start")
+
+    def next_words(self) -> bytes | None:
+        frame = self._line.receive()
+        return frame.payload or None if frame is not None and frame.kind == b"D" else None
+
+    def stop(self, *, hurry: bool) -> None:
+        self._line.request("stop", interruptible=False, within_s=STOP_S if hurry else None)
