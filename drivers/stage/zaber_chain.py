@@ -134,8 +134,8 @@ class ZaberChain:
                 return
             self._stop_once()
 
-    def pause(self, seconds: float) -> None:
-        """Listen that long on the line. A wait that no clock interrupts: for stopping only."""
+    def listen(self, seconds: float) -> None:
+        """Wait that long for what comes. A wait that no clock interrupts: for stopping only."""
         with self._link.lock:
             self._link.fill(seconds)
 
