@@ -245,6 +245,16 @@ class Evt3Decoder:
         )
 
 
+def first_time_high(words: Words) -> int | None:
+    """Index of the first TIME_HIGH word, where a stream that is joined in its middle can begin; None without.
+
+    >>> first_time_high(np.array([0x0005, 0x2803, 0x8001], np.uint16))
+    2
+    """
+    found = np.flatnonzero(words >> 12 == 0x8)
+    return int(found[0]) if len(found) else None
+
+
 def join_triggers(pieces: list[Triggers]) -> Triggers:
     """One Triggers of many, in order; of none, an empty one."""
     return (

@@ -1,0 +1,295 @@
+"""EVK4 through ``neuromorphic-drivers`` (extra ``evk4``): its USB bytes as they come, losses on the way noticed.
+
+That package needs no vendor software. It streams from opening on, so a recording drops what has piled up and
+begins at the next TIME_HIGH word, which gives every decoder a clock to start from. It has no anti-flicker, STC
+or trail filter, its rate limiter stays off, and it sets biases but cannot read them back.
+"""
+
+from __future__ import annotations
+
+import importlib
+import threading
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
+from drivers.camera.evt3 import first_time_high
+from drivers.camera.raw_header import render_header
+from drivers.camera.recording import Watch, check_duration, record_words, recording_facts
+from drivers.clock import Clock
+from drivers.errors import (
+    CameraLost,
+    CameraNotFound,
+    CameraSettingRefused,
+    CameraSoftwareMissing,
+    WrongDevice,
+)
+
+SILENCE_S: Final = 5.0
+"""A sensor that streams sends its clock every 16 us."""
+
+POLL_S: Final = 0.02
+"""Longest wait for bytes; other threads run meanwhile."""
+
+BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
+
+
+def discover() -> tuple[tuple[str, str], ...]:
+    """Serial number and trouble, if any, of each EVK4 that is connected. Raises CameraSoftwareMissing."""
+    package = _package()
+    try:
+        listed = package.list_devices()
+    except RuntimeError:  # how it says that there is no USB on this machine
+        return ()
+    evk4 = [device for device in listed if device.name == package.Name.PROPHESEE_EVK4]
+    return tuple((device.serial or "", device.error or "") for device in evk4)
+
+
+class NeuromorphicEvk4:
+    """An ``EventCamera`` behind ``neuromorphic_drivers``.
+
+    Parameters
+    ----------
+    device
+        An open device that hands out raw bytes.
+    package
+        The module it comes from.
+    serial
+        The serial number it must have; None takes any.
+    clock
+        All waits pass through it.
+    utc_now
+        Tells the time that the header of a recording states.
+    """
+
+    def __init__(
+        self,
+        device: Any,
+        package: Any,
+        *,
+        serial: str | None,
+        clock: Clock,
+        utc_now: Callable[[], datetime],
+    ) -> None:
+        self._device = device
+        self._package = package
+        self._serial = serial
+        self._clock = clock
+        self._utc_now = utc_now
+        self._stop_asked = threading.Event()
+
+    @classmethod
+    def open(
+        cls, *, serial: str | None = None, clock: Clock, utc_now: Callable[[], datetime]
+    ) -> NeuromorphicEvk4:
+        """Open a camera; None takes the first one found.
+
+        Raises
+        ------
+        CameraSoftwareMissing
+            When ``neuromorphic-drivers`` is not installed.
+        CameraNotFound
+            When there is no such camera, or it may not be used.
+        WrongDevice
+            When another camera answers.
+        """
+        package = _package()
+        configuration = package.prophesee_evk4.Configuration(enable_external_trigger=False)
+        try:
+            device = package.open(configuration, iterator_timeout=POLL_S, raw=True, serial=serial)
+        except RuntimeError as error:
+            seen = ", ".join(
+                f"{number or 'without number'} {trouble}".strip() for number, trouble in discover()
+            )
+            raise CameraNotFound(
+                f"Camera {serial or 'of any number'} cannot be opened ({error}); connected EVK4: {seen or 'none'}.",
+                remedy="Check its cable and power and the serial number in the station file; on Linux, run "
+                "neuromorphic-drivers-install-udev-rules once.",
+            ) from error
+        camera = cls(device, package, serial=serial, clock=clock, utc_now=utc_now)
+        try:
+            camera.identify()
+        except BaseException:
+            camera.close()
+            raise
+        return camera
+
+    def identify(self) -> CameraIdentity:
+        """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
+        try:
+            serial, size = str(self._device.serial()), self._device.properties()
+        except RuntimeError as error:
+            raise self._lost(error) from error
+        if self._serial is not None and serial != self._serial:
+            raise WrongDevice(
+                f"It is camera {serial}, not {self._serial}.",
+                where=self._where,
+                remedy="Correct the serial number in the station file, or plug in the right camera.",
+            )
+        return CameraIdentity("Prophesee", "EVK4", "IMX636", serial, "", int(size.width), int(size.height))
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Set all biases (those not named to their factory value) and the trigger input; rate limiter off.
+
+        Returns what was sent: this camera's software cannot read it back. Raises CameraSettingRefused.
+        """
+        biases = {name: settings.biases.get(name, 0) for name in BIASES}
+        if unknown := sorted(set(settings.biases) - set(BIASES)):
+            raise CameraSettingRefused(
+                f"It has no bias {', '.join(unknown)}.",
+                where=self._where,
+                remedy=f"Biases of this camera: {', '.join(BIASES)}.",
+            )
+        evk4 = self._package.prophesee_evk4
+        try:
+            bounds = self._device.biases_bounds()
+            for name, value in biases.items():
+                bound = getattr(bounds, name.removeprefix("bias_"))
+                if not bound.minimum <= value <= bound.maximum:
+                    raise CameraSettingRefused(
+                        f"It takes {name} from {bound.minimum} to {bound.maximum}, not {value}.",
+                        where=self._where,
+                        remedy="Correct the bias in the station file.",
+                    )
+            values = {name.removeprefix("bias_"): value for name, value in biases.items()}
+            self._device.update_configuration(
+                evk4.Configuration(
+                    biases=evk4.Biases(**values),
+                    enable_external_trigger=settings.trigger_in,
+                    rate_limiter=None,
+                )
+            )
+        except RuntimeError as error:
+            raise self._lost(error) from error
+        return CameraSettings(biases, settings.trigger_in)
+
+    def filters(self) -> Mapping[str, bool]:
+        """Only the rate controller exists in this software, and ``open`` and ``apply`` leave it off."""
+        return {"erc": False}
+
+    def temperature_c(self) -> float | None:
+        """Sensor temperature, or None where it cannot be read."""
+        return self._measured("temperature_celsius")
+
+    def record(self, path: Path, duration_s: float) -> RecordingFacts:
+        """Record at least that long of the sensor's clock into a new RAW file; see ``EventCamera.record``.
+
+        Packets that the computer lost are in the facts' gaps. Biases are not, as they cannot be read back.
+
+        Raises
+        ------
+        RecordingFailed
+            When the file cannot be made or written, or the words are malformed; what came before is kept.
+        CameraLost
+            When the camera goes away meanwhile; what came before is kept.
+        """
+        check_duration(duration_s, where=self._where)
+        self._stop_asked.clear()
+        camera = self.identify()
+        stream = _Stream(self._device, self._lost)
+        recorded = record_words(
+            stream,
+            path,
+            render_header(camera, self._utc_now()),
+            (camera.width, camera.height),
+            duration_s,
+            Watch(self._clock, self._stop_asked, SILENCE_S, self._where),
+        )
+        return recording_facts(
+            camera,
+            recorded,
+            biases={},
+            filters=self.filters(),
+            temperature_c=self.temperature_c(),
+            illumination_lux=self._measured("illuminance"),
+            losses=stream.losses,
+        )
+
+    def stop(self) -> None:
+        """End a recording at its next packet; callable from any thread."""
+        self._stop_asked.set()
+
+    def close(self) -> None:
+        """Let the camera go."""
+        self._device.close()
+
+    @property
+    def _where(self) -> str:
+        return f"camera {self._serial or 'EVK4'}"
+
+    def _measured(self, call: str) -> float | None:
+        try:
+            return float(getattr(self._device, call)())
+        except RuntimeError:  # how it says that a measurement did not succeed
+            return None
+
+    def _lost(self, error: Exception) -> CameraLost:
+        return CameraLost(
+            f"It has gone ({error}).",
+            where=self._where,
+            remedy="Check its cable and power, then resume the run.",
+        )
+
+
+class _Stream:
+    """Raw packets from the moment of ``start`` on, beginning with a TIME_HIGH word."""
+
+    def __init__(self, device: Any, lost: Callable[[Exception], CameraLost]) -> None:
+        self._device = device
+        self._lost = lost
+        self._begun = False
+        self._rest = b""
+        self._dropped = 0
+        self.losses: list[str] = []
+
+    def start(self) -> None:
+        try:
+            self._device.clear_backlog(0)
+        except RuntimeError as error:
+            raise self._lost(error) from error
+
+    def next_words(self) -> bytes | None:
+        try:
+            status, packet = next(self._device)
+        except StopIteration:
+            return b""
+        except RuntimeError as error:
+            raise self._lost(error) from error
+        if status.ring is None or not packet:
+            return None
+        data = self._rest + bytes(packet)
+        whole = len(data) // 2 * 2
+        start = 0 if self._begun else first_time_high(np.frombuffer(data[:whole], "<u2"))
+        if start is None:
+            return None
+        self._rest = data[whole:]
+        self._note_losses(status.ring, after=2 * start - 1 if self._begun else 2 * start)
+        self._begun = True
+        return data[2 * start : whole] or None
+
+    def stop(self, *, hurry: bool) -> None:
+        """Leave it streaming: it has no other state, and the next ``start`` drops what piles up."""
+
+    def _note_losses(self, ring: Any, *, after: int) -> None:
+        """Remember what the ring tells of packets lost on the way, but for those before the recording."""
+        lost = [index for index in ring.overflow_indices or () if index > after]
+        if lost or (self._begun and ring.dropped_packets > self._dropped):
+            self.losses.append(
+                f"The computer lost packets from USB before {ring.system_time:.6f} s (UNIX time)."
+            )
+        self._dropped = ring.dropped_packets
+
+
+def _package() -> Any:
+    """Import ``neuromorphic_drivers``. Raises CameraSoftwareMissing."""
+    try:
+        return importlib.import_module("neuromorphic_drivers")
+    except ImportError as error:
+        raise CameraSoftwareMissing(
+            f"The package neuromorphic-drivers cannot be imported ({error}).",
+            remedy="Install it with: pip install 'starbench[evk4]'",
+        ) from error

@@ -1,0 +1,356 @@
+"""EVK4 through neuromorphic-drivers, against a strict fake of that package's device."""
+
+import dataclasses
+import sys
+from datetime import UTC, datetime
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drivers.camera import CameraSettings
+from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4, discover
+from drivers.camera.raw_file import RawFile
+from drivers.errors import (
+    CameraLost,
+    CameraNotFound,
+    CameraSettingRefused,
+    CameraSoftwareMissing,
+    RecordingFailed,
+    WrongDevice,
+)
+
+SERIAL = "00051234"
+NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
+BIASES = ("pr", "fo", "hpf", "diff_on", "diff", "diff_off", "inv", "refr")
+
+
+def words_of(step):
+    t = 9_000_000 + 2000 * step
+    words = [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, step % 720, 0x2800 | step % 1280]
+    t += 1999
+    return np.array([*words, 0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF], "<u2").tobytes()
+
+
+@dataclasses.dataclass
+class Ring:
+    system_time: float
+    backlog: int
+    raw_packets: int
+    clutch_engaged: bool
+    overflow_indices: list
+    dropped_packets: int
+
+
+@dataclasses.dataclass
+class Status:
+    system_time: float
+    ring: Ring | None
+
+
+Biases = dataclasses.make_dataclass("Biases", [(name, int, 0) for name in BIASES])
+
+
+@dataclasses.dataclass
+class Configuration:
+    biases: Biases = dataclasses.field(default_factory=Biases)
+    enable_external_trigger: bool = True
+    rate_limiter: object = None
+
+
+class Device:
+    """Streams at once; every second turn has nothing within the timeout."""
+
+    def __init__(self, serial=SERIAL):
+        self._serial = serial
+        self.configuration = None
+        self.step = 0
+        self.turns = 0
+        self.cleared = []
+        self.packets = {}
+        self.overflows = {}
+        self.dropped = {}
+        self.gone_at = 10**9
+        self.closed = False
+
+    def serial(self):
+        return self._serial
+
+    def properties(self):
+        return SimpleNamespace(width=1280, height=720)
+
+    def biases_bounds(self):
+        return SimpleNamespace(**{name: SimpleNamespace(minimum=-100, maximum=100) for name in BIASES})
+
+    def update_configuration(self, configuration):
+        self.configuration = configuration
+
+    def temperature_celsius(self):
+        return 41.25
+
+    def illuminance(self):
+        raise RuntimeError("illuminance timeout")
+
+    def clear_backlog(self, until):
+        self.cleared.append(until)
+
+    def close(self):
+        self.closed = True
+
+    def __iter__(self):
+        return self
+
+    def __next__(self):
+        assert not self.closed
+        self.turns += 1
+        if self.step >= self.gone_at:
+            raise RuntimeError("NoDevice")
+        if self.turns % 2:
+            return Status(0.0, None), None
+        step = self.step
+        self.step += 1
+        ring = Ring(1000.0 + step, 0, 1, False, self.overflows.get(step), self.dropped.get(step, 0))
+        return Status(0.0, ring), self.packets.get(step, words_of(step))
+
+
+class Clock:
+    def __init__(self):
+        self.now = 0.0
+        self.error = None
+
+    def monotonic(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+        if self.error:
+            raise self.error
+
+
+@pytest.fixture
+def device():
+    return Device()
+
+
+@pytest.fixture
+def package(monkeypatch, device):
+    """The package with one EVK4 and another camera connected."""
+
+    def open_device(configuration, *, iterator_timeout, raw, serial):
+        assert raw
+        assert 0 < iterator_timeout <= 0.1
+        if package.trouble:
+            raise RuntimeError(package.trouble)
+        device.configuration = configuration
+        return device
+
+    def list_devices():
+        if package.no_usb:
+            raise RuntimeError("Other error")
+        return [
+            SimpleNamespace(name="evk4", serial=SERIAL, error=None),
+            SimpleNamespace(name="evk4", serial=None, error="access denied"),
+            SimpleNamespace(name="davis", serial="7", error=None),
+        ]
+
+    package = SimpleNamespace(
+        open=open_device,
+        list_devices=list_devices,
+        Name=SimpleNamespace(PROPHESEE_EVK4="evk4"),
+        prophesee_evk4=SimpleNamespace(Configuration=Configuration, Biases=Biases),
+        trouble="",
+        no_usb=False,
+    )
+    monkeypatch.setitem(sys.modules, "neuromorphic_drivers", package)
+    return package
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def camera(package, clock):
+    return NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
+
+
+def test_a_missing_package_is_told_with_how_to_install_it(monkeypatch, clock):
+    monkeypatch.setitem(sys.modules, "neuromorphic_drivers", None)
+    with pytest.raises(CameraSoftwareMissing, match=r"pip install 'starbench\[evk4\]'"):
+        NeuromorphicEvk4.open(clock=clock, utc_now=lambda: NOW)
+
+
+@pytest.mark.usefixtures("package")
+def test_connected_evk4_are_listed_with_their_troubles():
+    assert discover() == ((SERIAL, ""), ("", "access denied"))
+
+
+def test_a_machine_without_usb_has_no_cameras(package):
+    package.no_usb = True
+    assert discover() == ()
+
+
+def test_a_camera_that_cannot_be_opened_is_told_with_those_that_are_there(package, clock):
+    package.trouble = "Device not found"
+    with pytest.raises(
+        CameraNotFound, match=rf"\(Device not found\); connected EVK4: {SERIAL}, without number access"
+    ):
+        NeuromorphicEvk4.open(serial="1", clock=clock, utc_now=lambda: NOW)
+
+
+@pytest.mark.usefixtures("package")
+def test_another_camera_is_refused_and_given_back(device, clock):
+    with pytest.raises(WrongDevice, match="00051234, not 00099999"):
+        NeuromorphicEvk4.open(serial="00099999", clock=clock, utc_now=lambda: NOW)
+    assert device.closed
+
+
+def test_the_trigger_input_is_off_until_settings_switch_it_on(device, camera):
+    assert not device.configuration.enable_external_trigger
+    camera.apply(CameraSettings(trigger_in=True))
+    assert device.configuration.enable_external_trigger
+
+
+def test_settings_are_sent_and_biases_not_named_are_zero(device, camera):
+    found = camera.apply(CameraSettings({"bias_diff_on": 20, "bias_fo": -5}))
+    assert found.biases == {
+        "bias_diff_on": 20,
+        "bias_diff_off": 0,
+        "bias_fo": -5,
+        "bias_hpf": 0,
+        "bias_refr": 0,
+    }
+    assert device.configuration.biases == Biases(diff_on=20, fo=-5)
+    assert device.configuration.rate_limiter is None
+
+
+def test_a_bias_out_of_range_is_refused_before_it_is_sent(device, camera):
+    before = device.configuration
+    with pytest.raises(CameraSettingRefused, match="bias_fo from -100 to 100, not 101"):
+        camera.apply(CameraSettings({"bias_fo": 101}))
+    assert device.configuration is before
+
+
+def test_an_unknown_bias_is_refused(camera):
+    with pytest.raises(CameraSettingRefused, match="no bias bias_x"):
+        camera.apply(CameraSettings({"bias_x": 1}))
+
+
+def test_a_recording_holds_the_packets_and_covers_the_time(device, camera, tmp_path):
+    path = tmp_path / "pose.raw"
+    facts = camera.record(path, 0.033)
+    recording = RawFile.open(path)
+    assert path.read_bytes().endswith(b"% end\n" + b"".join(words_of(k) for k in range(device.step)))
+    assert 0.033 <= facts.duration_s < 0.036
+    assert facts.events == recording.scan().events == device.step
+    assert recording.header["date"] == "2026-11-20 04:05:06"
+    assert (facts.temperature_c, facts.illumination_lux) == (41.25, None)
+    assert (facts.biases, facts.gaps, facts.complete) == ({}, (), True)
+
+
+def test_what_has_piled_up_before_is_dropped(device, camera, tmp_path):
+    camera.record(tmp_path / "pose.raw", 0.01)
+    assert device.cleared == [0]
+
+
+def test_a_stream_joined_in_its_middle_begins_at_its_first_time_word(device, camera, tmp_path):
+    device.packets[0] = np.array([0x2001, 0x4FFF], "<u2").tobytes()
+    device.packets[1] = np.array([0x0005, 0x2803], "<u2").tobytes() + words_of(1)
+    path = tmp_path / "pose.raw"
+    camera.record(path, 0.005)
+    assert path.read_bytes().split(b"% end\n", 1)[1].startswith(words_of(1) + words_of(2))
+    assert RawFile.open(path).scan().unplaced_events == 0
+
+
+def test_words_split_between_packets_are_put_together(device, camera, tmp_path):
+    device.packets[1] = words_of(1)[:-1]
+    device.packets[2] = words_of(1)[-1:] + words_of(2)
+    path = tmp_path / "pose.raw"
+    camera.record(path, 0.009)
+    assert path.read_bytes().split(b"% end\n", 1)[1].startswith(b"".join(words_of(k) for k in range(4)))
+
+
+def test_packets_lost_on_the_way_are_in_the_facts(device, camera, tmp_path):
+    device.overflows[2] = [0]
+    device.dropped = dict.fromkeys(range(4, 100), 3)
+    gaps = camera.record(tmp_path / "pose.raw", 0.02).gaps
+    assert len(gaps) == 2
+    assert "1002.000000" in gaps[0]
+    assert "1004.000000" in gaps[1]
+
+
+def test_packets_lost_before_the_recording_are_not(device, camera, tmp_path):
+    device.overflows[0] = [0]
+    device.dropped = dict.fromkeys(range(100), 7)
+    assert camera.record(tmp_path / "pose.raw", 0.02).gaps == ()
+
+
+def test_unplugging_is_told_with_the_partial_file(device, camera, tmp_path):
+    device.gone_at = 3
+    path = tmp_path / "pose.raw"
+    with pytest.raises(CameraLost, match=r"NoDevice.*pose\.raw"):
+        camera.record(path, 1.0)
+    assert RawFile.open(path).scan().events == 3
+
+
+def test_a_silent_camera_is_given_up(device, camera, clock, tmp_path):
+    device.packets = dict.fromkeys(range(5, 10_000), b"")
+    clock.sleep = lambda _: setattr(clock, "now", clock.now + 0.02)
+    with pytest.raises(CameraLost, match="clock has not gone on for 5 s"):
+        camera.record(tmp_path / "pose.raw", 1.0)
+
+
+def test_an_interrupt_leaves_a_readable_file(device, camera, clock, tmp_path):
+    camera.record(tmp_path / "a.raw", 0.002)
+    clock.error = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        camera.record(tmp_path / "b.raw", 1.0)
+    assert RawFile.open(tmp_path / "b.raw").scan().events == 0
+
+
+def test_stop_ends_a_recording_early(device, camera, clock, tmp_path):
+    clock.sleep = lambda _: camera.stop() if device.step > 3 else None
+    assert not camera.record(tmp_path / "pose.raw", 1.0).complete
+
+
+def test_an_existing_file_is_never_overwritten(camera, tmp_path):
+    (tmp_path / "pose.raw").write_bytes(b"precious")
+    with pytest.raises(RecordingFailed, match="such a file already"):
+        camera.record(tmp_path / "pose.raw", 0.01)
+
+
+def test_the_fake_has_the_fields_of_the_real_package():
+    real = pytest.importorskip("neuromorphic_drivers", reason="the extra evk4 is not installed")
+    evk4 = real.prophesee_evk4
+    assert {f.name for f in dataclasses.fields(Configuration)} <= {
+        f.name for f in dataclasses.fields(evk4.Configuration)
+    }
+    assert {f.name for f in dataclasses.fields(Biases)} <= {f.name for f in dataclasses.fields(evk4.Biases)}
+    assert {f.name for f in dataclasses.fields(Ring)} == {
+        f.name for f in dataclasses.fields(sys.modules["neuromorphic_drivers.status"].RawRingStatus)
+    }
+    calls = (
+        "serial",
+        "properties",
+        "biases_bounds",
+        "update_configuration",
+        "temperature_celsius",
+        "illuminance",
+    )
+    assert all(
+        hasattr(evk4.PropheseeEvk4DeviceRawOptional, call) for call in (*calls, "clear_backlog", "close")
+    )
+    assert real.Name.PROPHESEE_EVK4
+
+
+def test_without_a_camera_the_real_package_gives_a_clear_error(clock):
+    real = pytest.importorskip("neuromorphic_drivers", reason="the extra evk4 is not installed")
+    try:
+        present = [device for device in real.list_devices() if device.name == real.Name.PROPHESEE_EVK4]
+    except RuntimeError:
+        present = []
+    if present:
+        pytest.skip("an EVK4 is connected")
+    with pytest.raises(CameraNotFound, match="connected EVK4: none"):
+        NeuromorphicEvk4.open(serial="00000001", clock=clock, utc_now=lambda: NOW)
