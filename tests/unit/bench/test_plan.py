@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import ScriptError
-from bench.plan import load, plan, recording_duration_s, travel_s, whole_periods
+from bench.plan import REPORT_BYTES, load, plan, recording_duration_s, travel_s, whole_periods
 from bench.plan_text import duration_text, render_plan
 from bench.station import SHIPPED, Station
 from sequences.reader import check_document
@@ -87,10 +87,11 @@ def test_the_time_of_a_plan_is_the_sum_of_its_steps_and_moves_count_from_where_t
 
 def test_disk_is_counted_for_every_pose_and_every_attempt():
     one = planned(GOOD)
-    five = planned("defaults: {record: {attempts: 5, window_ms: 330}}\n" + GOOD)
-    assert five.size_bytes > one.size_bytes > 0
-    assert five.most_bytes > 10 * one.most_bytes / 5
-    assert one.most_bytes > one.size_bytes
+    more = planned("defaults: {record: {attempts: 4}}\n" + GOOD)
+    longer = planned("defaults: {record: {window_ms: 330}}\n" + GOOD)
+    assert more.size_bytes == one.size_bytes
+    assert (more.most_bytes - REPORT_BYTES) == 2 * (one.most_bytes - REPORT_BYTES)
+    assert longer.size_bytes > one.size_bytes > REPORT_BYTES
 
 
 @pytest.mark.parametrize(
@@ -159,6 +160,18 @@ def test_every_pose_of_a_set_outside_the_limits_is_blamed_in_the_set_once():
     assert said == [
         "s.yaml:5:17: poses.a[0].pan_deg: pan 20 deg lies outside the station's -15 to 15 deg.",
         "s.yaml:6:30: poses.a[1].tilt_deg: tilt 30 deg lies outside the station's -10 to 10 deg.",
+    ]
+
+
+def test_the_limits_themselves_are_within_and_a_hair_short_of_a_period_still_counts_as_one():
+    text = GOOD.replace("pan_deg: 1}", "pan_deg: 15}").replace("pan_deg: 2}", "pan_deg: -15}")
+    assert faults("defaults: {record: {window_ms: 16.6}}\n" + text) == []
+
+
+def test_an_axis_the_stage_has_not_is_blamed_only_where_it_is_named():
+    said = faults(GOOD.replace("{pan_deg: 2}", "{pan_deg: 2, roll_deg: 0}"))
+    assert said == [
+        "s.yaml:3:84: steps[4].move.roll_deg: the station's stage has no roll axis; it has pan, tilt."
     ]
 
 

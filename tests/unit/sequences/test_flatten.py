@@ -138,11 +138,11 @@ def test_a_serpentine_of_three_axes_moves_one_axis_at_a_time():
 def test_a_span_of_one_is_its_middle_and_a_long_one_ends_exactly():
     script = steps(
         "steps:\n  - repeat: {poses: {pan_deg: {first: 1, last: 3, count: 1}}, steps: [move, record]}\n"
-        "  - repeat: {poses: {pan_deg: {first: 0, last: 0.3, count: 4}}, steps: [move, record]}\n"
+        "  - repeat: {poses: {pan_deg: {first: -0.1, last: 0.2, count: 4}}, steps: [move, record]}\n"
     )
     pans = [angles["pan"] for _, _, angles in poses(script)]
     assert pans[0] == 2
-    assert pans[-1] == 0.3
+    assert pans[-1] == 0.2  # and not -0.1 + 3 * 0.1, which is more
 
 
 def test_recording_twice_at_one_place_gives_two_poses_with_names_of_their_own():
@@ -216,6 +216,7 @@ def test_all_that_cannot_unfold_is_reported_at_once():
     ],
 )
 def test_a_script_that_unfolds_without_end_is_stopped(steps_text):
+    assert len(unfold(read(f"steps: [{steps_text}]\n"))[1]) == 1
     assert len(faults(f"steps: [{steps_text}]\n")) == 1
 
 

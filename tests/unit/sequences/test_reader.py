@@ -92,6 +92,12 @@ def test_a_wrong_value_is_met_in_plain_words_with_what_was_got(light, fault):
     assert said.partition(": ")[2] == fault
 
 
+def test_an_unknown_key_is_compared_with_the_keys_of_its_own_kind_only():
+    assert faults("format: test/1\nlight: {kind: lamp, watts: 1, serail: x}\n") == [
+        "t.yaml:2:31: light.serail: unknown key. Known here: kind, watts."
+    ]
+
+
 def test_a_long_value_is_quoted_in_part():
     (said,) = faults(f"format: test/1\nlight: {{kind: lamp, watts: {'9x' * 500}}}\n")
     assert len(said) < 150

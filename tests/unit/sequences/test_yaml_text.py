@@ -42,7 +42,7 @@ def test_every_value_and_key_has_its_place():
 def test_a_byte_order_mark_and_windows_line_ends_are_no_fault():
     tree = parse(b"\xef\xbb\xbfa: 1\r\nb: 2\r\n", "f")
     assert tree.value == {"a": "1", "b": "2"}
-    assert tree.values[("b",)] == Spot(2, 4)
+    assert (tree.keys[("a",)], tree.values[("b",)]) == (Spot(1, 1), Spot(2, 4))
 
 
 @pytest.mark.parametrize(
@@ -99,9 +99,10 @@ def test_all_faults_of_a_readable_document_come_at_once_and_the_rest_is_kept():
 
 
 def test_what_stands_under_a_refused_key_is_dropped_with_it():
-    tree = parse(b"a: 1\na: {b: [2, {c: 3}]}\nd: 4\n", "f")
+    tree = parse(b"a: 1\na: {b: [2, {c: 3, c: 4}]}\nd: 4\n", "f")
     assert tree.value == {"a": "1", "d": "4"}
     assert set(tree.values) == {(), ("a",), ("d",)}
+    assert set(tree.keys) == {("a",), ("d",)}
 
 
 def test_a_broken_document_says_it_was_not_read_to_its_end():

@@ -1,0 +1,105 @@
+"""What the script language allows, and how it answers to what it does not."""
+
+import pytest
+
+from sequences.errors import DocumentFaults
+from sequences.reader import check_document
+from sequences.schema import Sequence
+
+HEAD = "format: starbench/sequence/1\nname: test\n"
+
+
+def read(text: str) -> Sequence:
+    return check_document((HEAD + text).encode(), "s.yaml", Sequence).value
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("steps: []", "s.yaml:3:8: steps: must have at least 1 in it."),
+        ("steps: [lihgt]", "s.yaml:3:9: steps[0].lihgt: unknown key. Did you mean 'light'?"),
+        ("steps: [wait]", "s.yaml:3:9: steps[0].wait.duration_s: required, and missing."),
+        ("steps: [{wait: }]", "s.yaml:3:15: steps[0].wait.duration_s: required, and missing."),
+        ("steps: [{light: off, move: {}}]", "steps[0]: a step is one of light, move, settle,"),
+        ("steps: [{}]", "steps[0]: a step is one of light, move, settle,"),
+        ("steps: [[move]]", "s.yaml:3:9: steps[0]: must be a mapping (key: value)."),
+        (
+            "steps: [{repeat: {steps: [move]}}]",
+            "s.yaml:3:18: steps[0].repeat: a repeat needs either poses or times.",
+        ),
+        (
+            "steps: [{repeat: {times: 2, poses: a, steps: [move]}}]",
+            "s.yaml:3:18: steps[0].repeat: a repeat needs either poses or times.",
+        ),
+        (
+            "steps: [{solve: {distortion: [k1, k1]}}]",
+            "steps[0].solve.distortion: a distortion term stands twice.",
+        ),
+        ("steps: [{solve: {distortion: k1}}]", "steps[0].solve.distortion: must be a list (got 'k1')."),
+        ("steps: [{light: of}]", "steps[0].light: must be 'on' or 'off' (got 'of'). Did you mean 'off'?"),
+        (
+            "steps: [{light: {duty_percent: 100}}]",
+            "steps[0].light.duty_percent: must be less than 100 (got '100').",
+        ),
+        ("steps: [{record: {attempts: 0}}]", "steps[0].record.attempts: must be 1 or more (got '0')."),
+        ("steps: [{record: {image: best}}]", "steps[0].record.image: must be 'auto', 'last_polarity',"),
+        (
+            "defaults: {light: off}\nsteps: [light]",
+            "defaults.light: must be a mapping (key: value) (got 'off').",
+        ),
+        ("defaults: {move: {pan_deg: 1}}\nsteps: [light]", "defaults.move: unknown key."),
+        ("poses: {a: []}\nsteps: [light]", "poses.a: must have at least 1 in it."),
+        (
+            "poses: {a: [{name: x}]}\nsteps: [light]",
+            "poses.a[0]: a pose needs pan_deg, tilt_deg or roll_deg.",
+        ),
+        ("poses: {a: {order: rows}}\nsteps: [light]", "poses.a: a grid needs pan_deg, tilt_deg or roll_deg."),
+        ("poses: {a: {pan_deg: 3}}\nsteps: [light]", "poses.a.pan_deg: must be a list (got '3')."),
+        (
+            "poses: {a: {pan_deg: {first: 1, last: 2}}}\nsteps: [light]",
+            "poses.a.pan_deg.count: required, and missing.",
+        ),
+        ("poses: {a: {pan_deg: [1, x]}}\nsteps: [light]", "poses.a.pan_deg[1]: must be a number (got 'x')."),
+        ("poses: {' a': [{pan_deg: 1}]}\nsteps: [light]", "poses. a: must "),
+        (
+            "poses: {a: [{pan_deg: 361}]}\nsteps: [light]",
+            "poses.a[0].pan_deg: must be 360 or less (got '361').",
+        ),
+    ],
+    ids=lambda text: text[:45],
+)
+def test_what_the_language_does_not_allow_is_answered_at_its_place(text, fault):
+    with pytest.raises(DocumentFaults) as caught:
+        read(text + "\n")
+    assert any(fault in str(each) for each in caught.value.faults), str(caught.value)
+
+
+def test_all_words_are_understood_with_all_their_settings():
+    sequence = read(
+        "description: all of it\n"
+        "defaults:\n"
+        "  light: {waveform: sine, frequency_hz: 80, level_percent: 50}\n"
+        "  settle: {duration_s: 1}\n"
+        "  record: {window_ms: 50, image: lock_in, attempts: 3,"
+        " gates: {min_stars: 9, max_event_rate_mev_s: 60, require_triggers: no}}\n"
+        "  solve: {model: auto, distortion: [k1, k2, p1, p2, k3], loss: l2, huber_px: 0.3}\n"
+        "poses:\n"
+        "  list: [{name: a, pan_deg: 1, tilt_deg: -1, roll_deg: 0.5}]\n"
+        "  grid: {pan_deg: {first: -1, last: 1, count: 3}, tilt_deg: [0, 1], order: rows}\n"
+        "steps:\n"
+        "  - prompt: {text: 'ready?', default: abort, timeout_s: 5}\n"
+        "  - light: {duty_percent: 25}\n"
+        "  - move: {roll_deg: 90}\n"
+        "  - settle: {duration_s: 0}\n"
+        "  - wait: {duration_s: 60}\n"
+        "  - record:\n"
+        "  - repeat: {poses: grid, steps: [move, settle, record]}\n"
+        "  - repeat: {times: 2, steps: [{repeat: {poses: [{pan_deg: 2}], steps: [move]}}]}\n"
+        "  - solve: {distortion: []}\n"
+        "  - report:\n"
+    )
+    assert [step.word for step in sequence.steps] == [
+        "prompt", "light", "move", "settle", "wait", "record", "repeat", "repeat", "solve", "report",
+    ]  # fmt: skip
+    assert sequence.defaults.record.gates.require_triggers is False
+    assert sequence.steps[8].solve.distortion == ()
