@@ -18,7 +18,6 @@ from calib.star_growth import grow
 from calib.star_noise import variance_factor
 from calib.star_refine import (
     RefinedStars,
-    SmoothedImage,
     StarTemplate,
     refine_stars,
     smooth,
@@ -111,7 +110,7 @@ def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view"
 
 
 def _refined(
-    image: SmoothedImage, stars: _Stars, target: StarTarget, seed: TagSeed
+    image: NDArray[np.float32], stars: _Stars, target: StarTarget, seed: TagSeed
 ) -> tuple[_Stars, RefinedStars, GridMap]:
     """Refine all stars with the map that they tell together, and leave out those that do not stand."""
     grid = stars.nodes.astype(float)
@@ -120,7 +119,7 @@ def _refined(
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(shape.linear)))))
     fine = refine_stars(image, stars.points, shape, symmetry_samples(pitch), WALK * pitch)
     score, contrast = star_contrasts(
-        image.values, fine.centres, shape.linear, StarTemplate.of(target.segments), seed.sign
+        image, fine.centres, shape.linear, StarTemplate.of(target.segments), seed.sign
     )
     middle = np.median(contrast, axis=1)
     good = fine.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)

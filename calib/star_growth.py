@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.grid_map import apply_homography, fit_homography, predict_locally
-from calib.star_refine import SmoothedImage, StarTemplate, search_stars
+from calib.star_refine import StarTemplate, search_stars
 from calib.tag_seed import TagSeed
 from calib.target import StarTarget
 
@@ -42,13 +42,13 @@ class Grown:
         return np.array(list(self.points.values()), np.float64).reshape(-1, 2)
 
 
-def grow(image: SmoothedImage, seed: TagSeed, target: StarTarget) -> Grown:
+def grow(image: NDArray[np.float32], seed: TagSeed, target: StarTarget) -> Grown:
     """Find the stars around the tag, then around these, until no more are found.
 
     Parameters
     ----------
     image
-        Prepared image; brightness of either contrast, the seed says which.
+        (H, W), smoothed; of either contrast, the seed says which.
     seed
         The tag.
     target
@@ -68,10 +68,8 @@ def grow(image: SmoothedImage, seed: TagSeed, target: StarTarget) -> Grown:
         at = predict_locally(h, grown.nodes().astype(float), grown.places(), wanted.astype(float))
         linear = linear_at(h, wanted.astype(float))
         pitch = np.sqrt(np.abs(np.linalg.det(linear)))
-        seen = (pitch >= MIN_PITCH_PX) & _inside(at, image.values.shape)
-        found, score = search_stars(
-            image.values, at[seen], linear[seen], reach * pitch[seen], template, seed.sign
-        )
+        seen = (pitch >= MIN_PITCH_PX) & _inside(at, image.shape)
+        found, score = search_stars(image, at[seen], linear[seen], reach * pitch[seen], template, seed.sign)
         for node in wanted:
             key = (int(node[0]), int(node[1]))
             grown.tries[key] = grown.tries.get(key, 0) + 1

@@ -1,8 +1,8 @@
 """How well stars are really placed: the scatter of neighbouring stars scales their covariances.
 
 Knows star centres on a grid and what their residuals promise; no image. Neighbouring stars share no
-pixels but lie on a smooth map, so what a star differs from its eight neighbours is noise, measured in the view
-itself, with the stencil
+pixels but lie on a smooth map, so what a star differs from its eight neighbours is noise, measured in the
+view itself, with the stencil
 
     e = c(0, 0) - (c(1, 0) + c(-1, 0) + c(0, 1) + c(0, -1)) / 2
         + (c(1, 1) + c(1, -1) + c(-1, 1) + c(-1, -1)) / 4

@@ -8,6 +8,9 @@ turn about the star leaves the print unchanged, so c minimises
 
     sum over s of w(s) (I(q(s)) - I(q(-s)))^2 .
 
+Light that falls off across the star, as at the rim of the disc, is not symmetrical: a slope by a share g and one
+by an amount b are found with c, I(q(s)) - I(q(-s)) = g.s (I(q(s)) + I(q(-s))) + b.s.
+
 A cancels against itself in the pairs' middles and is needed only to know where to look; B, the curvature of
 perspective and distortion, moves the middles and is needed as well as the neighbours can tell it.
 """
@@ -32,6 +35,10 @@ TEMPLATE_ACROSS = (0.2, 0.5, 0.8)
 SYMMETRY_REACH = 0.49
 #: Octants in which a star's contrast is looked at.
 OCTANTS = 8
+#: Share of a star's cell that must lie in the image.
+MIN_COVERED = 0.8
+#: Centre, and slopes of the light across the star.
+UNKNOWNS = 6
 _STEPS = 12
 
 
@@ -60,14 +67,6 @@ class StarTemplate(NamedTuple):
         )
 
 
-class SmoothedImage(NamedTuple):
-    """An image prepared for refinement: blurred, and its derivatives along x and y, all float32 (H, W)."""
-
-    values: NDArray[np.float32]
-    along_x: NDArray[np.float32]
-    along_y: NDArray[np.float32]
-
-
 class LocalShape(NamedTuple):
     """Map around N stars: A (N, 2, 2), px a pitch; B (N, 2, 3), px a pitch^2 for s_x^2, s_x s_y, s_y^2."""
 
@@ -83,7 +82,7 @@ class RefinedStars(NamedTuple):
     centres
         (N, 2) px.
     information
-        (N, 2, 2) J^T J of the symmetry's residuals about the centre, (brightness / px)^2.
+        (N, 2, 2) what the residuals say of the centre, (brightness / px)^2: J^T J, less what the slopes take.
     residual
         (N,) mean square of the symmetry's residuals.
     converged
@@ -102,12 +101,9 @@ class RefinedStars(NamedTuple):
         )
 
 
-def smooth(image: NDArray[np.float32], sigma_px: float) -> SmoothedImage:
-    """Blur an image by a Gaussian and differentiate it (central differences, per px)."""
-    values = cv2.GaussianBlur(image, (0, 0), sigma_px) if sigma_px > 0 else image
-    along_x = cv2.filter2D(values, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], np.float32))
-    along_y = cv2.filter2D(values, cv2.CV_32F, np.array([[-0.5], [0.0], [0.5]], np.float32))
-    return SmoothedImage(*(np.ascontiguousarray(a, np.float32) for a in (values, along_x, along_y)))
+def smooth(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    """Blur an image by a Gaussian, so that noise of single pixels and their grid no longer matter."""
+    return np.ascontiguousarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.float32)
 
 
 def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
@@ -132,20 +128,70 @@ def _sample(image: Any, x: float, y: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _spline_weights(a: float) -> tuple[float, float, float, float]:
+    """Values of the cubic B-spline at the four pixels around a point, a beyond the second."""
+    b = 1.0 - a
+    return (
+        b * b * b / 6.0,
+        (4.0 - 6.0 * a * a + 3.0 * a * a * a) / 6.0,
+        (4.0 - 6.0 * b * b + 3.0 * b * b * b) / 6.0,
+        a * a * a / 6.0,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _spline_slopes(a: float) -> tuple[float, float, float, float]:
+    """Derivatives of `_spline_weights`."""
+    b = 1.0 - a
+    return (-0.5 * b * b, -2.0 * a + 1.5 * a * a, 2.0 * b - 1.5 * b * b, 0.5 * a * a)
+
+
+@njit(cache=True, error_model="numpy")
+def _smooth_sample(image: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Value and derivatives along x and y of the image as a cubic B-spline of its pixels; nan outside.
+
+    The spline blurs a little more, and has no kinks at pixels: bilinear values would pull edges that run along
+    the grid towards it.
+    """
+    if not (1.0 <= x < image.shape[1] - 2 and 1.0 <= y < image.shape[0] - 2):
+        return np.nan, np.nan, np.nan
+    c, r = int(x), int(y)
+    wx, sx = _spline_weights(x - c), _spline_slopes(x - c)
+    wy, sy = _spline_weights(y - r), _spline_slopes(y - r)
+    value = along_x = along_y = 0.0
+    for i in range(4):
+        across = slope = 0.0
+        for j in range(4):
+            pixel = image[r - 1 + i, c - 1 + j]
+            across += wx[j] * pixel
+            slope += sx[j] * pixel
+        value += wy[i] * across
+        along_x += wy[i] * slope
+        along_y += sy[i] * across
+    return value, along_x, along_y
+
+
+@njit(cache=True, error_model="numpy")
 def _correlation(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> float:
-    """Correlation of the image with a star at (x, y); nan where the star is not wholly inside."""
-    n = template.values.size
-    total = squares = product = 0.0
-    for i in range(n):
+    """Correlation of the image with a star at (x, y); nan where too much of it lies outside."""
+    total = squares = product = balance = 0.0
+    n = 0
+    for i in range(template.values.size):
         u, v = template.offsets[i, 0], template.offsets[i, 1]
         value = _sample(
             image, x + linear[0, 0] * u + linear[0, 1] * v, y + linear[1, 0] * u + linear[1, 1] * v
         )
-        total += value
-        squares += value * value
-        product += value * template.values[i]
-    variance = squares / n - (total / n) ** 2
-    return product / n / np.sqrt(variance) if variance > 0.0 else (0.0 if variance == 0.0 else np.nan)
+        if not np.isnan(value):
+            n += 1
+            total += value
+            squares += value * value
+            product += value * template.values[i]
+            balance += template.values[i]
+    if n < MIN_COVERED * template.values.size:
+        return np.nan
+    mean = total / n
+    variance = squares / n - mean * mean
+    return (product - mean * balance) / n / np.sqrt(variance) if variance > 0.0 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -171,7 +217,7 @@ def search_stars(
 
     Returns
     -------
-    (N, 2) px and (N,) correlations; nan where no place lies wholly inside the image.
+    (N, 2) px and (N,) correlations; nan where no place lies well enough inside the image.
     """
     n = len(guesses)
     best, score = np.full((n, 2), np.nan), np.full(n, np.nan)
@@ -207,56 +253,77 @@ def star_contrasts(
                     x + linear[k, 0, 0] * u + linear[k, 0, 1] * v,
                     y + linear[k, 1, 0] * u + linear[k, 1, 1] * v,
                 )
-                sums[template.octants[i]] += sign * value * template.values[i]
-                counts[template.octants[i]] += 0.5
+                if not np.isnan(value):
+                    sums[template.octants[i]] += sign * value * template.values[i]
+                    counts[template.octants[i]] += 0.5
         contrast[k] = sums / counts
     return score, contrast
 
 
 @njit(cache=True, error_model="numpy")
-def _pair(shape: Any, curved: Any, u: float, v: float) -> tuple[float, float, float, float]:
-    """Offsets A s (twice: x, y) and B(s, s) of a sample, px."""
-    uu, uv, vv = u * u, u * v, v * v
-    return (
-        shape[0, 0] * u + shape[0, 1] * v,
-        shape[1, 0] * u + shape[1, 1] * v,
-        curved[0, 0] * uu + curved[0, 1] * uv + curved[0, 2] * vv,
-        curved[1, 0] * uu + curved[1, 1] * uv + curved[1, 2] * vv,
-    )
-
-
-@njit(cache=True, error_model="numpy")
 def _normal_equations(
-    image: SmoothedImage, x: float, y: float, shape: Any, curved: Any, samples: Any
-) -> tuple[float, float, float, float, float, float]:
-    """Return J^T J (xx, xy, yy), J^T r (x, y) and r^T r over all pairs, divided by their number."""
-    xx = xy = yy = rx = ry = rr = 0.0
+    image: Any,
+    x: float,
+    y: float,
+    shape: Any,
+    curved: Any,
+    samples: Any,
+    slopes: Any,
+    normal: Any,
+    right: Any,
+) -> float:
+    """Fill J^T J and J^T r of the symmetry's residuals; return the mean of r^2, nan where too few are inside.
+
+    Unknowns are the centre, and by `slopes` how light falls off across the star: by a share (x, y) and by an
+    amount (x, y) a pitch.
+    """
+    normal[:] = 0.0
+    right[:] = 0.0
+    squares = 0.0
+    n = 0
+    j = np.empty(UNKNOWNS)
     for i in range(len(samples)):
-        ax, ay, bx, by = _pair(shape, curved, samples[i, 0], samples[i, 1])
-        px, py, mx, my = x + ax + bx, y + ay + by, x - ax + bx, y - ay + by
-        r = _sample(image.values, px, py) - _sample(image.values, mx, my)
-        jx = _sample(image.along_x, px, py) - _sample(image.along_x, mx, my)
-        jy = _sample(image.along_y, px, py) - _sample(image.along_y, mx, my)
-        xx += jx * jx
-        xy += jx * jy
-        yy += jy * jy
-        rx += jx * r
-        ry += jy * r
-        rr += r * r
-    n = len(samples)
-    return xx / n, xy / n, yy / n, rx / n, ry / n, rr / n
+        u, v = samples[i, 0], samples[i, 1]
+        uu, uv, vv = u * u, u * v, v * v
+        ax, ay = shape[0, 0] * u + shape[0, 1] * v, shape[1, 0] * u + shape[1, 1] * v
+        mx = x + curved[0, 0] * uu + curved[0, 1] * uv + curved[0, 2] * vv
+        my = y + curved[1, 0] * uu + curved[1, 1] * uv + curved[1, 2] * vv
+        there, there_x, there_y = _smooth_sample(image, mx + ax, my + ay)
+        here, here_x, here_y = _smooth_sample(image, mx - ax, my - ay)
+        if np.isnan(there) or np.isnan(here):
+            continue
+        n += 1
+        both = there + here
+        j[0], j[1], j[2], j[3], j[4], j[5] = there_x - here_x, there_y - here_y, -u * both, -v * both, -u, -v
+        r = there - here + slopes[0] * j[2] + slopes[1] * j[3] + slopes[2] * j[4] + slopes[3] * j[5]
+        squares += r * r
+        for k in range(UNKNOWNS):
+            right[k] += j[k] * r
+            for m in range(k + 1):
+                normal[k, m] += j[k] * j[m]
+    for k in range(UNKNOWNS):
+        for m in range(k):
+            normal[m, k] = normal[k, m]
+    return squares / n if n >= MIN_COVERED * len(samples) else np.nan
 
 
 @njit(cache=True, error_model="numpy")
-def refine_stars(
-    image: SmoothedImage, guesses: Any, shape: LocalShape, samples: Any, reach_px: float
-) -> RefinedStars:
+def _solvable(normal: Any) -> bool:
+    """Whether the image says anything about every unknown: nothing does where it is flat."""
+    for k in range(UNKNOWNS):
+        if not normal[k, k] > 0.0:
+            return False
+    return bool(np.linalg.cond(normal) < 1e12)
+
+
+@njit(cache=True, error_model="numpy")
+def refine_stars(image: Any, guesses: Any, shape: LocalShape, samples: Any, reach_px: float) -> RefinedStars:
     """Minimise the symmetry's residuals over each centre by Gauss-Newton.
 
     Parameters
     ----------
     image
-        From `smooth`.
+        (H, W) float32, from `smooth`.
     guesses
         (N, 2) px.
     shape
@@ -268,30 +335,32 @@ def refine_stars(
 
     Returns
     -------
-    Centres that were given up, or whose cell leaves the image, are nan and not converged.
+    Centres that were given up, or whose cell lies too far outside the image, are nan and not converged.
     """
     n = len(guesses)
     centres, information = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
     residual, converged = np.full(n, np.nan), np.zeros(n, np.bool_)
+    normal, right = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     for k in range(n):
         x, y = guesses[k, 0], guesses[k, 1]
+        slopes = np.zeros(UNKNOWNS - 2)
         for _ in range(_STEPS):
-            xx, xy, yy, rx, ry, rr = _normal_equations(image, x, y, shape.linear[k], shape.curved[k], samples)
-            determinant = xx * yy - xy * xy
-            if not determinant > 0.0:
+            squares = _normal_equations(
+                image, x, y, shape.linear[k], shape.curved[k], samples, slopes, normal, right
+            )
+            if np.isnan(squares) or not _solvable(normal):
                 break
-            dx, dy = (yy * rx - xy * ry) / determinant, (xx * ry - xy * rx) / determinant
-            length = np.hypot(dx, dy)
+            step = np.linalg.solve(normal, right)
+            length = np.hypot(step[0], step[1])
             shorter = min(1.0, 1.5 / length) if length > 0.0 else 1.0
-            x, y = x - shorter * dx, y - shorter * dy
+            x, y = x - shorter * step[0], y - shorter * step[1]
+            slopes -= shorter * step[2:]
             if np.hypot(x - guesses[k, 0], y - guesses[k, 1]) > reach_px:
                 break
             if length < 1e-3:
                 converged[k] = True
                 centres[k, 0], centres[k, 1] = x, y
-                residual[k] = rr
-                m = len(samples)
-                information[k, 0, 0], information[k, 1, 1] = m * xx, m * yy
-                information[k, 0, 1] = information[k, 1, 0] = m * xy
+                residual[k] = squares
+                information[k] = np.linalg.inv(np.linalg.inv(normal)[:2, :2])
                 break
     return RefinedStars(centres, information, residual, converged)

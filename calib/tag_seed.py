@@ -106,7 +106,10 @@ def _read_tags(picture: NDArray[np.uint8], scale: float) -> Iterator[tuple[NDArr
     """Corners, in px of the full image, and numbers of all tags of the family."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.detectInvertedMarker = True
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
+    # Windows from about the smallest module to a quarter of the picture: larger modules are not hollow to it.
+    parameters.adaptiveThreshWinSizeMin = 9
+    parameters.adaptiveThreshWinSizeMax = max(23, min(picture.shape) // 8 | 1)
+    parameters.adaptiveThreshWinSizeStep = max(10, (parameters.adaptiveThreshWinSizeMax - 9) // 2)
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     corners, tags, _ = cv2.aruco.ArucoDetector(family, parameters).detectMarkers(picture)
     for quad, tag in zip(corners, [] if tags is None else np.ravel(tags), strict=True):
@@ -118,18 +121,68 @@ def _judge(
 ) -> TagSeed | None:
     """Compare the modules with the print; a seed where they agree, of either contrast."""
     nodes = target.tag_corners_mm / target.pitch_mm
-    homography = cv2.getPerspectiveTransform(nodes.astype(np.float32), corners.astype(np.float32))
-    left, top = nodes[0]
-    middles = (np.arange(TAG_MODULES) + 0.5) * (target.tag_squares / TAG_MODULES)
-    u, v = np.meshgrid(left + middles, top + middles)
-    grid = np.column_stack([u.ravel(), v.ravel()])
-    at = cv2.perspectiveTransform(grid[None], homography)[0]
-    at = ((at + 0.5) * scale - 0.5).astype(np.float32)
-    seen = cv2.remap(picture, at[:, 0], at[:, 1], cv2.INTER_LINEAR).ravel().astype(float)
-    printed = target.layout.tag_modules.ravel().astype(float)
-    if seen.std() == 0.0:
-        return None
-    correlation = float(np.corrcoef(seen, printed)[0, 1])
+    correlation = _modules_correlation(picture, scale, _homography(nodes, corners), target)
     if abs(correlation) < MIN_CORRELATION:
         return None
-    return TagSeed(np.asarray(homography, np.float64), corners, float(np.sign(correlation)), abs(correlation))
+    sign = float(np.sign(correlation))
+    corners = _sharpened(picture.astype(np.float32) * np.float32(sign), scale, corners)
+    return TagSeed(_homography(nodes, corners), corners, sign, abs(correlation))
+
+
+def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3, 3) from four grid positions to four image points."""
+    return np.asarray(
+        cv2.getPerspectiveTransform(nodes.astype(np.float32), corners.astype(np.float32)), np.float64
+    )
+
+
+def _modules_correlation(
+    picture: NDArray[np.uint8], scale: float, homography: NDArray[np.float64], target: StarTarget
+) -> float:
+    """Correlation of the middles of the 8 x 8 modules with the print."""
+    left, top = target.tag_corners_mm[0] / target.pitch_mm
+    middles = (np.arange(TAG_MODULES) + 0.5) * (target.tag_squares / TAG_MODULES)
+    u, v = np.meshgrid(left + middles, top + middles)
+    at = cv2.perspectiveTransform(np.column_stack([u.ravel(), v.ravel()])[None], homography)[0]
+    seen = _values(picture.astype(np.float32), scale, at)
+    if seen.std() == 0.0:
+        return 0.0
+    return float(np.corrcoef(seen, target.layout.tag_modules.ravel())[0, 1])
+
+
+def _sharpened(
+    picture: NDArray[np.float32], scale: float, corners: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Fit lines to the border's outer edges, black inside and white outside, and cut them with each other.
+
+    The white ring is half a pitch wide and so is the black border: a module of the tag on either side.
+    """
+    module = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean() / TAG_MODULES
+    offsets = np.linspace(-1.4, 1.4, 113) * module
+    step = np.where(offsets < 0, -1.0, 1.0) * (np.abs(offsets) <= 0.6 * module)
+    lines = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = (end - start) / np.linalg.norm(end - start)
+        outward = np.array([along[1], -along[0]])
+        places = start + np.linspace(0.12, 0.88, 32)[:, None] * (end - start)
+        profiles = _values(picture, scale, (places[:, None] + offsets[:, None] * outward).reshape(-1, 2))
+        answers = np.array([np.convolve(p, step[::-1], "same") for p in profiles.reshape(32, -1)])
+        inner = np.abs(offsets) <= 0.7 * module
+        edges = places + offsets[inner][np.argmax(answers[:, inner], axis=1)][:, None] * outward
+        vx, vy, x, y = np.ravel(cv2.fitLine(edges.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)).astype(
+            float
+        )
+        lines.append(np.cross([x, y, 1.0], [x + vx, y + vy, 1.0]))
+    cuts = np.array([np.cross(lines[i - 1], lines[i]) for i in range(4)])
+    sharp = cuts[:, :2] / cuts[:, 2:]
+    near = np.isfinite(sharp).all() and np.linalg.norm(sharp - corners, axis=1).max() < 1.5 * module
+    return np.asarray(sharp, np.float64) if near else corners
+
+
+def _values(picture: NDArray[np.float32], scale: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bilinear values of a scaled picture at (N, 2) points of the full image."""
+    points = ((at + 0.5) * scale - 0.5).astype(np.float32)
+    return np.asarray(
+        cv2.remap(picture, points[:, 0], points[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+        float,
+    ).ravel()
