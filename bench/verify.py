@@ -10,9 +10,11 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+from bench import __version__
 from bench.errors import EvidenceError, RunFolderError
 from bench.journal import read_journal
 from bench.keys import NAMESPACE, Signer
@@ -22,6 +24,7 @@ from bench.sshsig import fingerprint, holds, read_signature
 from bench.storage import sha256_of, storing
 
 RESULTS = "results.json"
+REPORT = "report.html"
 _LARGEST_MANIFEST_BYTES = 64 << 20
 
 
@@ -58,6 +61,8 @@ class Verification:
         The run folder.
     faults
         Everything that does not hold; empty when the bundle is as it was sealed by a trusted bench.
+    remarks
+        What could not be checked, and why.
     signer, fingerprint
         Who signed, by the list of trusted keys (None when nobody trusted did), and with which key.
     files
@@ -70,6 +75,7 @@ class Verification:
 
     folder: str
     faults: Sequence[Fault] = ()
+    remarks: Sequence[str] = ()
     signer: str | None = None
     fingerprint: str | None = None
     files: int = 0
@@ -120,9 +126,12 @@ def verify_run(
         check.files(manifest)
         told = check.journal()
         facts = check.results(told, manifest, camera_serial)
+        if not check.faults and facts is not _NO_RESULTS:
+            check.report()
     return Verification(
         folder=str(folder),
         faults=tuple(check.faults),
+        remarks=tuple(check.remarks),
         signer=check.signer,
         fingerprint=check.fingerprint,
         files=len(manifest),
@@ -138,6 +147,7 @@ class _Check:
 
     folder: Path
     faults: list[Fault] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     signer: str | None = None
     fingerprint: str | None = None
 
@@ -232,6 +242,32 @@ class _Check:
         if camera_serial is not None and facts.camera_serial != camera_serial:
             self.fault("item", RESULTS, f"it is about camera {facts.camera_serial}, not {camera_serial}")
         return facts
+
+    def report(self) -> None:
+        """Check that the report prints what the results say: render it again and compare every word."""
+        from bench.report import ReportData, printed_text, render_report
+
+        path = self.folder / REPORT
+        if not path.is_file():
+            return
+        results = json.loads((self.folder / RESULTS).read_bytes())
+        made_by = results["run"].get("software", {}).get("starbench")
+        if made_by != __version__:
+            self.remarks.append(
+                f"{REPORT} was not compared with {RESULTS}: Starbench {made_by} wrote it, this is {__version__}"
+            )
+            return
+        printed = printed_text(path.read_text(encoding="utf-8"))
+        hashes = {entry.hash for entry in read_journal(self.folder / JOURNAL)[0]}
+        head = next((word for word in printed if word in hashes), "")
+        wanted = printed_text(render_report(ReportData(results, (), head)))
+        if not head:
+            self.fault("report", REPORT, "it names no line of this journal")
+        differing = [(p, w) for p, w in zip_longest(printed, wanted, fillvalue="") if p != w]
+        if head and differing:
+            self.fault(
+                "report", REPORT, f"it prints {differing[0][0]!r} where {RESULTS} gives {differing[0][1]!r}"
+            )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,183 @@
+"""The report as HTML: joins results, tables, plots and pictures in one page.
+
+Knows the results' structure and the page's template; formats numbers by `bench.report.text`, rows of tables
+by `bench.report.tables`. Nothing a results file holds can become markup: the template escapes everything.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from bench.report import tables, text
+from bench.report.pictures import ViewPicture, pose_pictures
+from bench.report.plots import coverage, deviations_from_truth, residual_cloud, residual_vectors
+from bench.report.walk import walk_diagram
+
+_DRAWN = frozenset({"section", "svg", "style"})
+"""Elements whose text comes with pictures and plots; in the template, sections hold nothing else."""
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """All that a report shows.
+
+    Attributes
+    ----------
+    results
+        Content of results.json.
+    views
+        The poses that entered the calibration; none leaves out pictures and plots.
+    journal_head
+        Hash of the journal's last line when the report was made: it stands for the whole journal.
+    """
+
+    results: Mapping[str, Any]
+    views: Sequence[ViewPicture] = field(default_factory=tuple)
+    journal_head: str = ""
+
+
+def render_report(data: ReportData) -> str:
+    """Render the report.
+
+    Parameters
+    ----------
+    data
+        What to show.
+
+    Returns
+    -------
+    str
+        A complete HTML document; a function of ``data`` alone.
+
+    Raises
+    ------
+    KeyError
+        When the results lack what every result has: ``run`` and ``calibration``.
+    """
+    results = data.results
+    calibration = results["calibration"]
+    return (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            run=results["run"],
+            identification=tables.identification(results),
+            software=tables.software(results),
+            journal_head=data.journal_head,
+            calibration=calibration,
+            values=tables.values(calibration),
+            agreement=tables.agreement(calibration),
+            correlation=tables.correlation(calibration),
+            planar=tables.against_planar(calibration, results.get("planar")),
+            candidates=tables.candidates(calibration),
+            comparison=tables.comparison(results.get("comparison") or []),
+            conditions=tables.conditions(results.get("conditions") or {}),
+            devices=tables.devices(results.get("devices") or {}),
+            poses=tables.poses(results.get("poses") or []),
+            recordings=tables.recordings(results.get("poses") or []),
+            gates=tables.gates(results.get("gates") or []),
+            deviations=list(results.get("deviations") or []),
+            walk=_drawn(walk_diagram(results["states"])) if results.get("states") else "",
+            plots=_plots(data),
+            pictures=[
+                (_drawn(svg), view.name)
+                for svg, view in zip(pose_pictures(data.views), data.views, strict=True)
+            ],
+            k=text.COVERAGE_FACTOR,
+        )
+    )
+
+
+def printed_text(html: str) -> list[str]:
+    """Give the words and numbers a reader sees in a report, without those in pictures and plots.
+
+    Two reports of the same results print the same, whoever drew their pictures.
+
+    Parameters
+    ----------
+    html
+        A report.
+
+    Returns
+    -------
+    list of str
+        Its texts in order, spaces normalised.
+    """
+    reader = _TextReader()
+    reader.feed(html)
+    reader.close()
+    return reader.texts
+
+
+class _TextReader(HTMLParser):
+    """Collects text outside of pictures and styles."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: list[str] = []
+        self._drawn: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Begin to look away at what is drawn."""
+        del attrs
+        if tag in _DRAWN:
+            self._drawn.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        """Look again."""
+        if self._drawn and self._drawn[-1] == tag:
+            self._drawn.pop()
+
+    def handle_data(self, data: str) -> None:
+        """Take a text."""
+        shown = " ".join(data.split())
+        if shown and not self._drawn:
+            self.texts.append(shown)
+
+
+@functools.cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("bench.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["css_text"] = _css_text
+    return environment
+
+
+def _drawn(svg: str) -> Markup:
+    """Let a drawing of our own through as it is; the names in it were escaped when it was drawn."""
+    return Markup(svg)  # noqa: S704
+
+
+def _css_text(value: object) -> str:
+    """Keep of a text what can stand in a CSS string without becoming CSS."""
+    return re.sub(r"[^A-Za-z0-9 ._-]", "?", str(value))
+
+
+def _plots(data: ReportData) -> dict[str, Markup]:
+    """Draw what can be drawn, by name; nothing stands for what cannot."""
+    plots = dict.fromkeys(("truth", "vectors", "cloud", "coverage"), "")
+    compared = data.results.get("comparison") or []
+    if compared:
+        names = [row["name"] for row in compared]
+        plots["truth"] = deviations_from_truth(names, [row["error_sigmas"] for row in compared])
+    if any(len(view.detected) for view in data.views):
+        camera = data.results["calibration"]["camera"]
+        height, width = data.views[0].image.shape
+        centre = (camera["cx"], camera["cy"])
+        plots["vectors"] = residual_vectors(data.views, (width, height))
+        plots["cloud"] = residual_cloud(data.views, centre)
+        plots["coverage"] = coverage(data.views, (width, height), centre)
+    return {name: _drawn(svg) for name, svg in plots.items()}

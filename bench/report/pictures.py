@@ -1,0 +1,126 @@
+"""Pictures of the poses: the event image, the stars found in it and where the calibration puts them.
+
+Knows images and points; no results. Pixel centres lie at integers, so an image W wide spans -0.5 to W - 0.5.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_ALL_PICTURES_BYTES = 1_050_000
+_LADDER = ((1.0, None), (1.0, 85), (1.0, 65), (0.5, 80), (0.5, 60), (0.25, 70))
+"""Scale and JPEG quality (None: PNG), tried in turn until a picture is small enough."""
+_RING_PX = 7.0
+_CROSS_PX = 4.0
+_RING_COLOUR, _CROSS_COLOUR = "#ff7a1a", "#00a3e0"
+_CLOSE_UP_PX = 36.0
+
+
+@dataclass(frozen=True)
+class ViewPicture:
+    """One pose as the report shows it.
+
+    Attributes
+    ----------
+    name
+        The pose's name.
+    image
+        (H, W) uint8, the event image.
+    detected, reprojected
+        (N, 2) float64, px: stars as found, and as the calibration projects them.
+    ids
+        (N,) int64, ids of the stars.
+    """
+
+    name: str
+    image: NDArray[np.uint8]
+    detected: NDArray[np.float64]
+    reprojected: NDArray[np.float64]
+    ids: NDArray[np.int64]
+
+    @property
+    def residuals(self) -> NDArray[np.float64]:
+        """(N, 2) star found minus star projected, px."""
+        return self.detected - self.reprojected
+
+
+def pose_pictures(views: Sequence[ViewPicture]) -> list[str]:
+    """Draw every pose as SVG: the image with rings and crosses, beside it two close-ups of the same image."""
+    limit = _ALL_PICTURES_BYTES // max(1, len(views))
+    return [_pose_picture(view, f"pose{number}", limit) for number, view in enumerate(views, 1)]
+
+
+def _pose_picture(view: ViewPicture, identifier: str, limit_bytes: int) -> str:
+    height, width = view.image.shape
+    side = (height - 24) / 2
+    close_ups = "".join(
+        _close_up(identifier, centre, (width + 24, row * (side + 24)), side)
+        for row, centre in enumerate(_looked_at(view))
+    )
+    return (
+        f'<svg class="pose" viewBox="-0.5 -0.5 {width + 24 + side:g} {height}" role="img" '
+        'xmlns="http://www.w3.org/2000/svg">'
+        f'<g id="{identifier}">'
+        f'<image x="-0.5" y="-0.5" width="{width}" height="{height}" '
+        f'image-rendering="pixelated" href="{_data_uri(view.image, limit_bytes)}"/>'
+        f"{_outline(_RING_COLOUR, _rings(view.detected))}{_outline(_CROSS_COLOUR, _crosses(view.reprojected))}"
+        f"</g>{close_ups}</svg>"
+    )
+
+
+def _outline(colour: str, path: str) -> str:
+    # Attributes, not a stylesheet: rules do not reach what <use> repeats in the close-ups.
+    return f'<path fill="none" stroke="{colour}" stroke-width="1.3" vector-effect="non-scaling-stroke" d="{path}"/>'
+
+
+def _looked_at(view: ViewPicture) -> list[NDArray[np.float64]]:
+    """Stars to look at closely: the one nearest to the image's centre and the one with the largest residual."""
+    if not len(view.detected):
+        return []
+    centre = (np.array(view.image.shape[::-1]) - 1) / 2
+    nearest = np.linalg.norm(view.detected - centre, axis=1).argmin()
+    worst = np.linalg.norm(view.residuals, axis=1).argmax()
+    return [view.detected[nearest], view.detected[worst]]
+
+
+def _close_up(identifier: str, centre: NDArray[np.float64], place: tuple[float, float], side: float) -> str:
+    left, top = centre - _CLOSE_UP_PX / 2
+    return (
+        f'<svg class="close-up" x="{place[0]:g}" y="{place[1] - 0.5:g}" width="{side:g}" height="{side:g}" '
+        f'viewBox="{left:.2f} {top:.2f} {_CLOSE_UP_PX:g} {_CLOSE_UP_PX:g}"><use href="#{identifier}"/></svg>'
+    )
+
+
+def _rings(points: NDArray[np.float64]) -> str:
+    r, d = _RING_PX, 2 * _RING_PX
+    return "".join(
+        f"M{x - r:.2f} {y:.2f}a{r:g} {r:g} 0 1 0 {d:g} 0a{r:g} {r:g} 0 1 0-{d:g} 0" for x, y in points
+    )
+
+
+def _crosses(points: NDArray[np.float64]) -> str:
+    a, d = _CROSS_PX, 2 * _CROSS_PX
+    return "".join(f"M{x - a:.2f} {y:.2f}h{d:g}M{x:.2f} {y - a:.2f}v{d:g}" for x, y in points)
+
+
+def _data_uri(image: NDArray[np.uint8], limit_bytes: int) -> str:
+    """Encode an image losslessly where it is small enough, else ever more coarsely."""
+    data, kind = b"", ""
+    for scale, quality in _LADDER:
+        shown = (
+            image
+            if scale == 1.0
+            else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        )
+        kind = "png" if quality is None else "jpeg"
+        settings = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
+        data = cv2.imencode(f".{kind}", shown, settings)[1].tobytes()
+        if len(data) <= limit_bytes:
+            break
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,0 +1,334 @@
+"""Rows of the report's tables: what results.json holds, as printed text.
+
+Knows the structure of results.json; each function takes a part of it and gives rows, empty where the part is
+missing, so that the page can leave the table out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bench.report.text import (
+    COVERAGE_FACTOR,
+    NOTHING,
+    duration,
+    exact,
+    fixed,
+    meaning_of,
+    moment,
+    number,
+    unit_of,
+    with_uncertainty,
+    words,
+)
+
+Json = Mapping[str, Any]
+
+_POSE_PREFIX = re.compile(r"pose \d+: ")
+_VERDICTS = ("pass", "marginal", "fail")
+
+
+@dataclass(frozen=True)
+class ValueRow:
+    """A calibrated value with its expanded uncertainty."""
+
+    name: str
+    meaning: str
+    value: str
+    expanded: str
+    relative: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a matrix, and how strongly it is shaded, 0 to 1."""
+
+    text: str
+    shade: float
+
+
+@dataclass(frozen=True)
+class DeviceRow:
+    """One device as it named itself."""
+
+    name: str
+    model: str
+    serial: str
+    firmware: str
+    told: str
+
+
+@dataclass(frozen=True)
+class PoseRow:
+    """One pose as it was made and found."""
+
+    name: str
+    commanded: str
+    measured: str
+    moved: str
+    stars: str
+    rms: str
+    flicker: str
+    image: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class RecordingRow:
+    """One recording, accepted or not."""
+
+    pose: str
+    attempt: str
+    accepted: bool
+    reasons: str
+    events: str
+    rate: str
+    triggers: str
+    duration: str
+    capture: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class GateRow:
+    """One gate over all recordings it was asked of."""
+
+    name: str
+    limit: str
+    values: str
+    count: str
+    verdict: str
+
+
+def identification(results: Json) -> list[tuple[str, str]]:
+    """Say what was calibrated, by whom, where and when."""
+    run = results["run"]
+    camera = (results.get("devices") or {}).get("camera") or {}
+    item = " ".join(str(camera[key]) for key in ("maker", "model", "sensor") if camera.get(key))
+    return [
+        ("Item", item or NOTHING),
+        ("Serial number", words(camera.get("serial"))),
+        ("Firmware", words(camera.get("firmware"))),
+        ("Lens", words(camera.get("lens"))),
+        ("Laboratory", words(run.get("laboratory"))),
+        ("Operator", words(run.get("operator"))),
+        ("Sequence", words(run.get("sequence"))),
+        ("Station", words(run.get("station"))),
+        ("Started", moment(run.get("started_utc"))),
+        ("Finished", moment(run.get("finished_utc"))),
+    ]
+
+
+def software(results: Json) -> list[tuple[str, str]]:
+    """Name the programs that took part, and the seed of a simulated bench."""
+    run = results["run"]
+    rows = [(str(name), str(version)) for name, version in (run.get("software") or {}).items()]
+    if run.get("seed") is not None:
+        rows.append(("seed", str(run["seed"])))
+    return rows
+
+
+def values(calibration: Json) -> list[ValueRow]:
+    """Give each value with its expanded uncertainty."""
+    found = {**calibration["camera"], **(calibration.get("collimator") or {})}
+    rows = []
+    for name, sigma in calibration["sigma"].items():
+        if name not in found:
+            continue
+        value, expanded = with_uncertainty(found[name], COVERAGE_FACTOR * sigma)
+        share = COVERAGE_FACTOR * sigma / abs(found[name]) if found[name] else float("inf")
+        relative = f"{number(100 * share, 2)} %" if share < 1 else NOTHING
+        rows.append(ValueRow(name, meaning_of(name), value, expanded, relative, unit_of(name)))
+    return rows
+
+
+def agreement(calibration: Json) -> list[tuple[str, str, str]]:
+    """Say how well the model follows the data: what, number, unit."""
+    stars = sum(view["n"] for view in calibration["views"])
+    return [
+        ("RMS reprojection error", number(calibration["rms_px"], 3), "px"),
+        ("mean reprojection error", number(calibration["mean_px"], 3), "px"),
+        ("stars", number(stars), f"in {len(calibration['views'])} poses"),
+        ("degrees of freedom", number(calibration.get("degrees_of_freedom")), ""),
+        ("variance factor", number(calibration.get("variance_factor"), 3), ""),
+    ]
+
+
+def correlation(calibration: Json) -> tuple[list[str], list[list[Cell]]]:
+    """Give the names of the parameters and their correlation coefficients."""
+    covariance = calibration.get("covariance") or {"names": [], "matrix": []}
+    matrix = covariance["matrix"]
+    rows = []
+    for i, row in enumerate(matrix):
+        scales = [(row[i] * matrix[j][j]) ** 0.5 for j in range(len(row))]
+        shares = [entry / scale if scale > 0 else 0.0 for entry, scale in zip(row, scales, strict=True)]
+        rows.append([Cell(fixed(share, 2), round(min(1.0, abs(share)), 2)) for share in shares])
+    return list(covariance["names"]), rows
+
+
+def against_planar(calibration: Json, planar: Json | None) -> list[tuple[str, str, str, str, str]]:
+    """Compare with the planar calibration: name, value, U, planar value, planar U."""
+    if planar is None:
+        return []
+    rows = []
+    for name, sigma in planar["sigma"].items():
+        if name in calibration["camera"] and name in calibration["sigma"]:
+            own = with_uncertainty(calibration["camera"][name], COVERAGE_FACTOR * calibration["sigma"][name])
+            rows.append((name, *own, *with_uncertainty(planar["camera"][name], COVERAGE_FACTOR * sigma)))
+    rms = (number(calibration["rms_px"], 3), "", number(planar["rms_px"], 3), "")
+    return [*rows, ("RMS, px", *rms)]
+
+
+def candidates(calibration: Json) -> list[tuple[str, str, str, str, str]]:
+    """List the models that were compared: name, parameters, RMS, RMS of left-out views, BIC."""
+    return [
+        (
+            str(model["model"]),
+            number(model["parameters"]),
+            number(model["rms_px"], 3),
+            number(model["left_out_rms_px"], 3),
+            number(model["bic"], 6),
+        )
+        for model in calibration.get("candidates") or []
+    ]
+
+
+def comparison(rows: Sequence[Json]) -> list[tuple[str, str, str, str, str, str]]:
+    """Compare with the simulated truth: name, value, U, truth, error, error in sigmas."""
+    printed = []
+    for row in rows:
+        value, expanded = with_uncertainty(row["value"], COVERAGE_FACTOR * row["sigma"])
+        error, _ = with_uncertainty(row["error"], COVERAGE_FACTOR * row["sigma"])
+        sigmas = fixed(row["error_sigmas"], 2)
+        printed.append((row["name"], value, expanded, exact(row["truth"]), error, sigmas))
+    return printed
+
+
+def conditions(found: Json) -> list[tuple[str, str]]:
+    """List the settings and surroundings of the recordings."""
+    rows = []
+    for part, settings in found.items():
+        if isinstance(settings, Mapping):
+            rows += [(f"{part}: {_spelled(key)}", _with_unit(key, value)) for key, value in settings.items()]
+        else:
+            rows.append((_spelled(part), _with_unit(part, settings)))
+    return rows
+
+
+def devices(found: Json) -> list[DeviceRow]:
+    """List who the devices said they were, and how they were set."""
+    rows = []
+    for part, identities in found.items():
+        for identity in identities if isinstance(identities, list) else [identities]:
+            facts = dict(identity) if isinstance(identity, Mapping) else {"": identity}
+            name = f"{part}: {facts.pop('name')}" if facts.get("name") else part
+            model = " ".join(str(facts.pop(key)) for key in ("maker", "model") if facts.get(key))
+            serial, firmware = words(facts.pop("serial", None)), words(facts.pop("firmware", None))
+            told = ", ".join(
+                f"{_spelled(key)} {words(value)}".strip() for key, value in facts.items() if value is not None
+            )
+            rows.append(DeviceRow(_spelled(name), model or NOTHING, serial, firmware, told))
+    return rows
+
+
+def poses(found: Sequence[Json]) -> list[PoseRow]:
+    """Give each pose as it was commanded, measured and found."""
+    rows = []
+    for pose in found:
+        image = pose.get("image") or {}
+        rows.append(
+            PoseRow(
+                name=str(pose["name"]),
+                commanded=_angles(pose.get("commanded_deg"), 3),
+                measured=_angles(pose.get("measured_deg"), 4),
+                moved=_motion(pose.get("measured_deg") or {}, pose.get("measured_after_deg") or {}),
+                stars=number(pose.get("stars")),
+                rms=number(pose.get("rms_px"), 3),
+                flicker=number(pose.get("flicker_hz"), 6),
+                image=_image(image),
+                reason=str(image.get("reason") or ""),
+            )
+        )
+    return rows
+
+
+def recordings(found: Sequence[Json]) -> list[RecordingRow]:
+    """List every recording, refused ones too."""
+    return [
+        RecordingRow(
+            pose=str(pose["name"]),
+            attempt=str(attempt["attempt"]),
+            accepted=bool(attempt["accepted"]),
+            reasons="; ".join(attempt.get("reasons") or []),
+            events=number(attempt.get("events")),
+            rate=number(attempt.get("event_rate_mev_s"), 3),
+            triggers=number(attempt.get("triggers")),
+            duration=duration(attempt["duration_s"]) if attempt.get("duration_s") else NOTHING,
+            capture=str(attempt.get("capture") or NOTHING),
+            sha256=str(attempt.get("sha256") or NOTHING),
+        )
+        for pose in found
+        for attempt in pose["attempts"]
+    ]
+
+
+def gates(found: Sequence[Json]) -> list[GateRow]:
+    """Give each gate once, with the range of values it judged and its worst verdict."""
+    kinds: dict[tuple[str, str, str], list[Json]] = {}
+    for gate in found:
+        name = _POSE_PREFIX.sub("", str(gate["name"]), count=1)
+        limit = str(gate["limit"]).replace(">=", "≥").replace("<=", "≤")
+        kinds.setdefault((name, limit, str(gate["unit"])), []).append(gate)
+    rows = []
+    for (name, limit, unit), judged in kinds.items():
+        numbers = [gate["value"] for gate in judged]
+        lowest, highest = number(min(numbers), 3), number(max(numbers), 3)
+        values_text = lowest if lowest == highest else f"{lowest} \N{HORIZONTAL ELLIPSIS} {highest}"
+        worst = max((gate["verdict"] for gate in judged), key=_VERDICTS.index)
+        passed = sum(gate["verdict"] != "fail" for gate in judged)
+        rows.append(
+            GateRow(name, f"{limit} {unit}".strip(), values_text, f"{passed} of {len(judged)}", worst)
+        )
+    return rows
+
+
+def _angles(found: Json | None, decimals: int) -> str:
+    axes = {axis: angle for axis, angle in (found or {}).items() if not axis.endswith("_encoder")}
+    return ", ".join(f"{axis} {fixed(angle, decimals)}" for axis, angle in axes.items()) or NOTHING
+
+
+def _motion(before: Json, after: Json) -> str:
+    moved = [abs(after[axis] - before[axis]) for axis in before if axis in after]
+    return f"{3600 * max(moved):.1f}" if moved else NOTHING
+
+
+def _image(image: Json) -> str:
+    told = [str(image["kind"])] if image.get("kind") else []
+    if image.get("periods"):
+        told.append(f"{words(image['periods'])} periods")
+    if image.get("events_per_edge") is not None:
+        told.append(f"{number(image['events_per_edge'], 2)} events an edge")
+    if image.get("on_share") is not None:
+        told.append(f"{100 * image['on_share']:.0f} % ON")
+    if image.get("hot_pixels") is not None:
+        told.append(f"{words(image['hot_pixels'])} hot pixels")
+    return ", ".join(told) or NOTHING
+
+
+_UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
+
+
+def _spelled(key: str) -> str:
+    for ending in _UNIT_ENDINGS:
+        key = key.removesuffix(ending)
+    return key.replace("_", " ")
+
+
+def _with_unit(key: str, value: Any) -> str:
+    unit = next((unit for ending, unit in _UNIT_ENDINGS.items() if key.endswith(ending)), "")
+    printed = words(value)
+    return printed if printed == NOTHING or not unit else f"{printed} {unit}"

@@ -1,0 +1,191 @@
+"""Numbers and moments as a reader of a report expects them: rounded to what is known of them.
+
+An expanded uncertainty has two significant digits, and its value ends at the same digit (JCGM 100, 7.2.6;
+ILAC-P14). Knows no report and no markup.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from datetime import datetime
+from decimal import ROUND_HALF_EVEN, Decimal
+from typing import Any
+
+COVERAGE_FACTOR = 2
+"""k: the expanded uncertainty U is this many standard uncertainties, about 95 % for a normal distribution."""
+NOTHING = "\N{EN DASH}"
+"""Printed where there is no number."""
+MINUS = "\N{MINUS SIGN}"
+
+_UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "x": "mm", "y": "mm", "r": "mm"}
+_MEANINGS = {
+    "fx": "focal length, along rows",
+    "fy": "focal length, along columns",
+    "cx": "principal point, column",
+    "cy": "principal point, row",
+    "k1": "radial distortion, 2nd order",
+    "k2": "radial distortion, 4th order",
+    "k3": "radial distortion, 6th order",
+    "k4": "radial distortion, denominator, 2nd order",
+    "k5": "radial distortion, denominator, 4th order",
+    "k6": "radial distortion, denominator, 6th order",
+    "p1": "tangential distortion",
+    "p2": "tangential distortion",
+    "x": "collimator axis on the target, X",
+    "y": "collimator axis on the target, Y",
+    "r": "collimator focal length, on the target's scale",
+}
+
+
+def unit_of(parameter: str) -> str:
+    """Give the unit of a parameter; distortion coefficients have none."""
+    return _UNITS.get(parameter, "1")
+
+
+def meaning_of(parameter: str) -> str:
+    """Say what a parameter is."""
+    return _MEANINGS.get(parameter, "")
+
+
+def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
+    """Print a value and its expanded uncertainty: U to two significant digits, the value to the same digit.
+
+    Parameters
+    ----------
+    value
+        The value.
+    expanded
+        Its expanded uncertainty, same unit.
+
+    Returns
+    -------
+    tuple
+        Value and U. Where U is not a positive number nothing is known of the digits: six are printed.
+
+    Examples
+    --------
+    >>> with_uncertainty(3345.0637, 1.2345)
+    ('3345.1', '1.2')
+    >>> with_uncertainty(-0.89731, 0.0996)
+    ('−0.90', '0.10')
+    >>> with_uncertainty(3345.06, 123.4)
+    ('3350', '120')
+    """
+    if not (math.isfinite(value) and math.isfinite(expanded) and expanded > 0):
+        return number(value, 6), NOTHING
+    exact = Decimal(repr(float(expanded)))
+    rounded = _to_digit(exact, exact.adjusted() - 1)
+    digit = rounded.adjusted() - 1  # 0.0996 becomes 0.10: one digit coarser
+    return _plain(_to_digit(Decimal(repr(float(value))), digit)), _plain(_to_digit(rounded, digit))
+
+
+def expanded_uncertainty(sigma: float) -> str:
+    """Print k times a standard uncertainty, to two significant digits."""
+    return with_uncertainty(0.0, COVERAGE_FACTOR * sigma)[1]
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """Print a number to so many significant digits; whole numbers in full.
+
+    Examples
+    --------
+    >>> number(0.0812345), number(345), number(-3.0), number(None), number(0.0)
+    ('0.08123', '345', '−3.000', '–', '0')
+    """
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return NOTHING
+    if isinstance(value, int):
+        grouped = f"{abs(value):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+        return f"{MINUS if value < 0 else ''}{grouped}"
+    if value == 0:
+        return "0"
+    exact = Decimal(repr(float(value)))
+    return _plain(_to_digit(exact, exact.adjusted() - digits + 1))
+
+
+def exact(value: float) -> str:
+    """Print a number that is known exactly, as shortly as it can be written.
+
+    Examples
+    --------
+    >>> exact(3345.06), exact(-0.9), exact(255.0)
+    ('3345.06', '−0.9', '255')
+    """
+    return f"{value:.12g}".replace("-", MINUS)
+
+
+def fixed(value: Any, decimals: int) -> str:
+    """Print a number to so many decimals.
+
+    Examples
+    --------
+    >>> fixed(-0.0004, 3), fixed(1.23456, 3), fixed(None, 3)
+    ('0.000', '1.235', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    rounded = round(float(value), decimals) + 0.0
+    return f"{rounded:.{decimals}f}".replace("-", MINUS)
+
+
+def moment(text: str | None) -> str:
+    """Print an ISO 8601 moment for a reader, in UTC.
+
+    Examples
+    --------
+    >>> moment("2026-03-01T12:00:05.123456Z")
+    '2026-03-01 12:00:05 UTC'
+    """
+    if not text:
+        return NOTHING
+    return f"{datetime.fromisoformat(text):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def duration(seconds: float) -> str:
+    """Print a span of time.
+
+    Examples
+    --------
+    >>> duration(0.0331), duration(12.34), duration(754), duration(7300)
+    ('33 ms', '12.3 s', '12 min 34 s', '2 h 01 min')
+    """
+    if seconds < 1:
+        return f"{seconds * 1000:.0f} ms"
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    if seconds < 3600:
+        return f"{int(seconds // 60)} min {int(seconds % 60):02d} s"
+    return f"{int(seconds // 3600)} h {int(seconds % 3600 // 60):02d} min"
+
+
+def words(value: Any) -> str:
+    """Print anything that a results file may hold: numbers, lists and mappings too, in one line.
+
+    Examples
+    --------
+    >>> words({"bias_fo": 0, "afk": False}), words([1, 2.5]), words(None)
+    ('bias_fo 0, afk off', '1, 2.500', '–')
+    """
+    if value is None or value in ("", {}, []):
+        return NOTHING
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, int | float):
+        return number(value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {words(item)}" for key, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(words(item) for item in value)
+    return str(value)
+
+
+def _to_digit(value: Decimal, digit: int) -> Decimal:
+    """Round to the decimal digit 10**digit."""
+    return value.quantize(Decimal(1).scaleb(digit), rounding=ROUND_HALF_EVEN)
+
+
+def _plain(value: Decimal) -> str:
+    """Print without an exponent, with a true minus and no minus zero."""
+    text = f"{value:f}"
+    return text.removeprefix("-") if not value else text.replace("-", MINUS)

@@ -1,0 +1,282 @@
+"""A made-up run, complete enough for every part of a report; not a test."""
+
+import cv2
+import numpy as np
+
+from bench.report import ReportData, ViewPicture
+from calib.camera import CameraModel
+from calib.target import StarTarget
+
+TRUE = {"fx": 3345.06, "fy": 3345.27, "cx": 642.10, "cy": 363.32, "k1": 0.06, "k2": -0.90}
+COLLIMATOR = {"x": 96.33, "y": 142.49, "r": 255.0}
+SIGMA = {
+    "fx": 2.13,
+    "fy": 2.14,
+    "cx": 1.31,
+    "cy": 1.07,
+    "k1": 0.0081,
+    "k2": 0.117,
+    "x": 0.101,
+    "y": 0.083,
+    "r": 0.163,
+}
+OFF = {
+    "fx": 0.61,
+    "fy": 0.66,
+    "cx": -1.22,
+    "cy": 0.31,
+    "k1": 0.44,
+    "k2": -0.52,
+    "x": -1.12,
+    "y": 0.27,
+    "r": 0.64,
+}
+NAMES = ("first", "second & third", "roll <b>$x$")
+
+
+def sample(*, size=(1280, 720), seed=1, simulated=True):
+    """Data of a report with three poses."""
+    rng = np.random.default_rng(seed)
+    scale = size[0] / 1280
+    camera = CameraModel(
+        3345.06 * scale, 3345.27 * scale, 642.1 * scale, 363.32 * scale, size, {"k1": 0.06, "k2": -0.9}
+    )
+    angles = ((0.0, 0.0, 0.0), (0.03, -0.07, 0.02), (-0.05, 0.04, -0.06))
+    views = [
+        _view(name, camera, cv2.Rodrigues(np.array(a))[0], rng) for name, a in zip(NAMES, angles, strict=True)
+    ]
+    return ReportData(results(views, simulated=simulated), views, "5f" * 32)
+
+
+def results(views, *, simulated=True):
+    """Results of a run with these views."""
+    values = {name: (TRUE | COLLIMATOR)[name] + OFF[name] * SIGMA[name] for name in SIGMA}
+    names = list(SIGMA)
+    correlation = np.eye(9)
+    for a, b, rho in ((0, 1, 0.999), (0, 8, 0.96), (1, 8, 0.96), (4, 5, -0.93), (2, 6, -0.88), (3, 7, -0.86)):
+        correlation[a, b] = correlation[b, a] = rho
+    sigma = np.array(list(SIGMA.values()))
+    calibration = {
+        "model": "spherical",
+        "converged": True,
+        "iterations": 9,
+        "image_size": list(views[0].image.shape[::-1]),
+        "camera": {name: values[name] for name in TRUE},
+        "collimator": {name: values[name] for name in COLLIMATOR},
+        "sigma": dict(SIGMA),
+        "covariance": {"names": names, "matrix": (correlation * np.outer(sigma, sigma)).tolist()},
+        "rms_px": 0.0812,
+        "mean_px": 0.0711,
+        "variance_factor": 1.07,
+        "degrees_of_freedom": 1791,
+        "views": [{"name": v.name, "n": len(v.ids), "rms_px": 0.08, "mean_px": 0.07} for v in views],
+        "candidates": [],
+        "notes": ["Three poses only: the distortion coefficients are weakly constrained."],
+    }
+    planar = {
+        "camera": {name: values[name] + 3 * OFF[name] * SIGMA[name] for name in TRUE},
+        "sigma": {name: 2.9 * SIGMA[name] for name in TRUE},
+        "rms_px": 0.0799,
+    }
+    return {
+        "schema": "starbench/results/1",
+        "run": _run(simulated=simulated),
+        "devices": {
+            "camera": {
+                "maker": "Prophesee",
+                "model": "EVK4",
+                "sensor": "IMX636",
+                "serial": "00050423",
+                "firmware": "3.9.0",
+                "width": 1280,
+                "height": 720,
+            },
+            "stage": [
+                {
+                    "name": "pan",
+                    "maker": "Zaber",
+                    "model": "X-RST120AK",
+                    "serial": "100101",
+                    "firmware": "7.38",
+                },
+                {
+                    "name": "tilt",
+                    "maker": "Zaber",
+                    "model": "X-GSM40E",
+                    "serial": "100102",
+                    "firmware": "7.38",
+                },
+            ],
+            "light": {"maker": "Starbench", "model": "SG1", "serial": "SG0042", "firmware": "1.0"},
+        },
+        "conditions": {
+            "light": {
+                "waveform": "square",
+                "frequency_hz": 60.0,
+                "duty_percent": 50.0,
+                "low_v": 0.0,
+                "high_v": 5.0,
+                "sync_output": True,
+            },
+            "camera": {
+                "biases": {"bias_fo": 0, "bias_diff_on": 0},
+                "filters": {"afk": False, "erc": False},
+                "temperature_c": 41.27,
+                "illumination_lux": None,
+            },
+        },
+        "calibration": calibration,
+        "planar": planar,
+        "poses": [_pose(number, view) for number, view in enumerate(views, 1)],
+        "gates": _gates(),
+        "deviations": ["Pose second was recorded twice: the first recording had 31 stars."],
+        "states": _states(),
+        "truth": {"camera": TRUE, "collimator": COLLIMATOR} if simulated else None,
+        "comparison": [
+            {
+                "name": n,
+                "value": values[n],
+                "sigma": SIGMA[n],
+                "truth": (TRUE | COLLIMATOR)[n],
+                "error": OFF[n] * SIGMA[n],
+                "error_sigmas": OFF[n],
+            }
+            for n in names
+        ]
+        if simulated
+        else [],
+    }
+
+
+def _view(name, camera, rotation, rng):
+    target = StarTarget()
+    ids = np.asarray(target.ids)
+    centre = np.array([96.0, 142.0, -255.0])
+    points = np.column_stack([target.positions_mm(ids), np.zeros(len(ids))]) - centre
+    reprojected = camera.project(points @ rotation.T)
+    width, height = camera.image_size
+    inside = np.all((reprojected > 6) & (reprojected < [width - 7, height - 7]), axis=1)
+    inside &= np.linalg.norm(points[:, :2] + [0, 2], axis=1) < 54
+    reprojected = reprojected[inside]
+    return ViewPicture(
+        name,
+        _image(camera, rotation, centre, target, rng),
+        reprojected + rng.normal(0, 0.057, reprojected.shape),
+        reprojected,
+        ids[inside],
+    )
+
+
+def _image(camera, rotation, centre, target, rng):
+    width, height = camera.image_size
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    rays = (
+        np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+        @ rotation
+    )
+    at = centre + rays * (255.0 / rays[..., 2:])
+    bright = target.reflectance(at[..., 0], at[..., 1])
+    lit = np.hypot(at[..., 0] - 96, at[..., 1] - 144) < 54
+    noise = rng.random(u.shape)
+    image = np.where(lit & (noise > 0.02), np.where(bright > 0.5, 255, 128), 128)
+    return np.where(noise > 0.999, 0, image).astype(np.uint8)
+
+
+def _run(*, simulated):
+    return {
+        "id": "three_pose-20260301-120000",
+        "sequence": "three_pose",
+        "station": "simulated",
+        "started_utc": "2026-03-01T12:00:00.100000Z",
+        "finished_utc": "2026-03-01T12:00:21.900000Z",
+        "seed": 1 if simulated else None,
+        "operator": None,
+        "laboratory": "Optics laboratory <b>B</b>",
+        "simulated": simulated,
+        "resumed": 0,
+        "software": {
+            "starbench": "0.1.0",
+            "python": "3.11.7",
+            "numpy": "2.4.6",
+            "opencv-python-headless": "5.0.0.93",
+        },
+    }
+
+
+def _pose(number, view):
+    attempts = [
+        _attempt(number, a, accepted=a == (2 if number == 2 else 1))
+        for a in range(1, 3 if number == 2 else 2)
+    ]
+    return {
+        "index": number,
+        "name": view.name,
+        "commanded_deg": {"pan": 1.7 * number, "tilt": -0.5},
+        "measured_deg": {"pan": 1.7 * number + 2e-5, "tilt": -0.50001, "pan_encoder": 1.7},
+        "measured_after_deg": {"pan": 1.7 * number + 4e-5, "tilt": -0.50001, "pan_encoder": 1.7},
+        "attempts": attempts,
+        "image": {
+            "kind": "fired-per-edge",
+            "reason": "2.1 events an edge",
+            "window_us": [0, 33333],
+            "periods": 2,
+            "events_per_edge": 2.13,
+            "on_share": 0.497,
+            "hot_pixels": 12,
+        },
+        "flicker_hz": 60.0003,
+        "stars": len(view.ids),
+        "rms_px": 0.0805,
+        "mean_px": 0.0703,
+    }
+
+
+def _attempt(pose, attempt, *, accepted):
+    return {
+        "attempt": attempt,
+        "capture": f"captures/pose-{pose:03d}-attempt-{attempt}.raw",
+        "sha256": f"{pose}{attempt}" * 32,
+        "accepted": accepted,
+        "reasons": [] if accepted else ["stars 31, wanted >= 40"],
+        "events": 1_234_567,
+        "triggers": 8,
+        "duration_s": 0.0500123,
+        "event_rate_mev_s": 24.7,
+        "temperature_c": 41.3,
+    }
+
+
+def _gates():
+    kinds = (
+        ("stars", (598, 602, 595), "", ">= 40"),
+        ("event rate", (24.1, 24.6, 23.9), "Mev/s", "<= 100"),
+        ("pan moved", (0.0, 0.00046, 0.0001), "deg", "<= 0.0005"),
+    )
+    return [
+        {
+            "name": f"pose {pose}: {name}",
+            "value": values[pose - 1],
+            "unit": unit,
+            "limit": limit,
+            "verdict": "marginal" if values[pose - 1] == 0.00046 else "pass",
+        }
+        for pose in (1, 2, 3)
+        for name, values, unit, limit in kinds
+    ]
+
+
+def _states():
+    walked = ["preflight", "homing", "lighting"]
+    for again in (False, True, False):
+        walked += [
+            "slewing",
+            "settling",
+            "recording",
+            "checking",
+            *(["recording", "checking"] if again else []),
+        ]
+    walked += ["parking", "solving", "reporting"]
+    return [
+        {"state": s, "utc": f"2026-03-01T12:00:{1.1 * i:09.6f}Z", "mono_s": 1.1 * i}
+        for i, s in enumerate(walked)
+    ]
