@@ -95,7 +95,7 @@ def test_it_forbids_all_but_its_own_pictures_and_style(html):
     assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline';")
 
 
-def test_the_same_data_give_the_same_bytes_in_another_process(html):
+def test_the_same_data_give_the_same_bytes_in_another_process(html, tmp_path):
     code = "import sys; sys.path.insert(0, sys.argv[1]); from report_sample import sample; from bench.report import render_report; print(render_report(sample(size=(320, 180))), end='')"
     other = subprocess.run(
         [sys.executable, "-c", code, Path(__file__).parent],
@@ -107,7 +107,7 @@ def test_the_same_data_give_the_same_bytes_in_another_process(html):
             "HOME": "/nonexistent",
             "TZ": "Asia/Tokyo",
             "LC_ALL": "C.UTF-8",
-            "MPLCONFIGDIR": ".",
+            "MPLCONFIGDIR": str(tmp_path),
         },
         cwd=Path(__file__).parents[3],
     ).stdout.decode()
