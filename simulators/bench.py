@@ -3,8 +3,9 @@
     python -m simulators.bench --folder DIR [--config FILE.json] [--seed N] [--until-eof]
 
 prints one line of JSON once all devices answer: the ports, where the truth is written, and its process id.
-Then it lives until it is told to end (SIGTERM, SIGINT, or the end of standard input with ``--until-eof``),
-and takes its ports away. The truth is for the final comparison, and for nobody who estimates.
+Then it lives until it is told to end (SIGTERM, SIGINT, or the end of standard input with ``--until-eof``), and
+takes its ports away. Each line on standard input is an order for a fault (see `faults`), answered by a line of JSON.
+The truth is for the final comparison, and for nobody who estimates.
 """
 
 from __future__ import annotations
@@ -22,14 +23,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+
 from simulators.axis_motion import Mechanics
 from simulators.config import AxisConfig, BenchConfig, bench_config
 from simulators.errors import ConfigError, SimulatorError
 from simulators.evk4 import SimulatedEvk4
+from simulators.faults import Order, Parts, order, order_from_text, prepare
+from simulators.lamp import Lamp
+from simulators.line_faults import FaultLine
 from simulators.pseudo_terminal import PseudoTerminal
 from simulators.scpi_generator import GeneratorModel, ScpiGenerator
 from simulators.sensor_stream import CameraState, SensorStream
-from simulators.serial_device import SerialDevice
+from simulators.serial_device import Dialect, SerialDevice
 from simulators.trajectory import Pointing
 from simulators.truth import Truth
 from simulators.world import AxisMotion, AxisName, LightState, World
@@ -67,20 +73,46 @@ class Bench:
         self.endpoints: dict[str, str] = {}
 
     def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            self.gimbal = stack.enter_context(self._serial("gimbal", self._chain()))
-            self.light = stack.enter_context(self._serial("light", self._generator()))
-            self.camera = SimulatedEvk4(self.world, serial=self._config.camera_serial)
-            self.camera.start()
-            stack.callback(self.camera.close)
-            self._write_truth()
-            self._running = stack.pop_all()
-        self.endpoints = {
-            "gimbal": self.gimbal.address,
-            "light": self.light.address,
-            "camera": self.camera.address,
+        lamp = Lamp(self.world.set_light)
+        controllers = self._controllers()
+        dialects: dict[str, Dialect] = {
+            "gimbal": ZaberChain([*controllers.values()], self.world.now_s),
+            "light": self._generator(lamp),
         }
+        chance = np.random.SeedSequence(self.world.seed).spawn(len(dialects))
+        lines = {
+            name: FaultLine(dialect, self.world.now_s, np.random.default_rng(seed))
+            for (name, dialect), seed in zip(dialects.items(), chance, strict=True)
+        }
+        with ExitStack() as stack:
+            ports = {name: stack.enter_context(self._serial(name, line)) for name, line in lines.items()}
+            camera = SimulatedEvk4(self.world, serial=self._config.camera_serial)
+            camera.start()
+            stack.callback(camera.close)
+            self._write_truth()
+            self._parts = Parts(controllers, ports, lines, "gimbal", lamp, camera, self.world.now_s)
+            self.endpoints = {name: port.address for name, port in ports.items()} | {"camera": camera.address}
+            self._running = stack.pop_all()
+        for one in self._config.faults:
+            self.inject(one)
         return self
+
+    def inject(self, one: Order) -> None:
+        """Let something go wrong, at once or after the order's time.
+
+        Raises
+        ------
+        ConfigError
+            When this bench has no such device, or a parameter makes no sense.
+        """
+        bring_about = prepare(one, self._parts)
+        if one.after_s <= 0.0:
+            bring_about()
+            return
+        timer = threading.Timer(one.after_s, bring_about)
+        timer.daemon = True
+        self._running.callback(timer.cancel)
+        timer.start()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -88,25 +120,24 @@ class Bench:
         self._running.close()
 
     # ------------------------------------------------------------------ inside
-    def _serial(self, name: str, dialect: ZaberChain | ScpiGenerator) -> SerialDevice:
+    def _serial(self, name: str, dialect: Dialect) -> SerialDevice:
         return SerialDevice(PseudoTerminal(self._folder / name), dialect, paced=self._config.paced)
 
-    def _chain(self) -> ZaberChain:
+    def _controllers(self) -> dict[str, ZaberController]:
         now = self.world.now_s()
-        controllers = [
-            ZaberController(_zaber_model(axis), now, partial(self._axis_moves, name))
+        return {
+            name: ZaberController(_zaber_model(axis), now, partial(self._axis_moves, name))
             for name, axis in self._config.axes.items()
-        ]
-        return ZaberChain(controllers, self.world.now_s)
+        }
 
     def _axis_moves(self, name: AxisName, pointing: Pointing) -> None:
         motion = AxisMotion(pointing.angle_deg, pointing.settled_from_s, round(pointing.rest))
         self.world.set_axis(name, motion, since_s=pointing.course.start_s)
 
-    def _generator(self) -> ScpiGenerator:
+    def _generator(self, lamp: Lamp) -> ScpiGenerator:
         light = self._config.light
         model = GeneratorModel(serial=light.serial, error_queue=light.error_queue)
-        return ScpiGenerator(model, self.world.now_s, self.world.set_light)
+        return ScpiGenerator(model, self.world.now_s, lamp.drive)
 
     def _write_truth(self) -> None:
         fresh = self.truth_path.with_suffix(".part")
@@ -173,21 +204,34 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def _ending(until_eof: bool) -> Callable[[], object]:
-    """Give a call that returns when the process shall end."""
-    ending = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda _number, _frame: ending.set())
-    if until_eof:
+def _listen(bench: Bench, ended: Callable[[], None]) -> None:
+    """Take orders for faults from standard input, a line each, and answer each with a line of JSON.
 
-        def watch() -> None:
-            # Not sys.stdin: its lock would be held by this thread while the interpreter shuts down.
-            while os.read(sys.stdin.fileno(), 4096):
-                pass
-            ending.set()
+    Parameters
+    ----------
+    bench
+        Where things are to go wrong.
+    ended
+        Called at the end of standard input.
+    """
+    waiting = b""
+    # Not sys.stdin: its lock would be held by this thread while the interpreter shuts down.
+    while heard := os.read(0, 4096):
+        *lines, waiting = (waiting + heard).split(b"\n")
+        for line in lines:
+            if line.strip():
+                print(json.dumps(_obey(bench, line.decode("utf-8", "replace"))), flush=True)
+    ended()
 
-        threading.Thread(target=watch, name="standard input", daemon=True).start()
-    return ending.wait
+
+def _obey(bench: Bench, line: str) -> dict[str, Any]:
+    """Carry out an order, written as JSON or as words, and say how that went."""
+    try:
+        one = order(json.loads(line)) if line.lstrip().startswith("{") else order_from_text(line)
+        bench.inject(one)
+    except (SimulatorError, ValueError) as error:
+        return {"ok": False, "error": str(error)}
+    return {"ok": True, "device": one.device, "fault": one.fault, "after_s": one.after_s, **one.parameters}
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -204,14 +248,18 @@ def main(words: Sequence[str] | None = None) -> int:
         Exit status: 0, or 2 when it cannot start, with one line on standard error that says why.
     """
     arguments = _arguments(words)
-    wait = _ending(arguments.until_eof)
+    ending = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda _number, _frame: ending.set())
     try:
         arguments.folder.mkdir(parents=True, exist_ok=True)
         with Bench(arguments.folder, _read_config(arguments.config), arguments.seed) as bench:
             ready = {"endpoints": bench.endpoints, "truth": str(bench.truth_path), "pid": os.getpid()}
             print(json.dumps(ready), flush=True)
             threading.Thread(target=_warm_up, args=(bench.world.truth,), name="warm-up", daemon=True).start()
-            wait()
+            ended = ending.set if arguments.until_eof else lambda: None
+            threading.Thread(target=_listen, args=(bench, ended), name="orders", daemon=True).start()
+            ending.wait()
     except (SimulatorError, OSError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, TypeVar
 
 from simulators.errors import ConfigError
+from simulators.faults import Order, order
 from simulators.truth import Truth, truth_from_config
 from simulators.world import AxisName
 
@@ -80,6 +81,7 @@ class BenchConfig:
         }
     )
     light: LightConfig = field(default_factory=LightConfig)
+    faults: tuple[Order, ...] = ()
     camera_serial: str = "00050423"
     camera_seed: int = 50423
     paced: bool = True
@@ -96,9 +98,9 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     ----------
     given
         Sections ``camera``, ``collimator``, ``optics`` and ``noise`` (see `truth`); ``stage``, a mapping of
-        the axes pan, tilt and roll, in the order of their addresses; ``light``; and the values
-        ``camera_serial``, ``camera_seed`` and ``paced`` (whether bytes take their time on the line). All are
-        optional.
+        the axes pan, tilt and roll, in the order of their addresses; ``light``; ``faults``, a list of
+        orders (see `faults`) that are carried out from the start; and the values ``camera_serial``,
+        ``camera_seed`` and ``paced`` (whether bytes take their time on the line). All are optional.
 
     Raises
     ------
@@ -111,18 +113,30 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     170.0
     """
     default = BenchConfig()
-    known = [*_TRUTH_SECTIONS, "stage", "light", "camera_serial", "camera_seed", "paced"]
+    known = [*_TRUTH_SECTIONS, "stage", "light", "faults", "camera_serial", "camera_seed", "paced"]
     for key in given:
         if key not in known:
             raise ConfigError("Unknown key.", where=str(key), remedy=f"Known are: {', '.join(known)}.")
+    orders = given.get("faults", [])
+    if not isinstance(orders, list) or not all(isinstance(one, Mapping) for one in orders):
+        raise ConfigError("A list of orders is expected.", where="faults")
     return BenchConfig(
         truth=truth_from_config(given),
         axes=_axes(given["stage"], default.axes) if "stage" in given else default.axes,
         light=_section("light", default.light, given.get("light", {})),
+        faults=tuple(_order(index, one) for index, one in enumerate(orders)),
         camera_serial=_like(default.camera_serial, given.get("camera_serial", "00050423"), "camera_serial"),
         camera_seed=_like(default.camera_seed, given.get("camera_seed", 50423), "camera_seed"),
         paced=_like(default.paced, given.get("paced", True), "paced"),
     )
+
+
+def _order(index: int, given: Mapping[str, Any]) -> Order:
+    """Read one order of the list of faults."""
+    try:
+        return order(given)
+    except ConfigError as error:
+        raise ConfigError(error.what, where=f"faults[{index}].{error.where}", remedy=error.remedy) from error
 
 
 def _axes(given: object, default: Mapping[AxisName, AxisConfig]) -> Mapping[AxisName, AxisConfig]:

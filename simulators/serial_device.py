@@ -11,6 +11,7 @@ import queue
 import select
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -77,11 +78,11 @@ class SerialDevice:
 
     def unplug(self) -> None:
         """Pull the cable; the device itself goes on."""
-        self._order(self._terminal.unplug)
+        self.between_exchanges(self._terminal.unplug)
 
     def replug(self) -> None:
         """Put the cable back in."""
-        self._order(self._terminal.plug)
+        self.between_exchanges(self._terminal.plug)
 
     def close(self) -> None:
         """Stop answering, and remove the port."""
@@ -100,19 +101,26 @@ class SerialDevice:
     ) -> None:
         self.close()
 
-    # ------------------------------------------------------------------ inside
-    def _order(self, order: Callable[[], None]) -> None:
-        """Have the serving thread do something between two exchanges, and wait until it has."""
-        done = threading.Event()
+    def between_exchanges(self, act: Callable[[], None]) -> None:
+        """Have the serving thread do something between two exchanges, and wait until it has.
+
+        What ``act`` raises is raised here.
+        """
+        done: Future[None] = Future()
 
         def carry_out() -> None:
-            order()
-            done.set()
+            try:
+                act()
+            except Exception as error:  # noqa: BLE001 - handed to whom it concerns
+                done.set_exception(error)
+            else:
+                done.set_result(None)
 
         self._orders.put(carry_out)
         os.write(self._wake, b".")
-        done.wait()
+        done.result()
 
+    # ------------------------------------------------------------------ inside
     def _serve(self) -> None:
         while not self._ending.is_set():
             ends = [self._waking] + ([self._terminal.fileno()] if self._terminal.fileno() >= 0 else [])

@@ -112,6 +112,8 @@ def test_a_configuration_that_cannot_be_ends_in_one_line(tmp_path, config, said)
         ({"camera": {"fx": "wide"}}, "camera.fx"),
         ({"camera_seed": None}, "camera_seed"),
         ({"paced": "yes"}, "paced"),
+        ({"faults": {}}, "faults"),
+        ({"faults": [{"device": "pan", "fault": "hiccup"}]}, "faults[0].fault"),
     ],
 )
 def test_a_fault_of_the_configuration_names_its_key(given, where):
@@ -125,6 +127,56 @@ def test_a_named_axis_keeps_the_defaults_of_what_is_not_said():
     assert list(axes) == ["pan"]
     assert axes["pan"].limit_deg == 5.0
     assert axes["pan"].serial == "100101"
+
+
+def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
+    process = start(tmp_path, "--seed", "3")
+    endpoints = json.loads(process.stdout.readline())["endpoints"]
+
+    def say(text: str) -> dict[str, object]:
+        process.stdin.write(text + "\n")
+        process.stdin.flush()
+        return json.loads(process.stdout.readline())
+
+    with serial.Serial(endpoints["gimbal"], 115_200, timeout=2.0) as line:
+        assert say("gimbal doubled")["ok"]
+        assert ask(line, "/1 0 00") == line.read_until(b"\n").decode().strip()
+        assert say("pan emergency_stop") == {
+            "ok": True,
+            "device": "pan",
+            "fault": "emergency_stop",
+            "after_s": 0.0,
+        }
+        assert ask(line, "/1 0 01").startswith("@01 0 01 OK IDLE FH")
+        assert say('{"device": "gimbal", "fault": "lost", "after_s": 0.0, "count": 0}')["ok"]
+        assert ask(line, "/1 0 00") == ""
+        assert say("gimbal unplug")["ok"]
+        assert not os.path.lexists(endpoints["gimbal"])
+    assert say("gimbal replug")["ok"]
+    assert os.path.lexists(endpoints["gimbal"])
+    assert say("roll stall") == {"ok": False, "error": "device: This bench has no roll."}
+    assert not say("{")["ok"]
+    assert not say("gimbal replaced pattern=(")["ok"]
+    assert not say("light dim factor=-1")["ok"]
+    _, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (0, "")
+
+
+def test_faults_of_the_configuration_happen(tmp_path):
+    faults = [
+        {"device": "gimbal", "fault": "lost"},
+        {"device": "light", "fault": "lamp_open", "after_s": 0.2},
+    ]
+    with Bench(tmp_path, bench_config({"faults": faults})) as bench:
+        with serial.Serial(bench.endpoints["gimbal"], 115_200, timeout=0.3) as line:
+            assert ask(line, "/1 0 00") == ""
+            assert ask(line, "/1 0 01").startswith("@01 0 01 OK")
+        with serial.Serial(bench.endpoints["light"], 9600, timeout=5.0) as line:
+            line.write(b"FUNC SQU;:VOLT:HIGH 2;:OUTP ON\n")
+            assert ask(line, "OUTP?") == "1"
+        deadline = time.monotonic() + 10.0
+        while bench.world.light(bench.world.now_s()).high > 0.0:
+            assert time.monotonic() < deadline
 
 
 def test_what_the_ports_are_told_happens_in_the_world(tmp_path):

@@ -1,0 +1,111 @@
+"""Orders for faults, as they are written; and the lamp, which can fail behind its driver's back."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulators.errors import ConfigError, SimulatorError
+from simulators.faults import (
+    AXIS_FAULTS,
+    CAMERA_FAULTS,
+    LINE_FAULTS,
+    Order,
+    catalogue,
+    order,
+    order_from_text,
+)
+from simulators.lamp import LAMP_FAULTS, Lamp
+from simulators.world import LightState
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("pan stall share=0.3", Order("pan", "stall", {"share": 0.3, "skip": 0})),
+        ("tilt reboot after_s=2", Order("tilt", "reboot", {}, 2.0)),
+        ("light lamp_open", Order("light", "lamp_open", {})),
+        ("light wrong_frequency factor=0.9", Order("light", "wrong_frequency", {"factor": 0.9})),
+        ("camera fault message='too hot'", Order("camera", "fault", {"message": "too hot"})),
+    ],
+)
+def test_an_order_is_read_as_typed(text, expected):
+    assert order_from_text(text) == expected
+
+
+def test_an_order_fills_in_the_defaults_of_its_fault():
+    late = order({"device": "gimbal", "fault": "late", "delay_s": 2})
+    assert late.parameters == {
+        "count": 1,
+        "skip": 0,
+        "chance": 1.0,
+        "delay_s": 2.0,
+        "pattern": "",
+        "replacement": "",
+    }
+
+
+@pytest.mark.parametrize(
+    ("given_order", "where"),
+    [
+        ({}, "device"),
+        ({"device": "pan"}, "fault"),
+        ({"device": "yaw", "fault": "stall"}, "device"),
+        ({"device": "pan", "fault": "late"}, "fault"),
+        ({"device": "pan", "fault": "stall", "when": 1}, "when"),
+        ({"device": "pan", "fault": "stall", "share": "half"}, "share"),
+        ({"device": "pan", "fault": "stall", "share": True}, "share"),
+        ({"device": "pan", "fault": "stall", "after_s": None}, "after_s"),
+    ],
+)
+def test_a_wrong_order_names_its_key(given_order, where):
+    with pytest.raises(ConfigError) as caught:
+        order(given_order)
+    assert caught.value.where == where
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_an_order_or_a_clear_error(text):
+    with suppress(ConfigError):
+        assert order_from_text(text).device in {"pan", "tilt", "roll", "gimbal", "light", "camera"}
+
+
+def test_every_device_has_its_catalogue():
+    assert catalogue("roll") == AXIS_FAULTS
+    assert catalogue("gimbal") == LINE_FAULTS
+    assert catalogue("camera") == CAMERA_FAULTS
+    assert {*LINE_FAULTS, *LAMP_FAULTS} == set(catalogue("light"))
+
+
+# ---------------------------------------------------------------- the lamp
+LIT = LightState(low_v=0.0, high_v=5.0, output=True, sync=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "factor", "name", "value"),
+    [
+        ("lamp_open", 1.0, "high", 0.0),
+        ("dim", 0.25, "high", 0.25),
+        ("wrong_frequency", 2.0, "frequency_hz", 120.0),
+        ("wrong_duty", 0.5, "duty_percent", 25.0),
+        ("no_sync", 1.0, "sync", False),
+    ],
+)
+def test_a_lamp_fails_at_once_stays_so_and_is_mended(kind, factor, name, value):
+    shown: list[LightState] = []
+    lamp = Lamp(shown.append)
+    lamp.drive(LIT)
+    lamp.go_wrong(kind, factor)
+    assert getattr(shown[-1], name) == pytest.approx(value)
+    lamp.drive(LIT)
+    assert getattr(shown[-1], name) == pytest.approx(value)
+    lamp.mend()
+    assert shown[-1] == LIT
+
+
+def test_an_unknown_lamp_fault_is_refused():
+    with pytest.raises(SimulatorError, match="lamp_open"):
+        Lamp(lambda _state: None).go_wrong("burnt")
