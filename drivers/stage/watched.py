@@ -126,6 +126,9 @@ class WatchedStage(ABC, Generic[A]):
     def _trouble_at_rest(self, axis: A, *, homing: bool) -> str:
         """Ask for everything the controller knows against the move that just ended; empty when nothing."""
 
+    def _finish_homing(self, axis: A) -> None:
+        """Do what is left once an axis stands at its reference; most controllers need nothing."""
+
     @abstractmethod
     def _send_stop(self) -> None:
         """Stop all axes, at once, before any resynchronising, and see that the controller heard it."""
@@ -179,6 +182,7 @@ class WatchedStage(ABC, Generic[A]):
             self._wait([(axis, _homing_watch(axis, now_s)) for axis in self._axes.values()], go_on)
             for axis in self._axes.values():
                 self._see_end(axis, homing=True)
+                self._finish_homing(axis)
         except DriverError as error:
             raise self._stopped_after(error) from error
 
