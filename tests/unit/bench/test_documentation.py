@@ -1,0 +1,74 @@
+"""The documents about sequences and stations: every example in them is one that works."""
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from bench.script_check import check_script
+from bench.station import Station, load_station
+from sequences.flatten import flatten
+from sequences.reader import check_document, read_document
+from sequences.schema import DefaultWords, FlickerWords, GateWords, Sequence, SettleWords, StepWords
+
+ROOT = Path(__file__).parents[3]
+DOCS = {
+    name: (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in ("sequences", "stations")
+}
+EXAMPLES = [
+    (name, text)
+    for name, document in DOCS.items()
+    for text in re.findall(r"```yaml\n(.*?)```", document, re.DOTALL)
+]
+SCRIPT = "format: starbench/sequence/1\nname: x\nsteps: [light]\n"
+
+
+@pytest.mark.parametrize(("name", "text"), EXAMPLES, ids=lambda text: text[:40])
+def test_an_example_in_the_documents_is_read_without_a_fault(name, text):
+    if name == "stations":
+        assert check_document(text.encode(), "example", Station).value.stage.axes
+    else:
+        whole = text if text.startswith("format") else SCRIPT + text
+        assert flatten(check_document(whole.encode(), "example", Sequence))
+
+
+def test_the_sequence_shown_whole_is_the_one_shipped():
+    shown = next(text for name, text in EXAMPLES if name == "sequences" and text.startswith("format"))
+    shipped = yaml.safe_load((ROOT / "sequences" / "three_pose.yaml").read_text(encoding="utf-8"))
+    shipped.pop("description")
+    assert yaml.safe_load(shown) == shipped
+
+
+def test_every_word_of_the_language_is_in_the_table_of_steps():
+    table = DOCS["sequences"].partition("| Step |")[2].partition("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == list(StepWords.model_fields)
+
+
+@pytest.mark.parametrize(
+    "words", [FlickerWords, SettleWords, GateWords, DefaultWords], ids=lambda words: words.__name__
+)
+def test_every_setting_is_named_in_the_document(words):
+    assert [name for name in words.model_fields if name not in DOCS["sequences"]] == []
+
+
+def test_every_key_of_a_station_is_named_in_the_document():
+    keys: set[str] = set()
+
+    def gather(schema: dict) -> None:
+        for name, inner in schema.get("properties", {}).items():
+            keys.add(name)
+            gather(inner)
+
+    schema = Station.model_json_schema()
+    gather(schema)
+    for inner in schema["$defs"].values():
+        gather(inner)
+    assert sorted(key for key in keys if key not in DOCS["stations"]) == []
+
+
+def test_the_shipped_sequences_suit_the_example_station():
+    station = load_station("example_evk4").value
+    for path in sorted((ROOT / "sequences").glob("*.yaml")):
+        document = read_document(path, Sequence)
+        assert check_script(document, flatten(document), station).faults == ()
