@@ -109,8 +109,7 @@ class XimcController:
 
     def move(self, count: int) -> None:
         """Start a move to a count of microsteps, sent once."""
-        steps, microsteps = self.split(count)
-        self.command("move", ximc_protocol.MOVE_LAYOUT.pack(steps, microsteps))
+        self.command("move", ximc_protocol.move_data(*self.split(count)))
 
     def stop(self) -> None:
         """Ramp down, at once and before any resynchronising; sent again until it is echoed."""

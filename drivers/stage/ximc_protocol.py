@@ -211,4 +211,11 @@ MICROSTEP_MODE = 6
 INFORMATION_LAYOUT = struct.Struct("<4s2s8sBBH12x")
 VERSION_LAYOUT = struct.Struct("<BBH")
 SERIAL_LAYOUT = struct.Struct("<I")
-MOVE_LAYOUT = struct.Struct("<ih6x")
+_MOVE_LAYOUT = struct.Struct("<ih6s")
+_RESERVED = b"\xcc" * 6
+"""What the maker's own library puts there."""
+
+
+def move_data(steps: int, microsteps: int) -> bytes:
+    """Return the data of ``move``: where to, in full steps and microsteps of the same sign."""
+    return _MOVE_LAYOUT.pack(steps, microsteps, _RESERVED)

@@ -21,7 +21,7 @@ from drivers.errors import (
 )
 from drivers.stage import AxisLimits
 from drivers.stage.ximc import XimcAxis, XimcStage
-from drivers.stage.ximc_protocol import MoveSettings, Status, crc16
+from drivers.stage.ximc_protocol import MoveSettings, Status, check_data, crc16, move_data, request
 from tests.unit.drivers.noisy_port import NoisyPort
 from tests.unit.drivers.ximc_peer import DIVISION, XimcPeer, crc
 
@@ -57,6 +57,17 @@ def homed(stage, peers) -> XimcStage:
 def test_the_crc_is_the_makers() -> None:
     assert crc16(b"123456789") == 0x4B37
     assert struct.pack("<H", crc16(bytes(range(200)))) == crc(bytes(range(200)))
+
+
+def test_a_move_is_what_the_makers_library_sends() -> None:
+    sent = b"move" + b"d\0\0\0" + b"\xfb\xff" + b"\xcc" * 6 + b"\xffS"
+    assert request("move", move_data(100, -5)) == sent
+
+
+def test_a_reply_the_makers_library_takes_is_taken() -> None:
+    assert check_data("gser", b"90\0\0\x0c\xb7", "port") == struct.pack("<I", 12345)
+    with pytest.raises(ReplyGarbled, match="port: wrong CRC"):
+        check_data("gser", b"91\0\0\x0c\xb7", "port")
 
 
 def test_a_status_is_taken_apart() -> None:
