@@ -220,18 +220,20 @@ def conditions(found: Json) -> list[tuple[str, str]]:
 
 
 def devices(found: Json) -> list[DeviceRow]:
-    """List who the devices said they were, and how they were set."""
+    """List who the devices said they were."""
     rows = []
     for part, identities in found.items():
         for identity in identities if isinstance(identities, list) else [identities]:
-            facts = dict(identity) if isinstance(identity, Mapping) else {"": identity}
-            name = f"{part}: {facts.pop('name')}" if facts.get("name") else part
+            if "serial" not in identity:  # settings, not a device
+                continue
+            facts = dict(identity)
+            name = f"{part}: {facts.pop('name')}" if "name" in facts else part
             model = " ".join(str(facts.pop(key)) for key in ("maker", "model") if facts.get(key))
-            serial, firmware = words(facts.pop("serial", None)), words(facts.pop("firmware", None))
+            serial, firmware = words(facts.pop("serial")), words(facts.pop("firmware", None))
             told = ", ".join(
-                f"{_spelled(key)} {words(value)}".strip() for key, value in facts.items() if value is not None
+                f"{_spelled(key)} {words(value)}" for key, value in facts.items() if value is not None
             )
-            rows.append(DeviceRow(_spelled(name), model or NOTHING, serial, firmware, told))
+            rows.append(DeviceRow(name, model or NOTHING, serial, firmware, told))
     return rows
 
 

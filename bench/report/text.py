@@ -105,14 +105,14 @@ def number(value: Any, digits: int = 4) -> str:
 
 
 def exact(value: float) -> str:
-    """Print a number that is known exactly, as shortly as it can be written.
+    """Print a number that is known exactly, as shortly as it can be written, to nine digits at most.
 
     Examples
     --------
     >>> exact(3345.06), exact(-0.9), exact(255.0)
     ('3345.06', '−0.9', '255')
     """
-    return f"{value:.12g}".replace("-", MINUS)
+    return f"{value:.9g}".replace("-", MINUS)
 
 
 def fixed(value: Any, decimals: int) -> str:
