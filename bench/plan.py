@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import ScriptError
-from bench.script_check import check_script
+from bench.script_check import angle_faults, check_script
 from bench.station import Station, ZaberAxis, load_station
 from sequences.errors import DocumentFaults, Fault
 from sequences.flatten import unfold
@@ -199,15 +199,16 @@ def load(sequence: str, station: str) -> tuple[Located[Sequence], Located[Statio
     faults: list[Fault] = []
     read_sequence = read_station = None
     try:
-        read_sequence = read_document(find_document(sequence, SHIPPED_SEQUENCES), Sequence)
-    except DocumentFaults as error:
-        faults += error.faults
-    try:
         read_station = load_station(station)
     except DocumentFaults as error:
         faults += error.faults
+    try:
+        read_sequence = read_document(find_document(sequence, SHIPPED_SEQUENCES), Sequence)
+        faults += unfold(read_sequence)[1] if faults else []
+    except DocumentFaults as error:
+        against_station = angle_faults(error.tree, read_station.value) if error.tree and read_station else []
+        faults = [*error.faults, *against_station, *faults]
     if read_sequence is None or read_station is None:
-        faults += unfold(read_sequence)[1] if read_sequence is not None else []
         raise ScriptError([str(fault) for fault in faults])
     return read_sequence, read_station
 

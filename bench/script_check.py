@@ -6,13 +6,14 @@ fault means the run cannot succeed; a remark means it can, and somebody should k
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 from bench.station import Station
 from sequences.errors import Fault
 from sequences.reader import Located
-from sequences.schema import Sequence
+from sequences.schema import AXES, Sequence
 from sequences.script import (
     Flicker,
     LightStep,
@@ -24,7 +25,7 @@ from sequences.script import (
     Step,
     WaitStep,
 )
-from sequences.yaml_text import DocumentPath
+from sequences.yaml_text import DocumentPath, Tree
 
 FEWEST_POSES = 2
 """Directions without which no model's focal length is determined."""
@@ -52,7 +53,7 @@ def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: 
         The station.
     """
     faults = [
-        *_pose_faults(document, steps, station),
+        *angle_faults(document.tree, station),
         *_light_faults(document, steps, station),
         *_recording_faults(document, steps, station),
         *_order_faults(document, steps),
@@ -60,23 +61,48 @@ def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: 
     return Findings(tuple(sorted(set(faults))), tuple(sorted(set(_remarks(document, steps)))))
 
 
-def _pose_faults(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:
+def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
+    """Compare every angle a sequence says anywhere with the station; also one that is not a sequence yet.
+
+    A grid's angles lie between those written, and an angle not written is 0, which every station reaches.
+    """
     axes = station.stage.axes
-    for step in steps:
-        if not isinstance(step, MoveStep):
+    faults = Tree(sequence.file)
+    for path, text in _texts(sequence.value, ()):
+        axis = next((axis for axis in AXES if f"{axis}_deg" in path), None)
+        if axis is None or path[-1] == "count":
             continue
-        for axis, angle in step.pose.angles_deg.items():
-            path = (*step.pose.path, f"{axis}_deg")
-            limits = axes[axis].limits_deg if axis in axes else None
-            if limits is None:
-                if path in document.tree.values:
-                    message = f"the station's stage has no {axis} axis; it has {', '.join(axes)}."
-                    yield document.fault(path, message)
-            elif not limits[0] <= angle <= limits[1]:
-                message = (
-                    f"{axis} {angle:g} deg lies outside the station's {limits[0]:g} to {limits[1]:g} deg."
-                )
-                yield document.fault(path, message)
+        spot = sequence.values[path]
+        if axis not in axes:
+            faults.add_fault(spot, path, f"the station's stage has no {axis} axis; it has {', '.join(axes)}.")
+        elif (angle := _number(text)) is not None and not axes[axis].limits_deg[0] <= angle <= axes[
+            axis
+        ].limits_deg[1]:
+            lowest, highest = axes[axis].limits_deg
+            message = f"{axis} {angle:g} deg lies outside the station's {lowest:g} to {highest:g} deg."
+            faults.add_fault(spot, path, message)
+    return faults.faults
+
+
+def _texts(value: Any, path: DocumentPath) -> Iterator[tuple[DocumentPath, str]]:
+    """Go through all texts of a document, with their paths."""
+    if isinstance(value, str):
+        yield path, value
+    elif isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _texts(inner, (*path, key))
+    elif isinstance(value, list):
+        for i, inner in enumerate(value):
+            yield from _texts(inner, (*path, i))
+
+
+def _number(text: str) -> float | None:
+    """Read a finite number; what is none is a fault of the sequence alone."""
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _light_faults(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:

@@ -84,6 +84,10 @@ class ZaberAxis(Words):
     def _in_order(cls, limits: tuple[float, float]) -> tuple[float, float]:
         if limits[0] >= limits[1]:
             raise PydanticCustomError("limits_order", "the lower limit must be below the upper one.")
+        if not limits[0] <= 0 <= limits[1]:
+            raise PydanticCustomError(
+                "no_zero", "0 degrees must be within the limits: there the stage is parked."
+            )
         return limits
 
     @property

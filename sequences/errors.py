@@ -8,6 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sequences.yaml_text import Tree
 
 
 @dataclass(frozen=True, order=True)
@@ -56,8 +60,11 @@ class DocumentFaults(SequencesError):
     ----------
     faults
         Every fault found, at least one; kept in the order of their places.
+    tree
+        The document as far as it could be read, for a caller with more to check; None where there is none.
     """
 
-    def __init__(self, faults: Iterable[Fault]) -> None:
+    def __init__(self, faults: Iterable[Fault], tree: Tree | None = None) -> None:
         self.faults = sorted(set(faults))
+        self.tree = tree
         super().__init__("\n".join(str(fault) for fault in self.faults))

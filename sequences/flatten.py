@@ -109,7 +109,6 @@ class _Place:
 
     name: str | None
     angles_deg: Mapping[str, float]
-    path: DocumentPath
 
 
 class _Unfolding:
@@ -166,16 +165,16 @@ class _Unfolding:
             path = ("poses", poses)
             poses = named
         if isinstance(poses, list):
-            return [_Place(pose.name, pose.angles_deg(), (*path, i)) for i, pose in enumerate(poses)]
+            return [_Place(pose.name, pose.angles_deg()) for pose in poses]
         size = math.prod(len(angles) for angles in poses.angles_deg().values())
         if size > MOST_STEPS:
             self.fault(path, f"this grid has {size} poses; {MOST_STEPS} are the most.")
             return []
-        return [_Place(None, angles, path) for angles in grid_angles(poses)]
+        return [_Place(None, angles) for angles in grid_angles(poses)]
 
     def _move(self, said: MoveWords, path: DocumentPath, here: _Place | None) -> None:
         given = said.angles_deg()
-        place = _Place(said.name, given, path) if given else here
+        place = _Place(said.name, given) if given else here
         if place is None:
             self.fault(
                 path,
@@ -185,7 +184,7 @@ class _Unfolding:
         angles = {axis: place.angles_deg.get(axis, 0.0) for axis in self.axes}
         by_angles = " ".join(f"{axis} {angle:g}" for axis, angle in angles.items())
         self._name = said.name or place.name or by_angles
-        self._pose = Pose(0, self._unique(self._name), angles, place.path)
+        self._pose = Pose(0, self._unique(self._name), angles)
         self._move_step = MoveStep(**self._number(path), pose=self._pose)
         self.steps.append(self._move_step)
 

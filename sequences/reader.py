@@ -93,7 +93,7 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
         except ValidationError as error:
             faults += faults_of(error, tree, model)
     if faults or value is None:
-        raise DocumentFaults(faults)
+        raise DocumentFaults(faults, tree)
     return Located(value, data, file, tree)
 
 

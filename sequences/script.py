@@ -34,14 +34,11 @@ class Pose:
         For people; no two poses of a run share it.
     angles_deg
         Angle by axis, for every axis the sequence names anywhere.
-    path
-        Where the sequence says so: the pose, or the grid it is of.
     """
 
     index: int
     name: str
     angles_deg: Mapping[str, float]
-    path: DocumentPath = ()
 
     @property
     def key(self) -> str:

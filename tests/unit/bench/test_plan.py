@@ -175,13 +175,14 @@ def test_an_axis_the_stage_has_not_is_blamed_only_where_it_is_named():
     ]
 
 
-def test_an_unnamed_axis_at_zero_must_be_within_its_limits_too():
-    station = station_with("[-10, 10]", "[5, 10]")
-    said = faults(
-        "steps: [light, {move: {tilt_deg: 6}}, record, {move: {pan_deg: 2}}, record, solve, report]\n",
-        station,
-    )
-    assert said == ["s.yaml:3:54: steps[3].move.tilt_deg: tilt 0 deg lies outside the station's 5 to 10 deg."]
+def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():
+    assert faults(
+        "steps: [light, {repeat: {poses: {pan_deg: {first: -16, last: 3, count: 9}, tilt_deg: [0, 11]},"
+        " steps: [move, settle, record]}}, solve, report]\n"
+    ) == [
+        "s.yaml:3:51: steps[1].repeat.poses.pan_deg.first: pan -16 deg lies outside the station's -15 to 15 deg.",
+        "s.yaml:3:90: steps[1].repeat.poses.tilt_deg[1]: tilt 11 deg lies outside the station's -10 to 10 deg.",
+    ]
 
 
 def test_triggers_cannot_be_required_of_a_light_that_gives_none():
@@ -242,6 +243,19 @@ def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
     assert len(caught.value.faults) == 23, str(caught.value)
     assert all(line.startswith((f"{sequence}:", f"{station}:")) for line in caught.value.faults)
     assert caught.value.exit_status == 2
+
+
+def test_angles_are_compared_with_the_station_even_in_a_sequence_that_has_other_faults(tmp_path):
+    sequence = tmp_path / "s.yaml"
+    sequence.write_text(HEAD + "poses: {a: [{pan_deg: 99}, {pan_deg: x}, {roll_deg: 1}]}\nsteps: [mvoe]\n")
+    with pytest.raises(ScriptError) as caught:
+        load(str(sequence), "simulated")
+    assert [fault.partition(": ")[2] for fault in caught.value.faults] == [
+        "poses.a[1].pan_deg: must be a number (got 'x').",
+        "steps[0].mvoe: unknown key. Did you mean 'move'?",
+        "poses.a[0].pan_deg: pan 99 deg lies outside the station's -15 to 15 deg.",
+        "poses.a[2].roll_deg: the station's stage has no roll axis; it has pan, tilt.",
+    ]
 
 
 def test_a_good_sequence_is_unfolded_before_a_bad_station_is_reported(tmp_path):

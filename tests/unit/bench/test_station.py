@@ -70,6 +70,11 @@ def test_serial_numbers_stay_text_zeros_included():
         ),
         ("    pan:", "    yaw:", "stage.axes.yaw: must be 'pan', 'tilt' or 'roll' (got 'yaw')."),
         ("[-15, 15]", "[15, -15]", "stage.axes.pan.limits_deg: the lower limit must be below the upper one."),
+        (
+            "[-15, 15]",
+            "[5, 15]",
+            "stage.axes.pan.limits_deg: 0 degrees must be within the limits: there the stage is parked.",
+        ),
         ("[-15, 15]", "[-15]", "stage.axes.pan.limits_deg[1]: required, and missing."),
         ("device: 2", "device: 1", "stage.axes: two axes have the same device and axis number."),
         (
