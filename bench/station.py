@@ -48,7 +48,15 @@ def _simulated_or_real(port: str, info: ValidationInfo) -> str:
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Port = Annotated[Text, AfterValidator(_simulated_or_real)]
 Serial = Annotated[
-    str, Field(min_length=1, max_length=64, description="As the device says it, zeros included.")
+    str,
+    Field(
+        min_length=1,
+        max_length=64,
+        description="As the device says it, zeros included.",
+        json_schema_extra={
+            "type": ["string", "integer"]
+        },  # an editor may take it for a number; the reader never
+    ),
 ]
 Positive = Annotated[float, Field(gt=0)]
 Volts = Annotated[float, Field(ge=-20, le=20)]

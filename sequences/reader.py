@@ -5,7 +5,6 @@ Knows how a file is opened and checked. Knows no particular model: sequences and
 
 from __future__ import annotations
 
-import json
 import typing
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,12 +114,6 @@ def find_document(name_or_path: str, shipped: Path) -> Path:
             [Fault(name_or_path, 0, 0, "", f"there is no such file, and none is shipped by this name.{hint}")]
         )
     return known[name_or_path]
-
-
-def json_schema(model: type[BaseModel]) -> str:
-    """Write a kind of document down as JSON Schema (draft 2020-12), for editors and other programs."""
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}
-    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def _of_this_format(tree: Tree, model: type[BaseModel]) -> dict[str, Any]:

@@ -7,18 +7,20 @@ faults, ``sequences.script`` flattens a checked document into steps. Touches no 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     BaseModel,
     ConfigDict,
     Discriminator,
     Field,
+    GetJsonSchemaHandler,
     Tag,
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError
 
 AXES = ("pan", "tilt", "roll")
 
@@ -39,6 +41,22 @@ class Words(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
+    bare_words: ClassVar[tuple[str, ...]] = ()
+    """Single words that may stand for the whole mapping."""
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """Let the exported schema allow the bare words too."""
+        reference = handler(core_schema)
+        if cls.bare_words:
+            schema = handler.resolve_ref_schema(reference)
+            mapping = dict(schema)
+            schema.clear()
+            schema["anyOf"] = [{"enum": list(cls.bare_words)}, mapping]
+        return reference
+
 
 class FlickerWords(Words):
     """A flicker. Its level is a share of what the station's light may do, so a sequence fits every bench."""
@@ -55,6 +73,8 @@ class FlickerWords(Words):
 
 class LightWords(FlickerWords):
     """Switch the light to a flicker; or ``light: off``."""
+
+    bare_words = ("on", "off")
 
     output: Literal["on", "off"] = "on"
 
@@ -244,6 +264,7 @@ class StepWords(Words):
     """One step: a mapping with its one word as key, or the bare word where the defaults will do."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
+    bare_words = ("light", "move", "settle", "record", "solve", "report")
 
     light: LightWords | None = None
     move: MoveWords | None = None

@@ -1,6 +1,5 @@
 """From a file to a checked document: places, words and completeness of faults; files that cannot be read."""
 
-import json
 import os
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from sequences.errors import DocumentFaults
-from sequences.reader import check_document, find_document, json_schema, read_document
+from sequences.reader import check_document, find_document, read_document
 from sequences.schema import Sequence, Words
 
 SHIPPED = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
@@ -157,13 +156,6 @@ def test_a_bare_name_finds_what_is_shipped_and_a_path_what_it_names(tmp_path, mo
         find_document("tree", tmp_path / "shipped")
     (tmp_path / "three").touch()
     assert find_document("three", tmp_path / "shipped") == Path("three")
-
-
-def test_the_schema_is_exported_as_json_schema():
-    schema = json.loads(json_schema(Sequence))
-    assert schema["$schema"].startswith("https://json-schema.org/")
-    assert set(schema["required"]) == {"format", "name", "steps"}
-    assert schema["additionalProperties"] is False
 
 
 @st.composite
