@@ -113,6 +113,7 @@ class Axis:
         self._origin = start
         self._encoder_origin = start
         self._homing = False
+        self._homing_sets_counter = True
         self._referenced = False
         self._armed: MotionFault | None = None
         self._false_idles = 0
@@ -184,11 +185,14 @@ class Axis:
         self.motor = Course.resting(t_s, float(round(self.motor.position(t_s))))
         self.pointing = self._followed(load, offset)
 
-    def home(self, t_s: float, speed: float, slow: float, acceleration: float) -> None:
-        """Find the reference sensor: past it at speed, and onto it slowly from below."""
+    def home(
+        self, t_s: float, speed: float, slow: float, acceleration: float, *, set_counter: bool = True
+    ) -> None:
+        """Find the reference sensor: past it at speed, and onto it slowly from below; perhaps count from there."""
         self._finish_homing(t_s)
         self._referenced = False
         self._homing = True
+        self._homing_sets_counter = set_counter
         sensor = float(round(self.mechanics.home_deg * self.mechanics.counts_per_deg)) - self._lost(t_s)
         below = sensor - _HOMING_OVERRUN_DEG * self.mechanics.counts_per_deg
         self._go(t_s, [(below, speed), (sensor, slow)], acceleration)
@@ -200,10 +204,18 @@ class Axis:
         self._origin = self.commanded.rest
         self._encoder_origin = self.motor.rest
 
+    def forget_reference(self) -> None:
+        """Have the controller no longer trust its counter."""
+        self._referenced = False
+
     def set_counter(self, value: float, t_s: float) -> None:
         """Call the present position by another number."""
         self._finish_homing(t_s)
         self._origin = self.commanded.position(t_s) - value
+
+    def set_encoder(self, value: float, t_s: float) -> None:
+        """Have the encoder count from another number."""
+        self._finish_homing(t_s)
         self._encoder_origin = self.motor.position(t_s) - value
 
     # ------------------------------------------------------------------ faults
@@ -296,7 +308,7 @@ class Axis:
         if self._homing and t_s >= self.commanded.end_s:
             self._homing = False
             self._referenced = self._event is None
-            if self._referenced:
+            if self._referenced and self._homing_sets_counter:
                 self._origin = self.commanded.rest
                 self._encoder_origin = self.motor.rest
 

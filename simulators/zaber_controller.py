@@ -207,6 +207,7 @@ class ZaberController:
         name, value = words[0], _integer(words[1])
         if name == "pos":
             self.axis.set_counter(value, t_s)
+            self.axis.set_encoder(value, t_s)
             return "0"
         if name not in self._state.settings:
             raise Refused("BADCOMMAND")

@@ -1,0 +1,247 @@
+"""The simulated XIMC controller, asked by the maker's own library and byte by byte."""
+
+from __future__ import annotations
+
+import struct
+import time
+
+import pytest
+
+from simulators.axis_motion import Mechanics, MotionFault
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+from simulators.ximc import XimcController, XimcModel, crc16
+
+SCALE = 25_600
+
+
+def model(**changes) -> XimcModel:
+    return XimcModel(Mechanics(SCALE, -17.0, 17.0, start_deg=2.4), 4242, -15.0, 15.0, **changes)
+
+
+class Status(tuple):
+    """An answer to ``gets``, by the names of the fields that matter."""
+
+    __slots__ = ()
+    moving = property(lambda self: bool(self[0] & 0x01))
+    running = property(lambda self: bool(self[1] & 0x80))
+    failed = property(lambda self: bool(self[1] & 0x40))
+    command = property(lambda self: self[1] & 0x3F)
+    position = property(lambda self: self[5] * 256 + self[6])
+    encoder = property(lambda self: self[7])
+    flags = property(lambda self: self[15])
+    edges = property(lambda self: self[16])
+
+
+class Controller:
+    """The controller on a clock that the test turns."""
+
+    def __init__(self, **changes) -> None:
+        self.now_s = 0.0
+        self.device = XimcController(model(**changes), lambda: self.now_s)
+
+    def ask(self, letters: bytes, data: bytes = b"") -> bytes:
+        """Send a command; the data of its answer, whose CRC is checked."""
+        answer = self.device.receive(letters + (data + struct.pack("<H", crc16(data)) if data else b""))
+        assert answer[:4] == letters
+        content = answer[4:]
+        if content:
+            assert struct.unpack("<H", content[-2:])[0] == crc16(content[:-2])
+        return content[:-2]
+
+    def move(self, steps: int, fraction: int = 0) -> None:
+        self.ask(b"move", struct.pack("<ih6x", steps, fraction))
+
+    def status(self) -> Status:
+        return Status(struct.unpack("<BBBBBihqihhhhhhIIB4x", self.ask(b"gets")))
+
+    def wait(self, seconds: float = 60.0) -> None:
+        self.now_s += seconds
+
+
+@pytest.fixture
+def controller() -> Controller:
+    return Controller()
+
+
+@pytest.fixture
+def homed(controller: Controller) -> Controller:
+    controller.ask(b"home")
+    controller.wait()
+    controller.ask(b"zero")
+    return controller
+
+
+def test_the_makers_library_identifies_homes_moves_stops_and_reads(tmp_path):
+    ximc = pytest.importorskip("libximc.highlevel", reason="the maker's library is not installed")
+    controller = XimcController(model(), time.monotonic)
+    with SerialDevice(PseudoTerminal(tmp_path / "pan"), controller) as device:
+        axis = ximc.Axis(f"xi-com://{device.address}")
+        axis.open_device()
+        assert axis.get_serial_number() == 4242
+        axis.command_home()
+        axis.command_wait_for_stop(10)
+        axis.command_zero()
+        axis.command_move(300, 17)
+        axis.command_wait_for_stop(10)
+        position = axis.get_position()
+        assert (position.Position, position.uPosition, position.EncPosition) == (300, 17, 6001)
+        axis.command_move(-1000, 0)
+        axis.command_sstp()
+        axis.command_wait_for_stop(10)
+        assert -1000 < axis.get_position().Position <= 300
+        assert axis.get_edges_settings().RightBorder == 1500
+        axis.close_device()
+
+
+def test_the_checksum_is_that_of_the_protocol(controller: Controller):
+    assert controller.device.receive(b"gser") == b"gser" + struct.pack(
+        "<IH", 4242, crc16(struct.pack("<I", 4242))
+    )
+    assert crc16(b"123456789") == 0x4B37
+
+
+def test_a_wrong_checksum_is_refused_and_nothing_moves(homed: Controller):
+    data = struct.pack("<ih6x", 100, 0)
+    assert homed.device.receive(b"move" + data + struct.pack("<H", crc16(data) ^ 1)) == b"errd"
+    status = homed.status()
+    assert not status.moving
+    assert status.flags & 0x02
+    assert not homed.status().flags & 0x02
+
+
+def test_an_unknown_command_and_a_wrong_value_are_refused(controller: Controller):
+    assert controller.device.receive(b"jump") == b"errc"
+    data = struct.pack("<IBHHIBB9x", 0, 0, 0, 0, 0, 0, 0)
+    assert controller.device.receive(b"smov" + data + struct.pack("<H", crc16(data))) == b"errv"
+
+
+def test_zeros_lead_back_to_the_beginning_of_a_command(controller: Controller):
+    assert controller.device.receive(b"\0\0\0") == b"\0\0\0"
+    assert controller.device.receive(b"\0gser")[:5] == b"\0gser"
+
+
+def test_a_command_in_pieces_is_understood_and_forgotten_when_it_stops_coming(controller: Controller):
+    assert controller.device.receive(b"gs") == b""
+    controller.wait(0.3)
+    assert controller.device.receive(b"er")[:4] == b"gser"
+    assert controller.device.receive(b"mo") == b""
+    controller.wait(0.5)
+    assert controller.device.receive(b"gser")[:4] == b"gser"
+
+
+def test_homing_sets_the_flag_and_leaves_the_position_to_the_host(controller: Controller):
+    assert not controller.status().flags & 0x20
+    controller.ask(b"home")
+    controller.wait(0.1)
+    assert controller.status().running
+    controller.wait()
+    status = controller.status()
+    assert status.flags & 0x20
+    assert (status.running, status.command, status.failed) == (False, 6, False)
+    assert status.position == round(-2.4 * SCALE)
+    controller.ask(b"zero")
+    assert controller.status().position == 0
+    assert controller.device.axis.pointing.angle_deg(controller.now_s) == 0.0
+
+
+def test_a_settled_axis_points_where_its_microsteps_say(homed: Controller):
+    homed.move(-300, -17)
+    homed.wait()
+    assert homed.status().position == -300 * 256 - 17
+    assert homed.device.axis.pointing.angle_deg(homed.now_s) == (-300 * 256 - 17) / SCALE
+
+
+def test_a_border_stops_a_move_which_then_has_failed(homed: Controller):
+    homed.move(2000)
+    homed.wait()
+    status = homed.status()
+    assert (status.position, status.failed, status.edges) == (1500 * 256, True, 0x01)
+    settings = bytearray(homed.ask(b"geds"))
+    settings[0] = 0
+    homed.ask(b"seds", bytes(settings))
+    homed.move(1600)
+    homed.wait()
+    assert (homed.status().position, homed.status().failed) == (1600 * 256, False)
+
+
+def test_settings_read_back_as_written(homed: Controller):
+    homed.ask(b"smov", struct.pack("<IBHHIBB9x", 1000, 5, 2000, 3000, 4, 5, 0))
+    assert struct.unpack("<IBHHIBB9x", homed.ask(b"gmov")) == (1000, 5, 2000, 3000, 4, 5, 0)
+
+
+def test_a_soft_stop_keeps_the_reference_a_harsh_one_does_not(homed: Controller):
+    homed.move(1000)
+    homed.wait(0.2)
+    homed.ask(b"sstp")
+    assert homed.status().moving
+    homed.wait()
+    assert homed.status().flags & 0x20
+    homed.move(0)
+    homed.wait(0.2)
+    homed.ask(b"stop")
+    assert not homed.status().moving
+    assert not homed.status().flags & 0x20
+
+
+def test_a_stall_is_an_alarm_in_which_moves_are_ignored_until_stop(homed: Controller):
+    homed.device.axis.arm(MotionFault("stall"))
+    homed.move(1000)
+    homed.wait()
+    status = homed.status()
+    assert status.failed
+    assert status.flags & 0xC0 == 0xC0
+    assert not status.flags & 0x20
+    homed.move(0)
+    homed.wait()
+    assert homed.status().position == status.position
+    homed.ask(b"stop")
+    homed.move(0)
+    homed.wait()
+    assert homed.status().position == 0
+
+
+def test_a_slip_shows_in_the_encoder_only(homed: Controller):
+    homed.device.axis.arm(MotionFault("slip"))
+    homed.move(1000)
+    homed.wait()
+    status = homed.status()
+    assert status.position == 1000 * 256
+    assert status.encoder == pytest.approx(500 * 20, abs=1)
+
+
+def test_a_limit_switch_ends_the_move_in_error(homed: Controller):
+    homed.device.axis.arm(MotionFault("limit"))
+    homed.move(-1000)
+    homed.wait()
+    assert homed.status().failed
+    assert homed.status().edges == 0x02
+
+
+def test_a_restart_in_motion_is_silence_then_zero_without_a_reference(homed: Controller):
+    homed.device.axis.arm(MotionFault("restart"))
+    homed.move(1000)
+    homed.wait(0.3)
+    assert homed.device.receive(b"gets") == b""
+    homed.wait()
+    status = homed.status()
+    assert (status.position, status.flags & 0x20) == (0, 0)
+
+
+def test_an_emergency_stop_is_an_alarm_until_released_and_stopped(homed: Controller):
+    homed.move(1000)
+    homed.wait(0.2)
+    homed.device.emergency_stop(homed.now_s)
+    homed.ask(b"stop")
+    assert homed.status().flags & 0x40
+    homed.device.emergency_stop(homed.now_s, released=True)
+    assert homed.status().flags & 0x40
+    homed.ask(b"stop")
+    assert not homed.status().flags & 0x40
+
+
+def test_writing_the_position_may_leave_the_encoder_and_the_other_way_round(homed: Controller):
+    homed.ask(b"spos", struct.pack("<ihqB5x", 10, 0, 777, 0x02))
+    assert (homed.status().position, homed.status().encoder) == (2560, 0)
+    homed.ask(b"spos", struct.pack("<ihqB5x", 99, 0, 777, 0x01))
+    assert (homed.status().position, homed.status().encoder) == (2560, 777)
