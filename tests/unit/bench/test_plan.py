@@ -2,16 +2,18 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from bench.errors import ScriptError
 from bench.plan import REPORT_BYTES, load, plan, recording_duration_s, travel_s, whole_periods
 from bench.plan_text import duration_text, render_plan
 from bench.station import SHIPPED, Station
+from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence
 
@@ -298,6 +300,27 @@ def test_a_long_plan_for_people_leaves_its_middle_out():
 def test_a_plan_that_cannot_be_run_says_so_first():
     text = render_plan(planned("steps: [solve, report]\n"))
     assert text.splitlines()[2] == "It cannot be run: 1 fault."
+
+
+numbers = st.sampled_from(["0", "-6", "6.5", "60", "1e-3", "99999", "100"])
+
+
+@settings(max_examples=150)
+@given(st.sampled_from(SEQUENCES), st.data())
+def test_a_sequence_with_other_numbers_is_planned_or_refused_never_anything_else(path, data):
+    text = path.read_text(encoding="utf-8")
+    written = list(re.finditer(r"(?<=[ \[])-?[0-9][0-9.]*(?=[,}\]])", text))
+    for number in reversed(written):
+        if data.draw(st.integers(0, 5)) == 0:
+            text = text[: number.start()] + data.draw(numbers) + text[number.end() :]
+    try:
+        made = plan(check_document(text.encode(), "s.yaml", Sequence), STATION)
+    except DocumentFaults as error:
+        event(f"refused by the reader: {len(error.faults)}")
+        return
+    assert made.duration_s > 0
+    assert json.dumps(made.to_dict(), allow_nan=False)
+    assert ("It cannot be run" in render_plan(made)) == bool(made.faults)
 
 
 @given(st.floats(0, 1e7))
