@@ -1,4 +1,4 @@
-"""The photoreceptor under a periodic light: its level at any phase, and when it crosses a threshold.
+"""The photoreceptors under a periodic light: their levels at any phase, and when they cross a threshold.
 
 The large-signal first-order model: light I(t) = ambient + light * w(t), and with u = exp(-V) of the
 receptor's output V = ln I (in the steady state),
@@ -7,28 +7,57 @@ receptor's output V = ln I (in the steady state),
 
 is linear: the time constant is q / I, so ON edges are fast and OFF edges slow. Under a square light u is a
 pair of exponentials and everything is closed form; under any other light with one rise and one fall a period,
-u comes from an atlas of periodic steady states, tabulated over phase and light. Compiled functions of numbers
-and arrays only; times in microseconds.
+u comes from an atlas of periodic steady states, tabulated over light and phase.
+
+Compiled functions over a batch of pixels: a float32 array of N_BATCH rows, one number of a pixel each. A phase
+is in microseconds after the start of a period of the light.
 """
 
 from __future__ import annotations
 
 from math import exp, floor, log
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simulators.fast_math import JIT, exp32, log32
+
 SQUARE: Final = 0
 SMOOTH: Final = 1
 
-JIT: Final[dict[str, Any]] = {"cache": True, "error_model": "numpy", "nogil": True}
-"""How everything here is compiled."""
+# Rows of a batch.
+LIGHT: Final = 0  # share of the drive that reaches the pixel
+U_RISE: Final = (
+    1  # square: u at the rising edge; smooth: row position on the atlas, -1 = too dark ever to fire
+)
+U_FALL: Final = 2  # square: u at the falling edge
+ON_AT: Final = 3  # an ON event comes when u has fallen to this
+OFF_AT: Final = 4  # an OFF event comes when u has risen to this
+U: Final = 5  # u at the phase asked for
+T: Final = 6  # phase of the next crossing; may exceed a period; inf = none
+IS_ON: Final = 7  # its polarity
+N_BATCH: Final = 8
+
+# Columns of Drive.turns.
+X_DARK: Final = 0  # bin of the largest u, and of the smallest, up to one period later
+X_BRIGHT: Final = 1
+U_DARK: Final = 2  # u there
+U_BRIGHT: Final = 3
+LN_BRIGHT: Final = 4  # ln of the smallest u, and 1 / (ln of the largest - ln of the smallest)
+LN_SPAN: Final = 5
+N_TURNS: Final = 6
+
+_ZERO: Final = np.float32(0.0)
+_ONE: Final = np.float32(1.0)
+_NEVER: Final = np.float32(np.inf)
+_HUGE: Final = np.float32(1e30)
+_TINY: Final = np.float32(1e-30)
 
 
 class Drive(NamedTuple):
-    """The light and the photoreceptor: I(t) = ambient + light * w(t); du/dt = (1 - I u) / q."""
+    """The light and the photoreceptor."""
 
     kind: int
     period_us: float
@@ -39,130 +68,11 @@ class Drive(NamedTuple):
     q_us: float
     start_us: float  # sensor time at which a period begins
     atlas: NDArray[np.float32]  # smooth: (levels, bins + 1) u over a period, light rising from row to row
-    lowest: float  # smooth: light of the first row; below, nothing ever crosses
-    log_step: float  # smooth: ln of the ratio of light from one row to the next
-    extremes: NDArray[np.int32]  # smooth: (levels, 2) bins of the largest and the smallest u
-
-
-@njit(**JIT)
-def steady_square(drive: Drive, light: float) -> tuple[float, float]:
-    """Values of u at the rising and the falling edge in the periodic steady state, in closed form."""
-    i_high, i_low = drive.ambient + light * drive.w_high, drive.ambient + light * drive.w_low
-    decay_high = exp(-i_high * drive.high_us / drive.q_us)
-    decay_low = exp(-i_low * (drive.period_us - drive.high_us) / drive.q_us)
-    bright, dark = 1.0 / i_high, 1.0 / i_low
-    u_rise = (dark * (1.0 - decay_low) + bright * (1.0 - decay_high) * decay_low) / (
-        1.0 - decay_high * decay_low
-    )
-    return u_rise, bright + (u_rise - bright) * decay_high
-
-
-@njit(inline="always", **JIT)
-def _square_value(d: Drive, light: float, u_rise: float, u_fall: float, phase: float) -> float:
-    """Value of u at a phase (us after the rising edge, below one period)."""
-    if phase < d.high_us:
-        i = d.ambient + light * d.w_high
-        return 1.0 / i + (u_rise - 1.0 / i) * exp(-phase * i / d.q_us)
-    i = d.ambient + light * d.w_low
-    return 1.0 / i + (u_fall - 1.0 / i) * exp(-(phase - d.high_us) * i / d.q_us)
-
-
-@njit(inline="always", **JIT)
-def _square_on(d: Drive, light: float, u_rise: float, target: float) -> float:
-    """Phase at which u falls to the target in the high part."""
-    i = d.ambient + light * d.w_high
-    return d.q_us / i * log((u_rise - 1.0 / i) / (target - 1.0 / i))
-
-
-@njit(inline="always", **JIT)
-def _square_off(d: Drive, light: float, u_fall: float, target: float) -> float:
-    """Phase at which u rises to the target in the low part."""
-    i = d.ambient + light * d.w_low
-    return d.high_us + d.q_us / i * log((u_fall - 1.0 / i) / (target - 1.0 / i))
-
-
-@njit(**JIT)
-def _square_next(
-    d: Drive, light: float, u_rise: float, u_fall: float, on_at: float, off_at: float, phase: float
-) -> tuple[float, int]:
-    """Phase (may exceed the period) and polarity of the next crossing of ``on_at`` or ``off_at``; inf = none."""
-    can_on, can_off = u_fall <= on_at < u_rise, u_rise >= off_at > u_fall
-    if phase < d.high_us:
-        if u_fall <= on_at:
-            return max(phase, _square_on(d, light, u_rise, on_at) if can_on else phase), 1
-        if can_off:
-            return _square_off(d, light, u_fall, off_at), 0
-        return np.inf, 0
-    if u_rise >= off_at:
-        return max(phase, _square_off(d, light, u_fall, off_at) if can_off else phase), 0
-    if can_on:
-        return d.period_us + _square_on(d, light, u_rise, on_at), 1
-    return np.inf, 0
-
-
-@njit(inline="always", **JIT)
-def _atlas_u(atlas: NDArray, j: int, f: float, i: int) -> float:
-    """Value of u on the atlas at a level (row j, share f of the next) and bin i."""
-    return (1.0 - f) * atlas[j, i] + f * atlas[j + 1, i]
-
-
-@njit(**JIT)
-def _smooth_value(d: Drive, level: float, phase: float) -> float:
-    """Value of u at a phase, interpolated on the atlas."""
-    j = int(level)
-    f = level - j
-    x = phase / d.period_us * (d.atlas.shape[1] - 1)
-    i = min(int(x), d.atlas.shape[1] - 2)
-    return _atlas_u(d.atlas, j, f, i) * (1.0 - (x - i)) + _atlas_u(d.atlas, j, f, i + 1) * (x - i)
-
-
-@njit(**JIT)
-def _branch_crossing(d: Drive, j: int, f: float, first: int, last: int, target: float, sign: float) -> float:
-    """Bin position at which sign * u rises to sign * target on a monotone branch; bins may exceed one period."""
-    bins = d.atlas.shape[1] - 1
-    low, high = first, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if sign * (_atlas_u(d.atlas, j, f, middle % bins) - target) >= 0.0:
-            high = middle
-        else:
-            low = middle
-    a, b = _atlas_u(d.atlas, j, f, low % bins), _atlas_u(d.atlas, j, f, high % bins)
-    return low + (min(1.0, max(0.0, (target - a) / (b - a))) if b != a else 0.0)
-
-
-@njit(**JIT)
-def _smooth_next(d: Drive, level: float, on_at: float, off_at: float, phase: float) -> tuple[float, int]:
-    """Phase (may exceed the period) and polarity of the next crossing on the atlas; inf = none."""
-    bins = d.atlas.shape[1] - 1
-    j = int(level)
-    f = level - j
-    nearest = j + (1 if f > 0.5 else 0)
-    dark, bright = d.extremes[nearest, 0], d.extremes[nearest, 1]
-    u_dark, u_bright = _atlas_u(d.atlas, j, f, dark), _atlas_u(d.atlas, j, f, bright)
-    x = phase / d.period_us * bins
-    # ON branch: dark .. bright; OFF branch: bright .. dark + bins. Bring the phase onto one of them.
-    if bright < dark:
-        bright += bins
-    if x < dark:
-        x += bins
-        shift = 1
-    else:
-        shift = 0
-    if x < bright:
-        if u_bright <= on_at:
-            cross, on = max(x, _branch_crossing(d, j, f, dark, bright, on_at, -1.0)), 1
-        elif u_dark >= off_at:
-            cross, on = _branch_crossing(d, j, f, bright, dark + bins, off_at, 1.0), 0
-        else:
-            return np.inf, 0
-    elif u_dark >= off_at:
-        cross, on = max(x, _branch_crossing(d, j, f, bright, dark + bins, off_at, 1.0)), 0
-    elif u_bright <= on_at:
-        cross, on = _branch_crossing(d, j, f, dark, bright, on_at, -1.0) + bins, 1
-    else:
-        return np.inf, 0
-    return (cross - shift * bins) / bins * d.period_us, on
+    by_bin: NDArray[np.float32]  # the same, transposed
+    turns: NDArray[np.float32]  # (levels, N_TURNS) where each row turns
+    guess: NDArray[np.float32]  # (2, levels, steps) bin at which u crosses a level, falling and rising
+    lowest: float  # light of the first row; below, nothing ever crosses
+    log_step: float  # ln of the ratio of light from one row to the next
 
 
 @njit(**JIT)
@@ -173,45 +83,221 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
 
 
 @njit(**JIT)
-def value_at(drive: Drive, light: float, u_rise: float, u_fall: float, phase: float) -> float:
-    """Value of u of a pixel at a phase (us, below one period)."""
+def steady_levels(drive: Drive, batch: NDArray, n: int) -> None:
+    """Fill in U_RISE and U_FALL for the light of each pixel."""
     if drive.kind == SQUARE:
-        return _square_value(drive, light, u_rise, u_fall, phase)
-    if u_rise < 0.0:
-        return 1.0 / drive.ambient
-    return _smooth_value(drive, u_rise, phase)
+        for k in range(n):
+            batch[U_RISE, k], batch[U_FALL, k] = _steady_square(drive, batch[LIGHT, k])
+    else:
+        top = np.float32(drive.atlas.shape[0] - 1.001)
+        for k in range(n):
+            light = batch[LIGHT, k]
+            level = np.float32(-1.0)
+            if light >= drive.lowest:
+                level = min(np.float32(log(light / drive.lowest) / drive.log_step), top)
+            batch[U_RISE, k] = level
 
 
 @njit(**JIT)
-def next_crossing(
-    drive: Drive, light: float, u_rise: float, u_fall: float, on_at: float, off_at: float, phase: float
-) -> tuple[float, int]:
-    """Phase and polarity of a pixel's next crossing; inf = none."""
-    if light * drive.w_high <= 0.0 or u_rise < 0.0:
-        return np.inf, 0
-    if drive.kind == SQUARE:
-        return _square_next(drive, light, u_rise, u_fall, on_at, off_at, phase)
-    return _smooth_next(drive, u_rise, on_at, off_at, phase)
+def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+    """Fill in U at a phase below one period."""
+    if drive.kind == SMOOTH:
+        _smooth_levels(drive, batch, n, phase)
+    elif phase < drive.high_us:
+        _relax(batch[LIGHT], batch[U_RISE], batch[U], n, drive.ambient, drive.w_high, phase / drive.q_us)
+    else:
+        since = (phase - drive.high_us) / drive.q_us
+        _relax(batch[LIGHT], batch[U_FALL], batch[U], n, drive.ambient, drive.w_low, since)
 
 
 @njit(**JIT)
-def atlas_level(drive: Drive, light: float) -> float:
-    """Row position on the atlas for a light; -1 for too little light to cross any threshold."""
-    if light < drive.lowest:
-        return -1.0
-    return min(log(light / drive.lowest) / drive.log_step, drive.atlas.shape[0] - 1.001)
+def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+    """Fill in T and IS_ON: the first crossing of ON_AT or OFF_AT at or after a phase below one period."""
+    if drive.kind == SMOOTH:
+        for k in range(n):
+            batch[T, k], batch[IS_ON, k] = _smooth_crossing(drive, batch, k, phase)
+    else:
+        _square_crossings(drive, batch, n, phase)
+
+
+# ---------------------------------------------------------------- square
+
+
+@njit(**JIT)
+def _steady_square(drive: Drive, light: float) -> tuple[float, float]:
+    """Values of u at the rising and the falling edge in the periodic steady state, in closed form."""
+    i_high, i_low = drive.ambient + light * drive.w_high, drive.ambient + light * drive.w_low
+    decay_high = exp(-i_high * drive.high_us / drive.q_us)
+    decay_low = exp(-i_low * (drive.period_us - drive.high_us) / drive.q_us)
+    bright, dark = 1.0 / i_high, 1.0 / i_low
+    both = decay_high * decay_low
+    u_rise = (dark * (1.0 - decay_low) + bright * (1.0 - decay_high) * decay_low) / (1.0 - both)
+    return u_rise, bright + (u_rise - bright) * decay_high
+
+
+@njit(**JIT)
+def _relax(
+    light: NDArray, u_start: NDArray, u: NDArray, n: int, ambient: float, w: float, since: float
+) -> None:
+    """u a time after it was u_start (in units of q), under constant light."""
+    ambient32, w32, since32 = np.float32(ambient), np.float32(w), np.float32(since)
+    for k in range(n):
+        i = ambient32 + light[k] * w32
+        end = _ONE / i
+        u[k] = end + (u_start[k] - end) * exp32(-since32 * i)
+
+
+@njit(**JIT)
+def _square_crossings(d: Drive, batch: NDArray, n: int, phase: float) -> None:
+    """The present part of the period is searched, then the one after it; beyond, all repeats.
+
+    Within a part u relaxes from its value at the part's start towards 1 / I and meets the target at
+    (q / I) ln((u_start - 1 / I) / (target - 1 / I)).
+    """
+    rising = phase >= d.high_us  # u rises in the low part
+    light, t, is_on = batch[LIGHT], batch[T], batch[IS_ON]
+    now_start, now_end = (batch[U_FALL], batch[U_RISE]) if rising else (batch[U_RISE], batch[U_FALL])
+    now_at, next_at = (batch[OFF_AT], batch[ON_AT]) if rising else (batch[ON_AT], batch[OFF_AT])
+    sign = _ONE if rising else -_ONE
+    now_on, next_on = (_ZERO, _ONE) if rising else (_ONE, _ZERO)
+    now_w, next_w = np.float32(d.w_low if rising else d.w_high), np.float32(d.w_high if rising else d.w_low)
+    now_from = np.float32(d.high_us if rising else 0.0)
+    next_from = np.float32(d.period_us if rising else d.high_us)
+    ambient, q, phase32 = np.float32(d.ambient), np.float32(d.q_us), np.float32(phase)
+    for k in range(n):
+        in_now = sign * (now_end[k] - now_at[k]) >= _ZERO
+        in_next = sign * (next_at[k] - now_start[k]) >= _ZERO
+        u_start = now_start[k] if in_now else now_end[k]
+        target = now_at[k] if in_now else next_at[k]
+        i = ambient + light[k] * (now_w if in_now else next_w)
+        end = _ONE / i
+        ratio = min(max((u_start - end) / (target - end), _TINY), _HUGE)
+        begin = now_from if in_now else next_from
+        cross = max(begin + q * end * log32(ratio), max(begin, phase32))
+        t[k] = cross if (in_now or in_next) and u_start != end else _NEVER
+        is_on[k] = now_on if in_now else next_on
+
+
+# ---------------------------------------------------------------- smooth
+
+
+@njit(**JIT)
+def _smooth_levels(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+    """U at a phase, interpolated on the atlas."""
+    bins = drive.atlas.shape[1] - 1
+    x = phase / drive.period_us * bins
+    i = min(int(x), bins - 1)
+    g = np.float32(x - i)
+    before, after = drive.by_bin[i], drive.by_bin[i + 1]
+    dark = np.float32(1.0 / drive.ambient)
+    for k in range(n):
+        level = batch[U_RISE, k]
+        j = int(max(level, _ZERO))
+        f = level - np.float32(j)
+        a = before[j] + f * (before[j + 1] - before[j])
+        b = after[j] + f * (after[j + 1] - after[j])
+        batch[U, k] = a + g * (b - a) if level >= _ZERO else dark
+
+
+@njit(inline="always", **JIT)
+def _between(table: NDArray, j: int, f: float, column: int) -> float:
+    """Interpolate between rows j and j + 1."""
+    return table[j, column] + f * (table[j + 1, column] - table[j, column])
+
+
+@njit(**JIT)
+def _smooth_crossing(drive: Drive, batch: NDArray, k: int, phase: float) -> tuple[float, float]:
+    """Phase and polarity of a pixel's next crossing on the atlas."""
+    level, on_at, off_at = batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k]
+    if level < _ZERO:
+        return _NEVER, _ZERO
+    bins = drive.atlas.shape[1] - 1
+    j = int(level)
+    f = level - np.float32(j)
+    dark, bright = _between(drive.turns, j, f, X_DARK), _between(drive.turns, j, f, X_BRIGHT)
+    falls_to, rises_to = _between(drive.turns, j, f, U_BRIGHT), _between(drive.turns, j, f, U_DARK)
+    can_on, can_off = falls_to <= on_at, rises_to >= off_at
+    x = phase / drive.period_us * bins
+    x += (
+        floor((dark - x) / bins + 1.0) * bins
+    )  # into the period that begins in the dark: dark <= x < dark + bins
+    shift = x - phase / drive.period_us * bins
+    if x < bright:
+        if can_on:
+            return (_on_bin(drive, j, f, on_at, x) - shift) * drive.period_us / bins, _ONE
+        if can_off:
+            return (_off_bin(drive, j, f, off_at, x) - shift) * drive.period_us / bins, _ZERO
+    elif can_off:
+        return (_off_bin(drive, j, f, off_at, x) - shift) * drive.period_us / bins, _ZERO
+    elif can_on:
+        return (_on_bin(drive, j, f, on_at, x - bins) + bins - shift) * drive.period_us / bins, _ONE
+    return _NEVER, _ZERO
+
+
+@njit(inline="always", **JIT)
+def _on_bin(drive: Drive, j: int, f: float, target: float, x: float) -> float:
+    """Bin, not before x, at which u falls to the target between dark and bright."""
+    return max(x, _crossing_bin(drive, j, f, target, 0, np.float32(-1.0)))
+
+
+@njit(inline="always", **JIT)
+def _off_bin(drive: Drive, j: int, f: float, target: float, x: float) -> float:
+    """Bin, not before x, at which u rises to the target between bright and the next dark."""
+    return max(x, _crossing_bin(drive, j, f, target, 1, np.float32(1.0)))
+
+
+@njit(**JIT)
+def _crossing_bin(drive: Drive, j: int, f: float, target: float, branch: int, sign: float) -> float:
+    """Bin at which sign * u rises to sign * target: guessed from a table, then sought on the atlas."""
+    bins = drive.atlas.shape[1] - 1
+    steps = drive.guess.shape[2]
+    first = _between(drive.turns, j, f, X_DARK if branch == 0 else X_BRIGHT)
+    last = (
+        _between(drive.turns, j, f, X_BRIGHT) if branch == 0 else _between(drive.turns, j, f, X_DARK) + bins
+    )
+    s = (log32(target) - _between(drive.turns, j, f, LN_BRIGHT)) * _between(drive.turns, j, f, LN_SPAN)
+    s = min(max(s, _ZERO), _ONE) * np.float32(steps - 1)
+    a = min(int(s), steps - 2)
+    i = int(
+        _between(drive.guess[branch], j, f, a) * (a + 1 - s)
+        + _between(drive.guess[branch], j, f, a + 1) * (s - a)
+    )
+    low, high = int(first), int(last) + 1
+    i = min(max(i, low), high - 1)
+    row, above = drive.atlas[j], drive.atlas[j + 1]
+    c = i % bins
+    here = row[c] + f * (above[c] - row[c])
+    there = row[c + 1] + f * (above[c + 1] - row[c + 1])
+    while sign * (here - target) >= _ZERO and i > low:
+        i -= 1
+        c = c - 1 if c > 0 else bins - 1
+        there = here
+        here = row[c] + f * (above[c] - row[c])
+    while sign * (there - target) < _ZERO and i < high - 1:
+        i += 1
+        c = c + 1 if c < bins - 1 else 0
+        here = there
+        there = row[c + 1] + f * (above[c + 1] - row[c + 1])
+    share = (target - here) / (there - here) if there != here else _ZERO
+    return min(max(i + min(max(share, _ZERO), _ONE), first), last)
 
 
 @njit(**JIT)
 def fill_atlas(
-    atlas: NDArray, extremes: NDArray, lights: NDArray, wave: NDArray, ambient: float, bin_q: float
+    atlas: NDArray,
+    turns: NDArray,
+    guess: NDArray,
+    lights: NDArray,
+    wave: NDArray,
+    ambient: float,
+    bin_q: float,
 ) -> None:
-    """Tabulate the periodic steady state of u for each light.
+    """Tabulate the periodic steady state of u for each light, its turns, and where it crosses levels.
 
     Parameters
     ----------
-    atlas, extremes
-        (levels, bins + 1) float32 and (levels, 2) int32, filled in.
+    atlas, turns, guess
+        As in ``Drive``; filled in.
     lights
         (levels,) light of each row.
     wave
@@ -231,10 +317,39 @@ def fill_atlas(
             scale *= decay
             offset = offset * decay + (1.0 - decay) / intensity
         u = offset / (1.0 - scale)
-        for i in range(bins):
+        for i in range(bins + 1):
             atlas[j, i] = u
-            intensity = ambient + lights[j] * wave[i]
+            intensity = ambient + lights[j] * wave[i % bins]
             u = 1.0 / intensity + (u - 1.0 / intensity) * exp(-intensity * bin_q)
-        atlas[j, bins] = u
-        extremes[j, 0] = atlas[j, :bins].argmax()
-        extremes[j, 1] = atlas[j, :bins].argmin()
+        _fill_turns(atlas[j], turns[j])
+        for branch in range(2):
+            _fill_guess(atlas[j], turns[j], guess[branch, j], branch)
+
+
+@njit(**JIT)
+def _fill_turns(row: NDArray, turns: NDArray) -> None:
+    """Where a row of the atlas has its largest u, and after that its smallest."""
+    bins = row.size - 1
+    dark, bright = row[:bins].argmax(), row[:bins].argmin()
+    turns[X_DARK], turns[X_BRIGHT] = dark, bright if bright > dark else bright + bins
+    turns[U_DARK], turns[U_BRIGHT] = row[dark], row[bright]
+    turns[LN_BRIGHT] = log(row[bright])
+    turns[LN_SPAN] = 1.0 / (log(row[dark]) - log(row[bright]))
+
+
+@njit(**JIT)
+def _fill_guess(row: NDArray, turns: NDArray, guess: NDArray, branch: int) -> None:
+    """Bins at which a row crosses levels evenly spaced in ln u, from bright to dark."""
+    bins = row.size - 1
+    dark, bright = int(turns[X_DARK]), int(turns[X_BRIGHT])
+    for a in range(guess.size):
+        target = exp(turns[LN_BRIGHT] + a / (guess.size - 1) / turns[LN_SPAN])
+        low, high = (dark, bright) if branch == 0 else (bright, dark + bins)
+        while high - low > 1:
+            middle = (low + high) // 2
+            above = row[middle % bins] >= target
+            if above == (branch == 0):
+                low = middle
+            else:
+                high = middle
+        guess[a] = low

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 from simulators import readout
 from simulators.biases import PixelSettings
 from simulators.errors import SimulationMisuse
-from simulators.photoreceptor import SMOOTH, SQUARE, Drive, fill_atlas
+from simulators.photoreceptor import N_BATCH, N_TURNS, SMOOTH, SQUARE, Drive, fill_atlas
 from simulators.readout import BLOCK, GROUP, Pixels, Readout
 from simulators.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world import LightState
@@ -29,6 +29,7 @@ EPOCH_US: Final = 16384.0
 """The pixels' times are counted from a multiple of this: float32 then resolves 4 ns."""
 ATLAS_LEVELS: Final = 256
 ATLAS_BINS: Final = 4096
+GUESS_STEPS: Final = 256
 BRIGHTEST: Final = 1.5
 """Highest light of a pixel that the atlas covers."""
 LOWEST_CONTRAST: Final = 0.02
@@ -77,11 +78,9 @@ class Link:
 
 def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
     """The light as the pixels feel it, a period beginning at ``start_us`` of the sensor's clock."""
-    empty = (np.zeros((2, 2), np.float32), 1.0, 1.0, np.zeros((2, 2), np.int32))
-    steady = light.waveform == "square" or light.high == light.low
-    table = empty if steady else _atlas(light, settings)
-    atlas, lowest, log_step, extremes = table
     period = light.period_us
+    steady = light.waveform == "square" or light.high == light.low
+    tables = _no_atlas() if steady else _atlas(light, settings)
     return Drive(
         SQUARE if steady else SMOOTH,
         period,
@@ -91,25 +90,34 @@ def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> D
         settings.ambient,
         settings.q_us,
         start_us,
-        atlas,
-        lowest,
-        log_step,
-        extremes,
+        *tables,
     )
 
 
-def _atlas(light: LightState, settings: PixelSettings) -> tuple[NDArray, float, float, NDArray]:
-    """Atlas of a sine's periodic steady states: table, lowest light, log step and extremes."""
+_Atlas = tuple[
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float, float
+]
+
+
+def _no_atlas() -> _Atlas:
+    """Placeholders where u is closed form."""
+    one = np.zeros((1, 1), np.float32)
+    return one, one, one, np.zeros((1, 1, 1), np.float32), 1.0, 1.0
+
+
+def _atlas(light: LightState, settings: PixelSettings) -> _Atlas:
+    """Atlas of a sine's periodic steady states, as ``Drive`` has it."""
     lowest = LOWEST_CONTRAST * settings.ambient / light.high
     log_step = math.log(BRIGHTEST / lowest) / (ATLAS_LEVELS - 1)
     lights = lowest * np.exp(log_step * np.arange(ATLAS_LEVELS))
     phase = (np.arange(ATLAS_BINS) + 0.5) / ATLAS_BINS
     wave = 0.5 * (light.high + light.low) + 0.5 * (light.high - light.low) * np.sin(2.0 * np.pi * phase)
     atlas = np.empty((ATLAS_LEVELS, ATLAS_BINS + 1), np.float32)
-    extremes = np.empty((ATLAS_LEVELS, 2), np.int32)
+    turns = np.empty((ATLAS_LEVELS, N_TURNS), np.float32)
+    guess = np.empty((2, ATLAS_LEVELS, GUESS_STEPS), np.float32)
     bin_q = light.period_us / ATLAS_BINS / settings.q_us
-    fill_atlas(atlas, extremes, lights, wave, settings.ambient, bin_q)
-    return atlas, lowest, log_step, extremes
+    fill_atlas(atlas, turns, guess, lights, wave, settings.ambient, bin_q)
+    return atlas, np.ascontiguousarray(atlas.T), turns, guess, lowest, log_step
 
 
 class Sensor:
@@ -155,6 +163,7 @@ class Sensor:
             np.empty(BUFFER_EVENTS, np.uint8),
         )
         self._drive: Drive | None = None
+        self._picture = np.zeros((height, width), np.float32)
         self._now_us = 0.0
 
     @property
@@ -189,9 +198,7 @@ class Sensor:
         )
         state[readout.NOISE] = state[readout.FREE] + first
         self._see(picture)
-        readout.start_pixels(
-            self._pixels, self._drive, self._readout, state[readout.FREE], state, self._random
-        )
+        readout.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
         self._now_us = begin_us
         self.run(at_us)
         state[readout.STALL] = 0.0
@@ -206,7 +213,7 @@ class Sensor:
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
         self._see(picture)
         t = self._now_us - self._state[readout.EPOCH]
-        readout.redrive(self._pixels, self._drive, t, step_us, self._state, self._random)
+        readout.redrive(self._pixels, self._drive, self.width, t, step_us, self._state, self._random)
 
     def _see(self, picture: NDArray[np.float32] | None) -> None:
         """Take over the picture and find the steady state of each pixel."""
@@ -215,8 +222,8 @@ class Sensor:
                 raise SimulationMisuse(
                     f"A picture of shape {picture.shape} for {self.height} rows of {self.width}."
                 )
-            self._pixels.cell[:, : self.width, readout.LIGHT] = picture
-        readout.steady_levels(self._pixels, self._drive)
+            self._picture = np.ascontiguousarray(picture, np.float32)
+        readout.see(self._pixels, self._drive, self._picture)
 
     def run(self, until_us: float) -> Events:
         """Events from where the last call ended up to a time of the sensor's clock.
@@ -323,6 +330,8 @@ def _make_pixels(
         block_min=np.full((height, blocks), np.inf, np.float32),
         row_min=np.full(groups * GROUP, np.inf, np.float32),
         group_min=np.full(groups, np.inf, np.float32),
+        batch=np.zeros((N_BATCH, shape[1]), np.float32),
+        column=np.zeros(shape[1], np.int32),
     )
 
 

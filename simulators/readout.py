@@ -10,26 +10,25 @@ times of the pixels are relative.
 from __future__ import annotations
 
 from math import floor, log
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.photoreceptor import (
-    SQUARE,
-    Drive,
-    atlas_level,
-    next_crossing,
-    period_start,
-    steady_square,
-    value_at,
-)
+from simulators import photoreceptor as pr
+from simulators.fast_math import JIT
+from simulators.photoreceptor import Drive, crossings, levels_at, period_start
 
 BLOCK: Final = 32
 """Pixels of a block: one vector triple of the EVT3 format."""
 GROUP: Final = 24
 """Rows of a group, for finding the oldest request."""
+VECTOR_FROM: Final = 5
+"""Events of a block from which on the sensor sends them as a vector."""
+VECTOR_WORDS: Final = 4
+LONGEST_ROW_WORDS: Final = 512
+"""Room the link must have before a row is read."""
 
 # Indices into the float64 state of the loop.
 FREE: Final = 0  # when the arbiter is free again
@@ -41,28 +40,14 @@ EPOCH: Final = 5  # sensor time of the epoch
 FULL: Final = 6  # 1 when the last call ended because the output was nearly full
 N_STATE: Final = 7
 
-JIT: Final[dict[str, Any]] = {
-    "cache": True,
-    "error_model": "numpy",
-    "nogil": True,
-    "fastmath": {"nnan", "nsz", "reassoc"},
-}
-"""No infinities are assumed away: a pixel without a request has its next one at infinity."""
-
-VECTOR_FROM: Final = 5
-"""Events of a block from which on the sensor sends them as a vector."""
-LONGEST_ROW_WORDS: Final = 512
-"""Room the link must have before a row is read."""
-
-
 # Numbers of a pixel, in Pixels.cell: one cache line holds two pixels.
-T_LIVE: Final = 0  # end of the dead time
-U_REF: Final = 1  # exp(-V) at the last reset
-GAIN_ON: Final = 2  # an ON event comes at U_REF * GAIN_ON
-GAIN_OFF: Final = 3  # an OFF event comes at U_REF * GAIN_OFF
-LIGHT: Final = 4  # share of the drive that reaches the pixel
-U_RISE: Final = 5  # square: u at the rising edge; smooth: level on the atlas
-U_FALL: Final = 6  # square: u at the falling edge
+LIGHT: Final = 0  # share of the drive that reaches the pixel
+U_RISE: Final = 1  # its steady state, as photoreceptor has it
+U_FALL: Final = 2
+GAIN_ON: Final = 3  # an ON event comes at U_REF * GAIN_ON
+GAIN_OFF: Final = 4  # an OFF event comes at U_REF * GAIN_OFF
+U_REF: Final = 5  # exp(-V) at the last reset
+T_LIVE: Final = 6  # end of the dead time
 IS_ON: Final = 7  # polarity of the next request
 N_CELL: Final = 8
 
@@ -75,6 +60,8 @@ class Pixels(NamedTuple):
     block_min: NDArray[np.float32]  # (rows, blocks) earliest request
     row_min: NDArray[np.float32]  # (rows padded to whole groups,)
     group_min: NDArray[np.float32]
+    batch: NDArray[np.float32]  # (N_BATCH, columns) scratch: the pixels of a row at work
+    column: NDArray[np.int32]  # (columns,) where they stand
 
 
 class Readout(NamedTuple):
@@ -109,35 +96,7 @@ def _uniform(s: NDArray) -> float:
     return (np.int64(_random(s) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
 
 
-@njit(**JIT)
-def _reset_pixel(
-    px: Pixels, d: Drive, ro: Readout, r: int, c: int, t: float, start: float, random: NDArray
-) -> None:
-    """Take the level at the end of the dead time as the new reference and find the next crossing.
-
-    Parameters
-    ----------
-    t
-        When the row is read.
-    start
-        Start of a period not after ``t``, nor a whole period before it.
-    """
-    cell = px.cell[r, c]
-    t_live = t + ro.dead_us
-    phase = t_live - start
-    if phase >= d.period_us:
-        periods = floor(phase / d.period_us)
-        phase -= periods * d.period_us
-        start += periods * d.period_us
-    light, u_rise, u_fall = cell[LIGHT], cell[U_RISE], cell[U_FALL]
-    u = value_at(d, light, u_rise, u_fall, phase)
-    if ro.reset_noise > 0.0:
-        u *= 1.0 + ro.reset_noise * ro.normals[np.int64(_random(random) >> np.uint64(52))]
-    cross, on = next_crossing(d, light, u_rise, u_fall, u * cell[GAIN_ON], u * cell[GAIN_OFF], phase)
-    cell[U_REF] = u
-    cell[T_LIVE] = t_live
-    cell[IS_ON] = on
-    px.t_next[r, c] = max(t_live, start + cross)
+# ---------------------------------------------------------------- earliest requests
 
 
 @njit(**JIT)
@@ -184,6 +143,9 @@ def _oldest_row(px: Pixels) -> int:
     return g * GROUP + _first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
 
 
+# ---------------------------------------------------------------- reading
+
+
 @njit(**JIT)
 def _place_noise(px: Pixels, ro: Readout, width: int, t: float, random: NDArray) -> None:
     """Let one pixel, drawn by its noise rate, request a read at t, unless it is dead or waits already."""
@@ -203,39 +165,90 @@ def _place_noise(px: Pixels, ro: Readout, width: int, t: float, random: NDArray)
     px.group_min[r // GROUP] = min(px.group_min[r // GROUP], t32)
 
 
-@njit(**JIT)
-def _take_block(
-    px: Pixels,
-    drive: Drive,
-    ro: Readout,
-    r: int,
-    b: int,
-    t: float,
-    start: float,
-    random: NDArray,
-    on_x: NDArray,
-    off_x: NDArray,
-    n_on: int,
-    n_off: int,
-) -> tuple[int, int]:
-    """Read the waiting pixels of a block into the row's lists of ON and OFF columns, and reset them."""
-    for c in range(b * BLOCK, (b + 1) * BLOCK):
-        if px.t_next[r, c] <= t:
-            if px.cell[r, c, IS_ON] != 0.0:
-                on_x[n_on] = c
-                n_on += 1
-            else:
-                off_x[n_off] = c
-                n_off += 1
-            _reset_pixel(px, drive, ro, r, c, t, start, random)
-    px.block_min[r, b] = _smallest(px.t_next[r, b * BLOCK : (b + 1) * BLOCK])
-    return n_on, n_off
-
-
 @njit(inline="always", **JIT)
 def _block_words(n: int) -> int:
     """EVT3 words of n events of one polarity in a block: single events, or a vector triple with its base."""
-    return n if n < VECTOR_FROM else 4
+    return n if n < VECTOR_FROM else VECTOR_WORDS
+
+
+@njit(**JIT)
+def _gather_row(px: Pixels, r: int, t: float) -> tuple[int, int]:
+    """List the waiting pixels of a row in ``px.column``; return their number and that of their EVT3 words."""
+    n, words = 0, 2
+    t32 = np.float32(t)
+    for b in range(px.block_min.shape[1]):
+        if px.block_min[r, b] > t32:
+            continue
+        before, n_on = n, 0
+        for c in range(b * BLOCK, (b + 1) * BLOCK):
+            if px.t_next[r, c] <= t32:
+                px.column[n] = c
+                n += 1
+                n_on += px.cell[r, c, IS_ON] != 0.0
+        words += _block_words(n_on) + _block_words(n - before - n_on)
+    return n, words
+
+
+@njit(**JIT)
+def _emit_row(px: Pixels, r: int, n: int, stamp: int, out: tuple, first: int) -> None:
+    """Write a row's events: ON first, then OFF, each from left to right."""
+    ts, xs, ys, ps = out
+    i = first
+    for on in (1, 0):
+        for k in range(n):
+            if (px.cell[r, px.column[k], IS_ON] != 0.0) == (on == 1):
+                ts[i], xs[i], ys[i], ps[i] = stamp, px.column[k], r, on
+                i += 1
+
+
+@njit(**JIT)
+def _reset_row(
+    px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
+) -> None:
+    """Give the listed pixels of a row their new references, at the end of the dead time, and next crossings.
+
+    Parameters
+    ----------
+    t
+        When the row is read.
+    start
+        Start of a period of the light not after ``t``.
+    """
+    batch, column = px.batch, px.column
+    t_live = t + ro.dead_us
+    start += floor((t_live - start) / drive.period_us) * drive.period_us
+    phase = t_live - start
+    for k in range(n):
+        c = column[k]
+        batch[pr.LIGHT, k], batch[pr.U_RISE, k] = px.cell[r, c, LIGHT], px.cell[r, c, U_RISE]
+        batch[pr.U_FALL, k] = px.cell[r, c, U_FALL]
+        batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = px.cell[r, c, GAIN_ON], px.cell[r, c, GAIN_OFF]
+    levels_at(drive, batch, n, phase)
+    if ro.reset_noise > 0.0:
+        noise = np.float32(ro.reset_noise)
+        for k in range(n):
+            batch[pr.U, k] *= np.float32(1.0) + noise * ro.normals[np.int64(_random(random) >> np.uint64(52))]
+    for k in range(n):
+        batch[pr.ON_AT, k] *= batch[pr.U, k]
+        batch[pr.OFF_AT, k] *= batch[pr.U, k]
+    crossings(drive, batch, n, phase)
+    start32, live32 = np.float32(start), np.float32(t_live)
+    for k in range(n):
+        c = column[k]
+        px.cell[r, c, U_REF] = batch[pr.U, k]
+        px.cell[r, c, T_LIVE] = live32
+        px.cell[r, c, IS_ON] = batch[pr.IS_ON, k]
+        px.t_next[r, c] = max(live32, start32 + batch[pr.T, k])
+
+
+@njit(**JIT)
+def _update_blocks(px: Pixels, r: int, t: float) -> None:
+    """Earliest requests of the blocks of a row that were read at t, and of the row."""
+    t32 = np.float32(t)
+    for b in range(px.block_min.shape[1]):
+        if px.block_min[r, b] <= t32:
+            px.block_min[r, b] = _smallest(px.t_next[r, b * BLOCK : (b + 1) * BLOCK])
+    _update_row(px, r)
 
 
 @njit(**JIT)
@@ -262,12 +275,10 @@ def read_rows(
 
     Returns
     -------
-    Number of events written. ``state[FREE]`` and the pixels carry on: calling again goes on exactly there. When
+    Number of events written. The state and the pixels carry on: calling again goes on exactly there. When
     the output was nearly full before ``until``, ``state[FULL]`` is 1.
     """
-    ts, xs, ys, ps = out
-    on_x, off_x = np.empty(width, np.uint16), np.empty(width, np.uint16)
-    room = ts.size - width
+    room = out[0].size - width
     start = period_start(drive, state[EPOCH], state[FREE])
     n = 0
     state[FULL] = 0.0
@@ -289,61 +300,73 @@ def read_rows(
             break
         if t - start >= drive.period_us:
             start = period_start(drive, state[EPOCH], t)
-        n_on, n_off, words = 0, 0, 2
-        for b in range(px.block_min.shape[1]):
-            if px.block_min[r, b] <= t:
-                on_before, off_before = n_on, n_off
-                n_on, n_off = _take_block(px, drive, ro, r, b, t, start, random, on_x, off_x, n_on, n_off)
-                words += _block_words(n_on - on_before) + _block_words(n_off - off_before)
-        _update_row(px, r)
-        stamp = np.int64(floor(state[EPOCH] + t))
-        for k in range(n_on + n_off):
-            ts[n + k] = stamp
-            xs[n + k] = on_x[k] if k < n_on else off_x[k - n_on]
-            ys[n + k] = r
-            ps[n + k] = k < n_on
-        n += n_on + n_off
-        state[STALL] += stall
-        state[FREE] = t + ro.row_us + (n_on + n_off) * ro.event_us
+        n_row, words = _gather_row(px, r, t)
+        _emit_row(px, r, n_row, np.int64(floor(state[EPOCH] + t)), out, n)
+        _reset_row(px, drive, ro, r, n_row, t, start, random)
+        _update_blocks(px, r, t)
+        n += n_row
+        state[FREE] = t + ro.row_us + n_row * ro.event_us
         state[FIFO] = max(0.0, state[FIFO] - (t - state[FIFO_T]) * ro.link_words_us) + words
         state[FIFO_T] = t
+        state[STALL] += stall
     return n
 
 
+# ---------------------------------------------------------------- beginning and changing
+
+
 @njit(**JIT)
-def start_pixels(px: Pixels, drive: Drive, ro: Readout, t: float, state: NDArray, random: NDArray) -> None:
-    """Set every pixel as if it had last been reset at the time t (us after the epoch), in the steady state."""
-    rows, columns = px.t_next.shape
+def see(px: Pixels, drive: Drive, picture: NDArray) -> None:
+    """Take over a picture, (rows, width), and find each pixel's steady state under the light."""
+    batch = px.batch
+    width = picture.shape[1]
+    for r in range(picture.shape[0]):
+        batch[pr.LIGHT, :width] = picture[r]
+        pr.steady_levels(drive, batch, width)
+        for c in range(width):
+            px.cell[r, c, LIGHT] = batch[pr.LIGHT, c]
+            px.cell[r, c, U_RISE], px.cell[r, c, U_FALL] = batch[pr.U_RISE, c], batch[pr.U_FALL, c]
+
+
+@njit(**JIT)
+def start_pixels(px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArray, random: NDArray) -> None:
+    """Set every pixel as if its dead time ended now, ``state[FREE]``."""
+    t = state[FREE] - ro.dead_us
     start = period_start(drive, state[EPOCH], t)
-    for r in range(rows):
-        for c in range(columns):
-            _reset_pixel(px, drive, ro, r, c, t - ro.dead_us, start, random)
+    for r in range(px.t_next.shape[0]):
+        for c in range(width):
+            px.column[c] = c
+        _reset_row(px, drive, ro, r, width, t, start, random)
     update_minima(px)
 
 
 @njit(**JIT)
-def redrive(px: Pixels, drive: Drive, t: float, step_us: float, state: NDArray, random: NDArray) -> None:
+def redrive(
+    px: Pixels, drive: Drive, width: int, t: float, step_us: float, state: NDArray, random: NDArray
+) -> None:
     """Let a new light or a new picture take effect at t: references stay, next crossings are found anew.
 
     A pixel that the change itself carries beyond its threshold requests at a random time of the step.
     """
-    rows, columns = px.t_next.shape
+    batch = px.batch
     start = period_start(drive, state[EPOCH], t)
-    for r in range(rows):
-        for c in range(columns):
+    for r in range(px.t_next.shape[0]):
+        for c in range(width):
+            batch[pr.LIGHT, c] = px.cell[r, c, LIGHT]
+            batch[pr.U_RISE, c], batch[pr.U_FALL, c] = px.cell[r, c, U_RISE], px.cell[r, c, U_FALL]
+            batch[pr.ON_AT, c] = px.cell[r, c, U_REF] * px.cell[r, c, GAIN_ON]
+            batch[pr.OFF_AT, c] = px.cell[r, c, U_REF] * px.cell[r, c, GAIN_OFF]
+        levels_at(drive, batch, width, t - start)
+        crossings(drive, batch, width, t - start)
+        for c in range(width):
             if px.t_next[r, c] <= t:
                 continue  # it waits already
-            cell = px.cell[r, c]
-            light, u_rise, u_fall = cell[LIGHT], cell[U_RISE], cell[U_FALL]
-            u = value_at(drive, light, u_rise, u_fall, t - start)
-            on_at, off_at = cell[U_REF] * cell[GAIN_ON], cell[U_REF] * cell[GAIN_OFF]
-            if u <= on_at or u >= off_at:
-                cross, on = t + step_us * _uniform(random), u <= on_at
-            else:
-                cross, on = next_crossing(drive, light, u_rise, u_fall, on_at, off_at, t - start)
-                cross += start
-            px.t_next[r, c] = max(np.float64(cell[T_LIVE]), cross)
-            cell[IS_ON] = on
+            cross, on = start + batch[pr.T, c], batch[pr.IS_ON, c]
+            u = batch[pr.U, c]
+            if u <= batch[pr.ON_AT, c] or u >= batch[pr.OFF_AT, c]:
+                cross, on = t + step_us * _uniform(random), np.float32(u <= batch[pr.ON_AT, c])
+            px.t_next[r, c] = max(np.float64(px.cell[r, c, T_LIVE]), cross)
+            px.cell[r, c, IS_ON] = on
     update_minima(px)
 
 
@@ -360,16 +383,3 @@ def move_epoch(px: Pixels, state: NDArray, by_us: float) -> None:
     state[FREE] -= by_us
     state[NOISE] -= by_us
     state[FIFO_T] -= by_us
-
-
-@njit(**JIT)
-def steady_levels(px: Pixels, drive: Drive) -> None:
-    """Fill in each pixel's two numbers for its light: edges' levels (square) or position on the atlas (smooth)."""
-    rows, columns = px.t_next.shape
-    for r in range(rows):
-        for c in range(columns):
-            cell = px.cell[r, c]
-            if drive.kind == SQUARE:
-                cell[U_RISE], cell[U_FALL] = steady_square(drive, cell[LIGHT])
-            else:
-                cell[U_RISE] = atlas_level(drive, cell[LIGHT])
