@@ -1,8 +1,10 @@
 """A small sealed run, and a key to seal it with."""
 
 import json
+import os
 import shutil
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +12,20 @@ from bench.journal import Journal
 from bench.keys import create_key, load_key, read_signers
 from bench.run_folder import CAPTURE_STORED, RunFolder
 from bench.seal import seal
+
+
+@pytest.fixture
+def synced(monkeypatch):
+    """What is synced from here on, in order: the paths given to fsync."""
+    paths = []
+    real = os.fsync
+
+    def fsync(descriptor):
+        paths.append(Path(f"/proc/self/fd/{descriptor}").readlink())
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    return paths
 
 
 @pytest.fixture(scope="session")

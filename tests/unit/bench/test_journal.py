@@ -133,15 +133,33 @@ def test_lines_removed_moved_or_doubled_are_found(three_lines, lines):
         read_journal(three_lines)
 
 
+def rehashed(line):
+    """A line with the hash that its content asks for."""
+    body = line[: line.rindex(b',"hash"')] + b"}"
+    return body[:-1] + b',"hash":"' + hashlib.sha256(body).hexdigest().encode() + b'"}'
+
+
 def test_a_number_edited_with_its_own_hash_made_new_breaks_the_chain(three_lines):
     lines = three_lines.read_bytes().splitlines()
-    body = lines[0].replace(b'"seed":1', b'"seed":2')
-    body = body[: body.rindex(b',"hash"')] + b"}"
-    new_hash = hashlib.sha256(body).hexdigest().encode()
-    lines[0] = body[:-1] + b',"hash":"' + new_hash + b'"}'
+    lines[0] = rehashed(lines[0].replace(b'"seed":1', b'"seed":2'))
     three_lines.write_bytes(b"\n".join(lines) + b"\n")
     with pytest.raises(JournalBroken, match=r":2: .*not chained"):
         read_journal(three_lines)
+
+
+def test_a_line_numbered_out_of_order_is_found(three_lines):
+    lines = three_lines.read_bytes().splitlines()
+    lines[2] = rehashed(lines[2].replace(b'{"seq":2', b'{"seq":3'))
+    three_lines.write_bytes(b"\n".join(lines) + b"\n")
+    with pytest.raises(JournalBroken, match=r":3: .*entry 3 stands where entry 2 should"):
+        read_journal(three_lines)
+
+
+def test_the_name_of_a_new_journal_and_every_line_are_synced(path, clocks, synced):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        assert synced == [path.parent]
+        journal.append("a")
+        assert synced == [path.parent, path]
 
 
 def test_a_broken_journal_is_left_as_it_is(three_lines, clocks):

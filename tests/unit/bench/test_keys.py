@@ -1,8 +1,12 @@
 """Keys: made once, kept from others, opened with their passphrase, and whom to trust."""
 
+import fcntl
+import os
 import shutil
 import stat
 import subprocess
+import threading
+from contextlib import contextmanager
 from datetime import UTC, datetime
 
 import pytest
@@ -16,6 +20,15 @@ from bench.sshsig import fingerprint
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
 )
+
+
+@contextmanager
+def locked(folder):
+    """Hold the lock that is held while a key is made."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    yield
+    os.close(descriptor)
 
 
 def test_a_key_is_made_at_first_use_and_kept(tmp_path):
@@ -43,6 +56,26 @@ def test_a_key_that_others_can_read_is_refused(tmp_path, mode):
     (tmp_path / "bench_key").chmod(mode)
     with pytest.raises(EvidenceError, match=rf"read by others \(mode {mode:04o}\).*chmod 600"):
         load_key(tmp_path)
+
+
+def test_a_key_that_belongs_to_somebody_else_is_refused(tmp_path, monkeypatch):
+    create_key(tmp_path)
+    monkeypatch.setattr(os, "getuid", lambda: 4242)
+    with pytest.raises(EvidenceError, match="read by others"):
+        load_key(tmp_path)
+
+
+def test_two_first_runs_at_once_do_not_make_two_keys(tmp_path):
+    with locked(tmp_path):
+        made = []
+        other = threading.Thread(target=lambda: made.append(ensure_key(tmp_path)))
+        other.start()
+        other.join(0.2)
+        assert other.is_alive()
+        assert not (tmp_path / "bench_key").exists()
+        first = create_key(tmp_path)
+    other.join()
+    assert made[0].fingerprint == first.fingerprint
 
 
 def test_a_key_is_never_made_over_another(tmp_path):
@@ -169,6 +202,8 @@ def test_options_of_a_trusted_key_are_heeded(tmp_path, options, objection):
         f"bench1@lab cert-authority {LINE}",
         f'bench1@lab valid-after="tomorrow" {LINE}',
         f'bench1@lab namespaces="x {LINE}',
+        f'bench1@lab namespaces="git" valid-after="20260101" {LINE}',  # options are parted by commas alone
+        f'bench1@lab namespaces="git",no-such-option {LINE}',
         "bench1@lab ssh-rsa AAAA",
     ],
 )

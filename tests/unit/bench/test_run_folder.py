@@ -122,6 +122,13 @@ def test_what_cannot_be_gone_on_with_is_refused(tmp_path, what):
         RunFolder.open(path)
 
 
+def test_a_refusal_leaves_no_file_open(run, journal):
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(RunFolderError, match="Another process"):
+        RunFolder.open(run.path)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
 def test_a_refused_folder_is_not_left_locked(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(RunFolderError):
@@ -186,6 +193,16 @@ def test_a_capture_gets_its_name_when_whole_with_its_hash(run):
     assert visible(run.path) == ["captures/pose-001-attempt-2.raw"]
     assert capture.name == "captures/pose-001-attempt-2.raw"
     assert (capture.size, capture.sha256[:8]) == (3, "ba7816bf")  # FIPS 180-2, appendix B.1
+
+
+def test_a_file_its_folder_and_the_folder_s_name_are_synced(run, synced):
+    run.write_atomic("exports/camera.yaml", b"new")
+    assert synced == [run.path, run.path / "exports/.camera.yaml.tmp", run.path / "exports"]
+
+
+def test_the_names_of_new_folders_are_synced(tmp_path, synced):
+    RunFolder.create(tmp_path / "runs" / "one").close()
+    assert synced[:2] == [tmp_path, tmp_path / "runs"]
 
 
 def test_a_capture_is_synced_before_and_after_it_gets_its_name(run, monkeypatch):

@@ -1,5 +1,6 @@
 """The seal: what stock programs make of it, and what it refuses."""
 
+import base64
 import os
 import re
 import shutil
@@ -64,6 +65,42 @@ def test_a_changed_signature_is_refused_or_does_not_hold(key, data):
         return
     # base64 has spare bits and the armour's line ends may change; then it is the very same signature
     assert not holds(signature, b"message") or signature == read_signature(bytes(good))
+
+
+def repacked(armoured, change):
+    """A signature whose five strings (key, namespace, reserved, hash, signature) were changed."""
+    blob = base64.b64decode(b"".join(armoured.splitlines()[1:-1]))
+    rest, strings = blob[10:], []
+    while rest:
+        size = int.from_bytes(rest[:4], "big")
+        strings.append(rest[4 : 4 + size])
+        rest = rest[4 + size :]
+    packed = b"".join(len(s).to_bytes(4, "big") + s for s in change(strings))
+    lines = base64.b64encode(blob[:10] + packed)
+    return b"-----BEGIN SSH SIGNATURE-----\n" + lines + b"\n-----END SSH SIGNATURE-----\n"
+
+
+def test_repacking_changes_nothing_by_itself(key):
+    armoured = sign(key.private, b"message", "a@v1")
+    assert read_signature(repacked(armoured, lambda s: s)) == read_signature(armoured)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: [*s[:2], b"reserved", *s[3:]],
+        lambda s: [*s[:3], b"md5", s[4]],
+        lambda s: [*s, b"more"],
+        lambda s: [s[0] + b"\0", *s[1:]],
+        lambda s: [s[0].replace(b"ed25519", b"ed25518"), *s[1:]],
+        lambda s: [*s[:4], s[4][:-1]],
+        lambda s: s[:4],
+    ],
+    ids=["reserved", "hash", "more", "key too long", "key type", "signature too short", "no signature"],
+)
+def test_a_signature_of_another_form_is_refused(key, change):
+    with pytest.raises(EvidenceError, match="not a signature"):
+        read_signature(repacked(sign(key.private, b"message", "a@v1"), change))
 
 
 @given(st.binary(max_size=400))

@@ -1,6 +1,7 @@
 """Verification: the untouched bundle passes, each way of tampering with it is found and named."""
 
 import json
+import os
 import shutil
 import sys
 from datetime import UTC, datetime
@@ -183,7 +184,36 @@ def test_a_spoiled_signature_is_found(sealed, signers, content):
     assert kinds(verify_run(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
 
 
+@pytest.mark.parametrize("name", ["SHA256SUMS", "SHA256SUMS.sig"])
+def test_a_seal_that_is_a_link_is_found(sealed, signers, tmp_path, name):
+    shutil.move(sealed / name, tmp_path / "elsewhere")
+    (sealed / name).symlink_to(tmp_path / "elsewhere")
+    assert ("unsealed", name) in kinds(verify_run(sealed, signers))
+
+
+def test_an_endless_seal_is_not_read(sealed, signers):
+    os.truncate(sealed / "SHA256SUMS", 1 << 30)
+    assert ("manifest", "SHA256SUMS") in kinds(verify_run(sealed, signers))
+
+
 # ------------------------------------------------------------------ what the bench itself may have got wrong
+
+
+def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path):
+    with make_run(tmp_path / "run") as folder:
+        (folder.path / "captures/pose-002-attempt-1.raw").unlink()
+        seal(folder, key)
+    found = verify_run(tmp_path / "run", signers)
+    assert [str(f) for f in found.faults] == [
+        "results.json: SHA256SUMS does not name captures/pose-002-attempt-1.raw with this hash"
+    ]
+
+
+def test_a_journal_with_half_a_line_is_found_even_under_a_good_seal(sealed, signers, key):
+    with (sealed / "journal.jsonl").open("ab") as journal:
+        journal.write(b'{"seq":')
+    reseal(sealed, key)
+    assert kinds(verify_run(sealed, signers)) == [("journal", "journal.jsonl")]
 
 
 def test_a_journal_that_does_not_hold_is_found_even_under_a_good_seal(sealed, signers, key):
