@@ -153,10 +153,9 @@ class Link:
         PortLost
         """
         with self.lock:
-            in_step_before = self._in_step
             if not urgent:
-                self._come_into_step()
-                in_step_before = True
+                self.come_into_step()
+            in_step_before = self._in_step
             # Whatever ends this exchange early, an interrupt included, leaves a reply unread.
             self._in_step = False
             self.send(request)
@@ -169,6 +168,17 @@ class Link:
         with self.lock:
             self._note(">", data)
             self._port.write(data)
+
+    def come_into_step(self) -> None:
+        """See that nothing old lies on the line; resynchronise when something does, or when in doubt.
+
+        Raises ReplyError, PortLost.
+        """
+        with self.lock:
+            self._take_strays()
+            if not self._in_step:
+                self._resynchronise()
+                self._in_step = True
 
     def distrust(self) -> None:
         """Resynchronise before the next request: a reply was understood but cannot be right."""
@@ -234,13 +244,6 @@ class Link:
         return self._unsolicited(line)
 
     # ------------------------------------------------------------ inside
-
-    def _come_into_step(self) -> None:
-        """See that nothing old lies on the line; resynchronise when something does."""
-        self._take_strays()
-        if not self._in_step:
-            self._resynchronise()
-            self._in_step = True
 
     def _take_strays(self) -> None:
         """Route unsolicited lines that came since the last exchange; anything else is a late reply."""

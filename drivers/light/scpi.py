@@ -7,7 +7,6 @@ refused, taken and silently dropped. Every setting is read back. Nothing is swit
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal, TypeVar
@@ -213,7 +212,7 @@ class ScpiLight:
         return settings
 
     def _agreeing(self, read: Callable[[], T], what: str) -> T:
-        return agreeing(read, operator.eq, what=what, where=self._line.name)
+        return agreeing(read, what=what, where=self._line.name)
 
 
 def _compare(asked: LightSettings, got: LightSettings, where: str) -> None:

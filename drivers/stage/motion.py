@@ -12,6 +12,8 @@ DEADLINE_MARGIN_S = 3.0
 """Added to every expected time: a busy host, a slow line, a controller's settling."""
 PATIENCE_S = 1.5
 """A busy axis whose position has not changed for this long makes no progress."""
+LONGEST_HOMING_S = 180.0
+"""A home-built stage may search its reference for minutes."""
 POLL_S = 0.02
 """Pause between two looks at a moving axis."""
 

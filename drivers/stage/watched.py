@@ -13,7 +13,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DriverError, MoveFailed, MoveTimeout, PortLost
-from drivers.readings import agreeing
+from drivers.readings import Reading, agreeing_position
 from drivers.stage import AxisIdentity, AxisLimits, motion
 
 _HOMING_PATIENCE_S = 10.0
@@ -281,19 +281,20 @@ class WatchedStage(ABC, Generic[A]):
             )
 
     def _reading_deg(self, axis: A, read: Callable[[A], Look | None]) -> float:
-        """Read a counter until two readings agree: as far as the axis can have moved between them."""
+        """Read a counter, or an encoder, until the readings bear each other out."""
 
-        def once() -> tuple[float, Look]:
+        def once() -> Reading:
             look = read(axis)
             assert look is not None
-            return self._clock.monotonic(), look
+            return Reading(self._clock.monotonic(), look.position_deg, look.busy)
 
-        def alike(before: tuple[float, Look], now: tuple[float, Look]) -> bool:
-            moving_s = now[0] - before[0] if before[1].busy or now[1].busy else 0.0
-            way_deg = abs(now[1].position_deg - before[1].position_deg)
-            return way_deg <= axis.tolerance_deg + axis.limits.speed_deg_s * moving_s
-
-        return agreeing(once, alike, what=f"{axis.name}'s position", where=self._where)[1].position_deg
+        return agreeing_position(
+            once,
+            tolerance_deg=axis.tolerance_deg,
+            speed_deg_s=axis.limits.speed_deg_s,
+            what=f"{axis.name}'s position",
+            where=self._where,
+        )
 
     def _stopped_after(self, error: DriverError) -> DriverError:
         """Stop all axes after a failed move; return the error, with what happened if that failed too."""

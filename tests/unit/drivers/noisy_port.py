@@ -31,7 +31,7 @@ class NoisyPort:
 
     def write(self, data: bytes) -> None:
         self.writes += 1
-        if self.rng.random() < 0.3 * self.rate:
+        if len(data) > 1 and self.rng.random() < 0.3 * self.rate:
             self.spoiled += 1
             data = self._change(data[:-1]) + data[-1:]
         self.peer.write(data)
