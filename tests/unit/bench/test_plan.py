@@ -177,6 +177,14 @@ def test_an_axis_the_stage_has_not_is_blamed_only_where_it_is_named():
     ]
 
 
+def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
+    begin, end = STATION_TEXT.index("    tilt:"), STATION_TEXT.index("light:\n")
+    turntable = check_document((STATION_TEXT[:begin] + STATION_TEXT[end:]).encode(), "b.yaml", Station)
+    found = {path.stem: plan(load(path.stem, "simulated")[0], turntable).faults for path in SEQUENCES}
+    assert found["turntable"] == ()
+    assert {fault.path for fault in found["three_pose"]} == {f"poses.three[{i}].tilt_deg" for i in range(3)}
+
+
 def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():
     assert faults(
         "steps: [light, {repeat: {poses: {pan_deg: {first: -16, last: 3, count: 9}, tilt_deg: [0, 11]},"
