@@ -80,6 +80,8 @@ class Devices:
             "the light did not confirm that it is off": self.light.off,
             "the camera did not confirm that it stopped": self.camera.stop,
         }
+        if self._simulation is not None and not self._simulation.alive:
+            return ["the simulated bench has ended by itself; nothing simulated is left to make safe"]
         faults = []
         for fault, action in actions.items():
             try:

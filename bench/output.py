@@ -41,14 +41,21 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
     status = {"finished": 0, "aborted": STOPPED}.get(end.how, 1)
     report = str(end.outcome.report) if end.outcome else None
     if as_json:
-        facts = {"ended": end.how, "why": end.why, "folder": str(end.folder), "report": report}
+        facts = {
+            "ended": end.how,
+            "why": end.why,
+            "unsafe": list(end.unsafe),
+            "folder": str(end.folder),
+            "report": report,
+        }
         results = end.outcome.results if end.outcome else {}
         print_json({**facts, **dict(results.get("calibration", {})), "results": dict(results) or None})
         return status
     if end.outcome is None:
-        click.echo(f"The run was {end.how}: {end.why}", err=True)
-        click.echo("The stage is stopped, the light off. What was recorded is kept; go on with:", err=True)
-        click.echo(f"  starbench resume {end.folder}", err=True)
+        click.echo(f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}", err=True)
+        if not end.unsafe:
+            click.echo("The bench is safe: stage stopped, light off.", err=True)
+        click.echo(f"What was recorded is kept; go on with:\n  starbench resume {end.folder}", err=True)
         return status
     click.echo(_run_text(end.outcome.results))
     click.echo(f"Report: {report}")

@@ -6,7 +6,7 @@ Drives the state machine through the steps not yet done and journals each; the w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,12 +52,25 @@ _TRIGGERS: Mapping[type, str] = {
 
 @dataclass(frozen=True)
 class RunEnd:
-    """How a run ended: ``finished``, ``aborted`` or ``failed``; why; its result where there is one."""
+    """How a run ended.
+
+    Attributes
+    ----------
+    how, why
+        ``finished``, ``aborted`` or ``failed``; and why it did not finish.
+    folder
+        The run folder.
+    outcome
+        Its result, where there is one.
+    unsafe
+        Devices that did not confirm that they are safe, in plain words; empty when all did.
+    """
 
     how: str
     why: str
     folder: Path
     outcome: Outcome | None
+    unsafe: Sequence[str] = ()
 
 
 class Runner:
@@ -121,7 +134,7 @@ class Runner:
             with self._clock.shielded():
                 self._work.make_safe()
                 self._work.close()
-        return RunEnd("finished", "", self._folder.path, self._work.results.outcome)
+        return RunEnd("finished", "", self._folder.path, self._work.results.outcome, self._work.unsafe)
 
     def _work_through(self) -> None:
         if self._log.history.resumed:
@@ -146,21 +159,29 @@ class Runner:
                 self._machine.fire(last_edge)
                 self._log.tell(Event.RUN_ENDED, how=how, why=why)
             except StorageError as error:
-                self._work.make_safe()
                 why = f"{why} Besides, the journal could not be told: {error}"
-        return RunEnd(how, why, self._folder.path, None)
+            finally:
+                self._work.make_safe()
+        return RunEnd(how, why, self._folder.path, None, self._work.unsafe)
 
     # ------------------------------------------------------------------ which steps
 
     def _remaining(self) -> list[ScriptStep]:
-        """Steps to do: those not done and, before them, the move and settling the first recording stands on."""
+        """Steps to do: those not done, and those done that the first of them stands on.
+
+        A recording (or settling) stands on the move before it, a report on the solution before it.
+        """
         done, steps = self._log.history.done_steps, self._job.steps
         todo = [i for i, step in enumerate(steps) if step.number not in done]
-        first = next((i for i in todo if isinstance(steps[i], MoveStep | SettleStep | RecordStep)), None)
-        again: list[int] = []
-        if first is not None and not isinstance(steps[first], MoveStep):
-            move = max((i for i in range(first) if isinstance(steps[i], MoveStep)), default=first)
-            again = [i for i in range(move, first) if isinstance(steps[i], MoveStep | SettleStep)]
+        again: set[int] = set()
+        for wanted, ground, kept in (
+            ((MoveStep, SettleStep, RecordStep), MoveStep, (MoveStep, SettleStep)),
+            ((SolveStep, ReportStep), SolveStep, (SolveStep,)),
+        ):
+            first = next((i for i in todo if isinstance(steps[i], wanted)), None)
+            if first is not None and not isinstance(steps[first], ground):
+                begin = max((i for i in range(first) if isinstance(steps[i], ground)), default=first)
+                again |= {i for i in range(begin, first) if isinstance(steps[i], kept)}
         return [steps[i] for i in sorted({*again, *todo})]
 
     def _rearm(self, steps: list[ScriptStep]) -> None:

@@ -46,6 +46,7 @@ class StateWork:
         say: Callable[[str], None],
     ) -> None:
         self.step: ScriptStep | None = None
+        self.unsafe: list[str] = []
         self.results = ResultWriter(job, folder)
         self._job = job
         self._folder = folder
@@ -54,6 +55,7 @@ class StateWork:
         self._clock = clock
         self._say = say
         self._devices: Devices | None = None
+        self._made_safe = False
         self._measured: dict[int, Measurement] = {}
 
     def table(self) -> Mapping[str, Callable[..., None]]:
@@ -201,10 +203,16 @@ class StateWork:
         self.results.write(self._log, truth)
 
     def make_safe(self, **_: Any) -> None:
-        """Stop the stage, switch the light off, stop the camera: each, whatever the others do. Never raises."""
-        if self._devices is not None:
-            for fault in self._devices.make_safe():
-                self._say(f"CHECK THE BENCH: {fault}")
+        """Stop the stage, switch the light off, stop the camera: each, whatever the others do; once. Never raises.
+
+        What did not confirm stands in ``unsafe`` afterwards.
+        """
+        if self._devices is None or self._made_safe:
+            return
+        self._made_safe = True
+        self.unsafe = self._devices.make_safe()
+        for fault in self.unsafe:
+            self._say(f"CHECK THE BENCH: {fault}")
 
     def close(self) -> None:
         """Let the devices go; nothing moves."""
