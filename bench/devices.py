@@ -10,13 +10,12 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
-from drivers.camera.metavision import MetavisionEvk4
-
 from bench.clock import BenchClock
 from bench.errors import SimulationError
 from bench.simulated import SimulatedBench
 from bench.station import SIMULATED, MetavisionCamera, SimulatedEvk4, Station
 from drivers.camera import EventCamera
+from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.errors import DriverError
 from drivers.light import Light
