@@ -21,6 +21,8 @@ $(VENV)/made:
 $(VENV)/installed: $(VENV)/made pyproject.toml
 	@echo "Installing Starbench into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@echo "Compiling the event kernels, once ..."
+	@$(BIN)/python -m bench.warm_up
 	@touch $@
 
 $(VENV)/installed-dev: $(VENV)/made pyproject.toml
@@ -29,6 +31,7 @@ $(VENV)/installed-dev: $(VENV)/made pyproject.toml
 	@# The second opinions are not built for every platform: tests say so where one is missing.
 	@for p in 'evt3>=0.4' 'zaber-motion>=7'; do $(BIN)/python -m pip install --quiet --disable-pip-version-check "$$p" \
 		|| echo "note: $$p is not to be had here; the tests that ask it are skipped"; done
+	@$(BIN)/python -m bench.warm_up
 	@touch $@ $(VENV)/installed
 
 demo: $(VENV)/installed ## the main job on the simulated bench: three poses to a sealed report
