@@ -34,22 +34,27 @@ from sequences.script import (
 )
 
 SHIPPED_SEQUENCES = Path(__file__).parent.parent / "sequences"
+DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep)
 
 RECORDING_MARGIN_S = 1e-3
 """Recorded beyond the whole periods and the one that is cut at the ends."""
 
-# Allowances, measured on the simulated bench; small on a real one too, beside moves and settling.
-LIGHT_S = 0.6
-HOMING_EXTRA_S = 1.0
+# Allowances, as measured on the simulated bench; a real one adds to them what its devices take.
+PREFLIGHT_S = 1.1
+HOMING_EXTRA_S = 0.5
+LIGHT_ON_S = 0.7
+LIGHT_OFF_S = 0.05
 MOVE_EXTRA_S = 0.1
-RECORD_EXTRA_S = 0.2
-CHECK_S = 1.0
-SOLVE_S = 1.0
-REPORT_S = 3.0
-RECORDING_BYTES_PER_S = 50e6
-"""A lit target under a square flicker; a camera's link carries four times as much at most."""
+RECORD_EXTRA_S = 1.0
+CHECK_S = 0.5
+SOLVE_S = 0.3
+REPORT_S = 0.5
+RECORDING_BYTES_PER_S = 35e6
+"""A lit target under a square flicker; a camera's link carries some five times as much."""
 MOST_BYTES_PER_EVENT = 4
-REPORT_BYTES = 10_000_000
+POSE_BYTES = 200_000
+"""A pose's share of pictures, stars and logs."""
+REPORT_BYTES = 1_000_000
 
 
 def whole_periods(window_ms: float, frequency_hz: float) -> int:
@@ -103,14 +108,11 @@ class PlannedStep:
         The step of the script.
     duration_s, done_after_s
         Its own time, and the time from the start of the run to its end.
-    size_bytes
-        Expected on disk.
     """
 
     step: Step
     duration_s: float
     done_after_s: float
-    size_bytes: int
 
 
 @dataclass(frozen=True)
@@ -122,11 +124,13 @@ class Plan:
     sequence, station
         The files, checked.
     steps
-        The script with its times, homing included in the first move.
+        The script with its times.
     faults
         Why it cannot be run; empty when it can.
     remarks
         What somebody should know before it is run.
+    duration_s
+        Expected time of the whole run, homing and parking included.
     size_bytes, most_bytes
         Disk expected; and at most, with every attempt used at the highest event rate the gates let pass.
     """
@@ -136,6 +140,7 @@ class Plan:
     steps: tuple[PlannedStep, ...]
     faults: tuple[Fault, ...]
     remarks: tuple[Fault, ...]
+    duration_s: float
     size_bytes: int
     most_bytes: int
 
@@ -148,11 +153,6 @@ class Plan:
     def poses(self) -> tuple[Pose, ...]:
         """The poses to record, in their order."""
         return tuple(step.pose for step in self.script if isinstance(step, RecordStep))
-
-    @property
-    def duration_s(self) -> float:
-        """Expected time of the whole run."""
-        return self.steps[-1].done_after_s if self.steps else 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Give the plan as JSON carries it."""
@@ -217,86 +217,99 @@ def plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
     """Plan a run: never raises for what is wrong with it, that stands in the plan's faults."""
     script, faults = unfold(sequence)
     findings = check_script(sequence, script, station.value)
-    steps: list[PlannedStep] = []
     estimate = _Estimate(station.value)
+    last = next((step for step in reversed(script) if isinstance(step, DEVICE_STEPS)), None)
+    elapsed_s = estimate.readying_s() if last is not None else 0.0
+    steps: list[PlannedStep] = []
     for step in script:
-        duration = estimate.duration_s(step)
-        after = (steps[-1].done_after_s if steps else 0.0) + duration
-        steps.append(PlannedStep(step, duration, after, estimate.size_bytes(step)))
+        duration_s = estimate.add(step)
+        elapsed_s += duration_s
+        steps.append(PlannedStep(step, duration_s, elapsed_s))
+        if step is last:
+            elapsed_s += estimate.parking_s()
     return Plan(
         sequence=sequence,
         station=station,
         steps=tuple(steps),
         faults=tuple(sorted({*faults, *findings.faults})),
         remarks=findings.remarks,
-        size_bytes=sum(planned.size_bytes for planned in steps),
+        duration_s=elapsed_s,
+        size_bytes=estimate.size_bytes,
         most_bytes=estimate.most_bytes,
     )
 
 
 class _Estimate:
-    """Time and disk of one step after another, following where the stage stands and what the light does."""
+    """Time and disk of one step after another, following where the stage stands and what the light does.
+
+    Attributes
+    ----------
+    size_bytes, most_bytes
+        Disk expected so far; and at most, every attempt used at the highest event rate the gates let pass.
+    """
 
     def __init__(self, station: Station) -> None:
-        self.axes = station.stage.axes
-        self.frequency_hz = math.inf
-        self.at_deg: Mapping[str, float] | None = None
-        self.most_bytes = REPORT_BYTES
+        self.size_bytes = self.most_bytes = REPORT_BYTES
+        self._axes: dict[str, ZaberAxis] = {**station.stage.axes}
+        self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
+        self._frequency_hz: float | None = None
 
-    def duration_s(self, step: Step) -> float:
+    def readying_s(self) -> float:
+        """Time before the first step: devices opened and asked, references found over the whole range."""
+        ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
+        return PREFLIGHT_S + self._travel_s(ranges) + HOMING_EXTRA_S
+
+    def parking_s(self) -> float:
+        """Time after the last step that needs devices: light off, stage to zero."""
+        return LIGHT_OFF_S + self._travel_s(self._at_deg) + MOVE_EXTRA_S
+
+    def add(self, step: Step) -> float:
+        """Return the time the next step takes, s, and count its bytes."""
         match step:
             case LightStep():
-                self.frequency_hz = step.flicker.frequency_hz if step.flicker else math.inf
-                duration = LIGHT_S
+                self._frequency_hz = step.flicker.frequency_hz if step.flicker else None
+                duration_s = LIGHT_ON_S if step.flicker else LIGHT_OFF_S
             case MoveStep():
-                duration = self._move_s(step.pose.angles_deg)
+                duration_s = self._move(step.pose.angles_deg)
             case RecordStep():
-                duration = self._recording_s(step) + RECORD_EXTRA_S + CHECK_S
+                duration_s = self._record(step) + RECORD_EXTRA_S + CHECK_S
             case SettleStep() | WaitStep():
-                duration = step.duration_s
+                duration_s = step.duration_s
             case PromptStep():
-                duration = step.timeout_s
+                duration_s = step.timeout_s
             case SolveStep():
-                duration = SOLVE_S
+                duration_s = SOLVE_S
             case ReportStep():
-                duration = REPORT_S
-        return duration
+                duration_s = REPORT_S
+        return duration_s
 
-    def size_bytes(self, step: Step) -> int:
-        if isinstance(step, ReportStep):
-            return REPORT_BYTES
-        if not isinstance(step, RecordStep):
-            return 0
-        events = step.gates.max_event_rate_mev_s * 1e6 * self._recording_s(step)
-        self.most_bytes += int(events * MOST_BYTES_PER_EVENT * step.attempts)
-        return int(self._recording_s(step) * RECORDING_BYTES_PER_S)
+    def _record(self, step: RecordStep) -> float:
+        if self._frequency_hz is None:  # in the dark, which the check of the script forbids
+            recorded_s = step.window_ms * 1e-3
+        else:
+            recorded_s = recording_duration_s(step.window_ms, self._frequency_hz)
+        most_events = step.gates.max_event_rate_mev_s * 1e6 * recorded_s
+        self.size_bytes += int(recorded_s * RECORDING_BYTES_PER_S) + POSE_BYTES
+        self.most_bytes += int(most_events * MOST_BYTES_PER_EVENT * step.attempts) + POSE_BYTES
+        return recorded_s
 
-    def _recording_s(self, step: RecordStep) -> float:
-        if math.isinf(self.frequency_hz):  # in the dark: a fault elsewhere
-            return step.window_ms * 1e-3
-        return recording_duration_s(step.window_ms, self.frequency_hz)
+    def _move(self, target_deg: Mapping[str, float]) -> float:
+        distances = {name: angle - self._at_deg.get(name, 0.0) for name, angle in target_deg.items()}
+        self._at_deg |= target_deg
+        return self._travel_s(distances) + MOVE_EXTRA_S
 
-    def _move_s(self, target_deg: Mapping[str, float]) -> float:
-        """Time of a move of all axes at once; the first includes finding the reference."""
-        homing, start = 0.0, self.at_deg
-        if start is None:
-            start = dict.fromkeys(self.axes, 0.0)
-            homing = max(_homing_s(axis) for axis in self.axes.values())
-        times = [
-            travel_s(
-                target_deg.get(name, 0.0) - start.get(name, 0.0), axis.speed_deg_s, axis.acceleration_deg_s2
-            )
-            for name, axis in self.axes.items()
-        ]
-        self.at_deg = target_deg
-        return homing + max(times) + MOVE_EXTRA_S
-
-
-def _homing_s(axis: ZaberAxis) -> float:
-    """Time to find the reference: over the whole range at full speed, and slowly at its end."""
-    lowest, highest = axis.limits_deg
-    return travel_s(highest - lowest, axis.speed_deg_s, axis.acceleration_deg_s2) + HOMING_EXTRA_S
+    def _travel_s(self, distances_deg: Mapping[str, float]) -> float:
+        """Time until the slowest axis has gone its way; axes the station has not are a fault elsewhere."""
+        return max(
+            (
+                travel_s(distance, self._axes[name].speed_deg_s, self._axes[name].acceleration_deg_s2)
+                for name, distance in distances_deg.items()
+                if name in self._axes
+            ),
+            default=0.0,
+        )
 
 
 def _fault_dict(fault: Fault) -> dict[str, Any]:
-    return dataclasses.asdict(fault) | {"text": str(fault)}
+    """Give a fault without its file's whole path, which is of this machine only."""
+    return dataclasses.asdict(fault) | {"file": Path(fault.file).name}

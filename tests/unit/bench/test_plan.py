@@ -10,7 +10,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from bench.errors import ScriptError
-from bench.plan import REPORT_BYTES, load, plan, recording_duration_s, travel_s, whole_periods
+from bench.plan import POSE_BYTES, REPORT_BYTES, load, plan, recording_duration_s, travel_s, whole_periods
 from bench.plan_text import duration_text, render_plan
 from bench.station import SHIPPED, Station
 from sequences.errors import DocumentFaults
@@ -80,20 +80,26 @@ def test_the_time_of_a_plan_is_the_sum_of_its_steps_and_moves_count_from_where_t
         " {wait: {duration_s: 100}}, record, {prompt: {text: x, timeout_s: 30}}, solve, report]\n"
     )
     took = {step.step.number: step.duration_s for step in made.steps}
-    assert made.duration_s == pytest.approx(sum(took.values()))
+    assert took[2] == pytest.approx(travel_s(10, 40, 200), abs=0.2)
     assert took[3] == 2
     assert took[5] == pytest.approx(travel_s(1, 40, 200), abs=0.2)  # tilt alone: pan is there already
-    assert took[2] > travel_s(10, 40, 200) + 1  # and finds its reference first
     assert (took[6], took[8]) == (100, 30)
+    done = [step.done_after_s for step in made.steps]
+    homing_s = done[0] - took[1]
+    parking_s = done[7] - took[8] - done[6]
+    assert homing_s > travel_s(30, 40, 200)  # over pan's whole range
+    assert parking_s == pytest.approx(travel_s(10, 40, 200), abs=0.2)  # after the last recording, from pan 10
+    assert made.duration_s == done[-1] == pytest.approx(sum(took.values()) + homing_s + parking_s)
 
 
 def test_disk_is_counted_for_every_pose_and_every_attempt():
     one = planned(GOOD)
     more = planned("defaults: {record: {attempts: 4}}\n" + GOOD)
     longer = planned("defaults: {record: {window_ms: 330}}\n" + GOOD)
+    fixed = REPORT_BYTES + 2 * POSE_BYTES
     assert more.size_bytes == one.size_bytes
-    assert (more.most_bytes - REPORT_BYTES) == 2 * (one.most_bytes - REPORT_BYTES)
-    assert longer.size_bytes > one.size_bytes > REPORT_BYTES
+    assert more.most_bytes - fixed == 2 * (one.most_bytes - fixed)
+    assert longer.size_bytes > one.size_bytes > fixed
 
 
 @pytest.mark.parametrize(
