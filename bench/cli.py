@@ -1,7 +1,7 @@
 """The command line: `starbench`. Knows words and exits; the work stands in the modules it calls.
 
 With ``--json`` a command prints one object on standard output and everything else on standard error. Exit status:
-0 done, 1 failed, 2 a wrong word or file, 3 stopped on request.
+0 done, 1 failed, 2 a wrong word or file, 3 stopped on request (`bench.output`).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 import click
 
 from bench import __version__
+from bench.errors import UsageError
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
-STOPPED = 3
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -136,6 +136,8 @@ def verify(run_folder: Path, allowed_signers: Path | None, serial: str | None, a
     from bench.output import show_verification
     from bench.verify import verify_run
 
+    if not run_folder.is_dir():
+        raise UsageError("There is no such run folder.", where=str(run_folder), remedy="Check the path.")
     signers = read_signers(allowed_signers or home_folder() / SIGNERS_FILE)
     return show_verification(verify_run(run_folder, signers, camera_serial=serial), as_json=as_json)
 

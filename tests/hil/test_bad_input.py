@@ -1,0 +1,208 @@
+"""Bad input at the command line: one clear message that names place and remedy, a status that is not 0, nothing made."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.cli import main
+from bench.station import SHIPPED
+
+SEQUENCE = (Path(__file__).parents[2] / "sequences" / "three_pose.yaml").read_text()
+STATION = (SHIPPED / "simulated.yaml").read_text()
+
+
+@pytest.fixture(autouse=True)
+def _home(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+
+
+def say(capsys, *words):
+    """Run a command; return its exit status and what it said on standard error."""
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    return end.value.code, said
+
+
+def write(name, text):
+    Path(name).write_text(text)
+    return name
+
+
+FILES = [
+    (("frequency_hz: 60", "frequency_hz: sixty"), (), "sequence.yaml:8:43", "number"),
+    (("window_ms: 33", "windowms: 33"), (), "sequence.yaml:10:12", "window_ms"),
+    (("name: Three poses", "name: Three poses\nname: Four"), (), "sequence.yaml:3:1", "duplicate"),
+    (("pan_deg: -6", "pan_deg: -60"), (), "sequence.yaml:14:29", "outside"),
+    (("poses: three", "poses: four"), (), "sequence.yaml", "four"),
+    ((), ("driver: zaber_ascii", "driver: zaber_binary"), "station.yaml", "zaber_ascii"),
+    ((), ("serial: 100101", "serial: [1]"), "station.yaml", "serial"),
+    ((), ("simulation: {}", "# no simulation"), "station.yaml:10:9", "simulation section"),
+]
+
+
+@pytest.mark.parametrize(("in_sequence", "in_station", "place", "words"), FILES)
+def test_faults_of_files_are_placed_and_nothing_is_made(capsys, in_sequence, in_station, place, words):
+    sequence = write("sequence.yaml", SEQUENCE.replace(*in_sequence) if in_sequence else SEQUENCE)
+    station = write("station.yaml", STATION.replace(*in_station) if in_station else STATION)
+    status, said = say(capsys, "run", sequence, "--station", station, "--output", "out")
+    assert status == 2
+    assert place in said
+    assert words in said
+    assert not Path("out").exists()
+
+
+def test_faults_of_both_files_come_at_once(capsys):
+    sequence = write(
+        "sequence.yaml", SEQUENCE.replace("pan_deg: -6", "pan_deg: x").replace("tilt_deg: -3", "tild_deg: -3")
+    )
+    station = write("station.yaml", STATION.replace("device: 2", "device: two"))
+    status, said = say(capsys, "plan", sequence, "--station", station)
+    assert status == 2
+    assert said.count("sequence.yaml:") == 2
+    assert said.count("station.yaml:") == 1
+
+
+def test_a_missing_file_names_what_is_shipped(capsys):
+    status, said = say(capsys, "run", "missing", "--station", "simulated")
+    assert status == 2
+    assert "missing" in said
+    assert "three_pose" in said
+
+
+def test_another_serial_number_on_the_port_is_refused_before_anything_moves(capsys):
+    station = write("station.yaml", STATION.replace("serial: 100102", "serial: 999999"))
+    status, said = say(capsys, "run", "three_pose", "--station", station, "--output", "out")
+    assert status == 1
+    assert "999999" in said
+    assert "100102" in said
+    assert '"home' not in Path("out/wire.jsonl").read_text()
+    assert " move " not in Path("out/wire.jsonl").read_text()
+
+
+def test_a_port_in_use_is_refused(capsys, tmp_path):
+    import fcntl
+    import pty
+
+    _, peer = pty.openpty()
+    port = tmp_path / "port"
+    port.symlink_to(os.ttyname(peer))
+    fcntl.flock(peer, fcntl.LOCK_EX)
+    station = write("station.yaml", STATION.replace("sim:gimbal", str(port)))
+    status, said = say(capsys, "run", "three_pose", "--station", station, "--output", "out")
+    assert status == 1
+    assert str(port) in said
+    assert "another program" in said
+
+
+def test_a_port_that_is_not_there_is_named(capsys):
+    station = write("station.yaml", STATION.replace("sim:light", "/dev/serial/by-id/none"))
+    status, said = say(capsys, "run", "three_pose", "--station", station, "--output", "out")
+    assert status == 1
+    assert "/dev/serial/by-id/none" in said
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_without_permission_is_refused(capsys, tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o500)
+    status, said = say(capsys, "run", "three_pose", "--station", "simulated", "--output", "locked/out")
+    assert status == 1
+    assert "permission" in said.lower()
+
+
+def test_a_full_disk_is_refused_before_the_run_begins(capsys, tmp_path):
+    small = tmp_path / "small"
+    small.mkdir()
+    if (
+        os.geteuid() != 0
+        or subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", small], check=False).returncode
+    ):
+        pytest.skip("a small file system cannot be mounted here: needs root")
+    try:
+        status, said = say(capsys, "run", "three_pose", "--station", "simulated", "--output", small / "out")
+        assert status == 1
+        assert "MB" in said
+        assert "Make room" in said
+    finally:
+        subprocess.run(["umount", small], check=True)
+
+
+def test_a_folder_that_holds_something_is_left_alone(capsys):
+    Path("out").mkdir()
+    write("out/letter.txt", "dear")
+    status, said = say(capsys, "run", "three_pose", "--station", "simulated", "--output", "out")
+    assert status == 1
+    assert "letter.txt" in said
+    assert [path.name for path in Path("out").iterdir()] == ["letter.txt"]
+
+
+def test_recordings_that_are_none_or_cut_short_are_named(capsys, reference_data):
+    write("text.raw", "this is no recording")
+    whole = (reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw").read_bytes()
+    Path("half.raw").write_bytes(whole[: len(whole) // 2 + 1])
+    for name, words in (("text.raw", "not a"), ("half.raw", "half.raw")):
+        status, said = say(capsys, "calibrate", name)
+        assert status == 1
+        assert name in said
+        assert words in said.lower()
+
+
+def test_an_image_without_the_target_says_so(capsys):
+    import cv2
+
+    cv2.imwrite("noise.png", np.random.default_rng(1).integers(0, 255, (720, 1280), np.uint8))
+    status, said = say(capsys, "calibrate", "noise.png")
+    assert status == 1
+    assert "noise" in said
+    assert "tag" in said.lower()
+
+
+def points(name, stars):
+    grid = np.array([(x, y) for y in range(stars) for x in range(stars)], float)
+    rows = [f"{600 + 50 * x} {300 + 50 * y} {4 * x} {4 * y} {int(50 * y + x)}" for x, y in grid]
+    return write(name, "\n".join(rows))
+
+
+def test_two_views_that_do_not_constrain_the_camera_are_refused(capsys):
+    status, said = say(capsys, "calibrate", points("a.txt", 8), points("b.txt", 8))
+    assert status == 1
+    assert "pose" in said
+
+
+def test_a_view_with_too_few_stars_is_refused(capsys):
+    status, said = say(capsys, "calibrate", points("a.txt", 1), points("b.txt", 1))
+    assert status == 1
+    assert "star" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("calibrate", "x", "--views", "0"), "--views"),
+        (("verify", "nowhere"), "nowhere"),
+        (("resume", "nowhere"), "nowhere"),
+        (("run",), "SEQUENCE"),
+        (("fly",), "fly"),
+    ],
+)
+def test_wrong_words_are_answered(capsys, words, message):
+    write("home_made", "")
+    status, said = say(capsys, *words)
+    assert status in {1, 2}
+    assert message in said
+
+
+def test_a_changed_sequence_is_not_resumed(capsys):
+    station = write("station.yaml", STATION.replace("serial: SG0042", "serial: SG9999"))
+    assert say(capsys, "run", "three_pose", "--station", station, "--output", "out")[0] == 1
+    shutil.copy("out/sequence.yaml", "keep")
+    Path("out/sequence.yaml").write_text(SEQUENCE.replace("window_ms: 33", "window_ms: 50"))
+    status, said = say(capsys, "resume", "out")
+    assert status == 1
+    assert "not what this run was begun with" in said
