@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# No test is timed: machines are shared, and the first call of a compiled function takes seconds.
+settings.register_profile("starbench", deadline=None)
+settings.load_profile("starbench")
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.evt3_kernel import VECTOR_COLUMNS, Fault, Mode, S, new_state, run
+from drivers.camera.evt3_kernel import MARGIN, Fault, Mode, S, new_state, run
 from drivers.errors import RecordingCorrupt
 
 Words = NDArray[np.uint16]
@@ -48,10 +48,6 @@ class Triggers(NamedTuple):
     t: NDArray[np.int64]
     value: NDArray[np.uint8]
     id: NDArray[np.uint8]
-
-    def first(self, n: int) -> Triggers:
-        """Return copies of the first n."""
-        return Triggers(self.t[:n].copy(), self.value[:n].copy(), self.id[:n].copy())
 
 
 def empty_events(n: int) -> Events:
@@ -140,10 +136,10 @@ class Evt3Decoder:
         self._where = where
         self._no_events = empty_events(0)
         self._no_image = np.zeros((2, 0, 0), np.uint16)
-        self._triggers = empty_triggers(_TRIGGERS_AT_ONCE)
+        self._edges = np.empty((_TRIGGERS_AT_ONCE, 3), np.int64)
 
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
-        """Events and triggers of the words, in pieces of at most ``max_events`` (or 12 if that is less).
+        """Events and triggers of the words, in pieces of at most ``max_events`` (or 32 if that is less).
 
         Raises
         ------
@@ -152,10 +148,10 @@ class Evt3Decoder:
         """
         start = 0
         while start < len(words):
-            room = min(max(max_events, VECTOR_COLUMNS), VECTOR_COLUMNS * (len(words) - start))
+            room = min(max(max_events, MARGIN), 12 * (len(words) - start) + MARGIN)
             out = empty_events(room)
-            stop = run(words, start, Mode.STORE, self._state, self._gaps, out, self._no_image, self._triggers)
-            n = int(self._state[S.STORED])
+            stop = run(words, start, Mode.STORE, self._state, self._gaps, out, self._no_image, self._edges)
+            n = int(self._state[S.TAKEN])
             yield out.first(n), self._taken_triggers()
             start = self._went_on(words, start, stop)
 
@@ -163,8 +159,10 @@ class Evt3Decoder:
         """Add the words' events to a count image without making a list of them.
 
         ``image`` (2, height, width) uint16: OFF counts, then ON counts; they wrap above 65535.
-        Returns the triggers. Raises RecordingCorrupt.
+        Returns the triggers. Raises RecordingCorrupt, and ValueError for an image of another size.
         """
+        if image.shape != (2, self._state[S.HEIGHT], self._state[S.WIDTH]):
+            raise ValueError(f"a count image of shape {image.shape} for another sensor")
         return self._without_list(words, Mode.COUNT, image)
 
     def tally(self, words: Words) -> Triggers:
@@ -175,14 +173,15 @@ class Evt3Decoder:
         found = []
         start = 0
         while start < len(words):
-            stop = run(words, start, mode, self._state, self._gaps, self._no_events, image, self._triggers)
+            stop = run(words, start, mode, self._state, self._gaps, self._no_events, image, self._edges)
             found.append(self._taken_triggers())
             start = self._went_on(words, start, stop)
         return join_triggers(found)
 
     def _taken_triggers(self) -> Triggers:
         """Return the trigger edges of the last run, copied out of the buffer."""
-        return self._triggers.first(int(self._state[S.STORED_TRIGGERS]))
+        t, value, channel = self._edges[: self._state[S.TAKEN_EDGES]].T
+        return Triggers(t.copy(), value.astype(np.uint8), channel.astype(np.uint8))
 
     def _went_on(self, words: Words, start: int, stop: int) -> int:
         """Book the words taken; returns where to go on. Raises RecordingCorrupt."""

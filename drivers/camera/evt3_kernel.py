@@ -31,11 +31,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-VECTOR_COLUMNS: Final = 12
-"""Columns of the widest vector: room that output arrays need for one more word."""
+MARGIN: Final = 32
+"""Events that three vectors in a row can hold: room that output arrays need to take them."""
 
 MAX_BACK_STEP_US: Final = 64
 """TIME_LOW of a busy sensor steps back by some us (11 seen); much more means that words are missing."""
+
+_DE_BRUIJN: Final = 0x077CB531
+"""Shifted left by k and cut to 32 bits, its upper five bits differ for every k."""
+_PLACE: Final = np.array(
+    [k for _, k in sorted(((_DE_BRUIJN << k) >> 27 & 31, k) for k in range(32))], np.uint8
+)
+"""The k of those five bits."""
 
 _RATE_IN: Final = 0x014
 _RATE_OUT: Final = 0x016
@@ -93,9 +100,9 @@ class S(IntEnum):
     """Events without a time, a row or a vector base: the stream was joined in its middle."""
     BACK_STEPS = 17
     FAULT = 18
-    STORED = 19
-    """Events written in this call."""
-    STORED_TRIGGERS = 20
+    TAKEN = 19
+    """Events taken in this call."""
+    TAKEN_EDGES = 20
     WIDTH = 21
     HEIGHT = 22
 
@@ -113,6 +120,8 @@ def _time_high(state: Any, high: int, gaps: Any) -> Fault:
     """Move the clock on; returns a Fault. A step of more than one is a gap, one back by 2048 a wrap."""
     old = state[S.HIGH]
     before = state[S.T]
+    if high == old:
+        return Fault.NONE
     if old >= 0 and high < old:
         if high > old - 2048:
             return Fault.CLOCK
@@ -168,146 +177,186 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _trigger(state: Any, payload: int, triggers: Any) -> Fault:
+def _trigger(state: Any, payload: int, edges: Any) -> Fault:
     """Store a trigger edge; returns a Fault."""
     if state[S.T] < 0:
         state[S.UNPLACED] += 1
         return Fault.NONE
-    n = state[S.STORED_TRIGGERS]
-    if n == len(triggers.t):
+    n = state[S.TAKEN_EDGES]
+    if n == len(edges):
         return Fault.ROOM
-    triggers.t[n] = state[S.T]
-    triggers.value[n] = payload & 1
-    triggers.id[n] = payload >> 8
-    state[S.STORED_TRIGGERS] = n + 1
+    edges[n, 0] = state[S.T]
+    edges[n, 1] = payload & 1
+    edges[n, 2] = payload >> 8
+    state[S.TAKEN_EDGES] = n + 1
     state[S.TRIGGERS] += 1
     return Fault.NONE
 
 
 @njit(cache=True, nogil=True)
-def _other_word(state: Any, kind: int, payload: int, gaps: Any, triggers: Any) -> Fault:
-    """Take a word of the rarer types; returns a Fault."""
-    if kind == 0x8:
-        return _time_high(state, payload, gaps)
-    if kind == 0xA:
-        return _trigger(state, payload, triggers)
-    if kind in (0xE, 0xF, 0x7):
-        _rate_controller(state, kind, payload)
-        return Fault.NONE
-    return Fault.NONE if kind == 0xD else Fault.RESERVED
+def _events_of(state: Any, word: int, second: int, third: int) -> tuple[Fault, int, int, int, int]:
+    """Read a single event or a vector: fault, words taken, first column, polarity, one bit a column from there.
 
-
-@njit(cache=True, nogil=True)
-def _event(mode: int, out: Any, image: Any, n: int, t: int, y: int, x: int, polarity: int) -> int:
-    """Take one event as the nth of this call; returns n + 1."""
-    if mode == Mode.STORE:
-        out.t[n] = t
-        out.x[n] = x
-        out.y[n] = y
-        out.p[n] = polarity
-    elif mode == Mode.COUNT:
-        image[polarity, y, x] += 1
-    return n + 1
-
-
-@njit(cache=True, nogil=True)
-def _vector(
-    mode: int, out: Any, image: Any, n: int, t: int, y: int, base: int, polarity: int, bits: int
-) -> int:
-    """Take the events of a vector, from the nth of this call on; returns n plus how many they are.
-
-    When storing, twelve places are always written and the next one moves on by each bit: nothing to
-    mispredict.
+    Sensors send vectors as triples of 12 + 12 + 8 columns: these are taken at once, with the two words that
+    follow. (They are passed as numbers: an array would have its references counted.)
     """
-    if mode == Mode.STORE:
-        for k in range(VECTOR_COLUMNS):
-            out.t[n + k] = t
-            out.y[n + k] = y
-            out.p[n + k] = polarity
-        for k in range(VECTOR_COLUMNS):
-            out.x[n] = base + k
-            n += (bits >> k) & 1
-        return n
-    if mode == Mode.COUNT:
-        for k in range(min(VECTOR_COLUMNS, image.shape[2] - base)):
-            image[polarity, y, base + k] += (bits >> k) & 1
-    for k in range(VECTOR_COLUMNS):
-        n += (bits >> k) & 1
-    return n
+    kind = word >> 12
+    if kind == 0x2:
+        x = word & 0x7FF
+        return Fault.COLUMN if x >= state[S.WIDTH] else Fault.NONE, 1, x, (word >> 11) & 1, 1
+    x = state[S.BASE]
+    room = state[S.WIDTH] - x
+    if (kind == 0x4) & (second >> 12 == 0x4) & (third >> 12 == 0x5) & (room >= 32):
+        taken, columns = 3, 32
+        bits = (word & 0xFFF) | (second & 0xFFF) << 12 | (third & 0xFF) << 24
+    else:
+        taken, columns = 1, 12 if kind == 0x4 else 8
+        bits = word & ((1 << columns) - 1)
+        if room < columns and bits >> max(room, 0):
+            return Fault.VECTOR, taken, x, 0, 0
+    if x >= 0:
+        state[S.BASE] = x + columns
+    return Fault.NONE, taken, x, state[S.POLARITY], bits
 
 
 @njit(cache=True, nogil=True)
-def run(  # noqa: PLR0912, PLR0915 - one switch over the word types, in one loop that keeps its state in registers
-    words: Any, start: int, mode: int, state: Any, gaps: Any, out: Any, image: Any, triggers: Any
+def _ones(bits: int) -> int:
+    """How many of 32 bits are set: sums of neighbours, of pairs, of fours, of bytes."""
+    bits -= (bits >> 1) & 0x55555555
+    bits = (bits & 0x33333333) + ((bits >> 2) & 0x33333333)
+    bits = (bits + (bits >> 4)) & 0x0F0F0F0F
+    return (bits * 0x01010101 >> 24) & 0xFF
+
+
+@njit(cache=True, nogil=True)
+def _other_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> Fault:
+    """Take a word that stands for no event, with every check; returns a Fault."""
+    address = payload & 0x7FF
+    if kind == 0x3:
+        state[S.BASE] = address
+        state[S.POLARITY] = payload >> 11
+    elif kind <= 0x1:
+        if address >= state[S.HEIGHT]:
+            return Fault.ROW
+        state[S.Y] = address if kind == 0x0 else -1
+    elif kind == 0x6:
+        return _time_low(state, payload)
+    elif kind == 0x8:
+        return _time_high(state, payload, gaps)
+    elif kind == 0xA:
+        return _trigger(state, payload, edges)
+    elif kind in (0xE, 0xF, 0x7):
+        _rate_controller(state, kind, payload)
+    elif kind != 0xD:
+        return Fault.RESERVED
+    return Fault.NONE
+
+
+@njit(cache=True, nogil=True)
+def _store(
+    t_out: Any, x_out: Any, y_out: Any, p_out: Any, n: int, t: int, y: int, x: int, p: int, bits: int
+) -> None:
+    """Write the events of the bits set, lowest first, from place n on."""
+    while bits:
+        t_out[n] = t
+        x_out[n] = x + _PLACE[((bits & -bits) * _DE_BRUIJN >> 27) & 31]
+        y_out[n] = y
+        p_out[n] = p
+        n += 1
+        bits &= bits - 1
+
+
+@njit(cache=True, nogil=True)
+def _count(image: Any, y: int, x: int, p: int, bits: int) -> None:
+    """Add the events of the bits set to the image; all columns at once where there are as many."""
+    if x + 32 <= image.shape[2]:
+        row = image[p, y, x : x + 32]
+        for k in range(32):
+            row[k] += (bits >> k) & 1
+    else:
+        while bits:
+            image[p, y, x + _PLACE[((bits & -bits) * _DE_BRUIJN >> 27) & 31]] += 1
+            bits &= bits - 1
+
+
+@njit(cache=True, nogil=True)
+def run(  # noqa: PLR0915 - one loop that keeps its state in registers
+    words: Any, start: int, mode: int, state: Any, gaps: Any, events: Any, image: Any, edges: Any
 ) -> int:
     """Take words from ``start`` on; returns where it stopped: ``state[S.FAULT]`` says why.
+
+    Single events, rows and clock words follow each other in no predictable order, so they are taken without a
+    branch: all that any of them may change is computed, and kept if the word is of its type. Vectors and the
+    rarer words, and these where they need a look, go the longer way.
 
     Parameters
     ----------
     words
         (N,) uint16.
     mode
-        A ``Mode``: events are only tallied, stored in ``out``, or counted in ``image``.
+        A ``Mode``: events are only tallied, stored in ``events``, or counted in ``image``.
     state, gaps
         As of ``new_state``; (G, 2) int64, clock before and after the first G gaps.
-    out, image, triggers
-        ``Events`` and ``Triggers`` of arrays to fill; (2, height, width) of any integer type.
+    events, image
+        ``Events`` of arrays to fill; (2, height, width) of any integer type.
+    edges
+        (E, 3) int64 to fill: time, value and channel of trigger edges.
     """
+    t_out, x_out, y_out, p_out = events  # once: in the loop, each access through the tuple counts references
+    room = len(t_out) - MARGIN if mode == Mode.STORE else 1 << 62
     width, height = state[S.WIDTH], state[S.HEIGHT]
-    room = len(out.t) - VECTOR_COLUMNS if mode == Mode.STORE else 1 << 62
-    t, y, base, polarity = state[S.T], state[S.Y], state[S.BASE], state[S.POLARITY]
+    t, y = state[S.T], state[S.Y]
     n = on = 0
-    state[S.STORED_TRIGGERS] = 0
+    state[S.TAKEN_EDGES] = 0
     fault = Fault.NONE
+    repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
     i = start
     while i < len(words):
         word: Any = np.int64(words[i])
-        kind = word >> 12
-        payload = word & 0xFFF
-        if kind in (0x2, 0x4, 0x5) and n > room:
-            fault = Fault.ROOM
-        elif kind == 0x2:
-            x = payload & 0x7FF
-            if x >= width:
-                fault = Fault.COLUMN
-            elif (y | t) < 0:
-                state[S.UNPLACED] += 1
-            else:
-                n = _event(mode, out, image, n, t, y, x, payload >> 11)
-                on += payload >> 11
-        elif kind in (0x4, 0x5):
-            columns = 12 if kind == 0x4 else 8
-            bits = payload & ((1 << columns) - 1)
-            if base + columns > width and bits >> max(width - base, 0):
-                fault = Fault.VECTOR
-            elif (y | t | base) < 0:
-                state[S.UNPLACED] += _vector(Mode.TALLY, out, image, 0, t, y, base, polarity, bits)
-            else:
-                before = n
-                n = _vector(mode, out, image, n, t, y, base, polarity, bits)
-                on += polarity * (n - before)
-            if fault == Fault.NONE and base >= 0:
-                base += columns
-        elif kind <= 0x1:
-            y = payload & 0x7FF
-            if y >= height:
-                fault = Fault.ROW
-            if kind == 0x1:
-                y = np.int64(-1)
-        elif kind == 0x3:
-            base = payload & 0x7FF
-            polarity = payload >> 11
-        elif kind == 0x6:
-            fault = _time_low(state, payload)
-            t = state[S.T]
-        elif kind != 0x8 or payload != state[S.HIGH]:  # most TIME_HIGH only repeat the last one
-            fault = _other_word(state, kind, payload, gaps, triggers)
-            t = state[S.T]
-        if fault != Fault.NONE:
-            break
+        kind, p, address = word >> 12, (word >> 11) & 1, word & 0x7FF
+        is_event, is_row, is_low = kind == 0x2, kind == 0x0, kind == 0x6
+        moved = (t & -4096) | (word & 0xFFF)
+        usual = is_event & (address < width) | is_row & (address < height) | is_low & (moved >= t)
+        if (usual | (word == repeated)) & ((y | begun) >= 0) & (n <= room):
+            if mode == Mode.STORE:
+                t_out[n] = t
+                x_out[n] = address
+                y_out[n] = y
+                p_out[n] = p
+            elif mode == Mode.COUNT:
+                image[p & is_event, y, address if is_event else 0] += is_event
+            n += is_event
+            on += p & is_event
+            y = address if is_row else y
+            t = moved if is_low else t
+        elif kind in (0x2, 0x4, 0x5):
+            if n > room:
+                fault = Fault.ROOM
+                break
+            second: Any = np.int64(words[i + 1]) if i + 2 < len(words) else 0
+            third: Any = np.int64(words[i + 2]) if i + 2 < len(words) else 0
+            fault, taken, x, p, bits = _events_of(state, word, second, third)
+            if fault != Fault.NONE:
+                break
+            if (t | y | x) < 0:
+                state[S.UNPLACED] += _ones(bits)
+                bits = 0
+            if mode == Mode.STORE:
+                _store(t_out, x_out, y_out, p_out, n, t, y, x, p, bits)
+            elif mode == Mode.COUNT:
+                _count(image, y, x, p, bits)
+            n += _ones(bits)
+            on += p * _ones(bits)
+            i += taken - 1
+        else:
+            state[S.T], state[S.Y] = t, y
+            fault = _other_word(state, kind, word & 0xFFF, gaps, edges)
+            t, y = state[S.T], state[S.Y]
+            repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
+            if fault != Fault.NONE:
+                break
         i += 1
-    state[S.Y], state[S.BASE], state[S.POLARITY] = y, base, polarity
-    state[S.STORED] = n
+    state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
     state[S.EVENTS] += n
     state[S.ON_EVENTS] += on
     state[S.FAULT] = fault

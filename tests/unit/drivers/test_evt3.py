@@ -213,6 +213,35 @@ def test_a_sensor_that_does_not_report_its_rate_controller_is_not_taken_for_zero
     assert decode(high(0), low(0))[2].rate_controller_in is None
 
 
+def test_events_between_the_first_time_high_and_its_time_low_are_at_its_start():
+    found, _, told = decode(row(3), high(2), event(7), low(5), event(8))
+    assert found == [(8192, 7, 3, 0), (8197, 8, 3, 0)]
+    assert told.first_t_us == 8197
+
+
+@pytest.mark.parametrize("x", [0, 5, WIDTH - 32, WIDTH - 31, WIDTH - 20])
+@pytest.mark.parametrize("counting", [False, True])
+def test_triples_of_vectors_are_the_same_wherever_they_stand(x, counting):
+    bits = [k % 3 == 0 and x + k < WIDTH for k in range(32)]
+    value = sum(bit << k for k, bit in enumerate(bits))
+    words = [
+        base(x, 1),
+        vector12(value & 0xFFF),
+        vector12(value >> 12 & 0xFFF),
+        vector8(value >> 24),
+        base(0),
+        vector8(1),
+    ]
+    expected = [*(x + k for k, bit in enumerate(bits) if bit), 0]
+    if counting:
+        image = np.zeros((2, HEIGHT, WIDTH), np.uint16)
+        Evt3Decoder(WIDTH, HEIGHT).count(np.array([high(0), low(0), row(4), *words], np.uint16), image)
+        assert np.flatnonzero(image[1, 4]).tolist() == expected[:-1]
+        assert image.sum() == len(expected)
+    else:
+        assert [event_x for _, event_x, _, _ in decode(high(0), low(0), row(4), *words)[0]] == expected
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -221,6 +250,7 @@ def test_a_sensor_that_does_not_report_its_rate_controller_is_not_taken_for_zero
         ((row(0), base(WIDTH - 4), vector12(0b10000)), "vector from column 1276 on with events beyond"),
         ((row(0), base(WIDTH - 4), vector8(0b10000)), "vector from column 1276 on"),
         ((row(0), base(2047), vector12(1)), "vector from column 2047 on"),
+        ((row(0), base(WIDTH - 20), vector12(1), vector12(1 << 8)), "vector from column 1272 on"),
         ((0x9000,), "0x9000 of a type that EVT3 does not have"),
         ((0xB123,), "0xB123"),
         ((0xCFFF,), "0xCFFF"),
@@ -303,7 +333,7 @@ def test_a_stream_decodes_to_what_was_put_in(stream):
     assert (told.gap_count, told.unplaced_events) == (0, 0)
 
 
-@given(streams(), st.lists(st.integers(0, 200), max_size=6), st.integers(12, 40))
+@given(streams(), st.lists(st.integers(0, 200), max_size=6), st.integers(32, 80))
 def test_where_a_stream_is_cut_does_not_matter(stream, cuts, max_events):
     words, events, triggers, _ = stream
     decoder = Evt3Decoder(WIDTH, HEIGHT)
@@ -316,7 +346,7 @@ def test_where_a_stream_is_cut_does_not_matter(stream, cuts, max_events):
     assert (found, edges) == (events, triggers)
 
 
-@given(streams(), st.integers(12, 50))
+@given(streams(), st.integers(32, 70))
 def test_no_piece_is_larger_than_asked_for(stream, max_events):
     pieces = Evt3Decoder(WIDTH, HEIGHT).decode(np.array(stream[0], np.uint16), max_events=max_events)
     assert all(len(events.t) <= max_events for events, _ in pieces)
@@ -333,6 +363,11 @@ def test_counting_without_a_list_gives_the_same_image(stream):
         expected[p, y, x] += 1
     assert np.array_equal(image, expected)
     assert rows(edges) == stream[2]
+
+
+def test_an_image_of_another_size_is_refused():
+    with pytest.raises(ValueError, match="another sensor"):
+        Evt3Decoder(WIDTH, HEIGHT).count(np.array([high(0)], np.uint16), np.zeros((2, 10, 10), np.uint16))
 
 
 @given(streams())
