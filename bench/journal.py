@@ -106,12 +106,13 @@ class Journal:
         StorageError
             When it cannot be made.
         """
-        if path.exists():
-            raise RunFolderError(
-                "A journal exists already.", where=str(path), remedy="Resume that run instead."
-            )
         with storing(path):
-            os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+            try:
+                os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+            except FileExistsError:
+                raise RunFolderError(
+                    "A journal exists already.", where=str(path), remedy="Resume that run."
+                ) from None
             sync_folder(path.parent)
         return cls(path, [], b"", utc_now=utc_now, monotonic=monotonic)
 

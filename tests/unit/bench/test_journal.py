@@ -147,6 +147,17 @@ def test_a_number_edited_with_its_own_hash_made_new_breaks_the_chain(three_lines
         read_journal(three_lines)
 
 
+def test_a_line_whose_hash_stands_in_another_form_is_found(three_lines):
+    lines = three_lines.read_bytes().splitlines()
+    body = lines[2][: lines[2].rindex(b',"hash"')] + b","
+    own_hash = hashlib.sha256(body + b"}").hexdigest().encode()
+    lines[2] = body + b'"hash":"' + own_hash + b'"\t}'
+    assert json.loads(lines[2])["hash"] == own_hash.decode()
+    three_lines.write_bytes(b"\n".join(lines) + b"\n")
+    with pytest.raises(JournalBroken, match=":3: "):
+        read_journal(three_lines)
+
+
 def test_a_line_numbered_out_of_order_is_found(three_lines):
     lines = three_lines.read_bytes().splitlines()
     lines[2] = rehashed(lines[2].replace(b'{"seq":2', b'{"seq":3'))

@@ -128,6 +128,10 @@ def test_names_cannot_become_markup(data):
     found = Structure(html)
     assert (found.wrong, found.open) == ([], [])
     assert "script" not in found.tags
+    (page_rule,) = re.findall(r"@page \{.*?\n\}", html, re.DOTALL)
+    assert re.findall(r"Calibration report [^;]*;", page_rule) == [
+        'Calibration report ??style??script?alert?1???script??? onload?x ?? 7?7 ?? ??alpha";'
+    ]
     assert not [a for a in found.attributes if a[1].startswith("on")]
     assert "{{ 7*7 }}" in html
 
@@ -175,6 +179,7 @@ def test_each_value_is_printed_with_its_uncertainty(html):
         value, expanded = with_uncertainty(values[name], 2 * sigma)
         assert value in words, name
         assert f"± {expanded}" in words, name
+    assert words[words.index("3346.4") - 1 :][:4] == ["focal length, along rows", "3346.4", "± 4.3", "0.13 %"]
 
 
 @pytest.mark.parametrize(
@@ -280,6 +285,25 @@ def test_each_pose_is_pictured_with_its_stars_where_they_are(data, html):
         np.testing.assert_allclose(rings, view.detected, atol=0.006)
         crosses = np.array(re.findall(r"M(-?[\d.]+) (-?[\d.]+)h8", picture), float) + np.array([4, 0])
         np.testing.assert_allclose(crosses, view.reprojected, atol=0.006)
+
+
+def test_pixel_centres_lie_at_integers_in_the_pictures(html):
+    (places,) = {
+        tuple(map(float, p))
+        for p in re.findall(r'<image x="([^"]*)" y="([^"]*)" width="320" height="180"', html)
+    }
+    assert places == (-0.5, -0.5)
+
+
+def test_the_star_with_the_largest_residual_is_looked_at_closely(data, html):
+    pictures = re.findall(r'<svg class="pose".*?</svg></svg>', html, re.DOTALL)
+    for view, picture in zip(data.views, pictures, strict=True):
+        corners = re.findall(r'<svg class="close-up"[^>]* viewBox="([-\d.]+) ([-\d.]+) 36 36"', picture)
+        middle, worst = np.array(corners, float) + 18
+        lengths = np.linalg.norm(view.detected - view.reprojected, axis=1)
+        np.testing.assert_allclose(worst, view.detected[lengths.argmax()], atol=0.006)
+        distances = np.linalg.norm(view.detected - (159.5, 89.5), axis=1)
+        np.testing.assert_allclose(middle, view.detected[distances.argmin()], atol=0.006)
 
 
 def test_a_small_picture_is_embedded_without_loss(data, html):
