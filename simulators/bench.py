@@ -67,7 +67,10 @@ class Bench:
     def __init__(self, folder: Path, config: BenchConfig | None = None, seed: int = 1) -> None:
         self._folder = folder
         self._config = config if config is not None else BenchConfig()
-        self.world = World(self._config.truth, seed=seed, camera_seed=self._config.camera_seed)
+        own_seed = self._config.camera_seed
+        self.world = World(
+            self._config.truth_for(seed), seed=seed, camera_seed=seed if own_seed is None else own_seed
+        )
         self._running = ExitStack()
         self.truth_path = folder / "truth.json"
         self.endpoints: dict[str, str] = {}

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, TypeVar
 
+import numpy as np
+
 from simulators.errors import ConfigError
 from simulators.faults import Order, order
 from simulators.truth import Truth, truth_from_config
@@ -71,7 +73,22 @@ class LightConfig:
 
 @dataclass(frozen=True)
 class BenchConfig:
-    """A whole simulated bench."""
+    """A whole simulated bench.
+
+    Attributes
+    ----------
+    truth
+        The world, but for what is left to the seed.
+    axes, light, camera_serial, paced
+        The devices.
+    faults
+        What goes wrong from the start.
+    camera_seed
+        Tells one camera's fixed pattern (thresholds, hot pixels) from another's; None: the bench's seed does.
+    mounting_from_seed
+        Whether the camera sits on the gimbal as the bench's seed will have it, within about half a degree,
+        instead of as ``truth`` says: benches of different seeds then differ in where stars fall on pixels.
+    """
 
     truth: Truth = field(default_factory=Truth)
     axes: Mapping[AxisName, AxisConfig] = field(
@@ -83,9 +100,20 @@ class BenchConfig:
     light: LightConfig = field(default_factory=LightConfig)
     faults: tuple[Order, ...] = ()
     camera_serial: str = "00050423"
-    camera_seed: int = 50423
+    camera_seed: int | None = None
+    mounting_from_seed: bool = True
     paced: bool = True
 
+    def truth_for(self, seed: int) -> Truth:
+        """Give the world of a seed."""
+        if not self.mounting_from_seed:
+            return self.truth
+        drawn = np.random.default_rng((seed, _MOUNTING_STREAM)).normal(0.0, _MOUNTING_SPREAD_DEG, 3)
+        return replace(self.truth, optics=replace(self.truth.optics, mounting_deg=tuple(drawn.tolist())))
+
+
+_MOUNTING_STREAM = 1
+_MOUNTING_SPREAD_DEG = 0.25
 
 _Section = TypeVar("_Section", AxisConfig, LightConfig)
 _Value = TypeVar("_Value", bool, int, float, str)
@@ -117,6 +145,9 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     for key in given:
         if key not in known:
             raise ConfigError("Unknown key.", where=str(key), remedy=f"Known are: {', '.join(known)}.")
+    optics = given.get("optics", {})
+    if not isinstance(optics, Mapping):
+        raise ConfigError(f"A mapping is expected, not {optics!r}.", where="optics")
     orders = given.get("faults", [])
     if not isinstance(orders, list) or not all(isinstance(one, Mapping) for one in orders):
         raise ConfigError("A list of orders is expected.", where="faults")
@@ -126,7 +157,8 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
         light=_section("light", default.light, given.get("light", {})),
         faults=tuple(_order(index, one) for index, one in enumerate(orders)),
         camera_serial=_like(default.camera_serial, given.get("camera_serial", "00050423"), "camera_serial"),
-        camera_seed=_like(default.camera_seed, given.get("camera_seed", 50423), "camera_seed"),
+        camera_seed=_like(0, given["camera_seed"], "camera_seed") if "camera_seed" in given else None,
+        mounting_from_seed="mounting_deg" not in optics,
         paced=_like(default.paced, given.get("paced", True), "paced"),
     )
 
