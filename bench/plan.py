@@ -250,7 +250,7 @@ class _Estimate:
 
     def __init__(self, station: Station) -> None:
         self.size_bytes = self.most_bytes = REPORT_BYTES
-        self._axes: dict[str, ZaberAxis] = {**station.stage.axes}
+        self._axes: Mapping[str, ZaberAxis] = {str(name): axis for name, axis in station.stage.axes.items()}
         self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
         self._frequency_hz: float | None = None
 
