@@ -133,6 +133,10 @@ class Axis:
         self._finish_homing(t_s)
         return self.motor.position(t_s) - self._encoder_origin
 
+    def rest_counter(self) -> float:
+        """Where the present command ends, in counts of the counter as it is now."""
+        return self.commanded.rest - self._origin
+
     def velocity(self, t_s: float) -> float:
         """Commanded velocity, counts/s."""
         return self.commanded.velocity(t_s)

@@ -1,0 +1,274 @@
+"""The simulated GRBL gimbal: lines, real-time bytes, alarms, and axes that arrive together."""
+
+from __future__ import annotations
+
+import re
+import time
+from contextlib import suppress
+
+import pytest
+import serial
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulators.axis_motion import Mechanics, MotionFault
+from simulators.gcode import GcodeError, parse_block
+from simulators.grbl import GrblAxis, GrblController
+from simulators.grbl_planner import GrblAxisModel
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+
+BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
+LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
+REPORT = re.compile(
+    r"<(\w+(?::\d)?)\|MPos:(-?\d+\.\d{3}),(-?\d+\.\d{3}),(-?\d+\.\d{3})\|FS:(\d+),0[^>]*>\r\n"
+)
+
+
+def models() -> dict[str, GrblAxisModel]:
+    def one(limit_deg: float, start_deg: float) -> GrblAxisModel:
+        mechanics = Mechanics(
+            640.0,
+            -limit_deg - 2,
+            limit_deg + 2,
+            home_deg=limit_deg,
+            start_deg=start_deg,
+            stall_detection=False,
+        )
+        return GrblAxisModel(mechanics, 2 * limit_deg + 2)
+
+    return {"X": one(15.0, 2.4), "Y": one(10.0, -1.7)}
+
+
+class Board:
+    """The controller on a clock that the test turns in steps, as its own port would."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.device = GrblController(models(), lambda: self.now_s)
+        self.greeting = self.device.unsolicited().decode()
+
+    def say(self, *lines: str) -> str:
+        return "".join(self.device.receive(f"{line}\n".encode()).decode() for line in lines)
+
+    def press(self, byte: bytes) -> str:
+        return self.device.receive(byte).decode()
+
+    def wait(self, seconds: float = 30.0) -> str:
+        said = ""
+        for _ in range(300):
+            self.now_s += seconds / 300
+            said += self.device.unsolicited().decode()
+        return said
+
+    def report(self) -> tuple[str, float, float]:
+        match = REPORT.fullmatch(self.press(b"?"))
+        assert match
+        return match[1], float(match[2]), float(match[3])
+
+    def angle(self, letter: str) -> float:
+        return self.device.axes[letter].pointing.angle_deg(self.now_s)
+
+
+@pytest.fixture
+def board() -> Board:
+    return Board()
+
+
+@pytest.fixture
+def homed(board: Board) -> Board:
+    assert board.say("$H") == ""
+    assert board.wait() == "ok\r\n"
+    return board
+
+
+# ---------------------------------------------------------------- states
+def test_it_wakes_up_locked_and_says_so(board: Board):
+    assert board.greeting == BANNER + LOCKED
+    assert board.report()[0] == "Alarm"
+    assert board.say("G0 X-5") == "error:9\r\n"
+    assert board.say("$X") == "[MSG:Caution: Unlocked]\r\nok\r\n"
+    assert board.report()[0] == "Idle"
+
+
+def test_homing_answers_at_its_end_and_counts_from_the_switch(board: Board):
+    assert board.say("$H") == ""
+    board.wait(0.1)
+    assert board.report()[0] == "Home"
+    assert board.wait() == "ok\r\n"
+    assert board.report() == ("Idle", -1.0, -1.0)
+    assert (board.angle("X"), board.angle("Y")) == (15.0, 10.0)
+
+
+def test_a_line_is_answered_at_once_and_the_motion_follows(homed: Board):
+    assert homed.say("G90", "G1 X-16 Y-11 F600") == "ok\r\nok\r\n"
+    homed.wait(0.3)
+    assert homed.report()[0] == "Run"
+    homed.wait()
+    assert homed.report() == ("Idle", -16.0, -11.0)
+    assert (homed.angle("X"), homed.angle("Y")) == (0.0, 0.0)
+
+
+def test_axes_begin_and_arrive_together(homed: Board):
+    homed.say("G1 X-21 Y-6 F600")
+    homed.wait(0.5)
+    _, x, y = homed.report()
+    assert -21.0 < x < -1.0
+    assert (x + 1.0) / -20.0 == pytest.approx((y + 1.0) / -5.0, abs=1e-3)
+
+
+def test_motions_follow_each_other(homed: Board):
+    homed.say("G1 X-5 F3000", "G91", "G1 X-2 Y-3")
+    homed.wait()
+    assert homed.report() == ("Idle", -7.0, -4.0)
+
+
+def test_a_dwell_is_answered_when_all_motion_has_ended(homed: Board):
+    assert homed.say("G1 X-11 F600", "G4 P0.5", "G0 X-1") == "ok\r\n"
+    homed.wait(1.3)
+    assert homed.report()[1] == -11.0
+    assert homed.wait() == "ok\r\nok\r\n"
+    assert homed.report()[1] == -1.0
+
+
+def test_a_hold_brakes_and_a_start_goes_on(homed: Board):
+    homed.say("G1 X-11 F600")
+    homed.wait(0.5)
+    homed.press(b"!")
+    assert homed.report()[0] == "Hold:1"
+    homed.wait()
+    state, x, _ = homed.report()
+    assert state == "Hold:0"
+    assert -11.0 < x < -1.0
+    homed.press(b"~")
+    homed.wait()
+    assert homed.report() == ("Idle", -11.0, -1.0)
+
+
+def test_a_reset_in_motion_is_an_alarm_and_loses_steps(homed: Board):
+    homed.say("G0 X-21")
+    homed.wait(0.4)
+    assert homed.press(b"\x18") == "ALARM:3\r\n" + BANNER + LOCKED
+    homed.wait()
+    state, x, _ = homed.report()
+    assert state == "Alarm"
+    assert homed.angle("X") != pytest.approx(x + 16.0, abs=0.01)
+
+
+def test_a_reset_at_rest_is_harmless(homed: Board):
+    assert homed.press(b"\x18") == BANNER
+    assert homed.report() == ("Idle", -1.0, -1.0)
+
+
+def test_a_jog_is_cancelled_without_an_alarm(homed: Board):
+    assert homed.say("$J=G91 X-10 F600") == "ok\r\n"
+    homed.wait(0.3)
+    assert homed.report()[0] == "Jog"
+    assert homed.say("G0 X-1") == "error:9\r\n"
+    homed.press(b"\x85")
+    homed.wait()
+    state, x, _ = homed.report()
+    assert state == "Idle"
+    assert -11.0 < x < -1.0
+
+
+# ---------------------------------------------------------------- refusals and alarms
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("G1 X-5", "error:22"),
+        ("G0 X", "error:2"),
+        ("5", "error:1"),
+        ("G2 X1", "error:20"),
+        ("G0 G1 X1", "error:21"),
+        ("G0 X1 X2", "error:25"),
+        ("G4", "error:28"),
+        ("$Q", "error:3"),
+        ("$999=1", "error:3"),
+        ("$130=-1", "error:4"),
+        ("$J=X-100 F100", "error:15"),
+        ("$J=X-5", "error:22"),
+        ("$J=G1 X-5 F100", "error:16"),
+        ("G0" + "X" * 90, "error:14"),
+        ("(a comment) ; and more", "ok"),
+        ("", "ok"),
+    ],
+)
+def test_a_line_that_cannot_be_is_refused_by_number(homed: Board, line: str, answer: str):
+    assert homed.say(line) == answer + "\r\n"
+    assert homed.report() == ("Idle", -1.0, -1.0)
+
+
+def test_a_target_beyond_the_travel_is_an_alarm_that_only_a_reset_ends(homed: Board):
+    assert homed.say("G0 X-33") == "ALARM:2\r\n[MSG:Reset to continue]\r\n"
+    assert homed.say("$X") == ""
+    assert homed.press(b"\x18") == BANNER + LOCKED
+    assert homed.say("$X") == "[MSG:Caution: Unlocked]\r\nok\r\n"
+    assert homed.report() == ("Idle", -1.0, -1.0)
+
+
+def test_settings_are_listed_written_and_obeyed(homed: Board):
+    assert "$130=32\r\n" in homed.say("$$")
+    assert homed.say("$130=5") == "ok\r\n"
+    assert "$130=5\r\n" in homed.say("$$")
+    assert homed.say("G0 X-6").startswith("ALARM:2")
+
+
+def test_settings_wait_for_rest(homed: Board):
+    homed.say("G1 X-11 F600")
+    assert homed.say("$130=5") == "error:8\r\n"
+
+
+@given(st.text(alphabet="GXYFMP$J=-.0123456789 ();", max_size=30))
+def test_any_block_is_taken_or_refused_by_number(line: str):
+    with suppress(GcodeError):
+        assert set(parse_block(line).targets) <= set("XYZ")
+
+
+# ---------------------------------------------------------------- faults
+def test_a_limit_switch_is_an_alarm(homed: Board):
+    homed.device.axes["X"].arm(MotionFault("limit"))
+    homed.say("G0 X-21")
+    assert "ALARM:1\r\n[MSG:Reset to continue]\r\n" in homed.wait()
+    assert homed.report()[0] == "Alarm"
+
+
+def test_a_stall_is_noticed_by_nobody(homed: Board):
+    homed.device.axes["X"].arm(MotionFault("stall"))
+    homed.say("G0 X-21")
+    homed.wait()
+    assert homed.report() == ("Idle", -21.0, -1.0)
+    assert homed.angle("X") == pytest.approx(5.0, abs=0.1)
+
+
+def test_a_restart_in_motion_shows_its_banner_and_has_lost_its_position(homed: Board):
+    homed.device.axes["X"].arm(MotionFault("restart"))
+    homed.say("G0 X-21")
+    assert homed.wait() == BANNER + LOCKED
+    assert homed.report() == ("Alarm", 0.0, 0.0)
+
+
+def test_a_stop_button_holds_the_board_in_reset(homed: Board):
+    homed.say("G0 X-21")
+    homed.wait(0.3)
+    handle = GrblAxis(homed.device, "X")
+    handle.emergency_stop(homed.now_s)
+    assert homed.press(b"?") == ""
+    handle.emergency_stop(homed.now_s, released=True)
+    assert homed.wait(0.1) == BANNER + LOCKED
+
+
+# ---------------------------------------------------------------- the line
+def test_it_answers_on_its_port(tmp_path):
+    controller = GrblController(models(), time.monotonic)
+    with (
+        SerialDevice(PseudoTerminal(tmp_path / "gimbal"), controller) as device,
+        serial.Serial(device.address, 115_200, timeout=5.0) as line,
+    ):
+        line.write(b"\x18")
+        assert line.read_until(b"unlock]\r\n").endswith(LOCKED.encode())
+        line.write(b"$H\n")
+        assert line.read_until(b"\n") == b"ok\r\n"
+        line.write(b"G1 X-3 F1200\n?")
+        assert line.read_until(b"\n") == b"ok\r\n"
+        assert line.read_until(b"\n").startswith(b"<Run|")
