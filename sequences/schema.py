@@ -195,7 +195,7 @@ class GateWords(Words):
     """What a recording must show to be accepted."""
 
     min_stars: Annotated[int, Field(ge=0, le=100_000)] = 40
-    max_event_rate_mev_s: Annotated[float, Field(gt=0, le=10_000)] = 100.0
+    max_event_rate_mev_s: Annotated[float, Field(gt=0, le=10_000)] = 200.0
     require_triggers: Annotated[bool, Field(description="One sync edge a flicker period, none missing.")] = (
         True
     )

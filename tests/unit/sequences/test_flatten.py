@@ -54,7 +54,7 @@ def test_bare_words_stand_for_steps_with_their_defaults():
     assert isinstance(move, MoveStep)
     assert settle.duration_s == 0.5
     assert (record.window_ms, record.image, record.attempts) == (33, "auto", 2)
-    assert record.gates == Gates(min_stars=40, max_event_rate_mev_s=100, require_triggers=True)
+    assert record.gates == Gates(min_stars=40, max_event_rate_mev_s=200, require_triggers=True)
     assert (solve.model, solve.distortion, solve.loss, solve.huber_px) == (
         "spherical",
         ("k1", "k2"),
@@ -78,7 +78,7 @@ def test_a_step_takes_from_the_defaults_what_it_does_not_say_itself():
     )
     assert light.flicker == Flicker("square", 80, 40, 100)
     assert (record.window_ms, record.attempts) == (50, 3)
-    assert record.gates == Gates(min_stars=9, max_event_rate_mev_s=100, require_triggers=False)
+    assert record.gates == Gates(min_stars=9, max_event_rate_mev_s=200, require_triggers=False)
     assert off.flicker is None
 
 
