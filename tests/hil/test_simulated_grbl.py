@@ -261,6 +261,7 @@ def test_a_stop_button_holds_the_board_in_reset(homed: Board):
 # ---------------------------------------------------------------- the line
 def test_it_answers_on_its_port(tmp_path):
     controller = GrblController(models(), time.monotonic)
+    controller.unsolicited()  # the greeting, which nobody hears
     with (
         SerialDevice(PseudoTerminal(tmp_path / "gimbal"), controller) as device,
         serial.Serial(device.address, 115_200, timeout=5.0) as line,
