@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port, SerialPort
-from drivers.stage import AxisIdentity, AxisLimits, grbl_protocol
+from drivers.stage import AxisIdentity, AxisLimits, grbl_protocol, motion
 from drivers.stage.grbl_controller import GrblController, machine_of
 from drivers.stage.grbl_protocol import Report
 from drivers.stage.watched import GoOn, Look, WatchedStage
@@ -293,16 +293,8 @@ class GrblStage(WatchedStage[GrblAxis]):
                 where=axis.name,
                 remedy="Correct the one that is wrong; the board's is set by hand.",
             )
-        if (
-            axis.limits.highest_deg > axis.zero_deg
-            or axis.zero_deg - axis.limits.lowest_deg > travel + _PRINTED
-        ):
-            raise OutsideLimits(
-                f"the limits {axis.limits.lowest_deg:g} to {axis.limits.highest_deg:g} deg are not within the board's"
-                f" travel, {axis.zero_deg - travel:g} to {axis.zero_deg:g} deg. Nothing was set.",
-                where=axis.name,
-                remedy=f"Check limits and zero_deg in the station file, and ${_TRAVEL + place} of the board.",
-            )
+        wanted = axis.limits.lowest_deg, axis.limits.highest_deg
+        motion.check_travel(axis.name, wanted, (axis.zero_deg - travel, axis.zero_deg), "deg", slack=_PRINTED)
 
 
 def _same(got: float | None, wanted: float) -> bool:

@@ -71,6 +71,42 @@ def check_targets(limits: Mapping[str, AxisLimits], target_deg: Mapping[str, flo
         )
 
 
+def check_travel(
+    axis: str,
+    wanted: tuple[float, float],
+    present: tuple[float | None, float | None],
+    unit: str,
+    *,
+    slack: float = 0.0,
+) -> None:
+    """Raise OutsideLimits unless the station's limits lie within the controller's own.
+
+    The controller's are narrowed by a driver, never widened: they may be those of the mechanics.
+
+    Parameters
+    ----------
+    axis
+        Name of the axis.
+    wanted, present
+        Lowest and highest position by the station file and by the controller (None: it has none).
+    unit
+        Of both, for the message.
+    slack
+        What the controller's rounding may take away.
+    """
+    lowest, highest = present
+    if (lowest is not None and wanted[0] < lowest - slack) or (
+        highest is not None and wanted[1] > highest + slack
+    ):
+        raise OutsideLimits(
+            f"the station file's limits, {wanted[0]:.8g} to {wanted[1]:.8g} {unit}, reach beyond the"
+            f" controller's, {lowest} to {highest} {unit}. Nothing was set.",
+            where=axis,
+            remedy="Check limits and scale in the station file; if the mechanics allow it, widen the"
+            " controller's own limits with its maker's software.",
+        )
+
+
 class MoveWatch:
     """Decides, from what is read of one axis in motion, whether it has arrived, goes on, or has failed.
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from drivers.errors import DeviceRefused, OutsideLimits
-from drivers.stage import AxisLimits
+from drivers.stage import AxisLimits, motion
 from drivers.stage.zaber_chain import ZaberChain
 
 SPEED_UNITS = 1.6384
@@ -72,16 +72,8 @@ def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
             where=axis.name,
             remedy="Correct microsteps_per_deg in the station file.",
         )
-    lowest, highest = _travel(axis)
     present = _setting(chain, axis, "limit.min"), _setting(chain, axis, "limit.max")
-    if (present[0] is not None and lowest < present[0]) or (present[1] is not None and highest > present[1]):
-        raise OutsideLimits(
-            f"the station file's limits are counts {lowest} to {highest}, beyond the controller's"
-            f" {present[0]} to {present[1]}. Nothing was set.",
-            where=axis.name,
-            remedy="Check limits and scale in the station file; if the mechanics allow it, widen the"
-            " controller's own limits with its maker's software.",
-        )
+    motion.check_travel(axis.name, _travel(axis), present, "microsteps")
 
 
 def program(chain: ZaberChain, axis: ZaberAxis) -> None:

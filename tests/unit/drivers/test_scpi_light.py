@@ -239,7 +239,7 @@ def test_what_is_no_number_is_refused(light, generator, garbage) -> None:
 
 def test_something_else_than_an_instrument_is_refused(generator, clock) -> None:
     generator.identity = "hello"
-    with pytest.raises(ReplyError, match="not maker, model, serial and firmware"):
+    with pytest.raises(ReplyError, match="which is no identity"):
         ScpiLight(generator, clock=clock)
     assert generator.closed
 
