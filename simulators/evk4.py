@@ -16,13 +16,12 @@ from contextlib import suppress
 from typing import Any, Final
 
 from simulators.biases import ALLOWED, FACTORY, PixelSettings
-from simulators.sensor_stream import CameraState, SensorStream
+from simulators.sensor_stream import FILTERS, CameraState, SensorStream
 from simulators.world import World
 
 HEADER: Final = struct.Struct("<cI")
 """Frame header: type and payload length."""
 LONGEST_REQUEST: Final = 65536
-FILTERS: Final = ("afk", "stc", "trail", "erc")
 FIRMWARE: Final = "4.2.0-simulated"
 WAIT_S: Final = 0.1
 """How often waiting threads look whether they are to end."""

@@ -150,16 +150,16 @@ def _write(
         # Ticks come first: an event at the time of a tick is sent after it.
         while state[_TICK] <= first and state[_TICK] < end:
             tick = state[_TICK]
-            if tick >= state[_COUNT_END]:
-                while entered < entered_t.size and entered_t[entered] < tick:
-                    entered += 1
-                    state[_COUNT_IN] += 1
-                n = _write_counters(words, n, state)
             words[n] = TIME_HIGH | ((tick >> 12) & 0xFFF)
             n += 1
             state[_LOW] = -1
             if tick % MARK_US == 0:
                 n = _write_time_low(words, n, state, tick)
+            if tick >= state[_COUNT_END]:
+                while entered < entered_t.size and entered_t[entered] < tick:
+                    entered += 1
+                    state[_COUNT_IN] += 1
+                n = _write_counters(words, n, state)
             state[_TICK] = tick + TICK_US
         if first == end:
             break

@@ -16,7 +16,7 @@ is in microseconds after the start of a period of the light.
 from __future__ import annotations
 
 from math import exp, floor, log
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -139,7 +139,7 @@ def _steady_square(drive: Drive, light: float) -> tuple[float, float]:
 def _relax(
     light: NDArray, u_start: NDArray, u: NDArray, n: int, ambient: float, w: float, since: float
 ) -> None:
-    """u a time after it was u_start (in units of q), under constant light."""
+    """Fill in u a time after it was u_start (in units of q), under constant light."""
     ambient32, w32, since32 = np.float32(ambient), np.float32(w), np.float32(since)
     for k in range(n):
         i = ambient32 + light[k] * w32
@@ -173,7 +173,7 @@ def _square_crossings(d: Drive, batch: NDArray, n: int, phase: float) -> None:
         end = _ONE / i
         ratio = min(max((u_start - end) / (target - end), _TINY), _HUGE)
         begin = now_from if in_now else next_from
-        cross = max(begin + q * end * log32(ratio), max(begin, phase32))
+        cross = max(begin + q * end * log32(ratio), begin, phase32)
         t[k] = cross if (in_now or in_next) and u_start != end else _NEVER
         is_on[k] = now_on if in_now else next_on
 
@@ -206,7 +206,7 @@ def _between(table: NDArray, j: int, f: float, column: int) -> float:
 
 
 @njit(**JIT)
-def _smooth_crossing(drive: Drive, batch: NDArray, k: int, phase: float) -> tuple[float, float]:
+def _smooth_crossing(drive: Drive, batch: NDArray, k: int, phase: float) -> tuple[Any, Any]:
     """Phase and polarity of a pixel's next crossing on the atlas."""
     level, on_at, off_at = batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k]
     if level < _ZERO:

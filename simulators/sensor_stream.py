@@ -26,6 +26,8 @@ from simulators.evt3_writer import Evt3Writer
 from simulators.pixels import Sensor
 from simulators.world import LightState, World
 
+FILTERS: Final = ("afk", "stc", "trail", "erc")
+"""Filters on the chip: anti-flicker, spatio-temporal contrast, trail, event rate controller."""
 FRAME_US: Final = 2000
 """Sensor time of a frame."""
 MOVING_SUBSAMPLES: Final = 2
@@ -37,7 +39,7 @@ class CameraState:
     """What is set at the camera when a stream starts."""
 
     biases: Mapping[str, int] = field(default_factory=lambda: dict(FACTORY))
-    filters: Mapping[str, bool] = field(default_factory=dict)
+    filters: Mapping[str, bool] = field(default_factory=lambda: dict.fromkeys(FILTERS, False))
     trigger_in: bool = False
 
 

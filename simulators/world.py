@@ -96,7 +96,8 @@ class LightState:
 
     def phase_at(self, t_s: float) -> float:
         """Phase in periods, 0 <= phase < 1, at a world time."""
-        return ((t_s - self.origin_s) * self.frequency_hz) % 1.0
+        phase = ((t_s - self.origin_s) * self.frequency_hz) % 1.0
+        return phase if phase < 1.0 else 0.0  # just below a whole period, the remainder rounds up to 1
 
     def settings(self) -> tuple[object, ...]:
         """All but the origin: what a recording's noise is keyed to."""

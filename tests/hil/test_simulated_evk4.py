@@ -1,0 +1,294 @@
+"""The simulated EVK4 over its socket: commands, the stream, its determinism, and another's decoder on it."""
+
+import json
+import math
+import socket
+import struct
+
+import numpy as np
+import pytest
+
+from simulators.evk4 import SimulatedEvk4
+from simulators.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
+from simulators.truth import truth_from_config
+from simulators.world import AxisMotion, LightState, World
+
+SMALL = truth_from_config(
+    {"camera": {"fx": 800, "fy": 800, "cx": 160, "cy": 90, "width": 320, "height": 180}}
+)
+FLICKER = LightState(output=True, sync=True)
+
+
+class Host:
+    """A host as small as can be."""
+
+    def __init__(self, camera):
+        host, port = camera.address.split(":")
+        self.link = socket.create_connection((host, int(port)), timeout=60)
+        self.words = []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.link.close()
+
+    def frame(self):
+        kind, length = struct.unpack("<cI", self._exactly(5))
+        return kind, self._exactly(length)
+
+    def _exactly(self, n):
+        data = b""
+        while len(data) < n:
+            part = self.link.recv(n - len(data))
+            if not part:
+                raise ConnectionResetError
+            data += part
+        return data
+
+    def ask(self, cmd, **more):
+        self.send(b"Q", json.dumps({"id": 7, "cmd": cmd, **more}).encode())
+        while True:
+            kind, payload = self.frame()
+            if kind == b"D":
+                self.words.append(payload)
+            else:
+                assert kind == b"A"
+                return json.loads(payload)
+
+    def send(self, kind, payload):
+        self.link.sendall(struct.pack("<cI", kind, len(payload)) + payload)
+
+    def drain(self):
+        """Take frames until the connection ends."""
+        while True:
+            self.frame()
+
+    def record(self, frames):
+        """Words of that many frames, with the trigger input enabled."""
+        assert self.ask("set_trigger_in", enabled=True)["ok"]
+        self.words = []
+        assert self.ask("start")["ok"]
+        while len(self.words) < frames:
+            kind, payload = self.frame()
+            assert kind == b"D"
+            self.words.append(payload)
+        assert self.ask("stop")["ok"]
+        return b"".join(self.words[:frames])
+
+
+def bench(**world):
+    world = World(SMALL, **world)
+    world.set_light(FLICKER)
+    return world
+
+
+@pytest.fixture
+def camera():
+    camera = SimulatedEvk4(bench(), serial="00050423", paced=False)
+    camera.start()
+    yield camera
+    camera.close()
+
+
+def test_it_says_who_it_is(camera):
+    with Host(camera) as host:
+        answer = host.ask("identify")
+    assert answer["ok"]
+    assert answer["id"] == 7
+    assert (answer["serial"], answer["sensor"], answer["format"]) == ("00050423", "IMX636", "EVT3")
+    assert (answer["width"], answer["height"]) == (320, 180)
+
+
+def test_settings_are_held_and_forgotten_at_the_next_connect(camera):
+    with Host(camera) as host:
+        assert host.ask("set_bias", name="bias_fo", value=-20)["ok"]
+        assert host.ask("set_filter", name="erc", enabled=True)["ok"]
+        assert host.ask("get_bias", name="bias_fo")["value"] == -20
+        assert host.ask("get_filters")["erc"] is True
+        assert host.ask("get_trigger_in")["enabled"] is False
+        with Host(camera) as second:
+            kind, payload = second.frame()
+            assert (kind, json.loads(payload)["event"]) == (b"N", "fault")
+    camera.unplug()
+    with Host(camera) as host:
+        assert set(host.ask("get_biases")["biases"].values()) == {0}
+        assert not any(host.ask("get_filters")[name] for name in ("afk", "stc", "trail", "erc"))
+
+
+@pytest.mark.parametrize(
+    ("request_", "code"),
+    [
+        ({"cmd": "dance"}, "unknown_command"),
+        ({"cmd": ["start"]}, "unknown_command"),
+        ({"cmd": "set_bias", "name": "bias_x", "value": 1}, "unknown_bias"),
+        ({"cmd": "set_bias", "name": "bias_fo", "value": 56}, "out_of_range"),
+        ({"cmd": "set_bias", "name": "bias_fo", "value": 1.5}, "bad_value"),
+        ({"cmd": "set_bias", "name": "bias_fo", "value": True}, "bad_value"),
+        ({"cmd": "set_filter", "name": "nfl", "enabled": True}, "unknown_filter"),
+        ({"cmd": "set_filter", "name": "afk", "enabled": 1}, "bad_value"),
+        ({"cmd": "stop"}, "not_streaming"),
+    ],
+)
+def test_what_it_refuses(camera, request_, code):
+    with Host(camera) as host:
+        answer = host.ask(**request_)
+        assert (answer["ok"], answer["error"]) == (False, code)
+        assert answer["message"]
+        assert host.ask("identify")["ok"]  # and it goes on
+
+
+def test_a_request_that_is_no_json_is_answered(camera):
+    with Host(camera) as host:
+        for payload in (b"{", b"[1]", b"\xff\xfe", b"[" * 50_000):
+            host.send(b"Q", payload)
+            kind, answer = host.frame()
+            assert kind == b"A"
+            assert json.loads(answer)["error"] == "bad_request"
+
+
+@pytest.mark.parametrize("header", [struct.pack("<cI", b"X", 2), struct.pack("<cI", b"Q", 1 << 30)])
+def test_a_frame_that_is_no_request_ends_the_connection(camera, header):
+    with Host(camera) as host:
+        host.link.sendall(header)
+        assert host.frame()[0] == b"N"
+        with pytest.raises(ConnectionError):
+            host.frame()
+    with Host(camera) as host:
+        assert host.ask("identify")["ok"]
+
+
+def test_settings_and_a_second_start_are_refused_while_it_streams(camera):
+    with Host(camera) as host:
+        assert host.ask("start")["ok"]
+        assert host.ask("start")["error"] == "streaming"
+        assert host.ask("set_bias", name="bias_fo", value=1)["error"] == "streaming"
+        assert host.ask("stop")["ok"]
+        assert host.ask("set_bias", name="bias_fo", value=1)["ok"]
+
+
+def test_frames_begin_with_their_own_time(camera):
+    with Host(camera) as host:
+        host.record(6)
+        frames = host.words
+    for k, frame in enumerate(frames):
+        high, low = np.frombuffer(frame[:4], "<u2")
+        assert (high >> 12, low >> 12) == (0x8, 0x6)
+        assert ((int(high) & 0xFFF) << 12) | (int(low) & 0xFFF) == k * FRAME_US
+
+
+def test_a_recording_depends_on_seed_pose_settings_and_count_only():
+    def recordings(seed, clock=None, pan=0.0):
+        world = bench(seed=seed, **({"clock": clock} if clock else {}))
+        world.set_axis("pan", AxisMotion.resting(pan, round(pan * 6400)))
+        camera = SimulatedEvk4(world, paced=False)
+        camera.start()
+        with Host(camera) as host:
+            taken = [host.record(4) for _ in range(2)]
+        camera.close()
+        return taken
+
+    ticks = iter(np.arange(5.0, 1e6, 0.777))
+    first, again = recordings(1), recordings(1, clock=lambda: float(next(ticks)))
+    assert first == again
+    assert first[0] != first[1]  # the second of a process is another one
+    assert first[0] != recordings(2)[0]
+    assert first[0] != recordings(1, pan=0.5)[0]
+
+
+def test_an_independent_decoder_reads_the_same_events(camera, tmp_path):
+    evt3 = pytest.importorskip("evt3", reason="the independent decoder evt3 is not installed")
+    with Host(camera) as host:
+        words = host.record(17)
+    path = tmp_path / "stream.raw"
+    header = b"% evt 3.0\n% format EVT3;height=180;width=320\n% geometry 320x180\n% end\n"
+    path.write_bytes(header + words)
+    events, triggers = evt3.decode_file_with_triggers(str(path))
+
+    world = bench()
+    stream = SensorStream(world, CameraState(trigger_in=True), {})
+    sensor, edges = [], []
+    for k in range(17):
+        edges.append(sync_edges(FLICKER, stream._period_starts_us, k * FRAME_US, (k + 1) * FRAME_US))
+        sensor.append(stream._sensor.run((k + 1) * FRAME_US))
+    for name, k in (("t", 0), ("x", 1), ("y", 2), ("p", 3)):
+        np.testing.assert_array_equal(getattr(events, name), np.concatenate([s[k] for s in sensor]))
+    np.testing.assert_array_equal(triggers.timestamp, np.concatenate([e[0] for e in edges]))
+    np.testing.assert_array_equal(triggers.value, np.concatenate([e[1] for e in edges]))
+    assert len(events.t) > 10_000
+    assert len(triggers.timestamp) == 4
+
+
+def test_triggers_stand_at_the_edges_of_the_light():
+    t, value = sync_edges(LightState(frequency_hz=60.0, duty_percent=30.0, output=True), -1234.5, 0, 100_000)
+    period = 1e6 / 60.0
+    rising, falling = t[value == 1], t[value == 0]
+    k = np.arange(1, 1 + len(rising))
+    np.testing.assert_array_equal(rising, np.floor(-1234.5 + k * period))
+    np.testing.assert_array_equal(falling, np.floor(-1234.5 + (np.arange(len(falling)) + 0.3) * period))
+    assert len(rising) == len(falling) == 6
+
+
+def test_the_light_stays_one_clock_over_recordings():
+    """The phase drawn for a recording is the light's own phase at the moment the sensor starts."""
+    now = [3.1]
+    world = World(SMALL, clock=lambda: now[0])
+    world.set_light(LightState(output=True, sync=True, origin_s=0.123))
+    counts = {}
+    for moment in (3.1, 3.107, 17.4):
+        now[0] = moment
+        stream = SensorStream(world, CameraState(), counts)
+        assert 0.0 <= stream.start_s - moment <= 1.0 / 60.0 + 1e-9
+        phase = -stream._period_starts_us / world.light(moment).period_us
+        turns = (stream.start_s - 0.123) * 60.0 - phase
+        assert math.isclose(turns, round(turns), abs_tol=1e-6)
+
+
+def test_a_moving_axis_smears_the_stars():
+    def picture(motion):
+        world = World(SMALL, clock=lambda: 10.0)
+        world.set_light(FLICKER, since_s=0.0)
+        world.set_axis("pan", motion, since_s=0.0)
+        stream = SensorStream(world, CameraState(), {})
+        writer_words = np.frombuffer(b"".join(stream.next_frame() for _ in range(17)), "<u2")
+        assert len(writer_words) > 1000
+        return stream
+
+    still = picture(AxisMotion.resting(0.1, 640))
+    moving = picture(AxisMotion(lambda t: 0.1 + 4.0 * (t - 10.0), math.inf, 640))
+    assert still._angles["pan"] == 0.1
+    assert moving._angles["pan"] == pytest.approx(0.1 + 4.0 * (moving.covered_s - 2e-3 - 10.0), abs=1e-9)
+
+
+def test_switching_the_light_off_ends_events_and_triggers():
+    now = [10.0]
+    world = World(SMALL, clock=lambda: now[0])
+    world.set_light(FLICKER, since_s=0.0)
+    stream = SensorStream(world, CameraState(trigger_in=True), {})
+    before = sum(len(stream.next_frame()) for _ in range(17))
+    world.set_light(LightState(output=False), since_s=stream.covered_s)
+    stream.next_frame()
+    after = [np.frombuffer(stream.next_frame(), "<u2") for _ in range(17)]
+    assert sum(2 * len(words) for words in after) < before / 4
+    assert not any((words >> 12 == 0xA).any() for words in after)
+
+
+def test_a_pulled_cable_is_noticed_and_the_camera_can_be_opened_again(camera):
+    with Host(camera) as host:
+        host.record(2)
+        host.ask("start")
+        camera.unplug()
+        with pytest.raises(ConnectionError):
+            host.drain()
+    with Host(camera) as host:
+        assert host.ask("start")["ok"]
+        assert host.ask("stop")["ok"]
+
+
+def test_a_fault_reaches_the_host(camera):
+    with Host(camera) as host:
+        host.ask("identify")
+        camera.fault("over temperature")
+        kind, payload = host.frame()
+    assert kind == b"N"
+    assert json.loads(payload) == {"event": "fault", "message": "over temperature"}

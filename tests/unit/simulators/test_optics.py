@@ -1,0 +1,115 @@
+"""The optics: poses, the camera's distortion, and where and how bright the target appears."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulators import optics
+from simulators.errors import ConfigError
+from simulators.truth import CameraTruth, CollimatorTruth, OpticsTruth, Truth
+
+SMALL = CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, k1=0.06, k2=-0.9, width=128, height=72)
+ANGLES = st.floats(-12.0, 12.0)
+
+
+def reference_projection(points_mm, rotation, truth):
+    """OpenCV's projection of the same points: nobody's but theirs."""
+    c, col = truth.camera, truth.collimator
+    matrix = np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]])
+    translation = -rotation @ np.array([col.x, col.y, -col.r])
+    points = np.column_stack([points_mm, np.zeros(len(points_mm))])
+    distortion = np.array([c.k1, c.k2, c.p1, c.p2, c.k3])
+    image, _ = cv2.projectPoints(points, cv2.Rodrigues(rotation)[0], translation, matrix, distortion)
+    return image.reshape(-1, 2)
+
+
+@given(pan=ANGLES, tilt=ANGLES, roll=st.floats(-180.0, 180.0))
+def test_stars_lie_where_opencv_projects_them(pan, tilt, roll):
+    truth = Truth(camera=CameraTruth(p1=1e-3, p2=-2e-3, k3=0.5))
+    rotation = optics.pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, truth.optics)
+    ids, points = optics.star_centres(truth, rotation)
+    expected = reference_projection(optics.TARGET.positions_mm(ids), rotation, truth)
+    assert np.abs(points - expected).max(initial=0.0) < 1e-6
+
+
+def test_pose_turns_pan_first_then_tilt_then_roll():
+    none = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
+    pan, tilt, roll = 3.0, 5.0, 20.0
+
+    def turn(axis, angle):
+        return cv2.Rodrigues(math.radians(angle) * np.eye(3)[axis])[0]
+
+    expected = turn(2, roll) @ turn(0, tilt) @ turn(1, pan)
+    np.testing.assert_allclose(
+        optics.pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, none), expected, atol=1e-12
+    )
+
+
+def test_undistortion_inverts_distortion():
+    camera = CameraTruth(p1=2e-3, p2=-1e-3)
+    xd, yd = np.meshgrid(np.linspace(-0.2, 0.2, 9), np.linspace(-0.12, 0.12, 7))
+    xn, yn = optics.undistort(xd, yd, camera)
+    back_x, back_y = optics.distort(xn, yn, camera)
+    np.testing.assert_allclose(back_x, xd, atol=1e-12)
+    np.testing.assert_allclose(back_y, yd, atol=1e-12)
+    assert np.abs(xn - xd).max() > 1e-4
+
+
+def test_distortion_that_folds_back_is_refused():
+    with pytest.raises(ConfigError, match="camera"):
+        optics.undistort(np.array([0.9]), np.array([0.5]), CameraTruth(k1=-5.0, k2=0.0))
+
+
+def test_rendered_brightness_is_that_of_the_print_through_opencv():
+    truth = Truth(
+        camera=CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, k1=0.06, k2=-0.9, width=128, height=72),
+        optics=OpticsTruth(psf_px=0.0, gradient_x=0.0, gradient_y=0.0, black=0.0),
+        collimator=CollimatorTruth(half_angle_deg=30.0),
+    )
+    rotation = optics.pose_rotation({"pan": 2.0, "tilt": -1.0, "roll": 30.0}, truth.optics)
+    image = optics.render(truth, rotation, subsamples=1)
+    # The other way round: print -> image. A pixel's centre sees the point that OpenCV projects onto it.
+    x, y = np.meshgrid(np.arange(0.0, 150.0, 0.05) + 40.0, np.arange(0.0, 120.0, 0.05) + 80.0)
+    points = np.column_stack([x.ravel(), y.ravel()])
+    seen = reference_projection(points, rotation, truth)
+    nearest = np.round(seen)
+    central = (np.abs(seen - nearest) < 0.02).all(axis=1)
+    inside = central & (nearest >= 0).all(axis=1) & (nearest < [128, 72]).all(axis=1)
+    u, v = nearest[inside].astype(int).T
+    printed = optics.TARGET.reflectance(*points[inside].T)
+    assert inside.sum() > 1000
+    assert np.mean(image[v, u] == printed) > 0.97  # the rest lies within 0.02 px of a segment's edge
+
+
+def test_nothing_is_seen_outside_the_disc_and_the_rim_is_soft():
+    truth = Truth(camera=SMALL, collimator=CollimatorTruth(half_angle_deg=4.0, rim=0.2))
+    rotation = optics.pose_rotation({}, OpticsTruth(mounting_deg=(0.0, 0.0, 0.0)))
+    image = optics.render(truth, rotation)
+    v, u = np.mgrid[:72, :128]
+    radius = np.hypot(u - SMALL.cx, v - SMALL.cy) / (330.0 * math.tan(math.radians(4.0)))
+    assert image[radius > 1.2].max() < 1e-6
+    assert image[radius < 0.8].max() > 0.9
+    assert image[(radius > 0.93) & (radius < 1.0)].max() < 0.3
+
+
+def test_point_spread_keeps_the_light():
+    sharp = Truth(camera=SMALL, optics=OpticsTruth(psf_px=0.0))
+    blurred = Truth(camera=SMALL, optics=OpticsTruth(psf_px=1.0))
+    rotation = optics.pose_rotation({}, sharp.optics)
+    a, b = optics.render(sharp, rotation), optics.render(blurred, rotation)
+    assert b.std() < 0.9 * a.std()
+    assert b[8:-8, 8:-8].mean() == pytest.approx(a[8:-8, 8:-8].mean(), rel=0.02)
+
+
+def test_clearance_and_border_leave_out_stars_near_the_edges():
+    truth = Truth()
+    rotation = optics.pose_rotation({"pan": 5.0}, truth.optics)
+    all_ids, _ = optics.star_centres(truth, rotation)
+    ids, points = optics.star_centres(truth, rotation, clearance=2.0, border_px=30.0)
+    assert set(ids) < set(all_ids)
+    assert (points >= 29.5).all()
+    assert (points <= [1280 - 30.5, 720 - 30.5]).all()
