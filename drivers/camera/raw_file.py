@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +24,6 @@ from drivers.camera.evt3 import (
 )
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.errors import NotARecording, RecordingFileError
-
-_BLOCK_BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -106,6 +103,19 @@ class RawFile:
         """Serial number of the camera; empty when the header has none."""
         return self.raw_header.fields.get("serial_number", "")
 
+    def words(self, *, at_once: int = 1 << 19) -> Iterator[Words]:
+        """Return the words as they stand in the file, some at a time; an odd byte at its end is left out.
+
+        Raises RecordingFileError when the file cannot be read on.
+        """
+        try:
+            with self.path.open("rb") as file:
+                file.seek(self.raw_header.size_bytes)
+                while block := file.read(2 * at_once):
+                    yield np.frombuffer(block, "<u2", count=len(block) // 2)
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+
     def pieces(self, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Events and triggers as sent, in pieces of at most ``max_events`` events.
 
@@ -117,7 +127,7 @@ class RawFile:
             When the file cannot be read on.
         """
         decoder = self._decoder()
-        for words in self._blocks():
+        for words in self.words():
             yield from decoder.decode(words, max_events=max_events)
 
     def chunks(self, *, max_events: int = 1_000_000) -> Iterator[Events]:
@@ -142,7 +152,7 @@ class RawFile:
     def triggers(self) -> Triggers:
         """All trigger edges. Raises as ``pieces``."""
         decoder = self._decoder()
-        return join_triggers([decoder.tally(words) for words in self._blocks()])
+        return join_triggers([decoder.tally(words) for words in self.words()])
 
     def counts(self) -> NDArray[np.uint16]:
         """Events of each pixel: (2, height, width), OFF then ON; counts wrap above 65535.
@@ -151,14 +161,14 @@ class RawFile:
         """
         image = np.zeros((2, self.height, self.width), np.uint16)
         decoder = self._decoder()
-        for words in self._blocks():
+        for words in self.words():
             decoder.count(words, image)
         return image
 
     def scan(self) -> RecordingScan:
         """Read all words once and sum up what they tell. Raises as ``pieces``."""
         decoder = self._decoder()
-        for words in self._blocks():
+        for words in self.words():
             decoder.tally(words)
         size = self.path.stat().st_size
         odd = (size - self.raw_header.size_bytes) % 2
@@ -167,16 +177,6 @@ class RawFile:
     def _decoder(self) -> Evt3Decoder:
         first_byte = self.raw_header.size_bytes
         return Evt3Decoder(self.width, self.height, first_byte=first_byte, where=str(self.path))
-
-    def _blocks(self) -> Iterator[Words]:
-        """Whole words of the file, some at a time; an odd byte at its end is left out."""
-        try:
-            with self.path.open("rb") as file:
-                file.seek(self.raw_header.size_bytes)
-                while block := file.read(_BLOCK_BYTES):
-                    yield np.frombuffer(block, "<u2", count=len(block) // 2)
-        except OSError as error:
-            raise _unreadable(self.path, error) from error
 
 
 def _unreadable(path: Path, error: OSError) -> RecordingFileError:

@@ -49,14 +49,19 @@ class RawHeader:
         Every key and its text, runs of white space as one blank; of a repeated key the last.
     width, height
         Size of the sensor, px.
-    size_bytes
-        Length of the header: the offset of the first word.
+    text
+        The header as it stands in the file.
     """
 
     fields: Mapping[str, str]
     width: int
     height: int
-    size_bytes: int
+    text: bytes
+
+    @property
+    def size_bytes(self) -> int:
+        """Length of the header: the offset of the first word."""
+        return len(self.text)
 
 
 def parse_header(start: bytes, *, where: str) -> RawHeader:
@@ -94,7 +99,7 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
             break
         fields[key] = value
     width, height = _size(fields, where)
-    return RawHeader(fields, width, height, at)
+    return RawHeader(fields, width, height, start[:at])
 
 
 def _looks_like(start: bytes) -> str:

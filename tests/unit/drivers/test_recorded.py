@@ -1,0 +1,164 @@
+"""RAW files played as a camera."""
+
+import numpy as np
+import pytest
+
+from drivers.camera import CameraSettings
+from drivers.camera.raw_file import RawFile
+from drivers.camera.recorded import RecordedCamera
+from drivers.clock import SystemClock
+from drivers.errors import (
+    CameraNotFound,
+    CameraSettingRefused,
+    NotARecording,
+    RecordingFailed,
+    RecordingFileError,
+    WrongDevice,
+)
+
+HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% serial_number %s\n% sensor_name IMX636\n% lens 16 mm\n% end\n"
+
+
+def stream(milliseconds, *, column=3):
+    """One event and a clock word every 100 us."""
+    words = []
+    for k in range(10 * milliseconds + 1):
+        t = 2_000_000 + 100 * k
+        words += [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, 0x0007, 0x2000 | column]
+    return words
+
+
+def write(path, words, serial=b"42"):
+    path.write_bytes(HEADER.replace(b"%s", serial) + np.array(words, "<u2").tobytes())
+
+
+@pytest.fixture
+def play():
+    return lambda path, **options: RecordedCamera.open(path, clock=SystemClock(), **options)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two recordings of one camera, told apart by the column of their events."""
+    source = tmp_path / "captures"
+    source.mkdir()
+    write(source / "pose-001.raw", stream(50, column=1))
+    write(source / "pose-002.raw", stream(50, column=2))
+    (source / "notes.txt").write_text("not played")
+    return source
+
+
+def test_each_recording_asked_for_plays_the_next_file(play, folder, tmp_path):
+    camera = play(folder)
+    for column in (1, 2):
+        path = tmp_path / f"{column}.raw"
+        facts = camera.record(path, 0.033)
+        assert facts.complete
+        assert 0.033 <= facts.duration_s < 0.06
+        assert set(RawFile.open(path).read()[0].x) == {column}
+
+
+def test_header_and_words_are_those_of_the_file(play, folder, tmp_path):
+    play(folder).record(tmp_path / "a.raw", 0.033)
+    played = (folder / "pose-001.raw").read_bytes()
+    taken = (tmp_path / "a.raw").read_bytes()
+    assert played.startswith(taken)
+    assert RawFile.open(tmp_path / "a.raw").header["lens"] == "16 mm"
+
+
+def test_the_end_of_the_files_is_told(play, folder, tmp_path):
+    camera = play(folder)
+    for name in ("a.raw", "b.raw"):
+        camera.record(tmp_path / name, 0.01)
+    with pytest.raises(RecordingFailed, match=r"has been played \(2 recordings taken\)"):
+        camera.record(tmp_path / "c.raw", 0.01)
+    assert not (tmp_path / "c.raw").exists()
+
+
+def test_a_file_shorter_than_asked_is_not_complete(play, folder, tmp_path):
+    facts = play(folder).record(tmp_path / "a.raw", 1.0)
+    assert not facts.complete
+    assert facts.duration_s == pytest.approx(0.05)
+    assert (tmp_path / "a.raw").read_bytes() == (folder / "pose-001.raw").read_bytes()
+
+
+def test_one_long_file_is_taken_piece_after_piece(play, tmp_path):
+    write(tmp_path / "long.raw", stream(200))
+    camera = play(tmp_path / "long.raw")
+    last_t = 0
+    for k in range(3):
+        path = tmp_path / f"{k}.raw"
+        assert camera.record(path, 0.033).complete
+        scan = RawFile.open(path).scan()
+        assert scan.unplaced_events == 0
+        assert scan.first_t_us >= last_t
+        last_t = scan.last_t_us
+
+
+def test_one_long_file_ends(play, tmp_path):
+    write(tmp_path / "long.raw", stream(40))
+    camera = play(tmp_path / "long.raw")
+    assert not camera.record(tmp_path / "a.raw", 1.0).complete
+    with pytest.raises(RecordingFailed, match="has been played"):
+        camera.record(tmp_path / "b.raw", 0.01)
+
+
+def test_words_before_the_first_time_high_are_not_taken(play, tmp_path):
+    write(tmp_path / "joined.raw", [0x2001, 0x0005, 0x2001, *stream(20)])
+    camera = play(tmp_path / "joined.raw")
+    camera.record(tmp_path / "a.raw", 0.005)
+    assert RawFile.open(tmp_path / "a.raw").scan().unplaced_events == 0
+
+
+def test_identity_is_that_of_the_header(play, folder):
+    identity = play(folder, serial="42").identify()
+    assert (identity.serial, identity.sensor, identity.model, identity.width) == (
+        "42",
+        "IMX636",
+        "recorded",
+        1280,
+    )
+
+
+def test_files_of_another_camera_are_refused(play, folder):
+    with pytest.raises(WrongDevice, match="by camera 42, not 43"):
+        play(folder, serial="43")
+
+
+def test_files_of_two_cameras_are_refused(play, folder):
+    write(folder / "pose-003.raw", stream(5), serial=b"99")
+    with pytest.raises(WrongDevice, match="by camera 99, not 42"):
+        play(folder)
+
+
+def test_an_empty_folder_is_told(play, tmp_path):
+    with pytest.raises(CameraNotFound, match="No RAW file"):
+        play(tmp_path)
+
+
+def test_what_is_no_recording_is_told(play, tmp_path):
+    (tmp_path / "some.raw").write_text("hello")
+    with pytest.raises(NotARecording, match="text file"):
+        play(tmp_path)
+    with pytest.raises(RecordingFileError, match="no such file"):
+        play(tmp_path / "none.raw")
+
+
+def test_a_file_that_vanishes_is_told(play, folder, tmp_path):
+    camera = play(folder)
+    (folder / "pose-001.raw").unlink()
+    with pytest.raises(RecordingFileError, match="no such file"):
+        camera.record(tmp_path / "a.raw", 0.01)
+
+
+def test_biases_cannot_be_set_any_more(play, folder):
+    camera = play(folder)
+    assert camera.apply(CameraSettings({"bias_fo": 0})).biases == {}
+    with pytest.raises(CameraSettingRefused, match="bias_fo of a recording"):
+        camera.apply(CameraSettings({"bias_fo": 3}))
+
+
+def test_malformed_words_fail_the_recording(play, tmp_path):
+    write(tmp_path / "bad.raw", [*stream(5), 0x9000, *stream(5)])
+    with pytest.raises(RecordingFailed, match="0x9000"):
+        play(tmp_path / "bad.raw").record(tmp_path / "a.raw", 0.02)
