@@ -1,29 +1,23 @@
 """Flicker lights driven by an SCPI function generator: its output feeds the lamp, its sync the camera.
 
-Knows the words of a generator (those of the Keysight 33250A) and what may go wrong with a setting: clipped,
-refused, taken and silently dropped. Every setting is read back. Nothing is switched by opening.
+Knows what may go wrong with a setting: clipped, refused, taken and silently dropped. Every setting is read
+back. Nothing is switched by opening. How makes say it is in ``drivers.light.scpi_dialects``.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import LightFault, SettingRefused, WrongDevice
-from drivers.light import LightIdentity, LightSettings, Waveform
+from drivers.light import LightIdentity, LightSettings
+from drivers.light.scpi_dialects import DIALECTS, DialectName, Load, Setting
 from drivers.readings import agreeing
 from drivers.scpi_line import InstrumentError, ScpiLine
 from drivers.serial_port import Port, SerialPort
 from drivers.wire_log import WireLog
-
-Load = Literal["high-z", "50-ohm", "unchanged"]
-"""What the generator takes its output to be connected to: its levels are those at this load."""
-
-_WAVEFORMS: dict[str, Waveform] = {"SQU": "square", "SQUARE": "square", "SIN": "sine", "SINUSOID": "sine"}
-_WORDS: dict[Waveform, str] = {"square": "SQU", "sine": "SIN"}
 
 # How far a value read back may lie from the one asked: the finest of what generators resolve and print.
 _FREQUENCY_REL = 1e-6
@@ -49,6 +43,8 @@ class ScpiLight:
         See ``drivers.link.Link``.
     load
         Set before the levels; "unchanged" for a generator that has no such setting.
+    dialect
+        How the generator wants to be spoken to: "keysight", "numbered" or "siglent".
 
     Raises
     ------
@@ -65,9 +61,11 @@ class ScpiLight:
         clock: Clock,
         wire_log: WireLog | None = None,
         load: Load = "high-z",
+        dialect: DialectName = "keysight",
     ) -> None:
         self._serial = serial
         self._load: Load = load
+        self._dialect = DIALECTS[dialect]
         self._switched_on = False
         try:
             self._line = ScpiLine(port, clock=clock, wire_log=wire_log)
@@ -86,13 +84,14 @@ class ScpiLight:
         clock: Clock,
         wire_log: WireLog | None = None,
         load: Load = "high-z",
+        dialect: DialectName = "keysight",
     ) -> ScpiLight:
         """Open the port and check who answers. Sets and switches nothing.
 
         Raises PortNotFound, PortBusy, PortDenied, and what the constructor raises.
         """
         opened = SerialPort(port, baudrate=baudrate)
-        return cls(opened, serial=serial, clock=clock, wire_log=wire_log, load=load)
+        return cls(opened, serial=serial, clock=clock, wire_log=wire_log, load=load, dialect=dialect)
 
     def identify(self) -> LightIdentity:
         """Return who it is. Raises WrongDevice when the serial number is not the station file's."""
@@ -112,14 +111,9 @@ class ScpiLight:
         Raises SettingRefused, naming what was asked and what the generator has instead.
         """
         if self._load != "unchanged":
-            self._set("load", f"OUTP:LOAD {'INF' if self._load == 'high-z' else '50'}")
-        self._set("waveform", f"FUNC {_WORDS[settings.waveform]}")
-        self._set("frequency", f"FREQ {settings.frequency_hz:.12g}")
-        if settings.waveform == "square":
-            self._set("duty", f"FUNC:SQU:DCYC {settings.duty_percent:.6g}")
-        for name, command in self._levels(settings):
-            self._set(name, command)
-        self._set("sync", f"OUTP:SYNC {'ON' if settings.sync_output else 'OFF'}")
+            self._set(self._dialect.load(self._load))
+        for setting in self._dialect.settings(settings, self._dialect.low_v(self._line)):
+            self._set(setting)
         got = self.read()
         _compare(settings, got, self._line.name)
         return got
@@ -130,11 +124,11 @@ class ScpiLight:
         Everything is read twice: SCPI has no checksums, and a digit can change on the line. Raises
         LightFault when it makes neither square nor sine; ReplyGarbled when two readings never agree.
         """
-        return self._agreeing(self._read_once, "the settings")
+        return self._agreeing(lambda: self._dialect.read(self._line), "the settings")
 
     def on(self) -> None:
         """Switch the output on and see that it is. Raises LightFault, SettingRefused."""
-        self._set("output", "OUTP ON")
+        self._set(self._dialect.output(on=True))
         if not self.is_on():
             raise LightFault(
                 "the output was switched on, but reads off.",
@@ -149,10 +143,11 @@ class ScpiLight:
         Raises LightFault; ReplyError, PortLost when it cannot be known.
         """
         self._switched_on = False
-        self._line.blurt("OUTP OFF")
+        _, command = self._dialect.output(on=False)
+        self._line.blurt(command)
         if not self.is_on():
             return
-        self._line.tell("OUTP OFF")
+        self._line.tell(command)
         if self.is_on():
             raise LightFault(
                 "the output was switched off, but reads on.",
@@ -162,7 +157,7 @@ class ScpiLight:
 
     def is_on(self) -> bool:
         """Whether the output is on, asked of the generator twice."""
-        return self._agreeing(lambda: self._line.switch("OUTP?"), "the output's switch")
+        return self._agreeing(lambda: self._dialect.is_on(self._line), "the output's switch")
 
     def faults(self) -> Sequence[str]:
         """Return the generator's errors since last asked, and whether it went dark by itself."""
@@ -177,7 +172,8 @@ class ScpiLight:
 
     # ------------------------------------------------------------ inside
 
-    def _set(self, name: str, command: str) -> None:
+    def _set(self, setting: Setting) -> None:
+        name, command = setting
         errors = self._line.tell(command)
         if errors:
             raise SettingRefused(
@@ -185,31 +181,6 @@ class ScpiLight:
                 where=self._line.name,
                 remedy=_remedy(name, errors),
             )
-
-    def _levels(self, settings: LightSettings) -> list[tuple[str, str]]:
-        """Order the two levels so that high stays above low in between, whatever they were."""
-        high = ("high level", f"VOLT:HIGH {settings.high_v:.6g}")
-        low = ("low level", f"VOLT:LOW {settings.low_v:.6g}")
-        return [high, low] if settings.high_v > self._line.number("VOLT:LOW?") else [low, high]
-
-    def _read_once(self) -> LightSettings:
-        word = self._line.ask("FUNC?").upper()
-        if word not in _WAVEFORMS:
-            raise LightFault(
-                f"the generator makes {word}, neither a square nor a sine.",
-                where=self._line.name,
-                remedy="Apply the light's settings first.",
-            )
-        settings = LightSettings(
-            waveform=_WAVEFORMS[word],
-            frequency_hz=self._line.number("FREQ?"),
-            low_v=self._line.number("VOLT:LOW?"),
-            high_v=self._line.number("VOLT:HIGH?"),
-            sync_output=self._line.switch("OUTP:SYNC?"),
-        )
-        if settings.waveform == "square":
-            settings = replace(settings, duty_percent=self._line.number("FUNC:SQU:DCYC?"))
-        return settings
 
     def _agreeing(self, read: Callable[[], T], what: str) -> T:
         return agreeing(read, what=what, where=self._line.name)

@@ -94,3 +94,65 @@ class Generator:
 
     def commands(self) -> list[str]:
         return [line for line in self.sent if "?" not in line]
+
+
+class NumberedGenerator(Generator):
+    """The same, spoken to by channel: the headers are ``SOUR1:...`` and ``OUTP1...``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.identity = "Rigol Technologies,DG1022Z,DG1ZA2,03.01.12"
+
+    def write(self, data: bytes) -> None:
+        text = data.decode("latin-1")
+        if text.startswith("SOUR1:"):
+            text = text.removeprefix("SOUR1:")
+        elif text.startswith("OUTP1"):
+            text = "OUTP" + text.removeprefix("OUTP1")
+        elif not text.startswith(("*IDN?", "SYST:ERR?")):
+            text = "NONE\n"
+        super().write(text.encode("latin-1"))
+
+
+NAMES = {"FRQ": "FREQ", "DUTY": "FUNC:SQU:DCYC", "HLEV": "VOLT:HIGH", "LLEV": "VOLT:LOW"}
+UNITS = {"FRQ": "HZ", "HLEV": "V", "LLEV": "V", "DUTY": ""}
+
+
+class SiglentGenerator(Generator):
+    """The same, with all settings of a channel in one command."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.identity = "Siglent Technologies,SDG1032X,SDG1X,1.01.01.33R3"
+        self.values["FUNC"] = "SINE"
+
+    def write(self, data: bytes) -> None:
+        line = data[:-1].decode("latin-1")
+        self.sent.append(line)
+        if line in {"*IDN?", "SYST:ERR?"}:
+            answer = self.answer(line[:-1])
+        elif line == "C1:BSWV?":
+            words = [f"{name},{self.values[key]:g}{UNITS[name]}" for name, key in NAMES.items()]
+            answer = f"C1:BSWV WVTP,{self.values['FUNC']},PERI,0.016S,{','.join(words)},PHSE,0"
+        elif line in {"C1:OUTP?", "C1:SYNC?"}:
+            on = {"0": "OFF", "1": "ON"}[self.values["OUTP" if "OUTP" in line else "OUTP:SYNC"]]
+            answer = f"C1:OUTP {on},LOAD,HZ,PLRT,NOR" if "OUTP" in line else f"C1:SYNC {on},TYPE,CH1"
+        else:
+            answer = self.command(line)
+        if answer is not None:
+            self.ready += self.spoil(f"{answer}\n".encode())
+
+    def command(self, line: str) -> None:
+        header, _, value = line.partition(" ")
+        if header == "C1:BSWV":
+            words = value.split(",")
+            for name, word in zip(words[::2], words[1::2], strict=True):
+                if name == "WVTP":
+                    self.values["FUNC"] = word
+                else:
+                    self.values[NAMES[name]] = float(word)
+            self.values["FREQ"] = min(self.values["FREQ"], self.highest_hz)
+        elif line in {"C1:OUTP ON", "C1:OUTP OFF", "C1:SYNC ON", "C1:SYNC OFF"}:
+            self.values["OUTP" if "OUTP" in line else "OUTP:SYNC"] = "1" if line.endswith("ON") else "0"
+        elif not line.startswith("C1:OUTP LOAD,"):
+            self.queue.append('-113,"Undefined header"')

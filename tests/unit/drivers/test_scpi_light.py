@@ -12,7 +12,7 @@ from drivers.errors import DriverError, LightFault, ReplyError, SettingRefused, 
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from drivers.scpi_line import ScpiLine
-from tests.unit.drivers.generator_peer import Generator
+from tests.unit.drivers.generator_peer import Generator, NumberedGenerator, SiglentGenerator
 
 
 @pytest.fixture
@@ -191,7 +191,7 @@ def test_off_goes_out_before_the_line_comes_into_step(light, generator) -> None:
 
 def test_another_waveform_is_told_not_taken_for_one_of_ours(light, generator) -> None:
     generator.values["FUNC"] = "RAMP"
-    with pytest.raises(LightFault, match="makes RAMP"):
+    with pytest.raises(LightFault, match="makes 'RAMP'"):
         light.read()
 
 
@@ -268,3 +268,57 @@ def test_closing_switches_nothing(light, generator) -> None:
     light.close()
     assert generator.closed
     assert generator.values["OUTP"] == "1"
+
+
+# ---------------------------------------------------------------- other makes
+OTHERS = pytest.mark.parametrize(
+    ("dialect", "make"), [("numbered", NumberedGenerator), ("siglent", SiglentGenerator)]
+)
+SINE = LightSettings("sine", 59.94, low_v=1.0, high_v=2.0, sync_output=False)
+
+
+@OTHERS
+@pytest.mark.parametrize("settings", [FLICKER, SINE])
+def test_other_makes_are_set_read_back_and_switched(clock, dialect, make, settings) -> None:
+    generator = make()
+    light = ScpiLight(generator, clock=clock, dialect=dialect)
+    assert light.apply(settings) == settings
+    assert not light.is_on()
+    light.on()
+    assert generator.values["OUTP"] == "1"
+    light.off()
+    assert generator.values["OUTP"] == "0"
+
+
+@OTHERS
+def test_other_makes_are_refused_when_they_clip(clock, dialect, make) -> None:
+    generator = make()
+    generator.highest_hz = 50.0
+    light = ScpiLight(generator, clock=clock, dialect=dialect)
+    with pytest.raises(SettingRefused, match="frequency"):
+        light.apply(FLICKER)
+
+
+def test_the_siglent_way_is_one_command(clock) -> None:
+    generator = SiglentGenerator()
+    ScpiLight(generator, clock=clock, dialect="siglent").apply(FLICKER)
+    assert generator.commands() == [
+        "C1:OUTP LOAD,HZ",
+        "C1:BSWV WVTP,SQUARE,FRQ,60,HLEV,3.3,LLEV,0,DUTY,30",
+        "C1:SYNC ON",
+    ]
+
+
+@pytest.mark.parametrize("wrong", [b"C1:BSWV\n", b"C2:BSWV WVTP,SQUARE\n", b"C1:BSWV WVTP,SQUARE,FRQ,60KZ\n"])
+def test_an_answer_of_another_form_is_refused_by_the_siglent_way(clock, wrong) -> None:
+    generator = SiglentGenerator()
+    light = ScpiLight(generator, clock=clock, dialect="siglent")
+    generator.spoil = lambda line: wrong if b"BSWV" in line else line
+    with pytest.raises(ReplyError):
+        light.read()
+
+
+def test_the_wrong_dialect_is_told_by_the_instrument_itself(generator, clock) -> None:
+    light = ScpiLight(generator, clock=clock, dialect="numbered")
+    with pytest.raises(DriverError, match="-113"):
+        light.apply(FLICKER)
