@@ -133,8 +133,9 @@ class Axis:
         self._finish_homing(t_s)
         return self.motor.position(t_s) - self._encoder_origin
 
-    def rest_counter(self) -> float:
+    def rest_counter(self, t_s: float) -> float:
         """Where the present command ends, in counts of the counter as it is now."""
+        self._finish_homing(t_s)
         return self.commanded.rest - self._origin
 
     def velocity(self, t_s: float) -> float:

@@ -225,7 +225,7 @@ class GrblController:
 
     def _targets(self, block: Block, *, relative: bool) -> dict[str, float]:
         """Where a block leads, from where all that was ordered before it ends."""
-        targets = self._planner.last_target()
+        targets = self._planner.last_target(self._clock())
         for letter, value in block.targets.items():
             targets[letter] = value + (targets[letter] if relative else 0.0)
         return targets

@@ -99,9 +99,9 @@ class Planner:
         speeds = [axis.velocity(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return 60.0 * math.sqrt(sum(speed * speed for speed in speeds))
 
-    def last_target(self) -> dict[str, float]:
+    def last_target(self, now: float) -> dict[str, float]:
         """Where everything that was ordered ends."""
-        return dict(self._queue[-1].targets) if self._queue else self._rest()
+        return dict(self._queue[-1].targets) if self._queue else self._rest(now)
 
     def inside(self, targets: Mapping[str, float]) -> bool:
         """Whether targets lie within the travel of all axes."""
@@ -164,7 +164,7 @@ class Planner:
 
     # ------------------------------------------------------------------ inside
     def _begin(self, motion: Motion, now: float) -> None:
-        present = self._rest()
+        present = self._rest(now)
         distances = {one: motion.targets[one] - present[one] for one in self._order}
         length = math.sqrt(sum(distance * distance for distance in distances.values()))
         shares = {one: abs(distance) / length for one, distance in distances.items() if distance}
@@ -183,8 +183,8 @@ class Planner:
             if axis.busy(now):
                 axis.stop(now, self._setting(ACCELERATION, letter) * self._steps(letter))
 
-    def _rest(self) -> dict[str, float]:
-        return {letter: axis.rest_counter() / self._steps(letter) for letter, axis in self.axes.items()}
+    def _rest(self, now: float) -> dict[str, float]:
+        return {letter: axis.rest_counter(now) / self._steps(letter) for letter, axis in self.axes.items()}
 
     def _steps(self, letter: str) -> float:
         return self._setting(STEPS, letter)

@@ -1,0 +1,194 @@
+"""The simulated Newport ESP301, asked by a client nobody here wrote, and line by line."""
+
+from __future__ import annotations
+
+import time
+import warnings
+
+import pytest
+
+from simulators.axis_motion import Mechanics, MotionFault
+from simulators.esp301 import EspAxisModel, EspController
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+
+SCALE = 10_000.0
+
+
+def models() -> list[EspAxisModel]:
+    return [
+        EspAxisModel(Mechanics(SCALE, -17.0, 17.0, start_deg=2.4), "1263", -15.0, 15.0),
+        EspAxisModel(Mechanics(SCALE, -12.0, 12.0, start_deg=-1.7), "1264", -10.0, 10.0),
+    ]
+
+
+class Controller:
+    """The controller on a clock that the test turns."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.device = EspController(models(), lambda: self.now_s)
+
+    def say(self, line: str) -> list[str]:
+        return self.device.receive(f"{line}\r".encode()).decode().split("\r\n")[:-1]
+
+    def wait(self, seconds: float = 60.0) -> list[str]:
+        self.now_s += seconds
+        return self.device.unsolicited().decode().split("\r\n")[:-1]
+
+
+@pytest.fixture
+def controller() -> Controller:
+    return Controller()
+
+
+@pytest.fixture
+def homed(controller: Controller) -> Controller:
+    controller.say("1MO;2MO;1OR1;2OR1")
+    controller.wait()
+    return controller
+
+
+def test_a_client_nobody_here_wrote_homes_moves_and_reads(tmp_path):
+    newport = pytest.importorskip("pymeasure.instruments.newport", reason="pymeasure is not installed")
+    adapters = pytest.importorskip("pymeasure.adapters")
+    with SerialDevice(PseudoTerminal(tmp_path / "stage"), EspController(models(), time.monotonic)) as device:
+        adapter = adapters.SerialAdapter(
+            device.address, baudrate=19_200, timeout=5, write_termination="\r", read_termination="\r\n"
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # the client's own, about its base class
+            stage = newport.ESP300(adapter)
+        stage.x.enable()
+        stage.x.home()
+        stage.x.wait_for_stop()
+        assert stage.x.position == 0.0
+        stage.x.position = 1.5
+        stage.x.wait_for_stop()
+        assert stage.x.position == 1.5
+        assert (stage.x.left_limit, stage.x.right_limit) == (-15.0, 15.0)
+        assert stage.x.units == "degree"
+        stage.x.position = 99
+        assert [str(error) for error in stage.errors] == [
+            "Newport ESP300 axis 1 reported the error: POSITIVE SOFTWARE LIMIT DETECTED"
+        ]
+        adapter.close()
+
+
+@pytest.mark.parametrize(
+    ("line", "answers"),
+    [
+        ("VE?", ["ESP301 Version 3.0.1 6/1/99"]),
+        ("1ID?", ["URS75BCC, SN1263"]),
+        ("2ID?;1TP", ["URS75BCC, SN1264", "0.00000"]),
+        ("1MO?", ["0"]),
+        ("1SL?;1SR?;1SN?", ["-15", "15", "7"]),
+        ("1va10;1VA?", ["10"]),
+        ("1MO;1PA5", []),
+        ("", []),
+    ],
+)
+def test_only_questions_are_answered(controller: Controller, line: str, answers: list[str]):
+    assert controller.say(line) == answers
+    assert controller.say("TE?") == ["0"]
+
+
+@pytest.mark.parametrize(
+    ("line", "number"),
+    [
+        ("1XY", 6),
+        ("hello", 6),
+        ("PA5", 37),
+        ("3PA5", 9),
+        ("1PA", 38),
+        ("1PAfive", 101),
+        ("1PA5", 113),
+        ("2MO;2PA10.1", 206),
+        ("2MO;2PA-10.1", 207),
+        ("1VA500", 110),
+        ("1AC5000", 111),
+        ("1SR-5", 101),
+        ("1OR9", 101),
+    ],
+)
+def test_a_refusal_is_silent_and_waits_in_the_queue(controller: Controller, line: str, number: int):
+    assert controller.say(line) == []
+    assert controller.say("TE?") == [str(number)]
+    assert controller.say("TE?") == ["0"]
+
+
+def test_the_queue_tells_its_errors_in_words_too(controller: Controller):
+    controller.say("1PA5")
+    assert controller.say("TB?") == ["113, 0, MOTOR NOT ENABLED"]
+    assert controller.say("TB?") == ["0, 0, NO ERROR DETECTED"]
+
+
+def test_a_move_is_done_when_it_says_so(homed: Controller):
+    homed.say("1PA3.5")
+    homed.wait(0.1)
+    assert homed.say("1MD?;1PA?") == ["0", "3.50000"]
+    homed.wait()
+    assert homed.say("1MD?;1TP;1DP?") == ["1", "3.50000", "3.50000"]
+    assert homed.device.axes[1].axis.pointing.angle_deg(homed.now_s) == 3.5
+
+
+def test_a_wait_holds_the_commands_behind_it_back(homed: Controller):
+    assert homed.say("1PR2;1WS0;1TP") == []
+    assert homed.wait() == ["2.00000"]
+
+
+def test_homing_may_not_be_disturbed_and_is_ended_by_stop(controller: Controller):
+    controller.say("1MO;1OR1")
+    controller.wait(0.05)
+    controller.say("1PA1")
+    assert controller.say("TE?") == ["130"]
+    controller.say("1ST")
+    assert controller.say("TE?") == ["120"]
+    controller.wait()
+    assert not controller.device.axes[1].axis.referenced(controller.now_s)
+
+
+def test_stop_without_an_axis_stops_all(homed: Controller):
+    homed.say("1PA15;2PA10")
+    homed.wait(0.2)
+    homed.say("ST")
+    homed.wait(0.3)
+    first, second, *done = homed.say("1TP;2TP;1MD?;2MD?;1MO?")
+    assert 0.0 < float(first) < 15.0
+    assert 0.0 < float(second) < 10.0
+    assert done == ["1", "1", "1"]
+
+
+def test_the_status_character_tells_who_moves(homed: Controller):
+    assert homed.say("TS") == [chr(0x50)]
+    homed.say("2PA10")
+    assert homed.say("TS") == [chr(0x52)]
+
+
+@pytest.mark.parametrize(("kind", "number"), [("stall", 203), ("limit", 204)])
+def test_a_fault_of_motion_switches_the_motor_off(homed: Controller, kind, number: int):
+    homed.device.axes[2].axis.arm(MotionFault(kind))
+    homed.say("2PA10")
+    homed.wait()
+    assert homed.say("2MO?;TE?") == ["0", str(number)]
+
+
+def test_a_restart_in_motion_is_silence_then_motors_off_at_zero(homed: Controller):
+    homed.device.axes[1].axis.arm(MotionFault("restart"))
+    homed.say("1PA15")
+    homed.wait(0.4)
+    assert homed.say("1TP") == []
+    homed.wait(2.0)
+    assert homed.say("1TP;1MO?;2MO?") == ["0.00000", "0", "0"]
+
+
+def test_an_emergency_stop_switches_all_off_until_released(homed: Controller):
+    homed.device.axes[1].emergency_stop(homed.now_s)
+    assert homed.say("1MO;1MO?;TE?;TE?") == ["0", "4", "4"]
+    homed.device.axes[1].emergency_stop(homed.now_s, released=True)
+    assert homed.say("1MO;1MO?") == ["1"]
+
+
+def test_the_position_may_be_called_otherwise(homed: Controller):
+    homed.say("1DH2.5")
+    assert homed.say("1TP;1PA?") == ["2.50000", "2.50000"]
