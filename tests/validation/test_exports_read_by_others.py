@@ -1,0 +1,152 @@
+"""Exports read by the programs they are for, with their own readers and projections.
+
+Each program is asked in whatever Python has it: the one of the tests, the system's, or the one that
+STARBENCH_CROSSCHECK_PYTHON names (``pip install pycolmap``; Debian: python3-mrcal, python3-camera-calibration-parsers).
+"""
+
+import functools
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bench.exports import exports
+from calib.calibration import Calibration, ViewSummary
+from calib.camera import CameraModel
+from calib.collimator import Collimator
+
+RAYS = [[0.0, 0.0, 1.0], [0.15, -0.1, 1.0], [-0.2, 0.08, 1.1], [0.05, 0.11, 0.9], [0.19, 0.1, 1.0]]
+LENSES = {
+    "k1k2": {"k1": 0.06, "k2": -0.9},
+    "k1k2k3p1p2": {"k1": 0.06, "k2": -0.9, "p1": 1e-5, "p2": -0.0002, "k3": 0.3},
+    "rational": {
+        "k1": 0.06,
+        "k2": -0.9,
+        "p1": 1e-5,
+        "p2": -0.0002,
+        "k3": 0.3,
+        "k4": 0.01,
+        "k5": 0.02,
+        "k6": -0.1,
+    },
+}
+
+MRCAL = """
+import json, sys, mrcal, numpy as np
+model = mrcal.cameramodel(sys.argv[1])
+print(json.dumps({"image": mrcal.project(np.array(json.loads(sys.argv[2])), *model.intrinsics()).tolist(),
+                  "size": model.imagersize().tolist()}))
+"""
+COLMAP = """
+import json, sys, numpy as np, pycolmap
+model = pycolmap.Reconstruction()
+model.read_text(sys.argv[1])
+(camera,) = model.cameras.values()
+print(json.dumps({"image": camera.img_from_cam(np.array(json.loads(sys.argv[2]))).tolist(),
+                  "size": [camera.width, camera.height]}))
+"""
+ROS = """
+import json, sys
+from camera_calibration_parsers import readCalibration
+name, info = readCalibration(sys.argv[1])
+print(json.dumps({"name": name, "size": [info.width, info.height], "model": info.distortion_model,
+                  "K": list(info.K), "D": list(info.D), "P": list(info.P)}))
+"""
+
+
+@functools.cache
+def python_with(module):
+    for python in (
+        sys.executable,
+        shutil.which("python3", path="/usr/bin"),
+        os.environ.get("STARBENCH_CROSSCHECK_PYTHON"),
+    ):
+        if (
+            python
+            and subprocess.run(
+                [python, "-c", f"import {module}"], capture_output=True, check=False
+            ).returncode
+            == 0
+        ):
+            return python
+    return None
+
+
+def ask(module, program, *arguments):
+    """What another program answers, as JSON; skips where it is not installed."""
+    python = python_with(module)
+    if python is None:
+        pytest.skip(f"{module} is not installed")
+    answer = subprocess.run(
+        [python, "-c", program, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert answer.returncode == 0, answer.stderr
+    return json.loads(answer.stdout.splitlines()[-1])
+
+
+def calibration(lens):
+    camera = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), LENSES[lens])
+    return Calibration(
+        model="spherical",
+        camera=camera,
+        collimator=Collimator(96.0, 144.0, 255.0),
+        rotations=np.eye(3)[None],
+        centres=np.array([[96.0, 144.0, -255.0]]),
+        parameter_names=camera.parameter_names,
+        values=camera.values,
+        covariance=np.eye(len(camera.values)),
+        residuals_px=[],
+        weights=[],
+        rms_px=0.08,
+        mean_px=0.07,
+        variance_factor=1.0,
+        degrees_of_freedom=100,
+        views=(ViewSummary("one", 300, 0.08, 0.07),),
+        converged=True,
+        iterations=5,
+    )
+
+
+@pytest.fixture(params=LENSES)
+def exported(request, tmp_path):
+    """A calibration, and the folder of its exports."""
+    made = calibration(request.param)
+    for name, data in exports(made, camera_name="evk4_00050423").items():
+        (tmp_path / name).write_bytes(data)
+    return made, tmp_path
+
+
+def test_mrcal_projects_to_the_same_pixels(exported):
+    made, folder = exported
+    answer = ask("mrcal", MRCAL, folder / "mrcal.cameramodel", json.dumps(RAYS))
+    assert answer["size"] == [1280, 720]
+    np.testing.assert_allclose(answer["image"], made.camera.project(np.array(RAYS)), atol=1e-9)
+
+
+def test_colmap_projects_to_the_same_pixels_half_a_pixel_further(exported):
+    made, folder = exported
+    (folder / "colmap_cameras.txt").rename(folder / "cameras.txt")
+    for name in ("images.txt", "points3D.txt", "rigs.txt", "frames.txt"):
+        (folder / name).write_text("")
+    answer = ask("pycolmap", COLMAP, folder, json.dumps(RAYS))
+    assert answer["size"] == [1280, 720]
+    np.testing.assert_allclose(
+        np.array(answer["image"]) - 0.5, made.camera.project(np.array(RAYS)), atol=1e-9
+    )
+
+
+def test_ros_reads_the_same_numbers(exported):
+    made, folder = exported
+    answer = ask("camera_calibration_parsers", ROS, folder / "ros_camera_info.yaml")
+    coefficients = made.camera.coefficients
+    count = 8 if "k4" in made.camera.distortion else 5
+    assert answer["name"] == "evk4_00050423"
+    assert answer["size"] == [1280, 720]
+    assert answer["model"] == ("rational_polynomial" if count == 8 else "plumb_bob")
+    np.testing.assert_array_equal(np.reshape(answer["K"], (3, 3)), made.camera.matrix)
+    np.testing.assert_array_equal(np.reshape(answer["P"], (3, 4))[:, :3], made.camera.matrix)
+    np.testing.assert_array_equal(answer["D"], coefficients[:count])
