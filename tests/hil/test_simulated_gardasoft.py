@@ -1,0 +1,117 @@
+"""The simulated Gardasoft RT: what it answers, what it holds within range, and what the light does."""
+
+from __future__ import annotations
+
+import pytest
+import serial
+
+from simulators.gardasoft import OVER_CURRENT, GardasoftRt
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+from simulators.world import LightState, World
+
+
+class Strobe:
+    """The controller on a clock that the test turns, with all it ever told the light."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.told: list[LightState] = []
+        self.device = GardasoftRt(lambda: self.now_s, self.told.append)
+
+    def say(self, line: str) -> str:
+        return self.device.receive(f"{line}\r".encode()).decode()
+
+    @property
+    def light(self) -> LightState:
+        return self.told[-1]
+
+
+@pytest.fixture
+def strobe() -> Strobe:
+    return Strobe()
+
+
+def test_it_flickers_over_its_port(tmp_path):
+    world = World()
+    with (
+        SerialDevice(PseudoTerminal(tmp_path / "light"), GardasoftRt(world.now_s, world.set_light)) as device,
+        serial.Serial(device.address, 115_200, timeout=5.0) as line,
+    ):
+        line.write(b"VR;RT1,8.333,0.005,100;TT1,16.667\r")
+        assert line.read_until(b">") == b"RT460-20 (HW02) V031\r\n>"
+    light = world.light(world.now_s())
+    assert (light.output, light.sync, light.waveform) == (True, True, "square")
+    assert light.frequency_hz == pytest.approx(60.0, rel=1e-4)
+    assert light.duty_percent == pytest.approx(50.0, abs=0.01)
+    assert (light.low, light.high) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("", ">"),
+        ("XX1", "Err 2\r\n>"),
+        ("hello!", "Err 2\r\n>"),
+        ("RT1,5,1", "Err 4\r\n>"),
+        ("RS9,5", "Err 1\r\n>"),
+        ("RS1,bright", "Err 3\r\n>"),
+        ("RT1,5hours,1,50", "Err 3\r\n>"),
+        ("RT1,5,0,50", "Err 5\r\n>"),
+        ("RS1,120", "Err 5\r\n>"),
+        ("TT2", "Err 1\r\n>"),
+        ("TT", "Err 4\r\n>"),
+        ("AW", ">"),
+        (
+            "rs 1, 50 ; st 1",
+            "CH 1, MD 0, S 50.0%, DL 0.005ms, PU 1.000ms, RT 0.000ms, IP 1, FL 0, CS 1.000A, RA 1.000A\r\n>",
+        ),
+        ("TT1,500us;ST0", "TM 1, TP 0.500ms\r\n>"),
+    ],
+)
+def test_a_line_is_answered_and_ends_in_its_prompt(strobe: Strobe, line: str, answer: str):
+    assert strobe.say(line) == answer
+
+
+def test_a_value_out_of_range_is_held_within_it(strobe: Strobe):
+    strobe.say("RT1,5s,0,50")
+    assert "DL 0.005ms, PU 999.000ms" in strobe.say("ST1")
+
+
+def test_continuous_light_is_steady_and_pulses_need_the_trigger(strobe: Strobe):
+    strobe.say("RS1,40")
+    assert (strobe.light.output, strobe.light.low, strobe.light.high) == (True, 0.4, 0.4)
+    strobe.say("RT1,5,1,40")
+    assert not strobe.light.output
+    strobe.say("TT1,10")
+    assert (strobe.light.output, strobe.light.low, strobe.light.high, strobe.light.duty_percent) == (
+        True,
+        0.0,
+        0.4,
+        50.0,
+    )
+    strobe.say("TT0")
+    assert (strobe.light.output, strobe.light.sync) == (False, False)
+
+
+def test_the_other_outputs_do_not_drive_the_light(strobe: Strobe):
+    before = strobe.light
+    strobe.say("RS2,100")
+    assert strobe.light == before
+
+
+def test_a_protection_switches_off_and_is_told_when_asked_for(strobe: Strobe):
+    strobe.say("RS1,100")
+    strobe.device.trip(OVER_CURRENT)
+    assert not strobe.light.output
+    assert strobe.device.unsolicited() == b""
+    assert strobe.say("GR") == "Evt1,131;\r\n>"
+    assert strobe.light.output
+    assert strobe.say("GR") == ">"
+
+
+def test_a_protection_is_told_unasked_when_that_is_wanted(strobe: Strobe):
+    strobe.say("GT1")
+    strobe.device.trip()
+    assert strobe.device.unsolicited() == b"Evt1,130;\r\n"
+    assert strobe.device.unsolicited() == b""
