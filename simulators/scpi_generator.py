@@ -1,42 +1,47 @@
-"""A function generator in the way of the Keysight 33250A, driving the light and the camera's trigger input.
+"""A function generator that speaks SCPI, in the way of the Keysight 33250A or of makes that number their channels.
 
-Knows the instrument: its settings, how they bound each other, and that it clips what it cannot do and says so
-only when asked for errors. SCPI's syntax is `scpi`'s. What it drives is told as a `LightState`; the phase
-goes on through every change, as in a synthesiser.
+Knows the headers, and that the instrument holds what it cannot do within its range and says so only when asked
+for errors. SCPI's syntax is `scpi`'s, the instrument itself `generator`'s.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Final
 
+from simulators.generator import Generator, Held, Setting
 from simulators.scpi import CommandTree, ErrorQueue, ScpiError, boolean, choice, no_arguments, number, the_one
 from simulators.world import LightState
 
-_HERTZ = {"UHZ": 1e-6, "HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6}
-_VOLTS = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
-_PERCENT = {"PCT": 1.0, "%": 1.0}
-_OHMS = {"OHM": 1.0, "KOHM": 1e3}
-
-#: Output resistance: into an open input the voltage is twice that into 50 ohm.
-_SOURCE_OHM = 50.0
-
-#: Least amplitude, V peak to peak into 50 ohm.
-_LEAST_AMPLITUDE_V = 0.001
+_HERTZ: Final = {"UHZ": 1e-6, "HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6}
+_VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
+_PERCENT: Final = {"PCT": 1.0, "%": 1.0}
+_OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
+_LOAD_OHM: Final = (1.0, 10_000.0)
 
 #: Longest message the input buffer takes.
-_LONGEST = 2048
+_LONGEST: Final = 2048
+
+_WHY: Final = {
+    "lower limit": (-222, "value clipped to lower limit"),
+    "upper limit": (-222, "value clipped to upper limit"),
+    "conflict": (-221, "the other level has been adjusted"),
+}
 
 
 @dataclass(frozen=True)
 class GeneratorModel:
-    """What a generator says it is.
+    """What a generator says it is, and how it speaks.
 
     Attributes
     ----------
     error_queue
         Whether it answers ``SYST:ERR?``; some do not.
+    numbered_channels
+        Whether headers carry a channel's number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is
+        told as ON or OFF instead of 1 or 0.
     baud
         Baud rate of its serial port.
     """
@@ -46,21 +51,8 @@ class GeneratorModel:
     name: str = "33250A"
     firmware: str = "2.05-1.01-2.00-03-2"
     error_queue: bool = True
+    numbered_channels: bool = False
     baud: int = 9600
-
-
-@dataclass(frozen=True)
-class _Settings:
-    """All settings, as after ``*RST``; voltages are those into the load that is set."""
-
-    shape: str = "SIN"
-    frequency_hz: float = 1000.0
-    duty_percent: float = 50.0
-    low_v: float = -0.05
-    high_v: float = 0.05
-    load_ohm: float = _SOURCE_OHM
-    output: bool = False
-    sync: bool = True
 
 
 class ScpiGenerator:
@@ -83,14 +75,10 @@ class ScpiGenerator:
         drive: Callable[[LightState], None] = lambda _state: None,
     ) -> None:
         self.model = model
-        self._clock = clock
-        self._drive = drive
+        self._generator = Generator(clock, drive)
         self._heard = b""
-        self._settings = _Settings()
-        self._light = LightState(origin_s=clock())
         self._tree = CommandTree(ErrorQueue())
         self._teach()
-        self._tell()
 
     @property
     def baud(self) -> int:
@@ -108,10 +96,15 @@ class ScpiGenerator:
         """Say nothing unasked."""
         return b""
 
+    def trip(self) -> None:
+        """Have the overload protection switch the output off."""
+        self._generator.trip()
+
     # ------------------------------------------------------------------ what it understands
     def _teach(self) -> None:
-        tree, model = self._tree, self.model
+        tree, model, generator = self._tree, self.model, self._generator
         identity = f"{model.maker},{model.name},{model.serial},{model.firmware}"
+        source, output = ("[:SOURce#]", "OUTPut#") if model.numbered_channels else ("[:SOURce]", "OUTPut")
         tree.add("*IDN", None, lambda _: identity)
         tree.add("*RST", self._reset, None)
         tree.add("*CLS", lambda _: tree.errors.clear(), None)
@@ -121,178 +114,88 @@ class ScpiGenerator:
             tree.add("SYSTem:ERRor[:NEXT]", None, lambda _: tree.errors.next())
         for word in ("REMote", "LOCal", "RWLock"):
             tree.add(f"SYSTem:{word}", no_arguments, None)
-        tree.add("[:SOURce]:FUNCtion[:SHAPe]", self._set_shape, lambda _: self._settings.shape)
-        tree.add("[:SOURce]:FREQuency", self._set_frequency, self._get(_frequency, self._frequency_range))
-        tree.add("[:SOURce]:FUNCtion:SQUare:DCYCle", self._set_duty, self._get(_duty, lambda: (20.0, 80.0)))
-        tree.add("[:SOURce]:VOLTage", self._set_amplitude, self._get(_amplitude, self._amplitude_range))
-        tree.add("[:SOURce]:VOLTage:OFFSet", self._set_offset, self._get(_offset, self._level_range))
-        tree.add("[:SOURce]:VOLTage:HIGH", self._set_high, self._get(_high, self._level_range))
-        tree.add("[:SOURce]:VOLTage:LOW", self._set_low, self._get(_low, self._level_range))
-        tree.add("OUTPut[:STATe]", self._set_output, lambda _: str(int(self._settings.output)))
-        tree.add("OUTPut:SYNC", self._set_sync, lambda _: str(int(self._settings.sync)))
-        tree.add("OUTPut:LOAD", self._set_load, lambda _: _printed(min(self._settings.load_ohm, 9.9e37)))
+        tree.add(f"{source}:FUNCtion[:SHAPe]", self._set_shape, lambda _: self._shape())
+        self._teach_value(f"{source}:FREQuency", "frequency", _HERTZ, lambda: generator.settings.frequency_hz)
+        self._teach_value(
+            f"{source}:FUNCtion:SQUare:DCYCle", "duty", _PERCENT, lambda: generator.settings.duty_percent
+        )
+        self._teach_value(f"{source}:VOLTage", "amplitude", _VOLTS, lambda: generator.settings.amplitude_v)
+        self._teach_value(f"{source}:VOLTage:OFFSet", "offset", _VOLTS, lambda: generator.settings.offset_v)
+        self._teach_value(f"{source}:VOLTage:HIGH", "high", _VOLTS, lambda: generator.settings.high_v)
+        self._teach_value(f"{source}:VOLTage:LOW", "low", _VOLTS, lambda: generator.settings.low_v)
+        tree.add(
+            f"{output}[:STATe]",
+            lambda words: generator.switch(output=boolean(the_one(words))),
+            lambda _: self._switched(generator.settings.output),
+        )
+        tree.add(
+            f"{output}:SYNC[:STATe]",
+            lambda words: generator.switch(sync=boolean(the_one(words))),
+            lambda _: self._switched(generator.settings.sync),
+        )
+        tree.add(
+            f"{output}:LOAD", self._set_load, lambda _: _printed(min(generator.settings.load_ohm, 9.9e37))
+        )
 
-    def _get(
-        self, reading: Callable[[_Settings], float], bounds: Callable[[], tuple[float, float]]
-    ) -> Callable[[list[str]], str]:
-        """Make a query that also tells the setting's bounds, as ``FREQ? MAX``."""
+    def _teach_value(
+        self, header: str, name: Setting, unit_factors: dict[str, float], read: Callable[[], float]
+    ) -> None:
+        """Understand a number: set it, read it, and tell its bounds, as in ``FREQ? MAX``."""
 
-        def answer(arguments: list[str]) -> str:
+        def set_it(arguments: list[str]) -> None:
+            word = the_one(arguments)
+            bound = _bound(word)
+            lowest_highest = self._generator.bounds(name)
+            value = number(word, unit_factors) if bound is None else lowest_highest[bound]
+            _complain(self._generator.set(name, value))
+
+        def tell_it(arguments: list[str]) -> str:
             if not arguments:
-                return _printed(reading(self._settings))
-            end = choice(the_one(arguments), ["MINimum", "MAXimum"])
-            return _printed(bounds()[end == "MAX"])
+                return _printed(read())
+            bound = _bound(the_one(arguments))
+            if bound is None:
+                raise ScpiError(-224)
+            return _printed(self._generator.bounds(name)[bound])
 
-        return answer
+        self._tree.add(header, set_it, tell_it)
 
-    # ------------------------------------------------------------------ settings
     def _reset(self, arguments: list[str]) -> None:
         no_arguments(arguments)
-        self._change(_Settings())
+        self._generator.reset()
 
     def _set_shape(self, arguments: list[str]) -> None:
-        self._change(replace(self._settings, shape=choice(the_one(arguments), ["SINusoid", "SQUare"])))
+        word = choice(the_one(arguments), ["SINusoid", "SQUare"])
+        self._generator.shape("square" if word == "SQU" else "sine")
 
-    def _set_frequency(self, arguments: list[str]) -> None:
-        value, clipped = self._value(arguments, _HERTZ, self._frequency_range())
-        self._change(replace(self._settings, frequency_hz=round(value, 6)), clipped)
-
-    def _set_duty(self, arguments: list[str]) -> None:
-        value, clipped = self._value(arguments, _PERCENT, (20.0, 80.0))
-        self._change(replace(self._settings, duty_percent=round(value, 1)), clipped)
-
-    def _set_amplitude(self, arguments: list[str]) -> None:
-        value, clipped = self._value(arguments, _VOLTS, self._amplitude_range())
-        middle = _offset(self._settings)
-        self._set_levels(middle - value / 2.0, middle + value / 2.0, clipped)
-
-    def _set_offset(self, arguments: list[str]) -> None:
-        half = _amplitude(self._settings) / 2.0
-        lowest, highest = self._level_range()
-        value, clipped = self._value(arguments, _VOLTS, (lowest + half, highest - half))
-        self._set_levels(value - half, value + half, clipped)
-
-    def _set_high(self, arguments: list[str]) -> None:
-        lowest, highest = self._level_range()
-        least = self._amplitude_range()[0]
-        value, clipped = self._value(arguments, _VOLTS, (lowest + least, highest))
-        if value < self._settings.low_v + least:
-            clipped = ScpiError(-221, "high level below low level; low level adjusted")
-        self._set_levels(min(self._settings.low_v, value - least), value, clipped)
-
-    def _set_low(self, arguments: list[str]) -> None:
-        lowest, highest = self._level_range()
-        least = self._amplitude_range()[0]
-        value, clipped = self._value(arguments, _VOLTS, (lowest, highest - least))
-        if value > self._settings.high_v - least:
-            clipped = ScpiError(-221, "low level above high level; high level adjusted")
-        self._set_levels(value, max(self._settings.high_v, value + least), clipped)
-
-    def _set_levels(self, low_v: float, high_v: float, clipped: ScpiError | None) -> None:
-        """Set both levels; what reaches past the output's range ends there."""
-        lowest, highest = self._level_range()
-        if low_v < lowest - 1e-9 or high_v > highest + 1e-9:
-            clipped = ScpiError(-221, "offset changed due to amplitude")
-        low_v, high_v = max(low_v, lowest), min(high_v, highest)
-        self._change(replace(self._settings, low_v=round(low_v, 4), high_v=round(high_v, 4)), clipped)
-
-    def _set_output(self, arguments: list[str]) -> None:
-        self._change(replace(self._settings, output=boolean(the_one(arguments))))
-
-    def _set_sync(self, arguments: list[str]) -> None:
-        self._change(replace(self._settings, sync=boolean(the_one(arguments))))
+    def _shape(self) -> str:
+        return "SQU" if self._generator.settings.shape == "square" else "SIN"
 
     def _set_load(self, arguments: list[str]) -> None:
-        """Take another load: the output stays as it is, the voltages shown for it change."""
         word = the_one(arguments)
-        clipped = None
         if word.upper() in {"INF", "INFINITY"}:
-            load = math.inf
-        else:
-            load, clipped = self._value([word], _OHMS, (1.0, 10_000.0))
-        scale = _share(load) / _share(self._settings.load_ohm)
-        low_v, high_v = self._settings.low_v * scale, self._settings.high_v * scale
-        self._change(replace(self._settings, load_ohm=load, low_v=low_v, high_v=high_v), clipped)
+            self._generator.load(math.inf)
+            return
+        asked = number(word, _OHMS)
+        self._generator.load(min(max(asked, _LOAD_OHM[0]), _LOAD_OHM[1]))
+        _complain("lower limit" if asked < _LOAD_OHM[0] else "upper limit" if asked > _LOAD_OHM[1] else "")
 
-    # ------------------------------------------------------------------ bounds
-    def _frequency_range(self) -> tuple[float, float]:
-        return 1e-6, 80e6
-
-    def _level_range(self) -> tuple[float, float]:
-        most = 10.0 * _share(self._settings.load_ohm)
-        return -most, most
-
-    def _amplitude_range(self) -> tuple[float, float]:
-        share = _share(self._settings.load_ohm)
-        return 2.0 * _LEAST_AMPLITUDE_V * share, 20.0 * share
-
-    def _value(
-        self, arguments: list[str], unit_factors: dict[str, float], bounds: tuple[float, float]
-    ) -> tuple[float, ScpiError | None]:
-        """Read a number and hold it within bounds; the error says that it was held."""
-        word = the_one(arguments)
-        lowest, highest = bounds
-        if word.upper() in {"MIN", "MINIMUM", "MAX", "MAXIMUM"}:
-            return (highest if word.upper().startswith("MAX") else lowest), None
-        value = number(word, unit_factors)
-        if value < lowest:
-            return lowest, ScpiError(-222, "value clipped to lower limit")
-        if value > highest:
-            return highest, ScpiError(-222, "value clipped to upper limit")
-        return value, None
-
-    # ------------------------------------------------------------------ effect
-    def _change(self, settings: _Settings, clipped: ScpiError | None = None) -> None:
-        self._settings = settings
-        self._tell()
-        if clipped is not None:
-            raise clipped
-
-    def _tell(self) -> None:
-        """Let the world know what the light does now."""
-        now, settings = self._clock(), self._settings
-        # The lamp's input is open: it sees the source's own voltage, whatever load the display is set for.
-        open_circuit = 1.0 / _share(settings.load_ohm)
-        self._light = LightState(
-            waveform="square" if settings.shape == "SQU" else "sine",
-            frequency_hz=settings.frequency_hz,
-            duty_percent=settings.duty_percent,
-            low_v=settings.low_v * open_circuit,
-            high_v=settings.high_v * open_circuit,
-            output=settings.output,
-            sync=settings.sync,
-            origin_s=now - self._light.phase_at(now) / settings.frequency_hz,
-        )
-        self._drive(self._light)
+    def _switched(self, on: bool) -> str:
+        if self.model.numbered_channels:
+            return "ON" if on else "OFF"
+        return str(int(on))
 
 
-def _share(load_ohm: float) -> float:
-    """Share of the source's own voltage that stands at a load."""
-    return 1.0 if math.isinf(load_ohm) else load_ohm / (load_ohm + _SOURCE_OHM)
+def _bound(word: str) -> int | None:
+    """Whether a word stands for the lower (0) or upper (1) bound; None for neither."""
+    if word.upper() in {"MIN", "MINIMUM"}:
+        return 0
+    return 1 if word.upper() in {"MAX", "MAXIMUM"} else None
 
 
-def _frequency(settings: _Settings) -> float:
-    return settings.frequency_hz
-
-
-def _duty(settings: _Settings) -> float:
-    return settings.duty_percent
-
-
-def _amplitude(settings: _Settings) -> float:
-    return settings.high_v - settings.low_v
-
-
-def _offset(settings: _Settings) -> float:
-    return (settings.high_v + settings.low_v) / 2.0
-
-
-def _high(settings: _Settings) -> float:
-    return settings.high_v
-
-
-def _low(settings: _Settings) -> float:
-    return settings.low_v
+def _complain(held: Held) -> None:
+    """Queue the error of a value that was held."""
+    if held:
+        raise ScpiError(*_WHY[held])
 
 
 def _printed(value: float) -> str:

@@ -10,6 +10,7 @@ import serial
 from simulators.pseudo_terminal import PseudoTerminal
 from simulators.scpi_generator import GeneratorModel, ScpiGenerator
 from simulators.serial_device import SerialDevice
+from simulators.siglent_generator import SiglentGenerator
 from simulators.world import LightState, World
 
 
@@ -160,3 +161,58 @@ def test_a_message_in_pieces_is_one_message(generator):
     assert generator.dialect.receive(b"*ID") == b""
     assert generator.dialect.receive(b"N?\r").decode() == ""
     assert b"SG0042" in generator.dialect.receive(b"\n")
+
+
+# ---------------------------------------------------------------- other makes
+def test_a_make_that_numbers_its_channels_says_on_and_off():
+    one = Generator(numbered_channels=True, maker="RIGOL TECHNOLOGIES", name="DG4062")
+    one.say(":SOUR1:FUNC SQU", ":SOUR1:FREQ 60", ":OUTPUT1:STATE ON", ":OUTP1:SYNC OFF")
+    assert one.say(":SOUR1:FREQ?") == "+6.0000000000000E+01\n"
+    assert one.say("OUTP1?;:OUTP1:SYNC?") == "ON;OFF\n"
+    assert one.say("SOURCE1:FUNCTION:SHAPE?;*OPC?") == "SQU;1\n"
+    assert one.light.output
+    assert one.say(":SOUR2:FREQ 60;:SYST:ERR?") == ""
+    assert one.say("SYST:ERR?").startswith("-113,")
+
+
+def test_one_without_numbers_does_not_know_them(generator):
+    generator.say(":SOUR1:FREQ 60")
+    assert generator.say("SYST:ERR?").startswith("-113,")
+
+
+@pytest.fixture
+def siglent() -> Generator:
+    one = Generator()
+    one.dialect = SiglentGenerator("SDG1", lambda: one.now_s, one.told.append)
+    return one
+
+
+def test_a_siglent_sets_many_values_at_once_and_tells_them_all(siglent):
+    assert (
+        siglent.say("C1:OUTP LOAD,HZ", "C1:BSWV WVTP,SQUARE,FRQ,60HZ,HLEV,4V,LLEV,0V,DUTY,30", "C1:OUTP ON")
+        == ""
+    )
+    assert siglent.say("C1:BSWV?") == (
+        "C1:BSWV WVTP,SQUARE,FRQ,60HZ,PERI,0.0166667S,AMP,4V,OFST,2V,HLEV,4V,LLEV,0V,PHSE,0,DUTY,30\n"
+    )
+    assert siglent.say("C1:OUTP?") == "C1:OUTP ON,LOAD,HZ,PLRT,NOR\n"
+    assert siglent.say("C1:SYNC OFF;C1:SYNC?") == "C1:SYNC OFF\n"
+    assert siglent.say("*IDN?") == "Siglent Technologies,SDG1032X,SDG1,1.01.01.33R6\n"
+    assert (siglent.light.frequency_hz, siglent.light.high_v, siglent.light.output) == (60.0, 4.0, True)
+
+
+def test_a_siglent_holds_and_passes_over_without_a_word(siglent):
+    assert (
+        siglent.say("C1:BSWV WVTP,SQUARE,DUTY,5", "C1:BSWV FRQ,fast", "C1:NONSENSE 5", "hello", "SYST:ERR?")
+        == ""
+    )
+    assert ",DUTY,20\n" in siglent.say("C1:BSWV?")
+    siglent.say("*RST")
+    assert siglent.say("C1:BSWV?").startswith("C1:BSWV WVTP,SINE,FRQ,1000HZ,")
+
+
+def test_an_overload_switches_the_output_off_without_a_word(generator):
+    generator.say("OUTP ON")
+    generator.dialect.trip()
+    assert not generator.light.output
+    assert generator.say("OUTP?;:SYST:ERR?") == '0;+0,"No error"\n'
