@@ -1,178 +1,41 @@
-"""All views at once: the residuals of every star, their derivatives, and the normal equations.
+"""All views at once: the residuals of every star, their derivatives, and what is known beforehand.
 
-Knows how camera, collimator and rotations together predict the stars; not how to search. The views share few
-parameters and have each a rotation of their own (and a centre, where it is free), so the normal equations are
-reduced to the shared ones by the Schur complement.
+Knows how camera, collimator and rotations together predict the stars; not how to search.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.camera import CameraModel
-from calib.collimator import PARAMETERS as COLLIMATOR_PARAMETERS
-from calib.collimator import Collimator
-from calib.errors import InputMismatch
-from calib.rotation import exp_map, skew
-from calib.view import View
+from calib.collimator import CENTRE
+from calib.normal import NormalEquations
+from calib.observations import Observations
+from calib.state import State
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Observations:
-    """The stars of all views, one below the other.
+class Prior:
+    """What is known of shared parameters beforehand: a Gaussian.
 
     Attributes
     ----------
-    target
-        (N, 3) positions on the target, mm, with Z = 0.
-    points_px
-        (N, 2) image points, px.
-    whitening
-        (N, 2, 2) inverse Cholesky factors of the stars' covariances; they give residuals unit covariance.
-    slices
-        The rows of each view.
-    view
-        (N,) index of each row's view.
+    names
+        The parameters, each of them free in the bundle.
+    mean
+        (K,) expected values.
+    information
+        (K, K) inverse covariance.
     """
 
-    target: Array
-    points_px: Array
-    whitening: Array
-    slices: tuple[slice, ...]
-    view: NDArray[np.int64]
-
-    @classmethod
-    def from_views(cls, views: Sequence[View]) -> Observations:
-        """Stack views.
-
-        Raises
-        ------
-        InputMismatch
-            When a star's covariance is not positive definite.
-        """
-        counts = [len(view) for view in views]
-        ends = np.cumsum(counts)
-        target = np.concatenate([view.target_mm for view in views])
-        covariances = np.concatenate([view.covariances_px2 for view in views])
-        try:
-            whitening = np.linalg.inv(np.linalg.cholesky(covariances))
-        except np.linalg.LinAlgError:
-            raise InputMismatch(
-                "A star's covariance is not positive definite.", remedy="Give unit covariances if unknown."
-            ) from None
-        return cls(
-            np.column_stack([target, np.zeros(len(target))]),
-            np.concatenate([view.points_px for view in views]),
-            whitening,
-            tuple(slice(int(end - n), int(end)) for n, end in zip(counts, ends, strict=True)),
-            np.repeat(np.arange(len(views)), counts),
-        )
-
-
-@dataclass(frozen=True)
-class State:
-    """A camera, a collimator and each view's rotation and centre.
-
-    Attributes
-    ----------
-    camera, collimator
-        What the views share.
-    rotations
-        (n, 3, 3), camera <- target.
-    offsets
-        (n, 3) each view's centre less the collimator's, mm; zero in the spherical model.
-    """
-
-    camera: CameraModel
-    collimator: Collimator
-    rotations: Array
-    offsets: Array
-
-    @property
-    def centres(self) -> Array:
-        """(n, 3) centre of each view in the target frame, mm."""
-        return self.collimator.centre + self.offsets
-
-    def values(self, names: Sequence[str]) -> Array:
-        """Return shared parameters by name."""
-        known = {**self.camera.to_dict(), **self.collimator.to_dict()}
-        return np.array([known[name] for name in names])
-
-    def moved(self, names: Sequence[str], shared: Array, local: Array) -> State:
-        """Return the state after a step.
-
-        `shared` adds to the named parameters; `local`, (n, 3 or 6), turns each view by a rotation vector on the
-        camera's side and moves its centre.
-        """
-        known = {**self.camera.to_dict(), **self.collimator.to_dict()}
-        for name, step in zip(names, shared, strict=True):
-            known[name] += float(step)
-        camera = self.camera.with_values(np.array([known[name] for name in self.camera.parameter_names]))
-        collimator = replace(self.collimator, **{name: known[name] for name in COLLIMATOR_PARAMETERS})
-        rotations = exp_map(local[:, :3]) @ self.rotations
-        offsets = self.offsets + local[:, 3:] if local.shape[1] > 3 else self.offsets
-        return State(camera, collimator, rotations, offsets)
-
-
-@dataclass(frozen=True)
-class NormalEquations:
-    """J^T W J and J^T W e, split into shared and per-view blocks.
-
-    Attributes
-    ----------
-    shared, shared_gradient
-        (G, G) and (G,).
-    local, local_gradient
-        (n, L, L) and (n, L).
-    coupling
-        (n, G, L).
-    """
-
-    shared: Array
-    shared_gradient: Array
-    local: Array
-    local_gradient: Array
-    coupling: Array
-
-    def damped(self, damping: float) -> NormalEquations:
-        """Return the equations with Marquardt's damping: diagonals times 1 + damping."""
-        diagonal = np.arange(self.local.shape[1])
-        local, shared = self.local.copy(), self.shared.copy()
-        local[:, diagonal, diagonal] *= 1.0 + damping
-        shared[np.diag_indices_from(shared)] *= 1.0 + damping
-        return replace(self, shared=shared, local=local)
-
-    def reduced(self) -> Array:
-        """Return the Schur complement onto the shared parameters, (G, G): their information."""
-        solved = np.linalg.solve(self.local, np.swapaxes(self.coupling, 1, 2))
-        return np.asarray(self.shared - (self.coupling @ solved).sum(axis=0))
-
-    def step(self) -> tuple[Array, Array]:
-        """Solve for the step: shared (G,) and per view (n, L).
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the equations are singular.
-        """
-        solved = np.linalg.solve(self.local, self.local_gradient[:, :, None])
-        right = self.shared_gradient - (self.coupling @ solved).sum(axis=0)[:, 0]
-        # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
-        information = self.reduced()
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-        shared = scale * np.linalg.solve(information * np.outer(scale, scale), scale * right)
-        back = self.local_gradient - np.einsum("ngl,g->nl", self.coupling, shared)
-        return shared, np.linalg.solve(self.local, back[:, :, None])[:, :, 0]
-
-    def decrement(self, shared: Array, local: Array) -> float:
-        """Return gradient times step: twice the reduction of the cost that a full step promises."""
-        return float(self.shared_gradient @ shared + (self.local_gradient * local).sum())
+    names: tuple[str, ...]
+    mean: Array
+    information: Array
 
 
 @dataclass(frozen=True)
@@ -186,12 +49,57 @@ class Bundle:
     names
         Names of the shared parameters that are free.
     free_centres
-        Whether each view has a centre of its own (the planar model).
+        Whether each view has a centre of its own.
+    displacements
+        (N, 2, T) displacement of each star by a unit of each of the collimator's imperfections, in their
+        order (`calib.imperfections`); None: it has none.
+    drift_mm
+        1-sigma, per axis, of a free centre about the collimator's; infinite: nothing binds it.
+    prior
+        What is known of shared parameters; None: nothing.
+    noise_variance
+        Variance of a whitened residual component, by which priors are weighed against the stars.
     """
 
     observations: Observations
     names: tuple[str, ...]
     free_centres: bool = False
+    displacements: Array | None = None
+    drift_mm: float = float("inf")
+    prior: Prior | None = None
+    noise_variance: float = 1.0
+
+    @property
+    def drifts(self) -> bool:
+        """Whether each view's centre is free, but bound to the shared one."""
+        return self.free_centres and bool(np.isfinite(self.drift_mm))
+
+    @property
+    def _drift_stiffness(self) -> float:
+        """What binds a centre, in the residuals' unit over mm^2."""
+        return self.noise_variance / self.drift_mm**2
+
+    def only(self, kept: Sequence[int]) -> Bundle:
+        """Return the same with some of its views."""
+        rows = self.observations.rows(kept)
+        shifts = None if self.displacements is None else self.displacements[np.concatenate(rows)]
+        return replace(self, observations=self.observations.taken(rows), displacements=shifts)
+
+    def thinned(self, stars: int) -> Bundle:
+        """Return the same with some tens of stars of each view, evenly taken."""
+        obs = self.observations
+        steps = [max(1, (rows.stop - rows.start) // stars) for rows in obs.slices]
+        kept = [np.arange(rows.start, rows.stop, step) for rows, step in zip(obs.slices, steps, strict=True)]
+        shifts = None if self.displacements is None else self.displacements[np.concatenate(kept)]
+        return replace(self, observations=obs.taken(kept), displacements=shifts)
+
+    def prior_cost(self, state: State) -> float:
+        """Return what the priors add to the cost, in the residuals' unit."""
+        cost = float((state.offsets**2).sum()) / self.drift_mm**2 if self.drifts else 0.0
+        if self.prior is not None:
+            off = state.values(self.prior.names) - self.prior.mean
+            cost += float(off @ self.prior.information @ off)
+        return float(0.5 * self.noise_variance * cost)
 
     def misses_px(self, state: State) -> Array:
         """Return (N, 2) star found minus star projected, px; NaN where a star cannot be projected."""
@@ -199,7 +107,7 @@ class Bundle:
 
     def residuals(self, state: State) -> Array:
         """Return (N, 2) the misses in units of the stars' own uncertainty."""
-        return np.asarray((self.observations.whitening @ self.misses_px(state)[:, :, None])[:, :, 0])
+        return self.observations.whitened(self.misses_px(state))
 
     def normal_equations(self, state: State, pull: Array, root: Array | None = None) -> NormalEquations:
         """Linearise at a state.
@@ -213,45 +121,85 @@ class Bundle:
         root
             (N, 2, 2) symmetric root of the cost's second derivative by it; None: unity.
         """
-        by_shared, by_local = self._jacobians(state)
-        n, size, depth = len(self.observations.slices), len(self.names), by_local.shape[2]
-        shared, shared_gradient = np.zeros((size, size)), np.zeros(size)
-        local, local_gradient = np.zeros((n, depth, depth)), np.zeros((n, depth))
-        coupling = np.zeros((n, size, depth))
-        for i, rows in enumerate(self.observations.slices):
-            e, g, v = pull[rows].reshape(-1), by_shared[rows], by_local[rows]
-            shared_gradient += _flat(g).T @ e
-            local_gradient[i] = _flat(v).T @ e
+        blocks = list(self._blocks(state, pull, root))
+        shared, shared_gradient, local, local_gradient, coupling = zip(*blocks, strict=True)
+        equations = NormalEquations(
+            np.sum(shared, axis=0),
+            np.sum(shared_gradient, axis=0),
+            np.array(local),
+            np.array(local_gradient),
+            np.array(coupling),
+        )
+        self._add_priors(equations, state)
+        return equations
+
+    def scores(self, state: State, pull: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield, for each view, its own information on the shared parameters (G, G) and its pull at them (G,)."""
+        for i, blocks in enumerate(self._blocks(state, pull, None)):
+            shared, gradient, local, local_gradient, coupling = blocks
+            if self.drifts:
+                local[[3, 4, 5], [3, 4, 5]] += self._drift_stiffness
+                local_gradient[3:] -= self._drift_stiffness * state.offsets[i]
+            solved = np.linalg.solve(local, np.column_stack([coupling.T, local_gradient]))
+            yield shared - coupling @ solved[:, :-1], gradient - coupling @ solved[:, -1]
+
+    def _blocks(self, state: State, pull: Array, root: Array | None) -> Iterator[tuple[Array, ...]]:
+        """Yield each view's shared and local normal blocks and gradients, and their coupling."""
+        jacobian = self._jacobian(state)
+        n, k = len(self.names), jacobian.shape[2]
+        for rows in self.observations.slices:
+            columns = jacobian[rows].reshape(-1, k)
+            gradient = columns.T @ pull[rows].reshape(-1)
             if root is not None:
-                g, v = root[rows] @ g, root[rows] @ v
-            g, v = _flat(g), _flat(v)
-            shared += g.T @ g
-            local[i], coupling[i] = v.T @ v, g.T @ v
-        return NormalEquations(shared, shared_gradient, local, local_gradient, coupling)
+                columns = (root[rows] @ jacobian[rows]).reshape(-1, k)
+            normal = columns.T @ columns
+            yield normal[:n, :n], gradient[:n], normal[n:, n:], gradient[n:], normal[:n, n:]
+
+    def _add_priors(self, equations: NormalEquations, state: State) -> None:
+        """Add what the priors pull at a state."""
+        if self.drifts:
+            equations.local[:, [3, 4, 5], [3, 4, 5]] += self._drift_stiffness
+            equations.local_gradient[:, 3:] -= self._drift_stiffness * state.offsets
+        if self.prior is not None:
+            at = [self.names.index(name) for name in self.prior.names]
+            information = self.noise_variance * self.prior.information
+            equations.shared[np.ix_(at, at)] += information
+            equations.shared_gradient[at] -= information @ (state.values(self.prior.names) - self.prior.mean)
 
     def _in_camera(self, state: State) -> Array:
         """Return (N, 3) the stars in the camera frame: R (P - c)."""
-        view = self.observations.view
-        from_centre = self.observations.target - state.centres[view]
-        return np.asarray((state.rotations[view] @ from_centre[:, :, None])[:, :, 0])
+        points = self.observations.target.copy()
+        if self.displacements is not None:
+            coefficients = np.array(list(state.collimator.imperfections.values()))
+            points[:, :2] += self.displacements @ coefficients
+        views = zip(self.observations.slices, state.rotations, state.centres, strict=True)
+        for rows, rotation, centre in views:
+            points[rows] = (points[rows] - centre) @ rotation.T
+        return points
 
-    def _jacobians(self, state: State) -> tuple[Array, Array]:
-        """Return the whitened projection's derivatives, (N, 2, G) by shared, (N, 2, L) by local parameters."""
-        obs, camera = self.observations, state.camera
-        points = self._in_camera(state)
+    def _jacobian(self, state: State) -> Array:
+        """Return the whitened projection's derivatives (N, 2, G + L): by shared, then by local parameters."""
+        camera, points = state.camera, self._in_camera(state)
         _, by_points, by_camera = camera.project_with_jacobians(points)
-        by_points = obs.whitening @ by_points
         # A turn w on the camera's side moves the point by w x P; a move of the centre, by -R times it.
-        by_turn = -by_points @ skew(points)
-        by_centre = -by_points @ state.rotations[obs.view]
-        by_collimator = by_centre * [1.0, 1.0, -1.0]
-        columns = {name: i for i, name in enumerate((*camera.parameter_names, *COLLIMATOR_PARAMETERS))}
-        by_all = np.concatenate([obs.whitening @ by_camera, by_collimator], axis=2)
-        by_shared = by_all[:, :, [columns[name] for name in self.names]]
-        by_local = np.concatenate([by_turn, by_centre], axis=2) if self.free_centres else by_turn
-        return by_shared, by_local
+        by_turn = _cross(points[:, None, :], by_points)
+        by_centre = np.empty_like(by_points)
+        for rows, rotation in zip(self.observations.slices, state.rotations, strict=True):
+            by_centre[rows] = (by_points[rows].reshape(-1, 3) @ -rotation).reshape(-1, 2, 3)
+        parts = {name: by_camera[:, :, i] for i, name in enumerate(camera.parameter_names)}
+        parts |= dict(zip(CENTRE, (by_centre[:, :, 0], by_centre[:, :, 1], -by_centre[:, :, 2]), strict=True))
+        if self.displacements is not None:
+            for i, name in enumerate(state.collimator.imperfections):
+                parts[name] = -(by_centre[:, :, :2] * self.displacements[:, None, :, i]).sum(axis=2)
+        local = np.concatenate([by_turn, by_centre], axis=2) if self.free_centres else by_turn
+        shared = [parts[name][:, :, None] for name in self.names]
+        return self.observations.whitened(np.concatenate([*shared, local], axis=2))
 
 
-def _flat(jacobian: Array) -> Array:
-    """Return (2 N, k) of (N, 2, k)."""
-    return jacobian.reshape(2 * jacobian.shape[0], jacobian.shape[2])
+def _cross(a: Array, b: Array) -> Array:
+    """Return a x b along the last axis; numpy's own is several times slower."""
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
 from calib.errors import DegenerateViews, InputMismatch
-from calib.fit import fit
+from calib.fit import fit, summary
 from calib.selection import choose
 from calib.view import View
 
@@ -45,17 +45,19 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
         When the refinement did not reach an optimum.
     """
     options = options or CalibrationOptions()
-    _check(views)
+    _check(views, 1 if options.passport else 2)
+    if options.passport:
+        return summary(fit(views, options, "spherical"))
     if options.model == "auto":
         return choose(views, options)
-    return fit(views, options, options.model)
+    return summary(fit(views, options, options.model))
 
 
-def _check(views: Sequence[View]) -> None:
+def _check(views: Sequence[View], fewest: int) -> None:
     """Refuse views that cannot belong together, or are too few."""
-    if len(views) < 2:
+    if len(views) < fewest:
         raise DegenerateViews(
-            f"{len(views)} view{'s' if len(views) != 1 else ''}; at least 2 are needed.",
+            f"{len(views)} view{'s' if len(views) != 1 else ''}; at least {fewest} needed.",
             remedy="Record the target from more angles.",
         )
     sizes = sorted({view.image_size for view in views})

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from calib.camera import CameraModel, distortion_names
 from calib.collimator import Collimator
 from calib.errors import InputMismatch
+from calib.passport import Passport
 
 Array = NDArray[np.float64]
-ModelName = Literal["spherical", "planar", "auto"]
+ModelName = Literal["spherical", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
 LossName = Literal["l2", "huber", "cauchy"]
 
 
@@ -28,8 +29,10 @@ class CalibrationOptions:
     Parameters
     ----------
     model
-        ``spherical``: all views share one centre; ``planar``: each view has its own (Zhang's model, for
-        comparison); ``auto``: whichever predicts views it has not seen better.
+        ``spherical``: all views share one centre. ``pupil``, ``rim``, ``field``, ``coma``: the same behind a
+        collimator with more and more imperfections (`calib.imperfections.LADDER`). ``drift``: each view's
+        centre may lie off the shared one by `drift_mm`. ``planar``: each view has a centre of its own (Zhang's
+        model, for comparison). ``auto``: whichever predicts views it has not seen best.
     distortion
         Names of the coefficients to estimate, or the name of a set in `calib.camera.DISTORTION_SETS`.
     loss
@@ -39,6 +42,12 @@ class CalibrationOptions:
         standard deviation per axis.
     max_iterations
         Bound on the steps of the refinement.
+    passport
+        The collimator, calibrated before: then one view is enough, and `model` is the passport's own.
+    guard_band
+        Stars farther from the middle of the visible disc than this share of its radius are left out.
+    drift_mm
+        1-sigma, per axis, of a view's centre about the shared one, for the model ``drift``.
 
     Raises
     ------
@@ -51,11 +60,14 @@ class CalibrationOptions:
     loss: LossName = "huber"
     huber_px: float | None = None
     max_iterations: int = 100
+    passport: Passport | None = None
+    guard_band: float = 1.0
+    drift_mm: float = 0.3
 
     def __post_init__(self) -> None:
         for what, value, known in (
-            ("model", self.model, ("spherical", "planar", "auto")),
-            ("loss", self.loss, ("l2", "huber", "cauchy")),
+            ("model", self.model, get_args(ModelName)),
+            ("loss", self.loss, get_args(LossName)),
         ):
             if value not in known:
                 raise InputMismatch(f"Unknown {what} {value!r}.", remedy=f"Known are: {', '.join(known)}.")
@@ -64,6 +76,10 @@ class CalibrationOptions:
             raise InputMismatch(f"huber_px is {self.huber_px}; it must be positive.")
         if self.max_iterations < 1:
             raise InputMismatch(f"max_iterations is {self.max_iterations}; it must be at least 1.")
+        if not 0 < self.guard_band <= 1:
+            raise InputMismatch(f"guard_band is {self.guard_band}; it is a share of the disc, above 0 to 1.")
+        if not self.drift_mm > 0:
+            raise InputMismatch(f"drift_mm is {self.drift_mm}; it must be positive.")
 
 
 @dataclass(frozen=True)
@@ -118,7 +134,7 @@ class Calibration:
     Attributes
     ----------
     model
-        ``spherical`` or ``planar``: the model fitted.
+        The model fitted.
     camera
         Intrinsics and distortion.
     collimator
@@ -142,6 +158,13 @@ class Calibration:
         Estimated variance of the weighted residuals: 1 when the stars' covariances tell the truth.
     degrees_of_freedom
         Measurements less parameters.
+    disagreement
+        How many times their stars' noise the views differ by; 1 is agreement.
+    coverage_factor
+        k for which value +- k sigma covers 95.45 %: 2, or more where few views stand behind the sigmas.
+    left_out_rms_px
+        Root mean square residual of views that had no part in the fit, only their rotation solved, px; None
+        with fewer than 3 views.
     views
         Summary of each view.
     converged, iterations
@@ -152,7 +175,7 @@ class Calibration:
         The models compared, when one was to be chosen.
     """
 
-    model: Literal["spherical", "planar"]
+    model: str
     camera: CameraModel
     collimator: Collimator | None
     rotations: Array
@@ -169,6 +192,9 @@ class Calibration:
     views: tuple[ViewSummary, ...]
     converged: bool
     iterations: int
+    disagreement: float = 1.0
+    coverage_factor: float = 2.0
+    left_out_rms_px: float | None = None
     notes: tuple[str, ...] = field(default=())
     candidates: tuple[Candidate, ...] = field(default=())
 
@@ -183,6 +209,29 @@ class Calibration:
         """Correlation matrix of the parameters."""
         sigmas = np.sqrt(np.diag(self.covariance))
         return np.asarray(self.covariance / np.outer(sigmas, sigmas))
+
+    def passport(self, conditions: Mapping[str, Any] | None = None) -> Passport:
+        """Return what this calibration knows of the collimator, for other cameras.
+
+        Raises
+        ------
+        InputMismatch
+            For the planar model, which knows no collimator.
+        """
+        if self.collimator is None:
+            raise InputMismatch(
+                "The planar model knows no collimator.", remedy="Calibrate with another model."
+            )
+        at = [self.parameter_names.index(name) for name in self.collimator.parameter_names]
+        return Passport(
+            self.collimator.parameter_names,
+            self.values[at],
+            self.covariance[np.ix_(at, at)],
+            self.collimator.reference,
+            self.disagreement,
+            tuple(view.name for view in self.views),
+            conditions or {},
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, lists and names only, ready for JSON."""
@@ -200,6 +249,9 @@ class Calibration:
             "mean_px": self.mean_px,
             "variance_factor": self.variance_factor,
             "degrees_of_freedom": self.degrees_of_freedom,
+            "disagreement": self.disagreement,
+            "coverage_factor": self.coverage_factor,
+            "left_out_rms_px": self.left_out_rms_px,
             "views": [
                 {
                     "name": view.name,

@@ -11,15 +11,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.bundle import State
+from calib.beam import Disc
 from calib.errors import DegenerateViews
 from calib.rotation import log_map
+from calib.state import State
 from calib.view import View
 
 Array = NDArray[np.float64]
 
 #: A focal length less certain than this share of itself is no calibration.
 MAX_FOCAL_SIGMA = 0.05
+#: The disc's centre must be known to this share of its radius.
+_MAX_DISC_SIGMA = 0.06
 _SAME_POSE_DEG = 0.5
 _PARALLEL_SINE = 0.05
 _NARROW_DEG = 5.0
@@ -58,11 +61,28 @@ def require_constrained(state: State, names: Sequence[str], covariance: Array, w
             )
 
 
+def require_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
+    """Refuse views whose beam's rim is out of sight, where its disc's centre is asked for.
+
+    Raises
+    ------
+    DegenerateViews
+        Naming the first such view.
+    """
+    for view, disc in zip(views, discs, strict=True):
+        if not disc.sigma_mm <= _MAX_DISC_SIGMA * disc.radius_mm:
+            raise DegenerateViews(
+                "The rim of its beam is out of sight, so its place in the pupil is unknown.",
+                where=f"view {view.name}",
+                remedy="Use the spherical model, or record views that show the rim on both sides.",
+            )
+
+
 def reason(views: Sequence[View], state: State) -> str:
     """Say in words why views may constrain little; empty when their geometry looks sound."""
     turns = turns_deg(state.rotations)
     lengths = np.linalg.norm(turns, axis=1)
-    if (np.linalg.norm(turns[:, :2], axis=1) < _PARALLEL_SINE * lengths.max()).all():
+    if len(views) > 1 and (np.linalg.norm(turns[:, :2], axis=1) < _PARALLEL_SINE * lengths.max()).all():
         return "The views differ only by a roll about the optical axis."
     if len(views) > 2 and np.linalg.svd(turns, compute_uv=False)[1] < _PARALLEL_SINE * lengths.max():
         return "All views are turned about one axis."

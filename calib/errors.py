@@ -6,6 +6,7 @@ CalibrationError
 ├── TooFewEvents        a slice too empty, or without whole flicker periods, to make an image of
 ├── FlickerNotFound     no usable triggers and no periodicity in the stream
 ├── DegenerateViews     views that do not constrain the camera: too few, same pose twice, parallel axes
+├── PassportContradicted  views that contradict what is known of the collimator
 ├── NotConverged        refinement ended without reaching an optimum
 └── InputMismatch       shapes, sizes, ids or options that contradict each other
 """
@@ -43,6 +44,10 @@ class FlickerNotFound(CalibrationError):
 
 class DegenerateViews(CalibrationError):
     """These views do not constrain the camera."""
+
+
+class PassportContradicted(CalibrationError):
+    """The views contradict what is known of the collimator."""
 
 
 class NotConverged(CalibrationError):

@@ -1,29 +1,34 @@
 """One model fitted to given views: closed forms, refinement, covariance, summary.
 
-Knows the order of that work; which model to fit is `calib.selection`'s affair.
+Knows the order of that work and what each model frees; which model to fit is `calib.selection`'s affair.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import degeneracy, uncertainty
-from calib.bundle import Bundle, Observations, State
+from calib import degeneracy, imperfections, uncertainty
+from calib.beam import Disc, visible_disc, within
+from calib.bundle import Bundle, Prior
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.camera import PINHOLE
-from calib.collimator import PARAMETERS as COLLIMATOR_PARAMETERS
+from calib.collimator import CENTRE
+from calib.contradiction import require_agreement
 from calib.errors import DegenerateViews, NotConverged
 from calib.homography import fit_homography
+from calib.imperfections import LADDER, displacements
+from calib.observations import Observations
 from calib.refine import Loss, Refined, refine
-from calib.start import planar_states, spherical_states, winner
+from calib.resample import MIN_VIEWS, LeftOut, leave_one_out
+from calib.start import passport_states, planar_states, spherical_states, winner
+from calib.state import State
 from calib.view import View
 
 Array = NDArray[np.float64]
-Motion = Literal["spherical", "planar"]
 
 #: The robust loss's limit in robust standard deviations per axis, and how often it is measured anew.
 _LIMIT_SIGMAS = 2.5
@@ -32,57 +37,151 @@ _LIMIT_ROUNDS = 3
 _RAYLEIGH_MEDIAN = 1.1774100225154747
 
 
-def fit(views: Sequence[View], options: CalibrationOptions, motion: Motion) -> Calibration:
-    """Fit one model; parameters, result and errors as in `calib.calibrate.calibrate`."""
-    homographies = np.array([fit_homography(view) for view in views])
-    bundle = bundle_of(views, options, motion)
-    states = spherical_states if motion == "spherical" else planar_states
-    names = tuple(options.distortion)
-    start = winner(views, bundle, list(states(homographies, views[0].image_size, names)))
-    refined, loss = refine_robustly(bundle, start, options)
-    degeneracy.require_turned(refined.state)
-    why = degeneracy.reason(views, refined.state)
-    try:
-        known = uncertainty.at_optimum(bundle, refined.state, loss)
-    except DegenerateViews as error:
-        raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
-    degeneracy.require_constrained(refined.state, bundle.names, known.covariance, why)
-    if not refined.converged:
-        raise NotConverged(
-            f"No optimum after {refined.iterations} steps. {why}".strip(),
-            remedy="Add views from other angles, or estimate fewer distortion coefficients.",
+@dataclass(frozen=True)
+class Fit:
+    """A model at its optimum.
+
+    Attributes
+    ----------
+    model
+        Its name.
+    views
+        The views it was fitted to, the guard band already taken off.
+    bundle, refined, loss
+        What was minimised, where it ended, and the loss it ended with.
+    known
+        Covariance of the shared parameters.
+    left_out
+        What leaving out views shows; None where it was not asked for, or the views are too few.
+    """
+
+    model: str
+    views: Sequence[View]
+    bundle: Bundle
+    refined: Refined
+    loss: Loss
+    known: uncertainty.Uncertainty
+    left_out: LeftOut | None
+
+    @property
+    def state(self) -> State:
+        """The optimum."""
+        return self.refined.state
+
+
+def fit(views: Sequence[View], options: CalibrationOptions, model: str, *, leave_out: bool = False) -> Fit:
+    """Fit one model; errors as in `calib.calibrate.calibrate`.
+
+    Parameters
+    ----------
+    views, options
+        As there.
+    model
+        A rung of `calib.imperfections.LADDER`, ``drift`` or ``planar``; with a passport, its terms decide.
+    leave_out
+        Whether to leave out each view in turn even when the views agree.
+    """
+    terms = options.passport.terms if options.passport else LADDER.get(model, ())
+    discs = [visible_disc(view) for view in views] if terms or options.guard_band < 1 else []
+    if discs:
+        degeneracy.require_rims(views, discs)
+        views = [within(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
+    bundle, start = _begin(views, options, model)
+    if terms:
+        bundle, start = _with_terms(views, discs, bundle, start, options, terms)
+    if model == "drift":
+        bundle = replace(bundle, free_centres=True, drift_mm=options.drift_mm)
+    bundle, refined, loss = refine_robustly(bundle, start, options)
+    if options.passport:
+        require_agreement(bundle, refined.state, loss, options.passport)
+    return _checked(views, options, model, bundle, refined, loss, leave_out=leave_out)
+
+
+def _begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tuple[Bundle, State]:
+    """Return what the ideal model estimates, and where to begin."""
+    h = np.array([fit_homography(view) for view in views])
+    size, distortion = views[0].image_size, tuple(options.distortion)
+    centre = () if model == "planar" else CENTRE
+    observations = Observations.from_views(views)
+    bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
+    if options.passport:
+        bundle = replace(bundle, prior=options.passport.centre_prior())
+        states = list(passport_states(h, size, distortion, options.passport))
+    elif model == "planar":
+        states = list(planar_states(h, size, distortion))
+    else:
+        states = list(spherical_states(h, size, distortion))
+    return bundle, winner(bundle, states)
+
+
+def _with_terms(
+    views: Sequence[View],
+    discs: Sequence[Disc],
+    bundle: Bundle,
+    start: State,
+    options: CalibrationOptions,
+    terms: tuple[str, ...],
+) -> tuple[Bundle, State]:
+    """Add a collimator's imperfections, expressed about the ideal model's optimum or the passport's reference."""
+    if options.passport:
+        collimator = options.passport.collimator(start.collimator)
+        prior: Prior | None = options.passport.prior()
+    else:
+        ideal = refine(bundle, start, Loss("l2"), options.max_iterations).state.collimator
+        collimator = replace(
+            ideal, imperfections=dict.fromkeys(terms, 0.0), reference=(ideal.x, ideal.y, ideal.r)
         )
-    return _summary(views, bundle, refined, loss, known, motion)
+        prior = imperfections.expected(terms)
+    assert collimator.reference is not None
+    shifts = [
+        displacements(view.target_mm, disc, collimator.reference, terms)
+        for view, disc in zip(views, discs, strict=True)
+    ]
+    bundle = replace(bundle, names=(*bundle.names, *terms), displacements=np.concatenate(shifts), prior=prior)
+    return bundle, replace(start, collimator=collimator)
 
 
-def bundle_of(views: Sequence[View], options: CalibrationOptions, motion: Motion) -> Bundle:
-    """Return what a model estimates from these views."""
-    shared = COLLIMATOR_PARAMETERS if motion == "spherical" else ()
-    names = (*PINHOLE, *options.distortion, *shared)
-    return Bundle(Observations.from_views(views), names, free_centres=motion == "planar")
-
-
-def refine_robustly(bundle: Bundle, start: State, options: CalibrationOptions) -> tuple[Refined, Loss]:
-    """Refine with the loss asked for; where its limit is not given, from the residuals' own spread.
+def refine_robustly(
+    bundle: Bundle, start: State, options: CalibrationOptions
+) -> tuple[Bundle, Refined, Loss]:
+    """Refine with the loss asked for; its limit, and the noise priors are weighed by, come from the residuals.
 
     The spread is the robust standard deviation per axis at the least squares optimum, and then at each robust
     one, so that the result depends on the data alone and not on the start.
     """
-    if options.loss == "l2" or options.huber_px is not None:
-        limit = np.inf if options.huber_px is None else options.huber_px * _whitening_scale(bundle)
-        loss = Loss(options.loss, float(limit))
-        return refine(bundle, start, loss, options.max_iterations), loss
-    refined, loss = refine(bundle, start, Loss("l2"), options.max_iterations), Loss("l2")
+    given = None if options.huber_px is None else options.huber_px * _whitening_scale(bundle)
+    loss = Loss("l2") if given is None else Loss(options.loss, given)
+    refined = refine(bundle, start, loss, options.max_iterations)
     iterations = refined.iterations
-    for _ in range(_LIMIT_ROUNDS):
-        lengths = np.linalg.norm(bundle.residuals(refined.state), axis=1)
-        limit = _LIMIT_SIGMAS * np.median(lengths) / _RAYLEIGH_MEDIAN
-        if not limit > 0:
+    robust = options.loss != "l2" and given is None
+    for _ in range(_LIMIT_ROUNDS if robust or _has_priors(bundle) else 0):
+        residuals = bundle.residuals(refined.state)
+        spread = float(np.median(np.linalg.norm(residuals, axis=1)) / _RAYLEIGH_MEDIAN)
+        if not spread > 0:
             break
-        loss = Loss(options.loss, float(limit))
+        loss = Loss(options.loss, _LIMIT_SIGMAS * spread) if robust else loss
+        bundle = replace(bundle, noise_variance=_noise(bundle, refined.state, loss, options, spread))
         refined = refine(bundle, refined.state, loss, options.max_iterations)
         iterations += refined.iterations
-    return Refined(refined.state, refined.cost, refined.converged, iterations), loss
+    return bundle, replace(refined, iterations=iterations), loss
+
+
+def _has_priors(bundle: Bundle) -> bool:
+    """Tell whether anything is weighed against the stars."""
+    return bundle.prior is not None or bundle.drifts
+
+
+def _noise(bundle: Bundle, state: State, loss: Loss, options: CalibrationOptions, spread: float) -> float:
+    """Return the variance that stars are weighed by against priors.
+
+    Against a passport, stars count by what views disagree on, here or when it was made: their noise alone would
+    let a model's small faults outweigh it.
+    """
+    if options.passport is None:
+        return spread**2
+    known = uncertainty.at_optimum(bundle, state, loss)
+    ratio = known.disagreement if known.disagree else 1.0
+    return known.variance_factor * max(ratio, options.passport.disagreement) ** 2
 
 
 def _whitening_scale(bundle: Bundle) -> float:
@@ -91,42 +190,80 @@ def _whitening_scale(bundle: Bundle) -> float:
     return float(np.sqrt(np.median(np.abs(determinants))))
 
 
-def _summary(
+def _checked(
     views: Sequence[View],
+    options: CalibrationOptions,
+    model: str,
     bundle: Bundle,
     refined: Refined,
     loss: Loss,
-    known: uncertainty.Uncertainty,
-    motion: Motion,
-) -> Calibration:
-    """Put the result into its final shape."""
+    *,
+    leave_out: bool,
+) -> Fit:
+    """Refuse what is no calibration; else add its uncertainty."""
     state = refined.state
+    if options.passport is None:
+        degeneracy.require_turned(state)
+    why = degeneracy.reason(views, state)
+    try:
+        known = uncertainty.at_optimum(bundle, state, loss)
+    except DegenerateViews as error:
+        raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
+    degeneracy.require_constrained(state, bundle.names, known.covariance, why)
+    if not refined.converged:
+        raise NotConverged(
+            f"No optimum after {refined.iterations} steps. {why}".strip(),
+            remedy="Add views from other angles, or estimate fewer distortion coefficients.",
+        )
+    left_out = None
+    if len(views) >= MIN_VIEWS and (leave_out or known.disagree):
+        left_out = leave_one_out(bundle, state, loss)
+    if options.passport is None:
+        known = uncertainty.inflated(known, left_out)
+    return Fit(model, views, bundle, refined, loss, known, left_out)
+
+
+def summary(fitted: Fit) -> Calibration:
+    """Put a fit into its final shape."""
+    state, bundle = fitted.state, fitted.bundle
     misses = bundle.misses_px(state)
-    weights = loss.weights(np.linalg.norm(bundle.residuals(state), axis=1))
+    weights = fitted.loss.weights(np.linalg.norm(bundle.residuals(state), axis=1))
     lengths = np.linalg.norm(misses, axis=1)
     rows = bundle.observations.slices
     return Calibration(
-        model=motion,
+        model=fitted.model,
         camera=state.camera,
-        collimator=state.collimator if motion == "spherical" else None,
+        collimator=None if fitted.model == "planar" else state.collimator,
         rotations=state.rotations,
         centres=state.centres,
         parameter_names=bundle.names,
         values=state.values(bundle.names),
-        covariance=known.covariance,
+        covariance=fitted.known.covariance,
         residuals_px=[misses[r] for r in rows],
         weights=[weights[r] for r in rows],
         rms_px=_rms(lengths),
         mean_px=float(lengths.mean()),
-        variance_factor=known.variance_factor,
-        degrees_of_freedom=known.degrees_of_freedom,
+        variance_factor=fitted.known.variance_factor,
+        degrees_of_freedom=fitted.known.degrees_of_freedom,
+        disagreement=fitted.known.disagreement,
+        coverage_factor=fitted.known.coverage_factor,
+        left_out_rms_px=fitted.left_out.total_rms_px if fitted.left_out else None,
         views=tuple(
             ViewSummary(view.name, len(view), _rms(lengths[r]), float(lengths[r].mean()))
-            for view, r in zip(views, rows, strict=True)
+            for view, r in zip(fitted.views, rows, strict=True)
         ),
-        converged=refined.converged,
-        iterations=refined.iterations,
+        converged=fitted.refined.converged,
+        iterations=fitted.refined.iterations,
+        notes=_notes(fitted),
     )
+
+
+def _notes(fitted: Fit) -> tuple[str, ...]:
+    """Say what the reader should know."""
+    if not fitted.known.disagree:
+        return ()
+    ratio = f"{fitted.known.disagreement:.1f} times more than their stars' noise explains"
+    return (f"The views disagree {ratio}; the uncertainties say so. A {fitted.model} collimator is not all.",)
 
 
 def _rms(lengths: Array) -> float:

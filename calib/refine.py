@@ -12,13 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.bundle import Bundle, NormalEquations, State
+from calib.bundle import Bundle
 from calib.errors import InputMismatch
+from calib.normal import NormalEquations
+from calib.state import State
 
 Array = NDArray[np.float64]
 
 #: A promised reduction below this share of the cost a star has is far below the parameters' own uncertainty.
-_RELATIVE_TOLERANCE = 1e-12
+RELATIVE_TOLERANCE = 1e-12
 _ABSOLUTE_TOLERANCE = 1e-16
 _MAX_DAMPING = 1e12
 
@@ -104,7 +106,13 @@ class Refined:
     iterations: int
 
 
-def refine(bundle: Bundle, start: State, loss: Loss, max_iterations: int = 100) -> Refined:
+def refine(
+    bundle: Bundle,
+    start: State,
+    loss: Loss,
+    max_iterations: int = 100,
+    tolerance: float = RELATIVE_TOLERANCE,
+) -> Refined:
     """Minimise the robust cost from a start (Levenberg-Marquardt, Nielsen's rule for the damping).
 
     Parameters
@@ -117,6 +125,8 @@ def refine(bundle: Bundle, start: State, loss: Loss, max_iterations: int = 100) 
         The cost of a residual's length.
     max_iterations
         Bound on the steps tried.
+    tolerance
+        A step that promises to lower the cost by less than this share of it is not worth taking.
 
     Returns
     -------
@@ -133,10 +143,11 @@ def refine(bundle: Bundle, start: State, loss: Loss, max_iterations: int = 100) 
             damping, growth = damping * growth, growth * 2.0
             continue
         promised = equations.decrement(shared, local)
-        if promised * (1.0 + damping) <= _RELATIVE_TOLERANCE * cost + _ABSOLUTE_TOLERANCE:
+        if promised * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
             return Refined(state, cost, converged=True, iterations=iteration)
         candidate = state.moved(bundle.names, shared, local)
-        gain = 2.0 * (cost - loss.cost(_lengths(_residuals(bundle, candidate)))) / promised
+        candidate_cost = loss.cost(_lengths(_residuals(bundle, candidate))) + bundle.prior_cost(candidate)
+        gain = 2.0 * (cost - candidate_cost) / promised
         if gain > 0.0:
             state, (cost, equations) = candidate, _linearised(bundle, candidate, loss)
             damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
@@ -149,7 +160,7 @@ def _linearised(bundle: Bundle, state: State, loss: Loss) -> tuple[float, Normal
     """Return the cost at a state and the normal equations there; none where a star cannot be projected."""
     residuals = _residuals(bundle, state)
     lengths = _lengths(residuals)
-    cost = loss.cost(lengths)
+    cost = loss.cost(lengths) + bundle.prior_cost(state)
     if not np.isfinite(cost):
         return float("inf"), None
     pull = residuals * loss.weights(lengths)[:, None]

@@ -95,6 +95,23 @@ def rotations_about(homographies: Array, matrix: Array, collimator: Collimator) 
     return nearest_rotation(np.linalg.inv(matrix) @ homographies @ np.linalg.inv(frame))
 
 
+def matrix_about(homographies: Array, collimator: Collimator) -> Array | None:
+    """Return the camera matrix, given the centre: K K^T ~ H A H^T, the mean over views; one view is enough.
+
+    A is the right side of the shared equation. None when the mean is no camera.
+    """
+    x, y, r = collimator.x, collimator.y, collimator.r
+    right = np.array([[r**2 + x**2, x * y, x], [x * y, r**2 + y**2, y], [x, y, 1.0]])
+    squares = homographies @ right @ np.swapaxes(homographies, 1, 2)
+    square = (squares / squares[:, 2:, 2:]).mean(axis=0)
+    cx, cy = square[0, 2], square[1, 2]
+    f_squared = np.array([square[0, 0] - cx**2, square[1, 1] - cy**2])
+    if not (f_squared > 0).all():
+        return None
+    fx, fy = np.sqrt(f_squared)
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
 def _image_conditioning(image_size: tuple[int, int]) -> Array:
     """Return the similarity that takes the image's centre to 0 and its half diagonal to 1."""
     width, height = image_size

@@ -10,14 +10,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.bundle import Bundle, Observations, State
+from calib.bundle import Bundle
 from calib.camera import CameraModel
 from calib.collimator import Collimator
 from calib.errors import DegenerateViews
+from calib.passport import Passport
 from calib.planar import poses, zhang_matrix
 from calib.refine import Loss, Refined, refine
-from calib.spherical import linear_start, rotations_about
-from calib.view import View
+from calib.spherical import linear_start, matrix_about, rotations_about
+from calib.state import State
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,6 @@ Array = NDArray[np.float64]
 _FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)
 _RACE_STARS = 40
 _RACE_STEPS = 30
-_SAME_COST = 1.01
 
 
 def spherical_states(
@@ -39,14 +39,10 @@ def spherical_states(
     for free in (True, False):
         start = linear_start(homographies, image_size, free_principal_point=free)
         if start is not None:
-            rotations = rotations_about(homographies, start.matrix, start.collimator)
-            camera = _camera(start.matrix, image_size, distortion)
-            yield State(camera, start.collimator, rotations, np.zeros((len(rotations), 3)))
+            yield _about(homographies, start.collimator, _camera(start.matrix, image_size, distortion))
     for state in planar_states(homographies, image_size, distortion):
         x, y, z = np.median(state.centres, axis=0)
-        collimator = Collimator(float(x), float(y), float(-z))
-        rotations = rotations_about(homographies, state.camera.matrix, collimator)
-        yield State(state.camera, collimator, rotations, np.zeros((len(rotations), 3)))
+        yield _about(homographies, Collimator(float(x), float(y), float(-z)), state.camera)
 
 
 def planar_states(
@@ -69,7 +65,21 @@ def planar_states(
             )
 
 
-def winner(views: Sequence[View], bundle: Bundle, states: Sequence[State]) -> State:
+def passport_states(
+    homographies: Array, image_size: tuple[int, int], distortion: Sequence[str], passport: Passport
+) -> Iterator[State]:
+    """Yield starts with a collimator known beforehand: from its centre alone, then as without it."""
+    spherical = list(spherical_states(homographies, image_size, distortion))
+    middle = spherical[0].collimator if len(homographies) > 1 else _looked_at(homographies, image_size)
+    collimator = passport.collimator(middle)
+    matrix = matrix_about(homographies, collimator)
+    if matrix is not None:
+        yield _about(homographies, collimator, _camera(matrix, image_size, distortion))
+    for state in spherical:
+        yield _about(homographies, passport.collimator(state.collimator), state.camera)
+
+
+def winner(bundle: Bundle, states: Sequence[State]) -> State:
     """Refine every start a little on a share of the stars, and return the best.
 
     Raises
@@ -77,9 +87,7 @@ def winner(views: Sequence[View], bundle: Bundle, states: Sequence[State]) -> St
     DegenerateViews
         When no start leads anywhere.
     """
-    thinned = Bundle(
-        Observations.from_views([_thin(view) for view in views]), bundle.names, bundle.free_centres
-    )
+    thinned = bundle.thinned(_RACE_STARS)
     raced = [refine(thinned, state, Loss("l2"), _RACE_STEPS) for state in states]
     finished = [r for r in raced if np.isfinite(r.cost) and _is_camera(r)]
     if not finished:
@@ -96,17 +104,17 @@ def _is_camera(refined: Refined) -> bool:
     return camera.fx > 0 and camera.fy > 0 and refined.state.collimator.r >= 0
 
 
-def _thin(view: View) -> View:
-    """Keep some tens of the view's stars, evenly."""
-    keep = slice(None, None, max(1, len(view) // _RACE_STARS))
-    return View(
-        view.name,
-        view.image_size,
-        view.ids[keep],
-        view.points_px[keep],
-        view.target_mm[keep],
-        view.covariances_px2[keep],
-    )
+def _about(homographies: Array, collimator: Collimator, camera: CameraModel) -> State:
+    """Return the state of a camera about a known centre."""
+    ideal = Collimator(collimator.x, collimator.y, collimator.r)
+    rotations = rotations_about(homographies, camera.matrix, ideal)
+    return State(camera, ideal, rotations, np.zeros((len(rotations), 3)))
+
+
+def _looked_at(homographies: Array, image_size: tuple[int, int]) -> Collimator:
+    """Return a centre above the point of the target that the middle of the image shows."""
+    middle = np.linalg.inv(homographies[0]) @ [(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0]
+    return Collimator(float(middle[0] / middle[2]), float(middle[1] / middle[2]), 1.0)
 
 
 def _camera(matrix: Array, image_size: tuple[int, int], distortion: Sequence[str]) -> CameraModel:

@@ -1,8 +1,10 @@
-"""How sure the estimates are: their covariance at the optimum.
+"""How sure the estimates are: their covariance at the optimum, and what views disagree on.
 
-Knows residuals and normal equations. The covariance rests on what the residuals themselves show, not on what
-the stars' covariances promise, and is that of an M-estimator: J^T J inverted, times the variance of the
-influence function over the square of its mean slope (Huber's formula).
+Knows residuals and normal equations. The covariance rests on what the residuals show, not on what the stars'
+covariances promise: J^T J inverted, times the variance of the influence function over the square of its mean slope
+(Huber's formula for M-estimators). That holds when the model does. Whether it does, the views tell: each alone would
+like other shared parameters, and when they differ by more than their stars' noise allows, the covariance is
+inflated - by the jackknife where there are views enough, else by the Birge ratio.
 """
 
 from __future__ import annotations
@@ -11,15 +13,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from calib.bundle import Bundle, State
+from calib.bundle import Bundle
 from calib.errors import DegenerateViews
 from calib.refine import Loss
+from calib.resample import LeftOut
+from calib.state import State
 
 Array = NDArray[np.float64]
 
 #: Below this, the information matrix scaled to a unit diagonal is singular to working precision.
 _SINGULAR = 1e-13
+#: A view alone tells a direction of the shared parameters when its eigenvalue exceeds this.
+_TOLD = 1e-6
+#: Views that agree are found to disagree this rarely.
+_FALSE_ALARMS = 1e-3
+#: From this number of views on, the jackknife has enough of them.
+_JACKKNIFE_VIEWS = 4
+#: Probability that k = 2 covers for a Gaussian.
+_COVERAGE = 0.9545
 
 
 @dataclass(frozen=True)
@@ -34,15 +47,29 @@ class Uncertainty:
         Estimated variance of a weighted residual component.
     degrees_of_freedom
         Measured components less estimated parameters.
+    disagreement
+        How many times the stars' noise the views' estimates differ by: the Birge ratio. 1 is agreement.
+    disagree
+        Whether that is more than chance allows, and the covariance was inflated.
+    effective_freedom
+        Degrees of freedom behind the covariance: the stars' when views agree, else the views'.
     """
 
     covariance: Array
     variance_factor: float
     degrees_of_freedom: int
+    disagreement: float = 1.0
+    disagree: bool = False
+    effective_freedom: float = float("inf")
+
+    @property
+    def coverage_factor(self) -> float:
+        """The k for which value +- k sigma covers 95.45 % (Student)."""
+        return float(stats.t.ppf(0.5 + 0.5 * _COVERAGE, self.effective_freedom))
 
 
 def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
-    """Return the covariance of the shared parameters at the optimum.
+    """Return the covariance of the shared parameters at the optimum, were the model right.
 
     Raises
     ------
@@ -53,7 +80,9 @@ def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
     lengths = np.linalg.norm(residuals, axis=1)
     equations = bundle.normal_equations(state, residuals)
     parameters = len(bundle.names) + equations.local_gradient.size
-    freedom = 2 * len(lengths) - parameters
+    known = len(bundle.prior.names) if bundle.prior else 0
+    known += state.offsets.size if bundle.drifts else 0
+    freedom = 2 * len(lengths) - parameters + known
     if freedom <= 0:
         raise DegenerateViews(
             f"{2 * len(lengths)} measurements for {parameters} parameters.",
@@ -62,8 +91,59 @@ def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
     influence = loss.weights(lengths) * lengths
     # The mean of rho's second derivative over directions in the plane: half its trace.
     slope = 0.5 * (loss.weights(lengths) + loss.slopes(lengths)).mean()
-    factor = float((influence**2).sum() / freedom / slope**2)
-    return Uncertainty(factor * _inverse(equations.reduced(), bundle.names), factor, freedom)
+    variance = float((influence**2).sum() / freedom)
+    factor = variance / float(slope) ** 2
+    # Priors weigh noise_variance in these equations, so that is what the inverse is to be scaled by.
+    scale = bundle.noise_variance if known else factor
+    covariance = scale * _inverse(equations.reduced(), bundle.names)
+    ratio, views_freedom = _birge(bundle, state, loss, variance)
+    limit = stats.f.ppf(1.0 - _FALSE_ALARMS, views_freedom, freedom) if views_freedom > 0 else np.inf
+    return Uncertainty(
+        covariance,
+        factor,
+        freedom,
+        disagreement=float(np.sqrt(ratio)),
+        disagree=bool(ratio > limit),
+        effective_freedom=float(views_freedom if ratio > limit else freedom),
+    )
+
+
+def inflated(known: Uncertainty, left_out: LeftOut | None) -> Uncertainty:
+    """Return the uncertainty with what the views disagree on; unchanged when they agree.
+
+    Each sigma grows to that of the jackknife, correlations kept; with fewer than 4 views, all grow by the Birge
+    ratio.
+    """
+    if not known.disagree:
+        return known
+    sigmas = np.sqrt(np.diag(known.covariance))
+    growth, freedom = np.full(len(sigmas), known.disagreement), known.effective_freedom
+    if left_out is not None and len(left_out.values) >= _JACKKNIFE_VIEWS:
+        growth = np.maximum(np.sqrt(np.diag(left_out.jackknife)) / sigmas, 1.0)
+        freedom = float(len(left_out.values) - 1)
+    covariance = known.covariance * np.outer(growth, growth)
+    return Uncertainty(
+        covariance, known.variance_factor, known.degrees_of_freedom, known.disagreement, True, freedom
+    )
+
+
+def _birge(bundle: Bundle, state: State, loss: Loss, variance: float) -> tuple[float, int]:
+    """Return the mean square by which views pull at the shared parameters, over what noise explains.
+
+    At the optimum the views' pulls s_i cancel. Noise gives each the covariance variance * A_i, A_i its own
+    information on the shared parameters; the sum of s_i^T A_i^+ s_i has as many degrees of freedom as
+    the views tell directions, less the parameters they share.
+    """
+    residuals = bundle.residuals(state)
+    pull = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
+    total, freedom = 0.0, -len(bundle.names) + (len(bundle.prior.names) if bundle.prior else 0)
+    for information, score in bundle.scores(state, pull):
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+        eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+        told = eigenvalues > _TOLD * eigenvalues[-1]
+        total += float(((vectors[:, told].T @ (scale * score)) ** 2 / eigenvalues[told]).sum())
+        freedom += int(told.sum())
+    return (total / freedom / variance, freedom) if freedom > 0 and variance > 0 else (1.0, 0)
 
 
 def _inverse(information: Array, names: tuple[str, ...]) -> Array:

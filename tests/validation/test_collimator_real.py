@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from calib.calibrate import CalibrationOptions, calibrate
-from calib.selection import left_out_rms_px
 from calib.target import StarTarget
 from calib.view import View
 
@@ -69,16 +68,34 @@ def test_planar_model_is_that_of_opencv(views, distortion, flags):
 
 def test_views_left_out_are_predicted_as_the_prototype_found(views):
     for model, expected in (("spherical", 0.436), ("planar", 0.621)):
-        options = CalibrationOptions(model=model, loss="l2")
-        assert left_out_rms_px(views, calibrate(views, options), options) == pytest.approx(
-            expected, abs=0.001
-        )
+        result = calibrate(views, CalibrationOptions(model=model, loss="l2"))
+        assert result.left_out_rms_px == pytest.approx(expected, abs=0.001)
+
+
+def test_the_jackknife_of_the_prototype_is_what_the_sigmas_say(views):
+    assert calibrate(views, L2).sigma["fx"] == pytest.approx(9.37, abs=0.02)
+    planar = calibrate(views, CalibrationOptions(model="planar", loss="l2"))
+    assert planar.sigma["fx"] == pytest.approx(6.29, abs=0.02)
+
+
+def test_imperfections_of_the_collimator_predict_views_left_out_twice_as_well(views):
+    result = calibrate(views, CalibrationOptions(model="field"))
+    assert result.left_out_rms_px < 0.25
+    assert result.rms_px < 0.22
+
+
+@pytest.mark.slow
+def test_the_data_choose_the_richest_collimator(views):
+    result = calibrate(views, CalibrationOptions(model="auto"))
+    assert result.model == "coma"
+    assert result.left_out_rms_px < 0.22
+    assert 2397 < result.camera.fx < 2420
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [2, 3])
 def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
-    from calib.fit import bundle_of
+    from calib.fit import _begin
     from calib.homography import fit_homography
     from calib.refine import Loss, refine
     from calib.start import spherical_states
@@ -86,7 +103,7 @@ def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
     rng = np.random.default_rng(size)
     for _ in range(100):
         subset = [views[i] for i in rng.choice(20, size, replace=False)]
-        bundle = bundle_of(subset, L2, "spherical")
+        bundle, _ = _begin(subset, L2, "spherical")
         h = np.array([fit_homography(view) for view in subset])
         ends = [refine(bundle, s, Loss("l2")).cost for s in spherical_states(h, SIZE, ("k1", "k2"))]
         misses = np.concatenate(calibrate(subset, L2).residuals_px)

@@ -60,12 +60,14 @@ class Bench:
         coefficients = np.array([*self.k, 0.0, 0.0])
         return cv2.projectPoints(world, cv2.Rodrigues(turn)[0], shift, matrix, coefficients)[0][:, 0]
 
-    def view(self, name, turn, rng=None, sigma_px=0.0, centre=None):
-        """The stars inside the disc and the frame, with noise of sigma_px per axis."""
+    turn = staticmethod(rotation)
+
+    def view(self, name, turn, rng=None, sigma_px=0.0, centre=None, disc=None):
+        """The stars inside the disc (about the centre, unless told) and the frame, with noise of sigma_px."""
         centre = np.asarray(self.centre if centre is None else centre)
         ids = TARGET.ids
         target = TARGET.positions_mm(ids)
-        radius = np.linalg.norm(target - centre[:2], axis=1)
+        radius = np.linalg.norm(target - (centre[:2] if disc is None else disc), axis=1)
         pixels = self.project(target, turn, centre)
         inside = (pixels > 8).all(axis=1) & (pixels < np.array(self.size) - 9).all(axis=1)
         seen = inside & (radius < -centre[2] * np.tan(np.deg2rad(self.half_angle_deg)))
@@ -92,3 +94,19 @@ def bench():
 @pytest.fixture
 def make_bench():
     return Bench
+
+
+@pytest.fixture
+def defocused():
+    """A bench whose camera stands elsewhere in the pupil at each pose, behind a reticle out of focus.
+
+    The disc moves with the camera, and the centre moves the other way by 0.15 of that.
+    """
+    bench, rng = Bench(half_angle_deg=4.8, centre=(97.0, 100.0, -255.0)), np.random.default_rng(45)
+    poses = ((-3, 1), (0.5, -1, 10), (3, 1, -20), (-2, -1, 60), (2, 0.5, 130), (0, 0.5, 75))
+    views = []
+    for i, pose in enumerate(poses):
+        disc = np.array(bench.centre[:2]) + rng.uniform(-12, 12, 2)
+        centre = np.array(bench.centre) - np.append(0.15 * (disc - bench.centre[:2]), 0.0)
+        views.append(bench.view(f"pose-{i}", rotation(*pose), rng, 0.02, centre, disc=disc))
+    return bench, views

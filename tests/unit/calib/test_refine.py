@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from calib.bundle import Bundle, Observations, State
+from calib.bundle import Bundle
+from calib.observations import Observations
+from calib.state import State
 from calib.camera import CameraModel
 from calib.collimator import Collimator
 from calib.errors import InputMismatch

@@ -1,0 +1,128 @@
+"""The visible disc: which part of the target a view's beam lights, found from the stars that are there.
+
+Knows which stars a view has and lacks. The disc's centre tells where in the collimator's pupil the camera stands:
+its aperture, seen from there, cuts the beam. A star absent inside the frame counts as much as one present.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from calib.homography import fit_homography, transfer
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: A star may be missed, or seen beyond the rim, for reasons of its own this often.
+_ODD = 0.01
+#: Softness of the rim in pitches, coarse to fine.
+_SOFTNESS = (1.0, 0.25)
+#: Stars so near the frame's border, in pitches, are absent for that reason.
+_BORDER_PITCHES = 1.0
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A disc on the target plane.
+
+    Attributes
+    ----------
+    centre_mm
+        (2,) its centre.
+    radius_mm
+        Its radius.
+    sigma_mm
+        1-sigma of the centre, the worse axis; infinite where the rim is out of sight.
+    """
+
+    centre_mm: Array
+    radius_mm: float
+    sigma_mm: float
+
+
+def visible_disc(view: View) -> Disc:
+    """Fit the disc that best parts the stars present from those absent (a logistic model of the rim).
+
+    Raises
+    ------
+    TooFewStars, DegenerateViews, InputMismatch
+        As `calib.homography.fit_homography`.
+    """
+    nodes, present, pitch = _nodes(view)
+    middle = view.target_mm.mean(axis=0)
+    reach = float(np.linalg.norm(view.target_mm - middle, axis=1).max())
+    best = np.array([*middle, reach])
+    for softness in _SOFTNESS:
+        starts = [best * [1.0, 1.0, scale] for scale in (0.9, 1.0, 1.1)]
+        fits = [
+            minimize(_misfit, start, (nodes, present, softness * pitch), method="BFGS", jac=True)
+            for start in starts
+        ]
+        best = min(fits, key=lambda f: f.fun).x
+    x, y, radius = (float(v) for v in best)
+    information = _information(best, nodes, _SOFTNESS[-1] * pitch)
+    eigenvalues, vectors = np.linalg.eigh(information)
+    sigma = np.inf
+    if eigenvalues[0] > 1e-6 * eigenvalues[-1]:
+        sigma = float(np.sqrt(np.diag((vectors / eigenvalues) @ vectors.T)[:2].max()))
+    return Disc(np.array([x, y]), abs(radius), sigma)
+
+
+def within(view: View, disc: Disc, share: float) -> View:
+    """Return the view's stars within a share of the disc's radius: the guard band taken off."""
+    kept = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1) <= share * disc.radius_mm
+    if share >= 1.0:
+        return view
+    return View(
+        view.name,
+        view.image_size,
+        view.ids[kept],
+        view.points_px[kept],
+        view.target_mm[kept],
+        view.covariances_px2[kept],
+    )
+
+
+def _nodes(view: View) -> tuple[Array, NDArray[np.bool_], float]:
+    """Return the grid's nodes that lie in the frame, which of them carry a star found, and the pitch."""
+    stars = view.target_mm
+    steps = np.diff(np.unique(np.round(stars, 6)))
+    pitch = float(np.min(steps[steps > 1e-3 * np.ptp(stars)]))
+    first, last = stars.min(axis=0) - 6 * pitch, stars.max(axis=0) + 6.5 * pitch
+    columns, rows = (np.arange(a, b, pitch) for a, b in zip(first, last, strict=True))
+    nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    taken = np.round((stars - first) / pitch).astype(np.int64)
+    present = np.zeros(len(nodes), np.bool_)
+    present[taken[:, 1] * len(columns) + taken[:, 0]] = True
+
+    h = fit_homography(view)
+    in_front = nodes @ h[2, :2] + h[2, 2] > 0
+    pixels, beside = transfer(h, nodes), transfer(h, nodes + np.array([pitch, 0.0]))
+    border = _BORDER_PITCHES * np.linalg.norm(beside - pixels, axis=1)[:, None]
+    framed = ((pixels > border) & (pixels < np.array(view.image_size) - 1 - border)).all(axis=1)
+    used = present | (framed & in_front)
+    return nodes[used], present[used], pitch
+
+
+def _misfit(disc: Array, nodes: Array, present: NDArray[np.bool_], softness: float) -> tuple[float, Array]:
+    """Return minus the log likelihood of presence and absence, and its gradient."""
+    away = nodes - disc[:2]
+    distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    inside = 1.0 / (1.0 + np.exp(-np.clip((disc[2] - distance) / softness, -40.0, 40.0)))
+    likely = np.where(present, _ODD + (1.0 - 2.0 * _ODD) * inside, 1.0 - _ODD - (1.0 - 2.0 * _ODD) * inside)
+    slope = np.where(present, -1.0, 1.0) * (1.0 - 2.0 * _ODD) * inside * (1.0 - inside) / likely / softness
+    gradient = np.array([*(slope[:, None] * away / distance[:, None]).sum(axis=0), slope.sum()])
+    return float(-np.log(likely).sum()), gradient
+
+
+def _information(disc: Array, nodes: Array, softness: float) -> Array:
+    """Return the Fisher information of centre and radius."""
+    away = nodes - disc[:2]
+    distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    inside = 1.0 / (1.0 + np.exp(-np.clip((disc[2] - distance) / softness, -40.0, 40.0)))
+    slopes = np.column_stack([away / distance[:, None], np.ones(len(nodes))]) / softness
+    return np.asarray(slopes.T @ (slopes * (inside * (1.0 - inside))[:, None]))

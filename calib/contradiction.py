@@ -1,0 +1,69 @@
+"""Whether views contradict a collimator's passport.
+
+Knows how to ask the views alone: the same fit with the passport's centre forgotten, its imperfections kept. Where
+they tell the centre themselves, it is held against the passport's, each with its own uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from calib import uncertainty
+from calib.bundle import Bundle, Prior
+from calib.collimator import CENTRE
+from calib.errors import DegenerateViews, PassportContradicted
+from calib.passport import Passport
+from calib.refine import Loss, refine
+from calib.state import State
+
+#: A passport that is right is refused this rarely.
+_FALSE_ALARMS = 1e-4
+
+
+def require_agreement(bundle: Bundle, state: State, loss: Loss, passport: Passport) -> None:
+    """Refuse a passport whose centre these views contradict.
+
+    One view, or views that do not tell the centre, cannot contradict it.
+
+    Raises
+    ------
+    PassportContradicted
+        With both values, their uncertainties, and chi-square.
+    """
+    free = replace(bundle, prior=_of_terms(passport))
+    refined = refine(free, state, loss)
+    if len(state.rotations) < 2 or not refined.converged:
+        return
+    try:
+        known = uncertainty.at_optimum(free, refined.state, loss)
+    except DegenerateViews:
+        return
+    names = [name for name in passport.names if name in CENTRE]
+    ours = [bundle.names.index(name) for name in names]
+    theirs = [passport.names.index(name) for name in names]
+    growth = max(known.disagreement if known.disagree else 1.0, passport.disagreement)
+    found, covariance = refined.state.values(names), growth**2 * known.covariance[np.ix_(ours, ours)]
+    stated, own = passport.values[theirs], passport.covariance[np.ix_(theirs, theirs)]
+    off, together = found - stated, covariance + own
+    chi_square = float(off @ np.linalg.solve(together, off))
+    if chi_square > stats.chi2.ppf(1.0 - _FALSE_ALARMS, len(names)):
+        worst = int(np.argmax(np.abs(off) / np.sqrt(np.diag(together))))
+        raise PassportContradicted(
+            f"{names[worst]} is {stated[worst]:.2f} +- {np.sqrt(own[worst, worst]):.2f} mm there, but "
+            f"{found[worst]:.2f} +- {np.sqrt(covariance[worst, worst]):.2f} mm by these views "
+            f"(chi-square {chi_square:.0f} on {len(names)}).",
+            where="collimator passport",
+            remedy="Check that it is this collimator's, and that nothing was moved; or calibrate without it.",
+        )
+
+
+def _of_terms(passport: Passport) -> Prior | None:
+    """Return what the passport knows of the imperfections alone."""
+    at = [passport.names.index(name) for name in passport.terms]
+    if not at:
+        return None
+    whole = np.linalg.inv(passport.prior().information)
+    return Prior(passport.terms, passport.values[at], np.asarray(np.linalg.inv(whole[np.ix_(at, at)])))

@@ -1,0 +1,86 @@
+"""One view left out at a time: what the others say of it, and of themselves.
+
+Knows how to refit without a view. The views left out measure how well a model predicts (held-out error); the
+estimates without them measure what views disagree on (the jackknife).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.bundle import Bundle
+from calib.collimator import Collimator
+from calib.refine import Loss, refine
+from calib.state import State
+
+Array = NDArray[np.float64]
+
+#: Leaving one view out must leave enough to calibrate with.
+MIN_VIEWS = 3
+#: Views differ by far more than what a refit leaves undone at this tolerance: some hundredths of a sigma.
+_TOLERANCE = 1e-8
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What leaving each view out in turn shows.
+
+    Attributes
+    ----------
+    values
+        (n, G) shared parameters estimated without each view.
+    rms_px
+        (n,) rms residual of each view, predicted by the others: camera and centre theirs, the rotation its own.
+    stars
+        (n,) number of its stars.
+    """
+
+    values: Array
+    rms_px: Array
+    stars: NDArray[np.int64]
+
+    @property
+    def total_rms_px(self) -> float:
+        """Root mean square over all stars of all views."""
+        return float(np.sqrt((self.rms_px**2 * self.stars).sum() / self.stars.sum()))
+
+    @property
+    def jackknife(self) -> Array:
+        """(G, G) covariance of the shared parameters from their scatter: (n - 1) / n sum (v - mean)^2."""
+        n = len(self.values)
+        off = self.values - self.values.mean(axis=0)
+        return np.asarray((n - 1) / n * off.T @ off)
+
+
+def leave_one_out(bundle: Bundle, state: State, loss: Loss) -> LeftOut:
+    """Refit without each view in turn, from the optimum of all.
+
+    Parameters
+    ----------
+    bundle, state, loss
+        What was fitted, its optimum, and the loss with the limit it ended with; at least 3 views.
+    """
+    n = len(state.rotations)
+    values, rms, stars = [], [], []
+    for i in range(n):
+        others = [j for j in range(n) if j != i]
+        refined = refine(bundle.only(others), state.only(others), loss, tolerance=_TOLERANCE)
+        values.append(refined.state.values(bundle.names))
+        misses = _alone(bundle, refined.state, state.rotations[i], i)
+        rms.append(np.sqrt((misses**2).sum(axis=1).mean()))
+        stars.append(len(misses))
+    return LeftOut(np.array(values), np.array(rms), np.array(stars))
+
+
+def _alone(bundle: Bundle, others: State, rotation: Array, i: int) -> Array:
+    """Return the residuals, px, of a view of which only the rotation is solved."""
+    collimator = others.collimator
+    if bundle.free_centres and not bundle.drifts:
+        x, y, z = others.centres.mean(axis=0)
+        collimator = Collimator(float(x), float(y), float(-z))
+    view = replace(bundle.only([i]), names=(), free_centres=False, prior=None)
+    start = State(others.camera, collimator, rotation[None], np.zeros((1, 3)))
+    return view.misses_px(refine(view, start, Loss("l2")).state)

@@ -1,0 +1,49 @@
+"""The visible disc is found from the stars present and absent."""
+
+import numpy as np
+import pytest
+
+from calib.beam import visible_disc, within
+
+
+def test_centre_and_radius_are_found_within_the_stated_uncertainty(make_bench):
+    rng = np.random.default_rng(51)
+    bench = make_bench(half_angle_deg=4.8, centre=(97.0, 100.0, -255.0))
+    off = []
+    for i in range(12):
+        disc = np.array(bench.centre[:2]) + rng.uniform(-8, 8, 2)
+        view = bench.view(f"{i}", bench.turn(0.0, 0.0, 30.0 * i), disc=disc)
+        found = visible_disc(view)
+        off.append((found.centre_mm - disc) / found.sigma_mm)
+        assert found.radius_mm == pytest.approx(255.0 * np.tan(np.deg2rad(4.8)), abs=0.7)
+    assert 0.3 < np.sqrt(np.mean(np.square(off))) < 1.5
+
+
+def test_stars_missing_inside_hardly_move_it(make_bench):
+    bench = make_bench(half_angle_deg=4.8, centre=(97.0, 100.0, -255.0))
+    view = bench.view("one", bench.turn(0.0, 0.0))
+    kept = np.random.default_rng(52).random(len(view)) > 0.05
+    thinned = type(view)(
+        view.name,
+        view.image_size,
+        view.ids[kept],
+        view.points_px[kept],
+        view.target_mm[kept],
+        view.covariances_px2[kept],
+    )
+    assert np.abs(visible_disc(thinned).centre_mm - visible_disc(view).centre_mm).max() < 1.0
+
+
+def test_a_rim_out_of_sight_leaves_the_centre_unknown(make_bench):
+    bench = make_bench(half_angle_deg=20.0)
+    assert visible_disc(bench.view("full", bench.turn(0.0, 0.0))).sigma_mm > 10.0
+
+
+def test_the_guard_band_takes_the_outer_stars_off(make_bench):
+    bench = make_bench(half_angle_deg=4.8, centre=(97.0, 100.0, -255.0))
+    view = bench.view("one", bench.turn(0.0, 0.0))
+    disc = visible_disc(view)
+    inner = within(view, disc, 0.8)
+    assert 0.5 * len(view) < len(inner) < 0.75 * len(view)
+    assert np.linalg.norm(inner.target_mm - disc.centre_mm, axis=1).max() <= 0.8 * disc.radius_mm
+    assert within(view, disc, 1.0) is view
