@@ -98,16 +98,34 @@ def steady_levels(drive: Drive, batch: NDArray, n: int) -> None:
             batch[U_RISE, k] = level
 
 
+@njit(inline="always", **JIT)
+def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
+    """Value of u of one pixel at a phase below one period."""
+    if d.kind == SMOOTH:
+        return _smooth_level(d, u_rise, phase)
+    return _square_level(d, light, u_rise, u_fall, phase)
+
+
+@njit(inline="always", **JIT)
+def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float) -> Any:
+    """First crossing of one pixel at or after a phase below one period.
+
+    Returns its phase (float32; may exceed a period, inf = none) and its polarity (1.0 = ON).
+    """
+    if d.kind == SMOOTH:
+        return _smooth_crossing(d, u_rise, on_at, off_at, phase)
+    return _square_crossing(d, light, u_rise, u_fall, on_at, off_at, phase)
+
+
 @njit(**JIT)
 def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     """Fill in U at a phase below one period."""
     if drive.kind == SMOOTH:
-        _smooth_levels(drive, batch, n, phase)
-    elif phase < drive.high_us:
-        _relax(batch[LIGHT], batch[U_RISE], batch[U], n, drive.ambient, drive.w_high, phase / drive.q_us)
+        for k in range(n):
+            batch[U, k] = _smooth_level(drive, batch[U_RISE, k], phase)
     else:
-        since = (phase - drive.high_us) / drive.q_us
-        _relax(batch[LIGHT], batch[U_FALL], batch[U], n, drive.ambient, drive.w_low, since)
+        for k in range(n):
+            batch[U, k] = _square_level(drive, batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k], phase)
 
 
 @njit(**JIT)
@@ -115,9 +133,15 @@ def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     """Fill in T and IS_ON: the first crossing of ON_AT or OFF_AT at or after a phase below one period."""
     if drive.kind == SMOOTH:
         for k in range(n):
-            batch[T, k], batch[IS_ON, k] = _smooth_crossing(drive, batch, k, phase)
+            on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
+            batch[T, k], batch[IS_ON, k] = _smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase)
     else:
-        _square_crossings(drive, batch, n, phase)
+        for k in range(n):
+            light, u_rise, u_fall = batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k]
+            on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
+            batch[T, k], batch[IS_ON, k] = _square_crossing(
+                drive, light, u_rise, u_fall, on_at, off_at, phase
+            )
 
 
 # ---------------------------------------------------------------- square
@@ -135,68 +159,60 @@ def _steady_square(drive: Drive, light: float) -> tuple[float, float]:
     return u_rise, bright + (u_rise - bright) * decay_high
 
 
-@njit(**JIT)
-def _relax(
-    light: NDArray, u_start: NDArray, u: NDArray, n: int, ambient: float, w: float, since: float
-) -> None:
-    """Fill in u a time after it was u_start (in units of q), under constant light."""
-    ambient32, w32, since32 = np.float32(ambient), np.float32(w), np.float32(since)
-    for k in range(n):
-        i = ambient32 + light[k] * w32
-        end = _ONE / i
-        u[k] = end + (u_start[k] - end) * exp32(-since32 * i)
+@njit(inline="always", **JIT)
+def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
+    """u relaxes towards 1 / I from its value at the last edge."""
+    rising = phase >= d.high_us  # u rises in the low part
+    i = np.float32(d.ambient) + light * np.float32(d.w_low if rising else d.w_high)
+    since = np.float32((phase - (d.high_us if rising else 0.0)) / d.q_us)
+    end = _ONE / i
+    return end + ((u_fall if rising else u_rise) - end) * exp32(-since * i)
 
 
-@njit(**JIT)
-def _square_crossings(d: Drive, batch: NDArray, n: int, phase: float) -> None:
+@njit(inline="always", **JIT)
+def _square_crossing(
+    d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float
+) -> Any:
     """The present part of the period is searched, then the one after it; beyond, all repeats.
 
     Within a part u relaxes from its value at the part's start towards 1 / I and meets the target at
     (q / I) ln((u_start - 1 / I) / (target - 1 / I)).
     """
-    rising = phase >= d.high_us  # u rises in the low part
-    light, t, is_on = batch[LIGHT], batch[T], batch[IS_ON]
-    now_start, now_end = (batch[U_FALL], batch[U_RISE]) if rising else (batch[U_RISE], batch[U_FALL])
-    now_at, next_at = (batch[OFF_AT], batch[ON_AT]) if rising else (batch[ON_AT], batch[OFF_AT])
+    rising = phase >= d.high_us
+    now_start, now_end = (u_fall, u_rise) if rising else (u_rise, u_fall)
+    now_at, next_at = (off_at, on_at) if rising else (on_at, off_at)
     sign = _ONE if rising else -_ONE
     now_on, next_on = (_ZERO, _ONE) if rising else (_ONE, _ZERO)
     now_w, next_w = np.float32(d.w_low if rising else d.w_high), np.float32(d.w_high if rising else d.w_low)
     now_from = np.float32(d.high_us if rising else 0.0)
     next_from = np.float32(d.period_us if rising else d.high_us)
-    ambient, q, phase32 = np.float32(d.ambient), np.float32(d.q_us), np.float32(phase)
-    for k in range(n):
-        in_now = sign * (now_end[k] - now_at[k]) >= _ZERO
-        in_next = sign * (next_at[k] - now_start[k]) >= _ZERO
-        u_start = now_start[k] if in_now else now_end[k]
-        target = now_at[k] if in_now else next_at[k]
-        i = ambient + light[k] * (now_w if in_now else next_w)
-        end = _ONE / i
-        ratio = min(max((u_start - end) / (target - end), _TINY), _HUGE)
-        begin = now_from if in_now else next_from
-        cross = max(begin + q * end * log32(ratio), begin, phase32)
-        t[k] = cross if (in_now or in_next) and u_start != end else _NEVER
-        is_on[k] = now_on if in_now else next_on
+    in_now = sign * (now_end - now_at) >= _ZERO
+    in_next = sign * (next_at - now_start) >= _ZERO
+    u_start = now_start if in_now else now_end
+    target = now_at if in_now else next_at
+    end = _ONE / (np.float32(d.ambient) + light * (now_w if in_now else next_w))
+    ratio = min(max((u_start - end) / (target - end), _TINY), _HUGE)
+    begin = now_from if in_now else next_from
+    cross = max(begin + np.float32(d.q_us) * end * log32(ratio), begin, np.float32(phase))
+    never = not (in_now or in_next) or u_start == end
+    return _NEVER if never else cross, now_on if in_now else next_on
 
 
 # ---------------------------------------------------------------- smooth
 
 
-@njit(**JIT)
-def _smooth_levels(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
-    """U at a phase, interpolated on the atlas."""
+@njit(inline="always", **JIT)
+def _smooth_level(drive: Drive, level: Any, phase: float) -> Any:
+    """u at a phase, interpolated on the atlas."""
     bins = drive.atlas.shape[1] - 1
     x = phase / drive.period_us * bins
     i = min(int(x), bins - 1)
     g = np.float32(x - i)
-    before, after = drive.by_bin[i], drive.by_bin[i + 1]
-    dark = np.float32(1.0 / drive.ambient)
-    for k in range(n):
-        level = batch[U_RISE, k]
-        j = int(max(level, _ZERO))
-        f = level - np.float32(j)
-        a = before[j] + f * (before[j + 1] - before[j])
-        b = after[j] + f * (after[j + 1] - after[j])
-        batch[U, k] = a + g * (b - a) if level >= _ZERO else dark
+    j = int(max(level, _ZERO))
+    f = level - np.float32(j)
+    a = drive.by_bin[i, j] + f * (drive.by_bin[i, j + 1] - drive.by_bin[i, j])
+    b = drive.by_bin[i + 1, j] + f * (drive.by_bin[i + 1, j + 1] - drive.by_bin[i + 1, j])
+    return a + g * (b - a) if level >= _ZERO else np.float32(1.0 / drive.ambient)
 
 
 @njit(inline="always", **JIT)
@@ -206,9 +222,8 @@ def _between(table: NDArray, j: int, f: float, column: int) -> float:
 
 
 @njit(**JIT)
-def _smooth_crossing(drive: Drive, batch: NDArray, k: int, phase: float) -> tuple[Any, Any]:
+def _smooth_crossing(drive: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> tuple[Any, Any]:
     """Phase and polarity of a pixel's next crossing on the atlas."""
-    level, on_at, off_at = batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k]
     if level < _ZERO:
         return _NEVER, _ZERO
     bins = drive.atlas.shape[1] - 1

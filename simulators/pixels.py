@@ -192,11 +192,10 @@ class Sensor:
         state[:] = 0.0
         state[readout.EPOCH] = epoch
         state[readout.FREE] = state[readout.FIFO_T] = begin_us - epoch
-        rate = self._readout.noise_rate_us
-        first = (
-            -math.log(1.0 - np.random.default_rng(self._random).random()) / rate if rate > 0.0 else math.inf
-        )
-        state[readout.NOISE] = state[readout.FREE] + first
+        state[readout.NOISE] = math.inf
+        if self._readout.noise_rate_us > 0.0:
+            readout.draw_noise(self._pixels, self._readout, self.width, state[readout.FREE], self._random)
+            state[readout.NOISE] = self._pixels.noise_t[0]
         self._see(picture)
         readout.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
         self._now_us = begin_us
@@ -332,6 +331,8 @@ def _make_pixels(
         group_min=np.full(groups, np.inf, np.float32),
         batch=np.zeros((N_BATCH, shape[1]), np.float32),
         column=np.zeros(shape[1], np.int32),
+        noise_t=np.zeros(readout.AHEAD),
+        noise_at=np.zeros(readout.AHEAD, np.int64),
     )
 
 

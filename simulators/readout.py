@@ -27,18 +27,23 @@ GROUP: Final = 24
 VECTOR_FROM: Final = 5
 """Events of a block from which on the sensor sends them as a vector."""
 VECTOR_WORDS: Final = 4
+AHEAD: Final = 256
+"""Background and hot-pixel events drawn at a time."""
+FEW: Final = 4
+"""Events of a row below which they are worked on one by one, not as a batch."""
 LONGEST_ROW_WORDS: Final = 512
 """Room the link must have before a row is read."""
 
 # Indices into the float64 state of the loop.
 FREE: Final = 0  # when the arbiter is free again
-NOISE: Final = 1  # when the next background or hot-pixel event comes
+NOISE: Final = 1  # when the next background or hot-pixel event comes (px.noise_t[QUEUE])
 FIFO: Final = 2  # words waiting for the link
 FIFO_T: Final = 3  # as of when
 STALL: Final = 4  # time the arbiter has waited for the link
 EPOCH: Final = 5  # sensor time of the epoch
 FULL: Final = 6  # 1 when the last call ended because the output was nearly full
-N_STATE: Final = 7
+QUEUE: Final = 7  # position in the queue of background and hot-pixel events
+N_STATE: Final = 8
 
 # Numbers of a pixel, in Pixels.cell: one cache line holds two pixels.
 LIGHT: Final = 0  # share of the drive that reaches the pixel
@@ -62,6 +67,8 @@ class Pixels(NamedTuple):
     group_min: NDArray[np.float32]
     batch: NDArray[np.float32]  # (N_BATCH, columns) scratch: the pixels of a row at work
     column: NDArray[np.int32]  # (columns,) where they stand
+    noise_t: NDArray[np.float64]  # (AHEAD,) background and hot-pixel events to come: when,
+    noise_at: NDArray[np.int64]  # and at which pixel, row * width + column, times 2, plus 1 if ON
 
 
 class Readout(NamedTuple):
@@ -99,7 +106,7 @@ def _uniform(s: NDArray) -> float:
 # ---------------------------------------------------------------- earliest requests
 
 
-@njit(**JIT)
+@njit(forceinline=True, **JIT)
 def _smallest(values: NDArray) -> float:
     """Smallest of some numbers; a plain loop, which becomes vector instructions."""
     m = values[0]
@@ -108,7 +115,7 @@ def _smallest(values: NDArray) -> float:
     return m
 
 
-@njit(**JIT)
+@njit(forceinline=True, **JIT)
 def _update_row(px: Pixels, r: int) -> None:
     """Earliest request of a row and of its group, from those of its blocks."""
     px.row_min[r] = _smallest(px.block_min[r])
@@ -126,7 +133,7 @@ def update_minima(px: Pixels) -> None:
         _update_row(px, r)
 
 
-@njit(**JIT)
+@njit(forceinline=True, **JIT)
 def _first_equal(values: NDArray, wanted: float) -> int:
     """Index of the first of the numbers that equals the wanted one."""
     for i in range(values.size):
@@ -135,7 +142,7 @@ def _first_equal(values: NDArray, wanted: float) -> int:
     return 0
 
 
-@njit(**JIT)
+@njit(forceinline=True, **JIT)
 def _oldest_row(px: Pixels) -> int:
     """Row whose request is the oldest."""
     oldest = _smallest(px.group_min)
@@ -147,17 +154,37 @@ def _oldest_row(px: Pixels) -> int:
 
 
 @njit(**JIT)
-def _place_noise(px: Pixels, ro: Readout, width: int, t: float, random: NDArray) -> None:
-    """Let one pixel, drawn by its noise rate, request a read at t, unless it is dead or waits already."""
-    bits = _random(random)
-    i = np.int64(((bits >> np.uint64(32)) * np.uint64(ro.alias_share.size)) >> np.uint64(32))
-    if np.float32(np.int64(bits & np.uint64(0xFFFFFF)) * (1.0 / 16777216.0)) >= ro.alias_share[i]:
-        i = np.int64(ro.alias_other[i])
-    r, c = i // width, i % width
+def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray) -> float:
+    """Draw the next background and hot-pixel events; return a number that means nothing.
+
+    They are drawn many at a time, and their pixels touched: memory then serves many at once, and has them
+    ready when their time comes.
+    """
+    n = ro.alias_share.size
+    t = after
+    for k in range(AHEAD):
+        t -= log(_uniform(random)) / ro.noise_rate_us
+        bits = _random(random)
+        i = np.int64(((bits >> np.uint64(32)) * np.uint64(n)) >> np.uint64(32))
+        share = np.float32(np.int64(bits & np.uint64(0xFFFFFF)) * (1.0 / 16777216.0))
+        px.noise_t[k] = t
+        px.noise_at[k] = 2 * (i if share < ro.alias_share[i] else np.int64(ro.alias_other[i]))
+        px.noise_at[k] += np.int64((bits >> np.uint64(24)) & np.uint64(1))
+    touched = np.float32(0.0)
+    for k in range(AHEAD):
+        i = px.noise_at[k] >> 1
+        touched += px.cell[i // width, i % width, T_LIVE] + px.t_next[i // width, i % width]
+    return touched
+
+
+@njit(forceinline=True, **JIT)
+def _place_noise(px: Pixels, at: int, width: int, t: float) -> None:
+    """Let a pixel request a read at t, unless it is dead or waits already."""
+    r, c = (at >> 1) // width, (at >> 1) % width
     if t < px.cell[r, c, T_LIVE] or px.t_next[r, c] <= t:
         return
     px.t_next[r, c] = t
-    px.cell[r, c, IS_ON] = np.int64((bits >> np.uint64(24)) & np.uint64(1))
+    px.cell[r, c, IS_ON] = at & 1
     b = c // BLOCK
     t32 = px.t_next[r, c]
     px.block_min[r, b] = min(px.block_min[r, b], t32)
@@ -171,7 +198,7 @@ def _block_words(n: int) -> int:
     return n if n < VECTOR_FROM else VECTOR_WORDS
 
 
-@njit(**JIT)
+@njit(forceinline=True, **JIT)
 def _gather_row(px: Pixels, r: int, t: float) -> tuple[int, int]:
     """List the waiting pixels of a row in ``px.column``; return their number and that of their EVT3 words."""
     n, words = 0, 2
@@ -189,7 +216,7 @@ def _gather_row(px: Pixels, r: int, t: float) -> tuple[int, int]:
     return n, words
 
 
-@njit(**JIT)
+@njit(forceinline=True, **JIT)
 def _emit_row(px: Pixels, r: int, n: int, stamp: int, out: tuple, first: int) -> None:
     """Write a row's events: ON first, then OFF, each from left to right."""
     ts, xs, ys, ps = out
@@ -201,7 +228,33 @@ def _emit_row(px: Pixels, r: int, n: int, stamp: int, out: tuple, first: int) ->
                 i += 1
 
 
-@njit(**JIT)
+@njit(inline="always", **JIT)
+def _reset_error(ro: Readout, random: NDArray) -> np.float32:
+    """Factor on u of a new reference: noise of the reset, in units of log intensity."""
+    if ro.reset_noise == 0.0:
+        return np.float32(1.0)
+    return (
+        np.float32(1.0) + np.float32(ro.reset_noise) * ro.normals[np.int64(_random(random) >> np.uint64(52))]
+    )
+
+
+@njit(forceinline=True, **JIT)
+def _reset_pixel(
+    px: Pixels, drive: Drive, ro: Readout, r: int, c: int, phase: float, start: float, random: NDArray
+) -> None:
+    """Give one pixel its new reference at a phase, and its next crossing: ``_reset_row`` for a row of one."""
+    light, u_rise, u_fall = px.cell[r, c, LIGHT], px.cell[r, c, U_RISE], px.cell[r, c, U_FALL]
+    u = pr.level_at(drive, light, u_rise, u_fall, phase) * _reset_error(ro, random)
+    on_at, off_at = u * px.cell[r, c, GAIN_ON], u * px.cell[r, c, GAIN_OFF]
+    cross, on = pr.crossing(drive, light, u_rise, u_fall, on_at, off_at, phase)
+    live = np.float32(start + phase)
+    px.cell[r, c, U_REF] = u
+    px.cell[r, c, T_LIVE] = live
+    px.cell[r, c, IS_ON] = on
+    px.t_next[r, c] = max(live, np.float32(start) + cross)
+
+
+@njit(forceinline=True, **JIT)
 def _reset_row(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
 ) -> None:
@@ -214,21 +267,22 @@ def _reset_row(
     start
         Start of a period of the light not after ``t``.
     """
-    batch, column = px.batch, px.column
     t_live = t + ro.dead_us
     start += floor((t_live - start) / drive.period_us) * drive.period_us
     phase = t_live - start
+    if n < FEW:
+        for k in range(n):
+            _reset_pixel(px, drive, ro, r, px.column[k], phase, start, random)
+        return
+    batch, column = px.batch, px.column
     for k in range(n):
         c = column[k]
         batch[pr.LIGHT, k], batch[pr.U_RISE, k] = px.cell[r, c, LIGHT], px.cell[r, c, U_RISE]
         batch[pr.U_FALL, k] = px.cell[r, c, U_FALL]
         batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = px.cell[r, c, GAIN_ON], px.cell[r, c, GAIN_OFF]
     levels_at(drive, batch, n, phase)
-    if ro.reset_noise > 0.0:
-        noise = np.float32(ro.reset_noise)
-        for k in range(n):
-            batch[pr.U, k] *= np.float32(1.0) + noise * ro.normals[np.int64(_random(random) >> np.uint64(52))]
     for k in range(n):
+        batch[pr.U, k] *= _reset_error(ro, random)
         batch[pr.ON_AT, k] *= batch[pr.U, k]
         batch[pr.OFF_AT, k] *= batch[pr.U, k]
     crossings(drive, batch, n, phase)
@@ -241,7 +295,7 @@ def _reset_row(
         px.t_next[r, c] = max(live32, start32 + batch[pr.T, k])
 
 
-@njit(**JIT)
+@njit(forceinline=True, **JIT)
 def _update_blocks(px: Pixels, r: int, t: float) -> None:
     """Earliest requests of the blocks of a row that were read at t, and of the row."""
     t32 = np.float32(t)
@@ -292,8 +346,13 @@ def read_rows(
         if min(t, state[NOISE]) >= until:
             break
         if state[NOISE] <= t:
-            _place_noise(px, ro, width, state[NOISE], random)
-            state[NOISE] -= log(_uniform(random)) / ro.noise_rate_us
+            queue = int(state[QUEUE])
+            _place_noise(px, px.noise_at[queue], width, state[NOISE])
+            if queue + 1 == AHEAD:
+                draw_noise(px, ro, width, state[NOISE], random)
+                queue = -1
+            state[QUEUE] = queue + 1
+            state[NOISE] = px.noise_t[queue + 1]
             continue
         if n > room:
             state[FULL] = 1.0
@@ -379,6 +438,7 @@ def move_epoch(px: Pixels, state: NDArray, by_us: float) -> None:
     px.block_min[:] -= shift
     px.row_min[:] -= shift
     px.group_min[:] -= shift
+    px.noise_t[:] -= by_us
     state[EPOCH] += by_us
     state[FREE] -= by_us
     state[NOISE] -= by_us
