@@ -21,7 +21,15 @@ from typing import Any, Self
 
 from bench.errors import RunFolderError, StorageError
 from bench.journal import Entry, Journal
-from bench.storage import make_folder, put_in_place, sha256_of, storing, sync_folder, write_whole
+from bench.storage import (
+    is_temporary,
+    make_folder,
+    put_in_place,
+    sha256_of,
+    storing,
+    sync_folder,
+    write_whole,
+)
 
 JOURNAL = "journal.jsonl"
 SEQUENCE_COPY = "sequence.yaml"
@@ -167,6 +175,8 @@ class RunFolder:
         ------
         RunFolderError
             When there is none, it is no run, it is sealed, or another process holds it.
+        StorageError
+            No permission, or no space.
         """
         path = path.absolute()
         if not path.is_dir():
@@ -183,7 +193,14 @@ class RunFolder:
                 where=str(path),
                 remedy="A sealed run is never changed; start a new one, or check it with `starbench verify`.",
             )
-        return cls(path, _hold(path))
+        lock = _hold(path)
+        try:
+            if not (path / _RESERVE).exists():  # given back when the disk was full
+                _keep_reserve(path)
+        except BaseException:
+            os.close(lock)
+            raise
+        return cls(path, lock)
 
     @property
     def journal_path(self) -> Path:
@@ -287,7 +304,7 @@ class RunFolder:
         found: dict[str, list[str]] = {"intact": [], "changed": [], "interrupted": [], "unnamed": []}
         make_folder(self.path / CAPTURES)
         with storing(self.path):
-            for path in list(self.path.rglob(".*.tmp")):
+            for path in [p for p in self.path.rglob("*") if is_temporary(p)]:
                 path.unlink()
             for path in sorted((self.path / CAPTURES).iterdir()):
                 name = f"{CAPTURES}/{path.name}"
@@ -382,12 +399,16 @@ def _hold(path: Path) -> int:
 
 
 def _refuse_occupied(path: Path) -> None:
-    found = next((p for p in path.rglob("*") if not p.is_dir() and p.name != _RESERVE), None)
+    """Refuse a folder that holds a file, unless it is one that making this folder left when it was cut short."""
+    files = (p for p in path.rglob("*") if not p.is_dir() and p.name != _RESERVE and not is_temporary(p))
+    found = next(files, None)
     if found is not None:
+        begun = (path / JOURNAL).exists()
         raise RunFolderError(
             f"The folder is not empty: it holds {found.relative_to(path)}.",
             where=str(path),
-            remedy="Choose another --output, or go on with that run by `starbench resume`.",
+            remedy="Choose another --output"
+            + (", or go on with its run by `starbench resume`." if begun else "."),
         )
 
 

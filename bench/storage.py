@@ -16,6 +16,7 @@ from pathlib import Path
 from bench.errors import StorageError
 
 HASH_CHUNK_BYTES = 1 << 20
+TEMPORARY = ".tmp"
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -85,28 +86,29 @@ def write_all(descriptor: int, data: bytes) -> None:
 def write_whole(path: Path, data: bytes, *, mode: int = 0o644) -> None:
     """Write a file so that its name holds either all of ``data`` or what it held before.
 
-    Temporary file beside it, fsync, rename, fsync of the folder. After a failure nothing is left over.
+    Temporary file beside it, fsync, rename, fsync of the folder.
 
     Raises
     ------
     StorageError
         Disk full, no permission, or any other failure; ``path`` is as before.
     """
-    part = path.with_name(f".{path.name}.tmp")
+    part = path.with_name(f".{path.name}{TEMPORARY}")
     with storing(path):
-        with suppress(FileNotFoundError):
-            part.unlink()
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+        part.unlink(missing_ok=True)
         try:
-            write_all(descriptor, data)
-            os.fsync(descriptor)
+            _write_new(part, data, mode)
+            part.rename(path)
         except OSError:
-            part.unlink()
+            with suppress(OSError):  # the first error is the one to tell
+                part.unlink()
             raise
-        finally:
-            os.close(descriptor)
-        part.rename(path)
         sync_folder(path.parent)
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether a file is one that ``write_whole`` was writing when its process died."""
+    return path.name.startswith(".") and path.name.endswith(TEMPORARY)
 
 
 def put_in_place(part: Path, path: Path) -> None:
@@ -134,3 +136,12 @@ def sha256_of(path: Path) -> str:
         while chunk := stream.read(HASH_CHUNK_BYTES):
             digest.update(chunk)
     return digest.hexdigest()
+
+
+def _write_new(path: Path, data: bytes, mode: int) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+    try:
+        write_all(descriptor, data)
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

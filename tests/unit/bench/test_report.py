@@ -274,6 +274,26 @@ def test_a_planar_calibration_without_devices_is_reported_too(data):
     assert not {"Poses", "Gates", "Recordings", "Devices", "How far from the truth"} & set(printed_text(html))
 
 
+def test_what_is_documented_of_the_results_is_in_them(data):
+    table = (Path(__file__).parents[3] / "docs" / "results.md").read_text(encoding="utf-8")
+    paths = [
+        p for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE) for p in re.findall(r"`([^`]+)`", row)
+    ]
+    assert len(paths) > 30
+    for path in paths:
+        place = data.results
+        for key in path.split("."):
+            place = place[0] if isinstance(place, list) else place
+            assert key in place, path
+            place = place[key]
+
+
+def test_every_part_of_the_results_is_documented(data):
+    table = (Path(__file__).parents[3] / "docs" / "results.md").read_text(encoding="utf-8")
+    names = [*data.results, *data.results["run"], *data.results["calibration"], *data.results["poses"][0]]
+    assert [name for name in names if not re.search(rf"\b{name}\b", table)] == []
+
+
 # ------------------------------------------------------------------ pictures and plots
 
 

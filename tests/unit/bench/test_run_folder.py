@@ -182,6 +182,27 @@ def test_the_reserve_gives_space_for_the_last_words(run):
     run.release_reserve()
 
 
+def test_a_resumed_run_has_its_reserve_again(run, journal):
+    run.release_reserve()
+    run.close()
+    with RunFolder.open(run.path):
+        assert (run.path / ".reserve").stat().st_size > 100_000
+
+
+def test_a_run_is_not_resumed_on_a_full_disk_nor_left_locked(run, journal, monkeypatch):
+    run.release_reserve()
+    run.close()
+
+    def full(*_args):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(StorageError, match="disk is full"):
+            RunFolder.open(run.path)
+    RunFolder.open(run.path).close()
+
+
 # ------------------------------------------------------------------ captures
 
 

@@ -1,0 +1,189 @@
+"""Whatever call to the system a run dies in, or is refused: what was acknowledged is there, and the run goes on.
+
+A small run is repeated; each time the next of its calls (open, write, sync, rename, make, remove) is the one that
+kills the process, or fails. Death is an exception that nothing of ours catches.
+"""
+
+import errno
+import os
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from bench.errors import BenchError, StorageError
+from bench.journal import Journal, read_journal
+from bench.run_folder import CAPTURE_STORED, RunFolder, stored_captures
+from bench.seal import seal
+from bench.verify import verify_run
+
+POSES = 3
+CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+
+
+@pytest.fixture(autouse=True)
+def _no_real_syncs(monkeypatch):
+    """A process that dies takes no written page with it: syncs are counted here, and cost nothing."""
+    monkeypatch.setattr(os, "fsync", lambda _descriptor: None)
+
+
+class Died(BaseException):
+    """The process is gone."""
+
+
+class Fault:
+    """Lets so many calls pass and spoils the next; counts them all."""
+
+    def __init__(self, monkeypatch, passing, spoil):
+        self.calls, self.passing, self.spoil, self.log = 0, passing, spoil, []
+        for owner, name in (
+            (os, "open"),
+            (os, "write"),
+            (os, "fsync"),
+            (os, "ftruncate"),
+            (os, "truncate"),
+            (Path, "rename"),
+            (Path, "unlink"),
+            (Path, "mkdir"),
+            (Path, "chmod"),
+        ):
+            self._wrap(monkeypatch, owner, name, getattr(owner, name))
+
+    def _wrap(self, monkeypatch, owner, name, real):
+        def call(*args, **kwargs):
+            self.calls += 1
+            self.log.append(name)
+            if self.calls == self.passing + 1:
+                return self.spoil(name, real, args, kwargs)
+            return real(*args, **kwargs)
+
+        monkeypatch.setattr(owner, name, call)
+
+
+def die_before(_name, _real, _args, _kwargs):
+    raise Died
+
+
+def die_after(name, real, args, kwargs):
+    if name == "write":  # half of it reached the disk
+        real(args[0], bytes(args[1])[: len(args[1]) // 2])
+    else:
+        with suppress(FileNotFoundError):
+            real(*args, **kwargs)
+    raise Died
+
+
+def refuse(number):
+    def spoil(name, _real, args, _kwargs):
+        raise OSError(
+            number, os.strerror(number), str(args[0]) if name not in {"write", "fsync", "ftruncate"} else None
+        )
+
+    return spoil
+
+
+def recording(pose):
+    return f"recording of pose {pose}".encode() * 20
+
+
+def run_once(path, acknowledged, key=None):
+    """Do what is not yet done of a run of some poses; what is acknowledged is noted as soon as it is."""
+    exists = (path / "journal.jsonl").exists()
+    with RunFolder.open(path) if exists else RunFolder.create(path) as folder:
+        opened = Journal.open if exists else Journal.create
+        with opened(folder.journal_path, **CLOCKS) as journal:
+            if exists:
+                folder.recover(journal)
+            done = {e.data["pose"] for e in journal.entries if e.event == CAPTURE_STORED}
+            for pose in range(1, POSES + 1):
+                if pose not in done:
+                    folder.capture_part(pose, 1).write_bytes(recording(pose))
+                    capture = folder.commit_capture(pose, 1)
+                    journal.append(CAPTURE_STORED, pose=pose, **capture.as_data())
+                    acknowledged[pose] = capture
+            folder.write_atomic("exports/camera.yaml", b"fx: 1\n" * 100)
+            journal.append("finished")
+        if key is not None:
+            seal(folder, key)
+
+
+def see_that_nothing_acknowledged_is_lost(path, acknowledged):
+    entries, _ = read_journal(path / "journal.jsonl") if (path / "journal.jsonl").exists() else ([], b"")
+    told = stored_captures(entries)
+    for pose, capture in acknowledged.items():
+        assert told[capture.name] == capture
+        assert (path / capture.name).read_bytes() == recording(pose)
+
+
+def see_that_it_is_whole(path):
+    """Finished, each pose once, nothing half-written under a final name."""
+    entries, torn = read_journal(path / "journal.jsonl")
+    assert torn == b""
+    assert [e.data["pose"] for e in entries if e.event == CAPTURE_STORED] == list(range(1, POSES + 1))
+    assert entries[-1].event == "finished"
+    captures = sorted(p.name for p in (path / "captures").iterdir())
+    assert captures == [f"pose-{pose:03d}-attempt-1.raw" for pose in range(1, POSES + 1)]
+    for pose, name in enumerate(captures, 1):
+        assert (path / "captures" / name).read_bytes() == recording(pose)
+    assert (path / "exports" / "camera.yaml").read_bytes() == b"fx: 1\n" * 100
+    assert not list(path.rglob("*.tmp"))
+
+
+def calls_of_a_whole_run(tmp_path, monkeypatch, key):
+    with monkeypatch.context() as patch:
+        fault = Fault(patch, 10**9, die_before)
+        run_once(tmp_path / "undisturbed", {}, key)
+    return fault.log
+
+
+@pytest.mark.parametrize("spoil", [die_before, die_after])
+def test_killed_in_any_call_it_goes_on(tmp_path, monkeypatch, key, signers, spoil):
+    log = calls_of_a_whole_run(tmp_path, monkeypatch, key)
+    assert {"open", "write", "fsync", "rename", "mkdir", "unlink", "chmod"} <= set(log)
+    for passing in range(len(log)):
+        path, acknowledged = tmp_path / f"run{passing}", {}
+        with monkeypatch.context() as patch:
+            Fault(patch, passing, spoil)
+            with pytest.raises(Died):
+                run_once(path, acknowledged, key)
+        see_that_nothing_acknowledged_is_lost(path, acknowledged)
+        if not (path / "SHA256SUMS.sig").exists():
+            run_once(path, acknowledged, key)
+        see_that_it_is_whole(path)
+        assert verify_run(path, signers).faults == ()
+
+
+def test_killed_again_and_again_it_goes_on(tmp_path, monkeypatch, key, signers):
+    path, acknowledged = tmp_path / "run", {}
+    for passing in range(1, 400):
+        if (path / "SHA256SUMS.sig").exists():
+            break
+        with monkeypatch.context() as patch:
+            Fault(patch, passing, die_after)
+            try:
+                run_once(path, acknowledged, key)
+            except Died:
+                see_that_nothing_acknowledged_is_lost(path, acknowledged)
+    assert passing > 10
+    see_that_it_is_whole(path)
+    assert verify_run(path, signers).faults == ()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
+def test_refused_any_call_it_says_so_and_goes_on(tmp_path, monkeypatch, key, signers, number):
+    log = calls_of_a_whole_run(tmp_path, monkeypatch, key)
+    for passing in range(len(log)):
+        path, acknowledged = tmp_path / f"run{passing}", {}
+        with monkeypatch.context() as patch:
+            Fault(patch, passing, refuse(number))
+            with pytest.raises(BenchError) as caught:
+                run_once(path, acknowledged, key)
+        assert isinstance(caught.value, StorageError), log[passing]
+        assert caught.value.where.startswith(str(tmp_path)), log[passing]
+        assert caught.value.remedy
+        see_that_nothing_acknowledged_is_lost(path, acknowledged)
+        if not (path / "SHA256SUMS.sig").exists():
+            run_once(path, acknowledged, key)
+        see_that_it_is_whole(path)
+        assert verify_run(path, signers).faults == ()
