@@ -1,0 +1,340 @@
+"""ECF, the compression of events in Metavision's HDF5 files: a chunk of bytes to arrays and back, no files.
+
+A chunk of up to 65535 events, little-endian throughout:
+
+- uint32: number of events << 2 | style (2 = A, 1 = B, 0 = C);
+- int64: time of the first event, us;
+- times: bytes of step << 4 | count. A step of 15 makes the lower half four more bits of a larger step, lowest
+  first, and is followed by more; a count of 15 is followed by the count as uint16;
+- style A: rows, columns and polarities packed: y << 12 | x << 1 | p in 24 bits, four events in three uint32;
+- styles B and C: rows as uint16 of y << 5 | count, a count of 31 followed by the count as uint16; then
+- style B: x << 1 | p in 12 bits, four events in three uint16;
+- style C: columns as uint16 of x << 5 | one bit each for x + 1 .. x + 5 (highest bit first), in rising order; then
+  polarities as bytes of p << 7 | count, a count of 127 followed by the count as uint16.
+
+Times can only rise in it: an event before its predecessor gets the predecessor's time.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from drivers.camera.evt3 import Events, empty_events
+
+FILTER_ID: Final = 36559
+"""Under this number HDF5 knows the compression."""
+
+MAX_EVENTS: Final = 65535
+MAX_ADDRESS: Final = 2047
+
+_HEAD_BYTES: Final = 12
+_WORST_BYTES: Final = 24
+"""Of an event: at most 17 for its time, 2 for its row, 2 for its column, 1 for its polarity."""
+
+
+def encode(events: Events) -> bytes:
+    """Compress a chunk of at least one event.
+
+    Raises
+    ------
+    ValueError
+        For none or too many events, or an address beyond 11 bits.
+    """
+    n = len(events.t)
+    if not 0 < n <= MAX_EVENTS:
+        raise ValueError(f"a chunk holds 1 to {MAX_EVENTS} events, not {n}")
+    if max(events.x.max(), events.y.max()) > MAX_ADDRESS:
+        raise ValueError(f"an address beyond {MAX_ADDRESS}")
+    t = np.maximum.accumulate(events.t)
+    out = np.zeros(_HEAD_BYTES + _WORST_BYTES * n + 64, np.uint8)
+    out[4:12] = np.frombuffer(np.int64(t[0]).tobytes(), np.uint8)
+    style = _best_style(events.x, events.y, events.p)
+    out[:4] = np.frombuffer(np.uint32(n << 2 | style).tobytes(), np.uint8)
+    at = _put_times(out, _HEAD_BYTES, t)
+    if style != _STYLE_A:
+        at = _put_rows(out, at, events.y)
+    if style == _STYLE_C:
+        at = _put_columns(out, at, events.x)
+        at = _put_polarities(out, at, events.p)
+    else:
+        at = _put_packed(out, at, events.x, events.y, events.p, style)
+    return out[:at].tobytes()
+
+
+def decode(chunk: bytes) -> Events:
+    """Unpack a chunk.
+
+    Raises
+    ------
+    ValueError
+        When it ends too early, or its runs do not add up to its number of events.
+    """
+    if len(chunk) < _HEAD_BYTES:
+        raise ValueError(f"a chunk of {len(chunk)} bytes has no head")
+    info = int.from_bytes(chunk[:4], "little")
+    n, style = info >> 2, info & 3
+    if not 0 < n <= MAX_EVENTS:
+        raise ValueError(f"a chunk of {n} events")
+    events = empty_events(n)
+    data = np.frombuffer(chunk, np.uint8)
+    at = _get_times(data, _HEAD_BYTES, int.from_bytes(chunk[4:12], "little", signed=True), events.t)
+    if style & _STYLE_A:
+        at = _get_packed(data, at, events.x, events.y, events.p, _STYLE_A)
+    else:
+        at = _get_rows(data, at, events.y)
+        if style == _STYLE_B:
+            at = _get_packed(data, at, events.x, events.y, events.p, _STYLE_B)
+        else:
+            at = _get_columns(data, at, events.x)
+            at = _get_polarities(data, at, events.p)
+    if at < 0:
+        raise ValueError(f"a chunk of {n} events whose {len(chunk)} bytes do not hold them")
+    return events
+
+
+_STYLE_A: Final = 2
+_STYLE_B: Final = 1
+_STYLE_C: Final = 0
+_BAD: Final = -1
+
+
+@njit(cache=True, nogil=True)
+def _best_style(x: Any, y: Any, p: Any) -> int:
+    """Find the style that takes the fewest bytes, by counting the runs."""
+    rows = columns = polarities = 1
+    base = x[0]
+    for i in range(1, len(x)):
+        rows += y[i] != y[i - 1]
+        polarities += p[i] != p[i - 1]
+        if not (x[i] > x[i - 1] and x[i] <= base + 5):
+            columns += 1
+            base = x[i]
+    fours = (len(x) + 3) // 4
+    packed = 12 * fours
+    by_rows = 2 * rows + 6 * fours
+    by_runs = 2 * rows + 2 * columns + polarities
+    if by_runs <= min(packed, by_rows):
+        return _STYLE_C
+    return _STYLE_B if by_rows < packed else _STYLE_A
+
+
+@njit(cache=True, nogil=True)
+def _put_16(out: Any, at: int, value: int) -> int:
+    out[at] = value & 0xFF
+    out[at + 1] = value >> 8
+    return at + 2
+
+
+@njit(cache=True, nogil=True)
+def _run_length(values: Any, i: int) -> int:
+    """How many values from place i on are equal."""
+    end = i + 1
+    while end < len(values) and values[end] == values[i]:
+        end += 1
+    return end - i
+
+
+@njit(cache=True, nogil=True)
+def _put_times(out: Any, at: int, t: Any) -> int:
+    now = t[0]
+    i = 0
+    while i < len(t):
+        step = t[i] - now
+        if step >= 15:
+            while step > 0:
+                out[at] = 0xF0 | (step & 0xF)
+                step >>= 4
+                at += 1
+        now = t[i]
+        count = _run_length(t, i)
+        out[at] = step << 4 | min(count, 15)
+        at += 1
+        if count >= 15:
+            at = _put_16(out, at, count)
+        i += count
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _put_rows(out: Any, at: int, y: Any) -> int:
+    i = 0
+    while i < len(y):
+        count = _run_length(y, i)
+        row: Any = np.int64(y[i])
+        at = _put_16(out, at, row << 5 | min(count, 31))
+        if count >= 31:
+            at = _put_16(out, at, count)
+        i += count
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _put_columns(out: Any, at: int, x: Any) -> int:
+    i = 0
+    while i < len(x):
+        base: Any = np.int64(x[i])
+        mask: Any = 0
+        i += 1
+        while i < len(x) and x[i] > x[i - 1] and x[i] <= base + 5:
+            mask |= 1 << (5 - (np.int64(x[i]) - base))
+            i += 1
+        at = _put_16(out, at, base << 5 | mask)
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _put_polarities(out: Any, at: int, p: Any) -> int:
+    i = 0
+    while i < len(p):
+        count = _run_length(p, i)
+        out[at] = p[i] << 7 | min(count, 127)
+        at += 1
+        if count >= 127:
+            at = _put_16(out, at, count)
+        i += count
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _put_packed(out: Any, at: int, x: Any, y: Any, p: Any, style: int) -> int:
+    """Four values of three parts into three units of four parts: each holds the rest of one value and the next."""
+    unit_bytes = 4 if style == _STYLE_A else 2
+    part = 2 * unit_bytes
+    value = np.zeros(4, np.int64)
+    for first in range(0, len(x), 4):
+        value[:] = 0
+        for k in range(min(4, len(x) - first)):
+            value[k] = np.int64(x[first + k]) << 1 | p[first + k]
+            if style == _STYLE_A:
+                value[k] |= np.int64(y[first + k]) << 12
+        for k in range(3):
+            low = part * (k + 1)
+            word = value[k] >> (part * k) << low | value[k + 1] & ((1 << low) - 1)
+            for b in range(unit_bytes):
+                out[at] = (word >> (8 * b)) & 0xFF
+                at += 1
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _get(data: Any, at: int, size: int) -> int:
+    """Read a number of some bytes, little-endian; the caller has seen that they are there."""
+    value: Any = 0
+    for k in range(size):
+        value |= np.int64(data[at + k]) << (8 * k)
+    return value
+
+
+@njit(cache=True, nogil=True)
+def _get_times(data: Any, at: int, first: int, t: Any) -> int:
+    now: Any = first
+    step: Any = 0
+    count: Any
+    i = shift = 0
+    while i < len(t):
+        if at + 3 > len(data) and (at >= len(data) or data[at] & 0xF == 15):
+            return _BAD
+        high = data[at] >> 4
+        count = np.int64(data[at] & 0xF)
+        at += 1
+        if high == 15:
+            if shift > 60:
+                return _BAD
+            step |= count << shift
+            shift += 4
+            continue
+        now += step + high
+        step = shift = 0
+        if count == 15:
+            count = _get(data, at, 2)
+            at += 2
+        if count == 0 or i + count > len(t):
+            return _BAD
+        t[i : i + count] = now
+        i += count
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _get_rows(data: Any, at: int, y: Any) -> int:
+    i = 0
+    while at >= 0 and i < len(y):
+        if at + 2 > len(data):
+            return _BAD
+        value = _get(data, at, 2)
+        at += 2
+        count = value & 31
+        if count == 31:
+            if at + 2 > len(data):
+                return _BAD
+            count = _get(data, at, 2)
+            at += 2
+        if count == 0 or i + count > len(y):
+            return _BAD
+        y[i : i + count] = value >> 5
+        i += count
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _get_columns(data: Any, at: int, x: Any) -> int:
+    i = 0
+    while at >= 0 and i < len(x):
+        if at + 2 > len(data):
+            return _BAD
+        value = _get(data, at, 2)
+        at += 2
+        x[i] = value >> 5
+        i += 1
+        for k in range(1, 6):
+            if value >> (5 - k) & 1:
+                if i == len(x):
+                    return _BAD
+                x[i] = (value >> 5) + k
+                i += 1
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _get_polarities(data: Any, at: int, p: Any) -> int:
+    i = 0
+    while at >= 0 and i < len(p):
+        if at >= len(data):
+            return _BAD
+        value = data[at]
+        count: Any = np.int64(value & 127)
+        at += 1
+        if count == 127:
+            if at + 2 > len(data):
+                return _BAD
+            count = _get(data, at, 2)
+            at += 2
+        if count == 0 or i + count > len(p):
+            return _BAD
+        p[i : i + count] = value >> 7
+        i += count
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _get_packed(data: Any, at: int, x: Any, y: Any, p: Any, style: int) -> int:
+    unit_bytes = 4 if style == _STYLE_A else 2
+    part = 2 * unit_bytes
+    word = np.zeros(5, np.int64)
+    for first in range(0, len(x), 4):
+        if at < 0 or at + 3 * unit_bytes > len(data):
+            return _BAD
+        for k in range(3):
+            word[k + 1] = _get(data, at, unit_bytes)
+            at += unit_bytes
+        for k in range(min(4, len(x) - first)):
+            low = part * k
+            value = word[k] & ((1 << low) - 1) | word[k + 1] >> (part * (k + 1)) << low
+            p[first + k] = value & 1
+            x[first + k] = (value >> 1) & MAX_ADDRESS
+            if style == _STYLE_A:
+                y[first + k] = (value >> 12) & MAX_ADDRESS
+    return at

@@ -1,0 +1,171 @@
+"""Events from files for analysis back to arrays: Metavision's HDF5, plain HDF5 and NumPy (see ``event_files``)."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+
+from drivers.camera import ecf
+from drivers.camera.event_files import CD_TYPE
+from drivers.camera.evt3 import Events, Triggers, empty_events
+from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
+
+_AGAIN: Final = "Export it again from the RAW recording."
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Events, triggers, the sensor's size and what else the file says of the recording."""
+
+    events: Events
+    triggers: Triggers
+    width: int
+    height: int
+    header: Mapping[str, str]
+
+
+def import_events(path: Path | str) -> Imported:
+    """Read a file by what it holds, whatever its name.
+
+    Raises
+    ------
+    NotARecording
+        When it is none of the three, or lacks a part.
+    RecordingCorrupt
+        When a chunk of events cannot be unpacked, or an event lies outside the sensor.
+    RecordingFileError
+        When it cannot be read.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            start = file.read(8)
+        if start == b"\x89HDF\r\n\x1a\n":
+            with h5py.File(path, "r") as file:
+                return _from_metavision(file, path) if "CD" in file else _from_hdf5(file, path)
+        if start[:4] == b"PK\x03\x04":
+            return _from_numpy(path)
+    except (TypeError, KeyError, ValueError, RuntimeError, EOFError, zipfile.BadZipFile) as error:
+        raise _not_ours(path, str(error)) from error
+    except OSError as error:
+        raise RecordingFileError(
+            f"It cannot be read ({error.strerror or error}).",
+            where=str(path),
+            remedy="Check the path and the file.",
+        ) from error
+    raise _not_ours(path, "it is neither HDF5 nor .npz")
+
+
+def _not_ours(path: Path, why: str) -> NotARecording:
+    return NotARecording(
+        f"It holds no events that can be read: {why}.",
+        where=str(path),
+        remedy="Give a Metavision HDF5, a plain HDF5 or an .npz file of events.",
+    )
+
+
+def _from_numpy(path: Path) -> Imported:
+    with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+        width, height = (int(side) for side in _part(file, "size"))
+        events = _as_events(*(_part(file, name) for name in ("t", "x", "y", "p")))
+        triggers = _as_triggers(*(_part(file, f"trigger_{name}") for name in ("t", "value", "id")))
+    return _checked(Imported(events, triggers, width, height, {}), path)
+
+
+def _from_hdf5(file: Any, path: Path) -> Imported:
+    events = _as_events(*(_part(file, f"events/{name}")[:] for name in ("t", "x", "y", "p")))
+    triggers = _as_triggers(*(_part(file, f"triggers/{name}")[:] for name in ("t", "value", "id")))
+    header = {key: _text(value) for key, value in _part(file, "header").attrs.items()}
+    size = int(_part(file.attrs, "width")), int(_part(file.attrs, "height"))
+    return _checked(Imported(events, triggers, *size, header), path)
+
+
+def _from_metavision(file: Any, path: Path) -> Imported:
+    header = {key: _text(value) for key, value in file.attrs.items()}
+    width, height = (int(side) for side in _part(header, "geometry").split("x"))
+    rows = _part(file, "EXT_TRIGGER/events")[:]
+    triggers = _as_triggers(rows["t"], rows["p"], rows["id"])
+    events = _metavision_events(_part(file, "CD/events"), path)
+    return _checked(Imported(events, triggers, width, height, header), path)
+
+
+def _metavision_events(dataset: Any, path: Path) -> Events:
+    """Unpack the chunks here: few installations of HDF5 know the compression."""
+    creation = dataset.id.get_create_plist()
+    filters = [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
+    if filters != [ecf.FILTER_ID]:
+        return _from_rows(dataset[:])
+    events = empty_events(len(dataset))
+    told = 0
+    for k in range(dataset.id.get_num_chunks()):
+        info = dataset.id.get_chunk_info(k)
+        begin = info.chunk_offset[0]
+        n = min(len(events.t) - begin, dataset.chunks[0])
+        skipped, data = dataset.id.read_direct_chunk(info.chunk_offset)
+        try:
+            part = _from_rows(np.frombuffer(data, CD_TYPE)) if skipped else ecf.decode(data)
+            if len(part.t) < n:
+                raise ValueError(f"a chunk of {len(part.t)} events where {n} are due")  # noqa: TRY301
+        except ValueError as error:
+            raise RecordingCorrupt(
+                f"It cannot be unpacked: {error}.", offset=info.byte_offset, where=str(path), remedy=_AGAIN
+            ) from error
+        place = slice(begin, begin + n)
+        events.t[place], events.x[place] = part.t[:n], part.x[:n]
+        events.y[place], events.p[place] = part.y[:n], part.p[:n]
+        told += n
+    if told != len(events.t):
+        raise _not_ours(path, f"{len(events.t) - told} of its {len(events.t)} events are missing")
+    return events
+
+
+def _part(of: Any, name: str) -> Any:
+    """Look up a part of a file. Raises ValueError when it is missing."""
+    if name not in of:
+        raise ValueError(f"it lacks {name}")
+    return of[name]
+
+
+def _from_rows(rows: Any) -> Events:
+    return _as_events(rows["t"], rows["x"], rows["y"], rows["p"])
+
+
+def _as_events(t: Any, x: Any, y: Any, p: Any) -> Events:
+    return Events(_whole(t, np.int64), _whole(x, np.uint16), _whole(y, np.uint16), _whole(p, np.uint8))
+
+
+def _as_triggers(t: Any, value: Any, channel: Any) -> Triggers:
+    return Triggers(_whole(t, np.int64), _whole(value, np.uint8), _whole(channel, np.uint8))
+
+
+def _whole(values: Any, dtype: type[np.generic]) -> Any:
+    """Give the numbers in that type. Raises ValueError when they are not whole, or do not fit."""
+    if values.ndim != 1 or values.dtype.kind not in "iu":
+        raise ValueError(f"an array of {values.dtype} with {values.ndim} dimensions")
+    cast = values.astype(dtype)
+    if not np.array_equal(cast, values):
+        raise ValueError(f"numbers that are no {np.dtype(dtype)}")
+    return cast
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _checked(found: Imported, path: Path) -> Imported:
+    """See that lengths agree and every event lies on the sensor."""
+    for arrays in (found.events, found.triggers):
+        if len({len(values) for values in arrays}) != 1:
+            raise _not_ours(path, "its arrays have different lengths")
+    events = found.events
+    if len(events.t) and (
+        events.x.max() >= found.width or events.y.max() >= found.height or events.p.max() > 1
+    ):
+        raise _not_ours(path, f"an event lies outside the sensor of {found.width} x {found.height} px")
+    return found

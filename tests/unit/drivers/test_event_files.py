@@ -1,0 +1,221 @@
+"""Events in files for analysis: out of a RAW file and back, the same events each time."""
+
+import h5py
+import numpy as np
+import pytest
+
+from drivers.camera.event_files import (
+    CD_TYPE,
+    CHUNK_EVENTS,
+    export_hdf5,
+    export_metavision,
+    export_numpy,
+)
+from drivers.camera.event_import import import_events
+from drivers.camera.raw_file import RawFile
+from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
+
+HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% serial_number 00051234\n% plugin_name x\n% end\n"
+START_US = 5_000_000
+
+
+def words(n, *, step_us=7):
+    """So many events in rows of ten, two trigger edges a hundred rows."""
+    rng = np.random.default_rng(3)
+    found = [0x8000 | START_US >> 12, 0x6000 | START_US & 0xFFF]
+    for k in range(0, n, 10):
+        t = START_US + k // 10 * step_us
+        found += [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, int(rng.integers(720))]
+        found += [0x2000 | int(rng.integers(2)) << 11 | int(x) for x in rng.integers(0, 1280, min(10, n - k))]
+        if k // 10 % 50 == 0:
+            found.append(0xA000 | k // 500 % 2)
+    return found
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """A recording of two and a half chunks."""
+    return make(tmp_path, words(CHUNK_EVENTS * 5 // 2))
+
+
+def make(tmp_path, of):
+    path = tmp_path / "pose.raw"
+    path.write_bytes(HEADER + np.array(of, "<u2").tobytes())
+    return RawFile.open(path)
+
+
+EXPORTS = [(export_metavision, "h5"), (export_hdf5, "h5"), (export_numpy, "npz")]
+
+
+@pytest.mark.parametrize(("export", "suffix"), EXPORTS)
+def test_what_is_exported_comes_back_the_same(recording, tmp_path, export, suffix):
+    path = tmp_path / f"pose.{suffix}"
+    exported = export(recording, path)
+    found = import_events(path)
+    events, triggers = recording.read()
+    for ours, theirs in zip((*events, *triggers), (*found.events, *found.triggers), strict=True):
+        assert ours.dtype == theirs.dtype
+        assert np.array_equal(ours, theirs)
+    assert (found.width, found.height) == (1280, 720)
+    assert (exported.events, exported.triggers, exported.moved_events) == (len(events.t), len(triggers.t), 0)
+
+
+@pytest.mark.parametrize(("export", "suffix"), EXPORTS)
+@pytest.mark.parametrize("n", [0, 1, CHUNK_EVENTS, CHUNK_EVENTS + 1])
+def test_recordings_of_every_length_come_back(tmp_path, export, suffix, n):
+    recording = make(tmp_path, words(n))
+    export(recording, tmp_path / f"pose.{suffix}")
+    assert np.array_equal(import_events(tmp_path / f"pose.{suffix}").events.x, recording.read()[0].x)
+
+
+@pytest.mark.parametrize(("export", "suffix"), EXPORTS)
+def test_a_file_that_is_there_is_not_overwritten(recording, tmp_path, export, suffix):
+    path = tmp_path / f"pose.{suffix}"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordingFileError, match="such a file already"):
+        export(recording, path)
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(("export", "suffix"), EXPORTS)
+def test_a_broken_recording_leaves_no_half_written_file(tmp_path, export, suffix):
+    recording = make(tmp_path, [*words(50_000), 0x9000])
+    with pytest.raises(RecordingCorrupt):
+        export(recording, tmp_path / f"pose.{suffix}")
+    assert not (tmp_path / f"pose.{suffix}").exists()
+
+
+@pytest.mark.parametrize(("export", "suffix"), EXPORTS)
+def test_a_missing_folder_is_told(recording, tmp_path, export, suffix):
+    with pytest.raises(RecordingFileError, match="cannot be written"):
+        export(recording, tmp_path / "none" / f"pose.{suffix}")
+
+
+def test_a_metavision_file_is_laid_out_as_its_reader_expects(recording, tmp_path):
+    path = tmp_path / "pose.h5"
+    export_metavision(recording, path)
+    with h5py.File(path) as file:
+        assert file["CD/events"].dtype == CD_TYPE
+        assert file["CD/events"].chunks == (CHUNK_EVENTS,)
+        assert file["CD/events"].id.get_create_plist().get_filter(0)[0] == 36559
+        assert file["EXT_TRIGGER/events"].dtype.itemsize == 24
+        assert dict(file.attrs) == {
+            "version": "1.0",
+            "geometry": "1280x720",
+            "format": "EVT3;height=720;width=1280",
+            "serial_number": "00051234",
+        }
+        kind = h5py.h5a.open(file.id, b"version").get_type()
+        assert kind.is_variable_str()
+        assert kind.get_cset() == h5py.h5t.CSET_ASCII
+
+
+def test_the_index_leads_to_the_events_of_a_time(recording, tmp_path):
+    path = tmp_path / "pose.h5"
+    export_metavision(recording, path)
+    t = recording.read()[0].t
+    with h5py.File(path) as file:
+        index = file["CD/indexes"][:]
+        offset = int(file["CD/indexes"].attrs["offset"])
+    assert offset == -t[0]
+    assert tuple(index[0]) == (0, -1)
+    assert len(index) == (t[-1] - t[0]) // 2000 + 2
+    for k, (event, since) in enumerate(index[1:]):
+        assert since == t[event] + offset
+        assert event == 0 or t[event - 1] + offset < since // 2000 * 2000
+        assert 2000 * k <= since < 2000 * (k + 1)
+
+
+def test_windows_without_events_repeat_the_entry_before(tmp_path):
+    recording = make(tmp_path, words(60, step_us=3000))
+    export_metavision(recording, tmp_path / "pose.h5")
+    with h5py.File(tmp_path / "pose.h5") as file:
+        ids = file["CD/indexes"]["id"].tolist()
+    assert ids == [0, 0, 10, 10, 20, 30, 30, 40, 50]
+
+
+def test_times_that_step_back_are_moved_and_counted_in_metavision_files_only(tmp_path):
+    recording = make(tmp_path, [0x8001, 0x6014, 0x0005, 0x2001, 0x6010, 0x2002, 0x6020, 0x2003])
+    assert export_metavision(recording, tmp_path / "a.h5").moved_events == 1
+    export_hdf5(recording, tmp_path / "b.h5")
+    assert import_events(tmp_path / "a.h5").events.t.tolist() == [4116, 4116, 4128]
+    assert import_events(tmp_path / "b.h5").events.t.tolist() == [4116, 4112, 4128]
+
+
+def test_the_header_goes_along(recording, tmp_path):
+    for export, name in ((export_metavision, "a.h5"), (export_hdf5, "b.h5")):
+        export(recording, tmp_path / name)
+        assert import_events(tmp_path / name).header["serial_number"] == "00051234"
+
+
+def test_a_metavision_file_without_compression_is_read_as_well(recording, tmp_path):
+    export_metavision(recording, tmp_path / "a.h5")
+    events = recording.read()[0]
+    rows = np.zeros(len(events.t), CD_TYPE)
+    for name, values in events._asdict().items():
+        rows[name] = values
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        del file["CD/events"]
+        file["CD"].create_dataset("events", data=rows, compression="gzip")
+    assert np.array_equal(import_events(tmp_path / "a.h5").events.t, events.t)
+
+
+def test_a_damaged_chunk_is_told_with_its_place(recording, tmp_path):
+    path = tmp_path / "a.h5"
+    export_metavision(recording, path)
+    with h5py.File(path) as file:
+        place = file["CD/events"].id.get_chunk_info(1).byte_offset
+    data = bytearray(path.read_bytes())
+    data[place : place + 4] = bytes(4)
+    path.write_bytes(data)
+    with pytest.raises(RecordingCorrupt, match="cannot be unpacked") as caught:
+        import_events(path)
+    assert caught.value.offset == place
+
+
+def damage(path, change):
+    with h5py.File(path, "a") as file:
+        change(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda file: file.__delitem__("CD/events"), "it lacks CD/events"),
+        (lambda file: file.__delitem__("EXT_TRIGGER"), "it lacks EXT_TRIGGER/events"),
+        (lambda file: file.attrs.__delitem__("geometry"), "it lacks geometry"),
+        (lambda file: file.attrs.__setitem__("geometry", "wide"), "invalid literal|not enough"),
+        (lambda file: file.attrs.__setitem__("geometry", "100x100"), "outside the sensor"),
+        (lambda file: file["CD/events"].resize((10**6,)), "are missing|where 16384 are due"),
+    ],
+)
+def test_a_metavision_file_that_lacks_a_part_is_told(recording, tmp_path, change, message):
+    export_metavision(recording, tmp_path / "a.h5")
+    damage(tmp_path / "a.h5", change)
+    with pytest.raises((NotARecording, RecordingCorrupt), match=message):
+        import_events(tmp_path / "a.h5")
+
+
+def test_numpy_files_that_lack_a_part_or_hold_something_else_are_told(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, **dict.fromkeys("txyp", np.zeros(3)), size=np.array([1280, 720]))
+    with pytest.raises(NotARecording, match="float64"):
+        import_events(path)
+    np.savez(path, t=np.zeros(3, int))
+    with pytest.raises(NotARecording, match="it lacks size"):
+        import_events(path)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(NotARecording):
+        import_events(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x89HDF\r\n\x1a\n", HEADER])
+def test_other_files_are_told(tmp_path, content):
+    (tmp_path / "a.h5").write_bytes(content)
+    with pytest.raises(RecordingFileError, match=r"a\.h5"):
+        import_events(tmp_path / "a.h5")
+
+
+def test_a_missing_file_is_told(tmp_path):
+    with pytest.raises(RecordingFileError, match="cannot be read"):
+        import_events(tmp_path / "none.h5")
