@@ -1,0 +1,90 @@
+"""A disk that fills up in the midst of a run: bounded, told, nothing lost, and the run goes on once there is room."""
+
+import errno
+import os
+import shutil
+import subprocess
+import time
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.errors import StorageError
+from bench.journal import Journal, read_journal
+from bench.run_folder import CAPTURE_STORED, RunFolder, stored_captures
+
+CLOCKS = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 4 MB."""
+    if os.geteuid() != 0:
+        pytest.skip("mounting a small disk needs root")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", folder],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if mounted.returncode:
+        pytest.skip(f"a small disk cannot be mounted here: {mounted.stderr.strip()}")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def record_until_full(folder, journal, first):
+    """Record pose after pose; returns the number of the one that did not fit, and why."""
+    pose = first
+    while True:
+        try:
+            part = folder.capture_part(pose, 1)
+            part.write_bytes(os.urandom(150_000))
+            capture = folder.commit_capture(pose, 1)
+            journal.append(CAPTURE_STORED, pose=pose, **capture.as_data())
+        except (StorageError, OSError) as error:  # a camera's own writing raises OSError
+            return pose, error
+        pose += 1
+
+
+def test_a_full_disk_loses_nothing_and_the_journal_still_tells_of_it(small_disk):
+    path = small_disk / "run"
+    with RunFolder.create(path) as folder, Journal.create(folder.journal_path, **CLOCKS) as journal:
+        failed, error = record_until_full(folder, journal, 1)
+        assert failed > 10
+        assert isinstance(error, StorageError) or error.errno == errno.ENOSPC
+        (path / "filler").write_bytes(b"0" * max(0, shutil.disk_usage(path).free))  # not one byte is left
+        with pytest.raises(StorageError, match="disk is full"):
+            folder.write_atomic("results.json", b"x" * 5000)
+        folder.release_reserve()
+        journal.append("disk_full", pose=failed)
+    entries, torn = read_journal(path / "journal.jsonl")
+    assert torn == b""
+    assert entries[-1].event == "disk_full"
+    assert len(stored_captures(entries)) == failed - 1
+    assert not list(path.rglob("*.tmp"))
+
+
+def test_a_run_goes_on_once_there_is_room(small_disk):
+    path, filler = small_disk / "run", small_disk / "filler"
+    filler.write_bytes(b"0" * 2_000_000)
+    with RunFolder.create(path) as folder, Journal.create(folder.journal_path, **CLOCKS) as journal:
+        failed, _ = record_until_full(folder, journal, 1)
+        folder.release_reserve()
+        journal.append("disk_full")
+    filler.unlink()
+    with RunFolder.open(path) as folder, Journal.open(folder.journal_path, **CLOCKS) as journal:
+        notes = folder.recover(journal)
+        assert [c.name for c in notes.intact] == [
+            f"captures/pose-{n:03d}-attempt-1.raw" for n in range(1, failed)
+        ]
+        assert (notes.missing, notes.changed, notes.unnamed) == ((), (), ())
+        assert record_until_full(folder, journal, failed)[0] > failed
+
+
+def test_a_disk_too_small_is_told_before_anything_is_written(small_disk):
+    with pytest.raises(StorageError, match=r"needs 9 MB and the disk has 4 MB left"):
+        RunFolder.create(small_disk / "run", bytes_needed=9_000_000)
+    assert not (small_disk / "run" / ".reserve").exists()

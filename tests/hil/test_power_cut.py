@@ -1,0 +1,179 @@
+"""The power goes while a run writes: what was acknowledged is there, what is there is whole, and the run goes on.
+
+A file system of our own (ext4 in a file) is shut down by the kernel in the midst of writing, without its log being
+flushed, as a cut of power does; then it is mounted again. Needs root, mkfs.ext4 and loop devices. Two ways:
+*frozen*, the writer is stopped first, so that every acknowledgement is known (durability); *running*, the cut
+falls into a sync (consistency; an acknowledgement given while the cut happens may be a false one).
+"""
+
+import fcntl
+import os
+import random
+import re
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bench.errors import BenchError
+from bench.journal import Journal, read_journal
+from bench.run_folder import RunFolder, stored_captures
+
+SHUTDOWN = 0x8004587D  # FS_IOC_SHUTDOWN, linux/fs.h
+WITHOUT_LOG_FLUSH = 2
+
+WRITER = """
+import hashlib, os, sys, time
+from datetime import UTC, datetime
+from pathlib import Path
+if sys.argv[2] == "careless":
+    os.fsync = lambda descriptor: None
+from bench.journal import Journal
+from bench.run_folder import CAPTURE_STORED, RunFolder
+clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
+path = Path(sys.argv[1])
+begun = (path / "journal.jsonl").exists()
+folder = RunFolder.open(path) if begun else RunFolder.create(path)
+journal = (Journal.open if begun else Journal.create)(folder.journal_path, **clocks)
+if begun:
+    folder.recover(journal)
+pose = sum(e.event == CAPTURE_STORED for e in journal.entries)
+print("ready", flush=True)
+while True:
+    pose += 1
+    folder.capture_part(pose, 1).write_bytes(hashlib.sha256(str(pose).encode()).digest() * 300)
+    capture = folder.commit_capture(pose, 1)
+    journal.append(CAPTURE_STORED, pose=pose, attempt=1, **capture.as_data())
+    print(pose, flush=True)
+"""
+
+
+def run(*command):
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+class Disk:
+    """A file system in a file."""
+
+    def __init__(self, folder):
+        self.image, self.mounted = folder / "disk.img", folder / "disk"
+        self.mounted.mkdir()
+        with self.image.open("wb") as image:
+            image.truncate(64 << 20)
+        made = run("mkfs.ext4", "-q", "-F", self.image)
+        if made.returncode or (mounted := run("mount", "-o", "loop", self.image, self.mounted)).returncode:
+            pytest.skip(
+                f"a file system of our own cannot be had here: {(made.stderr or mounted.stderr).strip()}"
+            )
+
+    def cut_power(self):
+        descriptor = os.open(self.mounted, os.O_RDONLY)
+        fcntl.ioctl(descriptor, SHUTDOWN, struct.pack("I", WITHOUT_LOG_FLUSH))
+        os.close(descriptor)
+
+    def mount_again(self):
+        assert run("umount", self.mounted).returncode == 0
+        again = run("mount", "-o", "loop", self.image, self.mounted)
+        assert again.returncode == 0, again.stderr
+
+    def close(self):
+        run("umount", self.mounted)
+
+
+@pytest.fixture
+def disk(tmp_path):
+    if os.geteuid() != 0:
+        pytest.skip("cutting the power of a file system needs root")
+    if shutil.which("mkfs.ext4") is None:
+        pytest.skip("mkfs.ext4 is not installed")
+    disk = Disk(tmp_path)
+    yield disk
+    disk.close()
+
+
+def wait_until_stopped(pid):
+    while re.search(r"\) (\w) ", Path(f"/proc/{pid}/stat").read_text())[1] != "T":
+        time.sleep(0.001)
+
+
+def write_until_cut(disk, path, *, care, frozen, after_s):
+    """Let a process write poses, cut the power, and return the number of the last one acknowledged."""
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, path, care],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as writer:
+        assert writer.stdout.readline() == "ready\n"
+        time.sleep(after_s)
+        if frozen:
+            writer.send_signal(signal.SIGSTOP)
+            wait_until_stopped(writer.pid)
+        disk.cut_power()
+        writer.send_signal(signal.SIGKILL)
+        said = writer.stdout.read().splitlines()
+    disk.mount_again()
+    whole = [int(word) for word in said]
+    return whole[-1] if whole else 0
+
+
+def poses_on_disk(path):
+    """Poses that the journal tells of, each seen to be whole."""
+    entries, _ = read_journal(path / "journal.jsonl")
+    captures = stored_captures(entries)
+    with (
+        RunFolder.open(path) as folder,
+        Journal.open(folder.journal_path, utc_now=lambda: None, monotonic=lambda: 0.0) as journal,
+    ):
+        notes = folder.recover(journal)
+    assert (notes.missing, notes.changed) == ((), ())
+    assert len(notes.intact) == len(captures)
+    assert sorted(p.name for p in (path / "captures").iterdir()) == sorted(
+        Path(name).name for name in captures
+    )
+    return len(captures)
+
+
+@pytest.mark.slow
+def test_nothing_acknowledged_is_lost_when_the_power_goes(disk):
+    moments = random.Random(1)
+    path, cuts, kept = disk.mounted / "run", 25, 0
+    for _ in range(cuts):
+        last = write_until_cut(disk, path, care="careful", frozen=True, after_s=moments.uniform(0.02, 0.4))
+        found = poses_on_disk(path)
+        assert found >= last
+        assert found >= kept
+        kept = found
+    print(f"{cuts} cuts, {kept} poses acknowledged, none lost")
+    assert kept > 0
+
+
+@pytest.mark.slow
+def test_what_is_there_is_whole_when_the_power_goes_in_mid_sync(disk):
+    moments = random.Random(2)
+    path, cuts, kept = disk.mounted / "run", 25, 0
+    for _ in range(cuts):
+        write_until_cut(disk, path, care="careful", frozen=False, after_s=moments.uniform(0.02, 0.4))
+        found = poses_on_disk(path)
+        assert found >= kept
+        kept = found
+    assert kept > 0
+
+
+@pytest.mark.slow
+def test_without_syncs_this_very_test_finds_losses(disk):
+    moments = random.Random(3)
+    lost = 0
+    for number in range(5):
+        path = disk.mounted / f"run{number}"
+        last = write_until_cut(disk, path, care="careless", frozen=True, after_s=moments.uniform(0.1, 0.3))
+        try:
+            lost += last - poses_on_disk(path)
+        except (AssertionError, BenchError, OSError):  # anything may be left of it
+            lost += last
+    assert lost > 0
