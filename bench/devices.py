@@ -10,17 +10,24 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
+from bench import station_devices as words
 from bench.clock import BenchClock
 from bench.errors import SimulationError
 from bench.simulated import SimulatedBench
-from bench.station import SIMULATED, MetavisionCamera, SimulatedEvk4, Station
+from bench.station import Station
+from bench.station_devices import SIMULATED
 from drivers.camera import EventCamera
 from drivers.camera.metavision import MetavisionEvk4
+from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
+from drivers.camera.recorded import RecordedCamera
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.errors import DriverError
 from drivers.light import Light
 from drivers.light.scpi import ScpiLight
 from drivers.stage import Stage
+from drivers.stage.esp import EspAxis, EspStage
+from drivers.stage.grbl import GrblAxis, GrblStage
+from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberStage
 from drivers.stage.zaber_axis import ZaberAxis
 from drivers.wire_log import WireLog
@@ -109,36 +116,55 @@ PortName = Callable[[str], str]
 
 
 def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
-    said = station.stage
-    axes = [
-        ZaberAxis(
-            name=name,
-            device=axis.device,
-            axis=axis.axis,
-            serial=axis.serial,
-            microsteps_per_deg=axis.microsteps_per_deg,
-            zero_deg=axis.zero_deg,
-            limits=axis.limits,
-            tolerance_deg=axis.tolerance_deg,
-            encoder_tolerance_deg=axis.encoder_tolerance_deg,
-        )
-        for name, axis in said.axes.items()
-    ]
-    return ZaberStage.open(port(said.port), axes, baudrate=said.baudrate, clock=clock, wire_log=wire_log)
+    match station.stage:
+        case words.ZaberAsciiStage() as said:
+            zaber = [ZaberAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
+            return ZaberStage.open(
+                port(said.port), zaber, baudrate=said.baudrate, clock=clock, wire_log=wire_log
+            )
+        case words.XimcStage() as said:
+            ximc = [
+                XimcAxis(name=n, limits=a.limits, **(a.own_words() | {"port": port(a.port)}))
+                for n, a in said.axes.items()
+            ]
+            return XimcStage.open(ximc, clock=clock, wire_log=wire_log)
+        case words.GrblStage() as said:
+            grbl = [GrblAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
+            return GrblStage.open(
+                port(said.port),
+                grbl,
+                serial=said.serial,
+                baudrate=said.baudrate,
+                clock=clock,
+                wire_log=wire_log,
+            )
+        case words.EspStage() as said:
+            esp = [EspAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
+            return EspStage.open(port(said.port), esp, baudrate=said.baudrate, clock=clock, wire_log=wire_log)
 
 
 def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
     said = station.light
     return ScpiLight.open(
-        port(said.port), serial=said.serial, baudrate=said.baudrate, clock=clock, wire_log=wire_log
+        port(said.port),
+        serial=said.serial,
+        baudrate=said.baudrate,
+        load=said.load,
+        dialect=said.dialect,
+        clock=clock,
+        wire_log=wire_log,
     )
 
 
 def _open_camera(station: Station, port: PortName, clock: BenchClock) -> EventCamera:
     match station.camera:
-        case SimulatedEvk4() as said:
+        case words.SimulatedEvk4() as said:
             return SimulatedEvk4Camera.open(
                 port(said.address), serial=said.serial, clock=clock, utc_now=clock.utc_now
             )
-        case MetavisionCamera() as said:
+        case words.MetavisionCamera() as said:
             return MetavisionEvk4.open(serial=said.serial, clock=clock)
+        case words.NeuromorphicEvk4() as said:
+            return NeuromorphicEvk4.open(serial=said.serial, clock=clock, utc_now=clock.utc_now)
+        case words.RecordedCamera() as said:
+            return RecordedCamera.open(said.path, serial=said.serial, clock=clock)

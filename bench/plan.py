@@ -15,7 +15,8 @@ from typing import Any
 
 from bench.errors import ScriptError
 from bench.script_check import angle_faults, check_script
-from bench.station import Station, ZaberAxis, load_station
+from bench.station import Station, load_station
+from bench.station_devices import AxisWords
 from sequences.errors import DocumentFaults, Fault
 from sequences.flatten import unfold
 from sequences.reader import Located, find_document, read_document
@@ -250,7 +251,7 @@ class _Estimate:
 
     def __init__(self, station: Station) -> None:
         self.size_bytes = self.most_bytes = REPORT_BYTES
-        self._axes: Mapping[str, ZaberAxis] = {str(name): axis for name, axis in station.stage.axes.items()}
+        self._axes: Mapping[str, AxisWords] = station.axes
         self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
         self._frequency_hz: float | None = None
 

@@ -66,7 +66,7 @@ def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
 
     A grid's angles lie between those written, and an angle not written is 0, which every station reaches.
     """
-    axes = station.stage.axes
+    axes = station.axes
     faults = Tree(sequence.file)
     for path, text in _texts(sequence.value, ()):
         axis = next((axis for axis in AXES if f"{axis}_deg" in path), None)

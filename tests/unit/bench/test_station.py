@@ -2,7 +2,8 @@
 
 import pytest
 
-from bench.station import SHIPPED, ScpiLight, Station, load_station
+from bench.station import SHIPPED, Station, load_station
+from bench.station_devices import ScpiLight
 from calib.target import StarTarget
 from drivers.light import LightSettings
 from drivers.stage import AxisLimits
@@ -61,7 +62,7 @@ def test_serial_numbers_stay_text_zeros_included():
         (
             "driver: simulated_evk4",
             "driver: evk5",
-            "camera.driver: must be one of 'simulated_evk4', 'metavision' (got 'evk5').",
+            "camera.driver: must be one of 'simulated_evk4', 'metavision', 'neuromorphic_evk4', 'recorded' (got 'evk5').",
         ),
         (
             "sim:light",
@@ -142,3 +143,44 @@ def test_a_level_is_a_share_of_what_the_station_s_light_may_do():
     light = ScpiLight(driver="scpi", port="x", low_v=1, high_v=3)
     settings = light.settings(Flicker("sine", 80, 50, level_percent=25))
     assert settings == LightSettings("sine", 80, 50, low_v=1, high_v=1.5, sync_output=True)
+
+
+FAMILIES = {
+    "ximc": """
+  driver: ximc
+  axes:
+    pan: {port: /dev/a, serial: 00012, steps_per_deg: 80, limits_deg: [-9, 9], speed_deg_s: 5, acceleration_deg_s2: 9}
+    tilt: {port: /dev/b, serial: 13, steps_per_deg: -80, limits_deg: [-9, 9], speed_deg_s: 5, acceleration_deg_s2: 9}
+""",
+    "grbl": """
+  driver: grbl
+  port: /dev/a
+  serial: bench1
+  axes:
+    pan: {letter: X, steps_per_deg: 80, zero_deg: 30, limits_deg: [-9, 9], speed_deg_s: 5, acceleration_deg_s2: 9}
+""",
+    "esp30x": """
+  driver: esp30x
+  port: /dev/a
+  axes:
+    pan: {number: 1, serial: SN1263, direction: -1, limits_deg: [-9, 9], speed_deg_s: 5, acceleration_deg_s2: 9}
+""",
+}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_family_of_stages_can_be_described_and_handed_to_its_driver(family, tmp_path):
+    from drivers.stage.esp import EspAxis
+    from drivers.stage.grbl import GrblAxis
+    from drivers.stage.ximc import XimcAxis
+
+    text = (SHIPPED / "example_evk4.yaml").read_text()
+    before, rest = text.split("stage:\n")
+    path = tmp_path / "b.yaml"
+    path.write_text(before + "stage:" + FAMILIES[family] + "\nlight:\n" + rest.split("light:\n")[1])
+    station = load_station(str(path)).value
+    make = {"ximc": XimcAxis, "grbl": GrblAxis, "esp30x": EspAxis}[family]
+    axes = [make(name=name, limits=axis.limits, **axis.own_words()) for name, axis in station.axes.items()]
+    assert axes[0].limits.highest_deg == 9
+    assert axes[0].name == "pan"
+    assert not station.is_simulated
