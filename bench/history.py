@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from bench.captures import CAPTURE_STORED
 from bench.errors import JournalBroken
 from bench.journal import Entry, Journal
-from bench.run_folder import CAPTURE_STORED
 
 
 class Event(StrEnum):

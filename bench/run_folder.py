@@ -13,14 +13,14 @@ import fcntl
 import os
 import re
 import shutil
-from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Self
 
+from bench.captures import CAPTURES, Capture, capture_name, stored_captures
 from bench.errors import RunFolderError, StorageError
-from bench.journal import Entry, Journal
+from bench.journal import Journal
 from bench.storage import (
     is_temporary,
     make_folder,
@@ -35,30 +35,13 @@ JOURNAL = "journal.jsonl"
 SEQUENCE_COPY = "sequence.yaml"
 STATION_COPY = "station.yaml"
 """The files a run was begun with, byte for byte."""
-CAPTURES = "captures"
 QUARANTINE = "quarantine"
 SIGNATURE = "SHA256SUMS.sig"
-CAPTURE_STORED = "capture_stored"
-"""The event that tells the journal of a capture; it carries what ``Capture.as_data`` gives."""
-
 _RESERVE = ".reserve"
 _RESERVE_BYTES = 256 * 1024
 _PART = ".part"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _DEVICE_NAMES = {"con", "prn", "aux", "nul"} | {f"{d}{n}" for d in ("com", "lpt") for n in range(1, 10)}
-
-
-@dataclass(frozen=True)
-class Capture:
-    """A recording in its place: its name within the folder, size in bytes and SHA-256."""
-
-    name: str
-    size: int
-    sha256: str
-
-    def as_data(self) -> dict[str, Any]:
-        """Give what the journal's ``capture_stored`` carries of it."""
-        return {"capture": self.name, "size": self.size, "sha256": self.sha256}
 
 
 @dataclass(frozen=True)
@@ -94,34 +77,6 @@ class RecoveryNotes:
             "interrupted": list(self.interrupted),
             "unnamed": list(self.unnamed),
         }
-
-
-def capture_name(pose_index: int, attempt: int) -> str:
-    """Name of a pose's recording within the run folder.
-
-    Parameters
-    ----------
-    pose_index
-        Number of the pose, from 1.
-    attempt
-        Number of the attempt, from 1.
-
-    Examples
-    --------
-    >>> capture_name(1, 2)
-    'captures/pose-001-attempt-2.raw'
-    """
-    return f"{CAPTURES}/pose-{pose_index:03d}-attempt-{attempt}.raw"
-
-
-def stored_captures(entries: Iterable[Entry]) -> dict[str, Capture]:
-    """Find the captures a journal tells of, by name; the last entry of a name counts."""
-    captures = {}
-    for entry in entries:
-        if entry.event == CAPTURE_STORED:
-            capture = _capture_of(entry.data)
-            captures[capture.name] = capture
-    return captures
 
 
 def is_sealed(path: Path) -> bool:
@@ -369,16 +324,6 @@ def _state_of(path: Path, capture: Capture | None) -> str:
         return "unnamed"
     whole = path.is_file() and not path.is_symlink() and path.stat().st_size == capture.size
     return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
-
-
-def _capture_of(data: Mapping[str, Any]) -> Capture:
-    try:
-        return Capture(str(data["capture"]), int(data["size"]), str(data["sha256"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise RunFolderError(
-            "The journal tells of a capture without its name, size or hash.",
-            remedy="This journal was not written by this program; the run cannot be resumed.",
-        ) from error
 
 
 def _hold(path: Path) -> int:

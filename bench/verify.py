@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from bench import __version__
+from bench.captures import stored_captures
 from bench.errors import EvidenceError, RunFolderError
 from bench.journal import read_journal
 from bench.keys import NAMESPACE, Signer
-from bench.run_folder import JOURNAL, SIGNATURE, stored_captures
+from bench.run_folder import JOURNAL, SIGNATURE
 from bench.seal import MANIFEST, NOT_LISTED, listing, read_manifest
 from bench.sshsig import fingerprint, holds, read_signature
 from bench.storage import sha256_of, storing

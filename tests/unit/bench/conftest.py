@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from bench.captures import CAPTURE_STORED
 from bench.journal import Journal
 from bench.keys import create_key, load_key, read_signers
-from bench.run_folder import CAPTURE_STORED, RunFolder
+from bench.run_folder import RunFolder
 from bench.seal import seal
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from bench.captures import CAPTURE_STORED, stored_captures
 from bench.errors import BenchError, StorageError
 from bench.journal import Journal, read_journal
-from bench.run_folder import CAPTURE_STORED, RunFolder, stored_captures
+from bench.run_folder import RunFolder
 from bench.seal import seal
 from bench.verify import verify_run
 
