@@ -169,6 +169,10 @@ class Calibration:
         Summary of each view.
     converged, iterations
         Whether the refinement reached its optimum, and in how many steps.
+    rotation_covariance
+        (3 n, 3 n) joint covariance of the rotations, rad^2, as turns on the camera's side.
+    budget
+        1-sigma of each parameter by source; the squares add up to that of `sigma`.
     notes
         What the reader should know, in words.
     candidates
@@ -195,6 +199,8 @@ class Calibration:
     disagreement: float = 1.0
     coverage_factor: float = 2.0
     left_out_rms_px: float | None = None
+    rotation_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    budget: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
     candidates: tuple[Candidate, ...] = field(default=())
 
@@ -252,6 +258,7 @@ class Calibration:
             "disagreement": self.disagreement,
             "coverage_factor": self.coverage_factor,
             "left_out_rms_px": self.left_out_rms_px,
+            "budget": {source: dict(sigmas) for source, sigmas in self.budget.items()},
             "views": [
                 {
                     "name": view.name,

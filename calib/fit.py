@@ -254,6 +254,11 @@ def summary(fitted: Fit) -> Calibration:
         ),
         converged=fitted.refined.converged,
         iterations=fitted.refined.iterations,
+        rotation_covariance=uncertainty.of_rotations(bundle, state, fitted.known),
+        budget={
+            source: dict(zip(bundle.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
+            for source, variances in fitted.known.budget.items()
+        },
         notes=_notes(fitted),
     )
 

@@ -9,7 +9,8 @@ inflated - by the jackknife where there are views enough, else by the Birge rati
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,8 @@ class Uncertainty:
         Whether that is more than chance allows, and the covariance was inflated.
     effective_freedom
         Degrees of freedom behind the covariance: the stars' when views agree, else the views'.
+    budget
+        (G,) variance of each parameter by source; the sources add up to the covariance's diagonal.
     """
 
     covariance: Array
@@ -61,6 +64,7 @@ class Uncertainty:
     disagreement: float = 1.0
     disagree: bool = False
     effective_freedom: float = float("inf")
+    budget: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def coverage_factor(self) -> float:
@@ -105,7 +109,34 @@ def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
         disagreement=float(np.sqrt(ratio)),
         disagree=bool(ratio > limit),
         effective_freedom=float(views_freedom if ratio > limit else freedom),
+        budget=_budget(bundle, covariance),
     )
+
+
+def of_rotations(bundle: Bundle, state: State, known: Uncertainty) -> Array:
+    """Return (3 n, 3 n) the joint covariance of all views' rotations, rad^2, turns on the camera's side.
+
+    What the stars of each view leave, and what all share through the camera and the collimator.
+    """
+    residuals = bundle.residuals(state)
+    equations = bundle.normal_equations(state, residuals)
+    growth = known.disagreement if known.disagree else 1.0
+    inverse = np.linalg.inv(equations.local)
+    answer = -(inverse @ np.swapaxes(equations.coupling, 1, 2))[:, :3].reshape(-1, len(bundle.names))
+    joint = answer @ known.covariance @ answer.T
+    for i, own in enumerate(inverse[:, :3, :3]):
+        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += growth**2 * known.variance_factor * own
+    return np.asarray(joint)
+
+
+def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
+    """Split the variances into what the stars and what the priors leave."""
+    variances = np.diag(covariance)
+    if bundle.prior is None:
+        return {"stars": variances}
+    at = [bundle.names.index(name) for name in bundle.prior.names]
+    pulled = np.einsum("gk,kl,gl->g", covariance[:, at], bundle.prior.information, covariance[:, at])
+    return {"stars": variances - pulled, "known beforehand": pulled}
 
 
 def inflated(known: Uncertainty, left_out: LeftOut | None) -> Uncertainty:
@@ -121,9 +152,12 @@ def inflated(known: Uncertainty, left_out: LeftOut | None) -> Uncertainty:
     if left_out is not None and len(left_out.values) >= _JACKKNIFE_VIEWS:
         growth = np.maximum(np.sqrt(np.diag(left_out.jackknife)) / sigmas, 1.0)
         freedom = float(len(left_out.values) - 1)
-    covariance = known.covariance * np.outer(growth, growth)
-    return Uncertainty(
-        covariance, known.variance_factor, known.degrees_of_freedom, known.disagreement, True, freedom
+    more = (growth**2 - 1.0) * np.diag(known.covariance)
+    return replace(
+        known,
+        covariance=known.covariance * np.outer(growth, growth),
+        effective_freedom=freedom,
+        budget={**known.budget, "disagreement of the views": more},
     )
 
 

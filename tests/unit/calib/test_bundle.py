@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from calib.bundle import Bundle
-from calib.observations import Observations
-from calib.state import State
 from calib.camera import CameraModel
 from calib.collimator import Collimator
 from calib.errors import InputMismatch
+from calib.observations import Observations
+from calib.state import State
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
 

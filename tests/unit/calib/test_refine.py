@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from calib.bundle import Bundle
-from calib.observations import Observations
-from calib.state import State
 from calib.camera import CameraModel
 from calib.collimator import Collimator
 from calib.errors import InputMismatch
+from calib.observations import Observations
 from calib.refine import Loss, refine
 from calib.rotation import exp_map
+from calib.state import State
 from calib.uncertainty import at_optimum
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
