@@ -104,12 +104,6 @@ class Progress:
         full = round(share * _BAR_WIDTH)
         bar = Text("━" * full, style="bold green") + Text("━" * (_BAR_WIDTH - full), style="bright_black")
         line = Table.grid(padding=(0, 2))
-        pose = f"pose {self._pose} of {self._poses}" if self._pose else ""
-        line.add_row(
-            bar,
-            Text(self._state, style="bold"),
-            pose,
-            f"{clock_text(self.left_s())} left",
-            Text(self._detail),
-        )
+        left = f"{clock_text(self.left_s())} left"
+        line.add_row(bar, Text(f"{self._state:<9}", style="bold"), left, Text(self._where()))
         return line
