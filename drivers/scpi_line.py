@@ -11,7 +11,7 @@ from typing import NamedTuple
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout
 from drivers.serial_port import Port
-from drivers.text_line import PROMPT_S, REPLY_S, TRIES, TextLine
+from drivers.text_line import PROMPT_S, TRIES, TextLine
 from drivers.wire_log import WireLog
 
 _LONGEST_QUEUE = 40
@@ -59,7 +59,7 @@ class ScpiLine(TextLine):
         maker, model, serial, firmware = (field.strip() for field in self.identity_text.split(","))
         return maker, model, serial, firmware
 
-    def ask(self, query: str, *, deadline_s: float = REPLY_S, tries: int = TRIES) -> str:
+    def ask(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
         """Send a query and return its answer, as any text line; a silence may be a refusal.
 
         Raises DeviceRefused when the error queue says that the instrument knows no such query;

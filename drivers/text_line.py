@@ -19,9 +19,10 @@ from drivers.wire_log import WireLog
 
 REPLY_S: Final = 2.0
 """Some devices need a tenth of a second to carry a setting out, and answer nothing meanwhile."""
-PROMPT_S: Final = 1.0
+PROMPT_S: Final = 0.75
 """For what a device answers at once, or never."""
 TRIES: Final = 3
+_RESYNC_TRIES = 2
 _QUIET_S = 0.1
 _LOUD_S = 2.0
 
@@ -43,6 +44,8 @@ class TextLine:
         Whether an answer to it has the right form; a wrong one is asked again.
     request_end, reply_end
         What ends a request and a reply.
+    reply_s
+        Longest wait for a reply, in seconds.
     unsolicited, clock, wire_log
         See ``drivers.link.Link``.
 
@@ -65,6 +68,7 @@ class TextLine:
         clock: Clock,
         request_end: bytes = b"\n",
         reply_end: bytes = b"\n",
+        reply_s: float = REPLY_S,
         unsolicited: Callable[[bytes], bool] = _nothing_unsolicited,
         wire_log: WireLog | None = None,
     ) -> None:
@@ -72,6 +76,7 @@ class TextLine:
         self._is_identity = is_identity
         self._request_end = request_end
         self._reply_end = reply_end
+        self._reply_s = reply_s
         self._link = Link(
             port,
             clock=clock,
@@ -89,11 +94,12 @@ class TextLine:
         """The port's name."""
         return self._link.name
 
-    def ask(self, query: str, *, deadline_s: float = REPLY_S, tries: int = TRIES) -> str:
+    def ask(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
         """Send a query and return its answer; asked again, three times in all, when the answer is none.
 
         Raises ReplyTimeout, ReplyGarbled, PortLost.
         """
+        deadline_s = deadline_s or self._reply_s
         for _ in range(tries - 1):
             try:
                 return self._ask(query, deadline_s)
@@ -177,12 +183,12 @@ class TextLine:
         """Wait for silence, then for the identity and silence again: nothing older can come after it."""
         if not self.identity_text:
             return  # it is just being asked, by _identify, which drains the line itself
-        for attempt in range(TRIES):
+        for attempt in range(_RESYNC_TRIES):
             self._link.drain(_QUIET_S, _LOUD_S)
             try:
                 answer = self._ask(self._who, PROMPT_S, urgent=True)
             except ReplyError:
-                if attempt == TRIES - 1:
+                if attempt == _RESYNC_TRIES - 1:
                     raise
                 continue
             if not self._link.drain(_QUIET_S, _LOUD_S) and answer == self.identity_text:

@@ -141,6 +141,7 @@ class EspStage(WatchedStage[EspAxis]):
                 who="VE?",
                 is_identity=lambda text: text.upper().startswith("ESP"),
                 request_end=b"\r",
+                reply_s=PROMPT_S,
                 clock=clock,
                 wire_log=wire_log,
             )
@@ -184,7 +185,7 @@ class EspStage(WatchedStage[EspAxis]):
             found.append(AxisIdentity(axis.name, "Newport", model, serial, self._line.identity_text))
         return tuple(found)
 
-    def is_homed(self) -> bool:
+    def _has_reference(self) -> bool:
         """Whether this driver has homed all axes, and no restart or switched-off motor undid it."""
         self._errors()
         return self._homed_at == self._restarts and all(map(self._motor_on, self._axes.values()))
@@ -201,7 +202,7 @@ class EspStage(WatchedStage[EspAxis]):
     # ------------------------------------------------------------ on the wire
 
     def _assure_ready(self, axis: EspAxis) -> None:
-        if not self.is_homed():
+        if not self._has_reference():
             raise NotHomed(
                 "the axis has no reference. Nothing was moved.",
                 where=axis.name,
@@ -242,13 +243,15 @@ class EspStage(WatchedStage[EspAxis]):
         trouble = "" if self._motor_on(axis) else "the motor went off, as after a fault or a restart"
         return Look(position_deg, not done, trouble)
 
-    def _trouble_at_rest(self, axis: EspAxis, *, homing: bool) -> str:
+    def _look_at_rest(self, axis: EspAxis, *, homing: bool) -> Look:
+        """Ask for the errors too."""
+        look = self._look(axis, homing=homing)
         errors = [error for error in self._errors() if error.code // 100 in {0, axis.number}]
         if errors:
-            return "; ".join(map(str, errors))
+            return look._replace(trouble="; ".join(map(str, errors)))
         if not homing and self._homed_at != self._restarts:
-            return "the controller restarted in mid-move: its position is lost"
-        return ""
+            return look._replace(trouble="the controller restarted in mid-move: its position is lost")
+        return look
 
     def _finish_homing(self, axis: EspAxis) -> None:  # noqa: ARG002 - one controller, one restart
         self._homed_at = self._restarts
@@ -286,7 +289,7 @@ class EspStage(WatchedStage[EspAxis]):
         """Empty the error buffer; notice a restart by the controller's time going back."""
         found: list[EspError] = []
         while len(found) < _MOST_ERRORS:
-            text = self._line.ask("TB?", deadline_s=PROMPT_S)
+            text = self._line.ask("TB?")
             match = _ERROR.fullmatch(text)
             if match is None:
                 raise self._line.garbled(f"TB? answered {text!r}.")

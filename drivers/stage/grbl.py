@@ -137,7 +137,7 @@ class GrblStage(WatchedStage[GrblAxis]):
             )
         return tuple(AxisIdentity(axis, "GRBL", "GRBL 1.1", name, version) for axis in self._axes)
 
-    def is_homed(self) -> bool:
+    def _has_reference(self) -> bool:
         """Whether this driver has homed the board, and it neither restarted nor raised an alarm since."""
         self._board.report()
         return self._homed_at == self._history()
@@ -207,10 +207,12 @@ class GrblStage(WatchedStage[GrblAxis]):
     def _look(self, axis: GrblAxis, *, homing: bool = False) -> Look:
         """State and position: both of one report."""
         report = self._board.report()
-        return Look(self._angle_deg(axis, report), report.moving, self._trouble(report.state, homing=homing))
+        trouble = self._trouble(report.state, homing=homing)
+        harmless = report.state in {"Hold", "Door", "Run"} and self._homed_at == self._history()
+        return Look(self._angle_deg(axis, report), report.moving, trouble, harmless)
 
-    def _trouble_at_rest(self, axis: GrblAxis, *, homing: bool) -> str:  # noqa: ARG002 - one board, one state
-        return self._trouble(self._board.report().state, homing=homing)
+    def _look_at_rest(self, axis: GrblAxis, *, homing: bool) -> Look:
+        return self._look(axis, homing=homing)
 
     def _finish_homing(self, axis: GrblAxis) -> None:  # noqa: ARG002 - one board, one reference
         self._homed_at = self._history()

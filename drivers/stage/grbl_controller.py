@@ -16,9 +16,11 @@ from drivers.stage.grbl_protocol import Report
 from drivers.wire_log import WireLog
 
 _REPLY_S = 1.0
+_MARKER_S = 0.5
 _QUIET_S = 0.05
 _LOUD_S = 1.0
 _TRIES = 3
+_RESYNC_TRIES = 2
 _BOOT_TRIES = 6
 """A board that restarts because its port was opened says nothing for a second or two."""
 _SPOILER = b"Q\n"
@@ -150,7 +152,7 @@ class GrblController:
 
     # ------------------------------------------------------------ inside
 
-    def _report(self, *, urgent: bool = False) -> Report:
+    def _report(self, *, deadline_s: float = _REPLY_S, urgent: bool = False) -> Report:
         def receive(incoming: Incoming) -> Report:
             line = incoming.line()
             report = grbl_protocol.parse_report(line, self.name)
@@ -162,7 +164,7 @@ class GrblController:
                 )
             return report
 
-        return self._link.exchange(grbl_protocol.STATUS, receive, deadline_s=_REPLY_S, urgent=urgent)
+        return self._link.exchange(grbl_protocol.STATUS, receive, deadline_s=deadline_s, urgent=urgent)
 
     def _answer(self, sent: str, incoming: Incoming) -> list[bytes]:
         lines = []
@@ -215,15 +217,15 @@ class GrblController:
 
     def _resynchronise(self) -> None:
         """Spoil what half line the board holds, then see it answer an empty line by one ``ok`` alone."""
-        for attempt in range(_TRIES):
+        for attempt in range(_RESYNC_TRIES):
             self._route_all(self._link.drain(_QUIET_S, _LOUD_S))
             self._link.send(_SPOILER)
             self._route_all(self._link.drain(_QUIET_S, _LOUD_S))
             try:
-                self._report(urgent=True)
-                self._link.exchange(b"\n", self._empty_ok, deadline_s=_REPLY_S, urgent=True)
+                self._report(deadline_s=_MARKER_S, urgent=True)
+                self._link.exchange(b"\n", self._empty_ok, deadline_s=_MARKER_S, urgent=True)
             except ReplyError:
-                if attempt == _TRIES - 1:
+                if attempt == _RESYNC_TRIES - 1:
                     raise
                 continue
             if not self._link.drain(_QUIET_S, _LOUD_S):

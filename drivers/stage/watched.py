@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import DriverError, MoveFailed, MoveTimeout, PortLost
+from drivers.errors import DriverError, MoveFailed, MoveTimeout, NotHomed, PortLost
 from drivers.readings import Reading, agreeing_position
 from drivers.stage import AxisIdentity, AxisLimits, motion
 
@@ -32,6 +32,8 @@ class Look(NamedTuple):
     busy: bool
     trouble: str = ""
     """Why this move will not end at its target, in plain words; empty while nothing speaks against it."""
+    harmless: bool = False
+    """Whether the position is still known for sure after that trouble: another command, a hold."""
 
 
 class WatchedAxis(Protocol):
@@ -79,6 +81,7 @@ class WatchedStage(ABC, Generic[A]):
         self._clock = clock
         self._where = where
         self._stops = 0
+        self._doubt = ""
 
     # ------------------------------------------------------------ what a family supplies
 
@@ -87,8 +90,8 @@ class WatchedStage(ABC, Generic[A]):
         """Ask every axis who it is. Raises WrongDevice when a serial number is not the station file's."""
 
     @abstractmethod
-    def is_homed(self) -> bool:
-        """Whether every axis has a reference."""
+    def _has_reference(self) -> bool:
+        """Whether every axis has a reference, as far as the controller can tell."""
 
     @abstractmethod
     def faults(self) -> Sequence[str]:
@@ -123,8 +126,8 @@ class WatchedStage(ABC, Generic[A]):
         """Look at one axis."""
 
     @abstractmethod
-    def _trouble_at_rest(self, axis: A, *, homing: bool) -> str:
-        """Ask for everything the controller knows against the move that just ended; empty when nothing."""
+    def _look_at_rest(self, axis: A, *, homing: bool) -> Look:
+        """Look once more, for everything the controller knows against the move that just ended."""
 
     def _finish_homing(self, axis: A) -> None:
         """Do what is left once an axis stands at its reference; most controllers need nothing."""
@@ -152,6 +155,10 @@ class WatchedStage(ABC, Generic[A]):
     def limits(self) -> Mapping[str, AxisLimits]:
         """Soft limits, by axis."""
         return {name: axis.limits for name, axis in self._axes.items()}
+
+    def is_homed(self) -> bool:
+        """Whether every axis has a reference, and no move since has ended where nobody knows."""
+        return not self._doubt and self._has_reference()
 
     def move_duration_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
         """Return the expected time of a move, in seconds."""
@@ -183,6 +190,7 @@ class WatchedStage(ABC, Generic[A]):
             for axis in self._axes.values():
                 self._see_end(axis, homing=True)
                 self._finish_homing(axis)
+            self._doubt = ""
         except DriverError as error:
             raise self._stopped_after(error) from error
 
@@ -241,6 +249,12 @@ class WatchedStage(ABC, Generic[A]):
 
     def _standing_deg(self, axis: A) -> float:
         """Return where an axis stands; raise unless it may be moved from there."""
+        if self._doubt:
+            raise NotHomed(
+                f"the position is in doubt since a move failed ({self._doubt}). Nothing was moved.",
+                where=axis.name,
+                remedy="Home the stage first.",
+            )
         self._assure_ready(axis)
         look = self._look(axis)
         if look.busy:
@@ -259,21 +273,35 @@ class WatchedStage(ABC, Generic[A]):
             for axis, watch in watches:
                 go_on()
                 look = self._look(axis, homing=watch.target_deg is None)
-                if look.trouble:
-                    raise MoveFailed(f"{look.trouble}.", where=axis.name, remedy=_CLEAR_AND_HOME)
-                if not watch.look(self._clock.monotonic(), look.position_deg, busy=look.busy):
+                self._refuse_trouble(axis, look)
+                if not self._look_with(watch, look):
                     going.append((axis, watch))
             watches = going
 
+    def _look_with(self, watch: motion.MoveWatch, look: Look) -> bool:
+        """Let the watch judge a look; a failure leaves the position in doubt."""
+        try:
+            return watch.look(self._clock.monotonic(), look.position_deg, busy=look.busy)
+        except (MoveFailed, MoveTimeout) as error:
+            self._doubt = error.what
+            raise
+
+    def _refuse_trouble(self, axis: A, look: Look) -> None:
+        if not look.trouble:
+            return
+        if not look.harmless:
+            self._doubt = look.trouble
+        raise MoveFailed(f"{look.trouble}.", where=axis.name, remedy=_CLEAR_AND_HOME)
+
     def _see_end(self, axis: A, *, homing: bool) -> None:
         """Raise MoveFailed when the controller, or the encoder, knows something against the move."""
-        if trouble := self._trouble_at_rest(axis, homing=homing):
-            raise MoveFailed(f"{trouble}.", where=axis.name, remedy=_CLEAR_AND_HOME)
+        self._refuse_trouble(axis, self._look_at_rest(axis, homing=homing))
         if homing or self._encoder(axis) is None:
             return
         counter_deg = self._reading_deg(axis, self._look)
         encoder_deg = self._reading_deg(axis, self._encoder)
         if abs(encoder_deg - counter_deg) > axis.encoder_tolerance_deg:
+            self._doubt = "it slipped"
             raise MoveFailed(
                 f"slipped: the counter says {counter_deg:.4f} deg, the encoder {encoder_deg:.4f} deg.",
                 where=axis.name,

@@ -136,8 +136,7 @@ class XimcStage(WatchedStage[XimcAxis]):
             found.append(AxisIdentity(axis.name, maker, model, serial, firmware))
         return tuple(found)
 
-    def is_homed(self) -> bool:
-        """Whether every axis has a reference."""
+    def _has_reference(self) -> bool:
         return all(controller.status().homed for controller in self._controllers.values())
 
     def faults(self) -> Sequence[str]:
@@ -198,13 +197,16 @@ class XimcStage(WatchedStage[XimcAxis]):
         controller = self._controllers[axis.name]
         status = controller.status()
         position_deg = self._angle_deg(axis, controller.count(status.steps, status.microsteps))
+        if status.homed and status.running and status.command not in _OURS and not status.troubles:
+            words = f"interrupted by another command ({status.command})"
+            return Look(position_deg, status.running, words, harmless=True)
         return Look(position_deg, status.running, _trouble(status, homing=homing))
 
-    def _trouble_at_rest(self, axis: XimcAxis, *, homing: bool) -> str:
-        status = self._controllers[axis.name].status()
-        if homing and not status.homed:
-            return "homing ended without a reference"
-        return _trouble(status, homing=homing)
+    def _look_at_rest(self, axis: XimcAxis, *, homing: bool) -> Look:
+        look = self._look(axis, homing=homing)
+        if homing and not self._controllers[axis.name].status().homed:
+            return look._replace(trouble="homing ended without a reference")
+        return look
 
     def _finish_homing(self, axis: XimcAxis) -> None:
         """Make the reference the counter's zero, the encoder's too."""
@@ -308,6 +310,4 @@ def _trouble(status: Status, *, homing: bool) -> str:
         return "the controller lost its reference in mid-move, as after a restart"
     if status.failed:
         return f"the controller says that its {status.command} failed"
-    if status.running and status.command not in _OURS:
-        return f"interrupted by another command ({status.command})"
     return ""

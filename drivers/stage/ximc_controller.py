@@ -16,9 +16,11 @@ from drivers.stage.ximc_protocol import EdgeSettings, MoveSettings, Status
 from drivers.wire_log import WireLog
 
 _REPLY_S = 1.0
+_MARKER_S = 0.5
 _QUIET_S = 0.05
 _LOUD_S = 1.0
 _TRIES = 3
+_RESYNC_TRIES = 2
 
 
 class XimcController:
@@ -152,25 +154,27 @@ class XimcController:
                 continue
         return self._ask(command, layout)
 
-    def _ask(self, command: str, layout: struct.Struct, *, urgent: bool = False) -> bytes:
+    def _ask(
+        self, command: str, layout: struct.Struct, *, deadline_s: float = _REPLY_S, urgent: bool = False
+    ) -> bytes:
         def receive(incoming: Incoming) -> bytes:
             ximc_protocol.check_head(command, incoming.exactly(4), self.name)
             return ximc_protocol.check_data(command, incoming.exactly(layout.size + 2), self.name)
 
         return self._link.exchange(
-            ximc_protocol.request(command), receive, deadline_s=_REPLY_S, urgent=urgent
+            ximc_protocol.request(command), receive, deadline_s=deadline_s, urgent=urgent
         )
 
     def _resynchronise(self) -> None:
         """Fill up by zeros what the controller waits for, then ask for its serial number, alone on the line."""
-        for attempt in range(_TRIES):
+        for attempt in range(_RESYNC_TRIES):
             self._link.drain(_QUIET_S, _LOUD_S)
             self._link.send(ximc_protocol.SYNCHRONISE)
             self._link.drain(_QUIET_S, _LOUD_S)
             try:
-                self._ask("gser", ximc_protocol.SERIAL_LAYOUT, urgent=True)
+                self._ask("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True)
             except ReplyError:
-                if attempt == _TRIES - 1:
+                if attempt == _RESYNC_TRIES - 1:
                     raise
                 continue
             if not self._link.drain(_QUIET_S, _LOUD_S):

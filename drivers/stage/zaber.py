@@ -93,8 +93,7 @@ class ZaberStage(WatchedStage[ZaberAxis]):
             found.append(AxisIdentity(axis.name, "Zaber", f"device id {model}", serial, firmware))
         return tuple(found)
 
-    def is_homed(self) -> bool:
-        """Whether every axis has a reference."""
+    def _has_reference(self) -> bool:
         return not any(zaber_protocol.UNREFERENCED & set(self._flags(axis)) for axis in self._axes.values())
 
     def faults(self) -> Sequence[str]:
@@ -156,14 +155,21 @@ class ZaberStage(WatchedStage[ZaberAxis]):
         """Position, whether busy, and the most urgent flag: all of one reply."""
         reply = self._chain.query(axis.device, axis.axis, "get pos")
         position_deg = axis.angle_deg(self._chain.whole(reply.data))
-        return Look(position_deg, reply.busy, _trouble(reply.flag, homing=homing))
+        trouble = _trouble(reply.flag, homing=homing)
+        return Look(position_deg, reply.busy, trouble, reply.flag in zaber_protocol.INTERRUPTED)
 
-    def _trouble_at_rest(self, axis: ZaberAxis, *, homing: bool) -> str:
+    def _look_at_rest(self, axis: ZaberAxis, *, homing: bool) -> Look:
         """Ask for all flags, since a reply shows the most urgent one only."""
+        look = self._look(axis, homing=homing)
         flags = self._flags(axis)
         if homing and (unreferenced := zaber_protocol.UNREFERENCED & set(flags)):
-            return f"homing ended without a reference: {zaber_protocol.in_words(min(unreferenced))}"
-        return next(filter(None, (_trouble(flag, homing=homing) for flag in flags)), "")
+            words = zaber_protocol.in_words(min(unreferenced))
+            return look._replace(trouble=f"homing ended without a reference: {words}", harmless=False)
+        troubles = {flag: _trouble(flag, homing=homing) for flag in flags}
+        for flag, trouble in troubles.items():
+            if trouble:
+                return look._replace(trouble=trouble, harmless=flag in zaber_protocol.INTERRUPTED)
+        return look
 
     def _send_stop(self) -> None:
         self._chain.stop_all()

@@ -23,6 +23,7 @@ _MARKER_S = 0.5
 _QUIET_S = 0.05
 _LOUD_S = 1.0
 _TRIES = 3
+_RESYNC_TRIES = 2
 
 
 class ZaberChain:
@@ -179,12 +180,12 @@ class ZaberChain:
 
     def _resynchronise(self) -> None:
         """Wait for silence; then the answer to a fresh id proves that no older one is to come."""
-        for attempt in range(_TRIES):
+        for attempt in range(_RESYNC_TRIES):
             self._link.drain(_QUIET_S, _LOUD_S)
             try:
                 self._ask(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True)
             except ReplyError:
-                if attempt == _TRIES - 1:
+                if attempt == _RESYNC_TRIES - 1:
                     raise
             else:
                 return

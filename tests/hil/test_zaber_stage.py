@@ -1,10 +1,9 @@
-"""The Zaber driver on a simulated gimbal, over a pseudo-terminal, beside the maker's own client."""
+"""The Zaber driver on a simulated gimbal, beside the maker's own client; see also test_stage_families."""
 
 from __future__ import annotations
 
 import json
 import re
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -13,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from drivers.clock import SystemClock
-from drivers.errors import MoveFailed, NotHomed, PortBusy, PortLost, ReplyError, WrongDevice
+from drivers.errors import ReplyError
 from drivers.stage import AxisLimits
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from drivers.wire_log import WireLogFile
@@ -40,12 +39,12 @@ def gimbal(tmp_path) -> Iterator[SerialDevice]:
         yield device
 
 
-def axes(**serials: str) -> list[ZaberAxis]:
+def axes() -> list[ZaberAxis]:
     return [
         ZaberAxis(
             name=name,
             device=number,
-            serial=serials.get(name, f"10010{number}"),
+            serial=f"10010{number}",
             microsteps_per_deg=SCALE,
             limits=AxisLimits(-LIMITS[name], LIMITS[name], 40.0, 200.0),
         )
@@ -57,87 +56,12 @@ def open_stage(gimbal: SerialDevice, **more) -> ZaberStage:
     return ZaberStage.open(gimbal.address, axes(), clock=SystemClock(), **more)
 
 
-@pytest.fixture
-def stage(gimbal) -> Iterator[ZaberStage]:
-    with closing(open_stage(gimbal)) as stage:
-        yield stage
-
-
 def sent(log: Path) -> list[str]:
     """Requests in a wire log, without ids and checksums."""
     lines = [json.loads(text) for text in log.read_text().splitlines()]
     return [
         re.sub(r" \d\d(?=[ :])|:..\n", "", line["bytes"], count=2) for line in lines if line["dir"] == ">"
     ]
-
-
-def test_a_gimbal_is_identified_homed_and_moved(stage) -> None:
-    assert [axis.serial for axis in stage.identify()] == ["100101", "100102"]
-    assert not stage.is_homed()
-    with pytest.raises(NotHomed):
-        stage.move_to({"pan": 1.0})
-    stage.home()
-    assert stage.is_homed()
-    assert stage.faults() == []
-    for target in ({"pan": 5.0, "tilt": -3.0}, {"pan": -14.99}, {"tilt": 9.5}):
-        stage.move_to(target)
-        for name, angle in target.items():
-            assert stage.position_deg()[name] == pytest.approx(angle, abs=0.5 / SCALE)
-
-
-def test_connecting_moves_nothing(gimbal) -> None:
-    positions = []
-    for _ in range(2):
-        with closing(open_stage(gimbal)) as stage:
-            positions.append(stage.position_deg())
-    assert positions[0] == positions[1]
-
-
-def test_a_stop_from_another_thread_ends_a_move_at_once(stage) -> None:
-    stage.home()
-    failed = []
-
-    def move() -> None:
-        try:
-            stage.move_to({"pan": 15.0, "tilt": 10.0})
-        except MoveFailed as error:
-            failed.append(error)
-
-    mover = threading.Thread(target=move)
-    mover.start()
-    while stage.position_deg()["pan"] == 0.0:
-        pass
-    stage.stop()
-    rest = stage.position_deg()
-    mover.join()
-    assert len(failed) == 1
-    assert stage.position_deg() == rest
-    assert rest["pan"] < 15.0
-    stage.move_to({"pan": 1.0, "tilt": 1.0})
-
-
-def test_another_device_on_the_same_port_is_refused(gimbal) -> None:
-    with pytest.raises(WrongDevice, match="100999 for tilt, but device 2 says 100102"):
-        ZaberStage.open(gimbal.address, axes(tilt="100999"), clock=SystemClock())
-
-
-def test_a_port_in_use_is_refused(gimbal, stage) -> None:
-    with pytest.raises(PortBusy):
-        open_stage(gimbal)
-    assert stage.position_deg()
-
-
-def test_an_unplugged_gimbal_is_lost_in_mid_move_and_must_be_homed_after(gimbal, stage) -> None:
-    stage.home()
-    timer = threading.Timer(0.15, gimbal.unplug)
-    timer.start()
-    with pytest.raises(PortLost):
-        stage.move_to({"pan": 15.0})
-    timer.join()
-    stage.close()
-    gimbal.replug()
-    with closing(open_stage(gimbal)) as again:
-        assert [axis.serial for axis in again.identify()] == ["100101", "100102"]
 
 
 def test_a_wrong_baud_rate_is_told_and_moves_nothing(gimbal) -> None:
