@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Self, TextIO
 
 from rich.console import Console
@@ -60,7 +61,8 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._live.stop()
+        with suppress(OSError):  # the terminal has gone
+            self._live.stop()
 
     def done(self, seconds: float) -> None:
         """Tell how much of the expected total lies behind, s."""
@@ -81,11 +83,17 @@ class Progress:
         self._state, self._detail = state, detail
         self._pose = pose or self._pose
         if not self._console.is_terminal:
-            self._console.print(self._plain(), soft_wrap=True)
+            self._print(Text(self._plain()))
 
     def say(self, message: str) -> None:
         """Print a line that stays."""
-        self._console.print(Text(message), soft_wrap=True)
+        self._print(Text(message))
+
+    def _print(self, text: Text) -> None:
+        try:
+            self._console.print(text, soft_wrap=True)
+        except OSError:  # the terminal has gone: the run goes on, or ends, by itself
+            self._console = Console(quiet=True)
 
     def left_s(self) -> float:
         """Expected time to the end, s: the plan's, counted down while the present step lasts."""

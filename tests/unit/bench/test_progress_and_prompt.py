@@ -87,3 +87,16 @@ def test_a_shielded_clock_is_not_interrupted():
         clock.check()
     with pytest.raises(Aborted, match="first reason"):
         clock.check()
+
+
+class Unplugged(io.StringIO):
+    def write(self, text):
+        raise OSError(5, "Input/output error")
+
+
+def test_a_terminal_that_has_gone_does_not_end_the_run():
+    with Progress(lambda: 0.0, total_s=5.0, poses=1, stream=Unplugged()) as progress:
+        progress.show("recording", pose=1)
+        progress.say("still here")
+        progress.done(2.0)
+    assert progress.left_s() == 3.0
