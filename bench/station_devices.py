@@ -99,6 +99,18 @@ class AxisWords(Words):
         return self.model_dump(exclude={"limits_deg", "speed_deg_s", "acceleration_deg_s2"})
 
 
+def _differing(*keys: str) -> AfterValidator:
+    """Let no two axes share what tells them apart."""
+
+    def check(axes: dict[Axis, Any]) -> dict[Axis, Any]:
+        if len({tuple(getattr(axis, key) for key in keys) for axis in axes.values()}) < len(axes):
+            shared = " and ".join(keys)
+            raise PydanticCustomError("same_address", "two axes have the same {shared}.", {"shared": shared})
+        return axes
+
+    return AfterValidator(check)
+
+
 class ZaberAxis(AxisWords):
     """One rotary axis of a Zaber chain."""
 
@@ -117,15 +129,7 @@ class ZaberAsciiStage(Words):
     driver: Literal["zaber_ascii"]
     port: Port
     baudrate: Annotated[int, Field(gt=0)] = 115_200
-    axes: Annotated[dict[Axis, ZaberAxis], Field(min_length=1)]
-
-    @field_validator("axes")
-    @classmethod
-    def _one_address_each(cls, axes: dict[Axis, ZaberAxis]) -> dict[Axis, ZaberAxis]:
-        addresses = {(axis.device, axis.axis) for axis in axes.values()}
-        if len(addresses) < len(axes):
-            raise PydanticCustomError("same_address", "two axes have the same device and axis number.")
-        return axes
+    axes: Annotated[dict[Axis, ZaberAxis], Field(min_length=1), _differing("device", "axis")]
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -147,7 +151,7 @@ class XimcStage(Words):
     """One to three rotary axes on Standa controllers that speak XIMC, each on its own port."""
 
     driver: Literal["ximc"]
-    axes: Annotated[dict[Axis, XimcAxis], Field(min_length=1)]
+    axes: Annotated[dict[Axis, XimcAxis], Field(min_length=1), _differing("port")]
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -171,7 +175,7 @@ class GrblStage(Words):
     port: Port
     baudrate: Annotated[int, Field(gt=0)] = 115_200
     serial: Annotated[Serial, Field(description="The name given to the board with $I=...")]
-    axes: Annotated[dict[Axis, GrblAxis], Field(min_length=1)]
+    axes: Annotated[dict[Axis, GrblAxis], Field(min_length=1), _differing("letter")]
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -198,7 +202,7 @@ class EspStage(Words):
     driver: Literal["esp30x"]
     port: Port
     baudrate: Annotated[int, Field(gt=0)] = 19_200
-    axes: Annotated[dict[Axis, EspAxis], Field(min_length=1)]
+    axes: Annotated[dict[Axis, EspAxis], Field(min_length=1), _differing("number")]
 
     @property
     def ports(self) -> tuple[str, ...]:

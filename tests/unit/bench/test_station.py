@@ -25,6 +25,11 @@ def changed(old: str, new: str) -> str:
     return SIMULATED.replace(old, new)
 
 
+def with_stage(stage: str) -> str:
+    begin, end = SIMULATED.index("stage:\n"), SIMULATED.index("light:\n")
+    return SIMULATED[:begin] + f"stage: {stage}\n" + SIMULATED[end:]
+
+
 def test_the_simulated_station_has_the_simulated_bench_s_devices():
     station = load_station("simulated").value
     assert station.is_simulated
@@ -77,7 +82,7 @@ def test_serial_numbers_stay_text_zeros_included():
             "stage.axes.pan.limits_deg: 0 degrees must be within the limits: there the stage is parked.",
         ),
         ("[-15, 15]", "[-15]", "stage.axes.pan.limits_deg[1]: required, and missing."),
-        ("device: 2", "device: 1", "stage.axes: two axes have the same device and axis number."),
+        ("device: 2", "device: 1", "stage.axes: two axes have the same device and axis."),
         (
             "microsteps_per_deg: 6400\n      limits_deg: [-15",
             "microsteps_per_deg: 0\n      limits_deg: [-15",
@@ -117,6 +122,38 @@ def test_simulated_ports_are_refused_where_nothing_is_simulated():
     said = faults(changed("simulation: {}\n", ""))
     assert [line.split(": ")[1] for line in said] == ["stage.port", "light.port", "camera.address"]
     assert all("needs a simulation section (simulation: {} will do)" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("stage", "fault"),
+    [
+        ("{driver: esp30x, port: a, axes: {}}", "stage.axes: must have at least 1 in it."),
+        ("{driver: esp, port: a}", "stage.driver: must be one of 'zaber_ascii', 'ximc', 'grbl', 'esp30x' (got 'esp')."),
+        ("{driver: grbl, port: a, axes: {pan: {letter: Q}}}", "stage.axes.pan.letter: must be 'X', 'Y', 'Z', 'A', 'B' or 'C'"),
+        ("{driver: esp30x, port: a, axes: {pan: {direction: 0}}}", "stage.axes.pan.direction: must be 1 or -1 (got '0')."),
+        ("{driver: ximc, axes: {pan: {steps_per_deg: 0}}}", "stage.axes.pan.steps_per_deg: a scale of 0 moves nothing."),
+    ],
+)  # fmt: skip
+def test_other_stages_are_checked_in_their_own_terms(stage, fault):
+    said = faults(with_stage(stage))
+    assert any(fault in line for line in said), said
+
+
+MOTION = "limits_deg: [-1, 1], speed_deg_s: 1, acceleration_deg_s2: 1"
+
+
+@pytest.mark.parametrize(
+    ("driver", "axis", "shared"),
+    [
+        ("ximc", "port: a, serial: b, steps_per_deg: 1", "port"),
+        ("esp30x, port: a", "number: 1, serial: b", "number"),
+        ("grbl, port: a, serial: b", "letter: X, steps_per_deg: 1", "letter"),
+    ],
+)
+def test_two_axes_must_differ_in_what_tells_them_apart(driver, axis, shared):
+    both = f"{{pan: {{{axis}, {MOTION}}}, tilt: {{{axis}, {MOTION}}}}}"
+    (said,) = faults(with_stage(f"{{driver: {driver}, axes: {both}}}"))
+    assert said.endswith(f"stage.axes: two axes have the same {shared}.")
 
 
 def test_the_faults_of_all_devices_come_at_once():

@@ -1,0 +1,106 @@
+"""Which driver a station file's words stand for, and that each gets its settings in its own terms."""
+
+from pathlib import Path
+from unittest.mock import create_autospec
+
+import pytest
+
+from bench import devices
+from bench.clock import BenchClock
+from bench.station import SHIPPED, Station
+from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
+from drivers.camera.recorded import RecordedCamera
+from drivers.light.scpi import ScpiLight
+from drivers.stage import AxisLimits
+from drivers.stage.esp import EspAxis, EspStage
+from drivers.stage.grbl import GrblAxis, GrblStage
+from drivers.stage.ximc import XimcAxis, XimcStage
+from drivers.stage.zaber import ZaberStage
+from drivers.stage.zaber_axis import ZaberAxis
+from sequences.reader import check_document
+
+EXAMPLE = (SHIPPED / "example_evk4.yaml").read_text(encoding="utf-8")
+MOTION = "limits_deg: [-9, 8], speed_deg_s: 5, acceleration_deg_s2: 20, tolerance_deg: 0.01"
+LIMITS = AxisLimits(-9, 8, 5, 20)
+
+
+def station_with(stage: str = "", light: str = "", camera: str = "") -> Station:
+    begin = {key: EXAMPLE.index(f"\n{key}:\n") for key in ("stage", "light", "camera", "target")}
+    written = {
+        "stage": stage or EXAMPLE[begin["stage"] : begin["light"]],
+        "light": light or EXAMPLE[begin["light"] : begin["camera"]],
+        "camera": camera or EXAMPLE[begin["camera"] : begin["target"]],
+    }
+    text = EXAMPLE[: begin["stage"]] + "\n".join(written.values()) + EXAMPLE[begin["target"] :]
+    return check_document(text.encode(), "b.yaml", Station).value
+
+
+STAGES = [
+    (
+        f"stage: {{driver: zaber_ascii, port: /dev/a, axes: {{pan: {{device: 2, axis: 1, serial: 07, microsteps_per_deg: -6400, {MOTION}}}}}}}",
+        ZaberStage,
+        ("/dev/a", [ZaberAxis(name="pan", device=2, serial="07", microsteps_per_deg=-6400, limits=LIMITS, tolerance_deg=0.01)]),
+        {"baudrate": 115_200},
+    ),
+    (
+        f"stage: {{driver: ximc, axes: {{tilt: {{port: /dev/b, serial: 0042, steps_per_deg: 100, zero_deg: 3, {MOTION}}}}}}}",
+        XimcStage,
+        ([XimcAxis(name="tilt", port="/dev/b", serial="0042", steps_per_deg=100, zero_deg=3, limits=LIMITS, tolerance_deg=0.01)],),
+        {},
+    ),
+    (
+        f"stage: {{driver: esp30x, port: /dev/c, axes: {{roll: {{number: 3, serial: SN1, direction: -1, {MOTION}}}}}}}",
+        EspStage,
+        ("/dev/c", [EspAxis(name="roll", number=3, serial="SN1", direction=-1, limits=LIMITS, tolerance_deg=0.01)]),
+        {"baudrate": 19_200},
+    ),
+    (
+        f"stage: {{driver: grbl, port: /dev/d, serial: gimbal, axes: {{pan: {{letter: A, steps_per_deg: 80, zero_deg: 10, {MOTION}}}}}}}",
+        GrblStage,
+        ("/dev/d", [GrblAxis(name="pan", letter="A", steps_per_deg=80, zero_deg=10, limits=LIMITS, tolerance_deg=0.01)]),
+        {"serial": "gimbal", "baudrate": 115_200},
+    ),
+]  # fmt: skip
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Let a driver's ``open`` be called with its own signature, and tell with what."""
+
+    def watch(driver):
+        double = create_autospec(driver.open)
+        monkeypatch.setattr(driver, "open", double)
+        return double
+
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("stage", "driver", "given", "options"), STAGES, ids=lambda value: getattr(value, "__name__", "")
+)
+def test_each_stage_s_driver_gets_what_the_file_says(stage, driver, given, options, opened):
+    double, clock = opened(driver), BenchClock()
+    assert devices._open_stage(station_with(stage=stage), str, clock, None) is double.return_value
+    double.assert_called_once_with(*given, **options, clock=clock, wire_log=None)
+
+
+def test_the_light_s_driver_is_told_dialect_and_load(opened):
+    double, clock = opened(ScpiLight), BenchClock()
+    light = "light: {driver: scpi, port: /dev/e, dialect: siglent, load: 50-ohm, serial: 09}"
+    devices._open_light(station_with(light=light), str, clock, None)
+    double.assert_called_once_with(
+        "/dev/e", serial="09", baudrate=9600, clock=clock, wire_log=None, load="50-ohm", dialect="siglent"
+    )
+
+
+def test_an_evk4_may_be_reached_through_neuromorphic_drivers(opened):
+    double, clock = opened(NeuromorphicEvk4), BenchClock()
+    devices._open_camera(station_with(camera="camera: {driver: neuromorphic_evk4, serial: 0005}"), str, clock)
+    double.assert_called_once_with(serial="0005", clock=clock, utc_now=clock.utc_now)
+
+
+def test_recordings_may_stand_for_a_camera(opened):
+    double, clock = opened(RecordedCamera), BenchClock()
+    camera = "camera: {driver: recorded, path: tapes/monday, serial: 0005}"
+    devices._open_camera(station_with(camera=camera), str, clock)
+    double.assert_called_once_with(Path("tapes/monday"), serial="0005", clock=clock)
