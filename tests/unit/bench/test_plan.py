@@ -92,6 +92,12 @@ def test_the_time_of_a_plan_is_the_sum_of_its_steps_and_moves_count_from_where_t
     assert made.duration_s == done[-1] == pytest.approx(sum(took.values()) + homing_s + parking_s)
 
 
+def test_homing_takes_as_long_as_the_whole_range_is_wide():
+    slow = station_with("speed_deg_s: 40", "speed_deg_s: 1")
+    first = [planned(GOOD, station).steps[0].done_after_s for station in (STATION, slow)]
+    assert first[1] - first[0] == pytest.approx(30, abs=2)
+
+
 def test_disk_is_counted_for_every_pose_and_every_attempt():
     one = planned(GOOD)
     more = planned("defaults: {record: {attempts: 4}}\n" + GOOD)
@@ -183,6 +189,16 @@ def test_an_axis_the_stage_has_not_is_blamed_only_where_it_is_named():
     ]
 
 
+def test_how_many_angles_a_span_has_is_no_angle():
+    steps = "steps: [light, {repeat: {poses: {pan_deg: {first: -1, last: 1, count: 99}}, steps: [move, settle, record]}}, solve, report]\n"  # fmt: skip
+    assert faults(steps) == []
+
+
+def test_a_frequency_the_lamp_is_too_fast_for_is_a_fault_too():
+    (fault,) = faults("defaults: {light: {frequency_hz: 0.05}, record: {window_ms: 20000}}\n" + GOOD)
+    assert "0.05 Hz lies outside the 0.1 to 10000 Hz of the station's light." in fault
+
+
 def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
     begin, end = STATION_TEXT.index("    tilt:"), STATION_TEXT.index("light:\n")
     turntable = check_document((STATION_TEXT[:begin] + STATION_TEXT[end:]).encode(), "b.yaml", Station)
@@ -263,11 +279,14 @@ def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
 
 def test_angles_are_compared_with_the_station_even_in_a_sequence_that_has_other_faults(tmp_path):
     sequence = tmp_path / "s.yaml"
-    sequence.write_text(HEAD + "poses: {a: [{pan_deg: 99}, {pan_deg: x}, {roll_deg: 1}]}\nsteps: [mvoe]\n")
+    sequence.write_text(
+        HEAD + "poses: {a: [{pan_deg: 99}, {pan_deg: x}, {roll_deg: 1}, {pan_deg: 1e999}]}\nsteps: [mvoe]\n"
+    )
     with pytest.raises(ScriptError) as caught:
         load(str(sequence), "simulated")
     assert [fault.partition(": ")[2] for fault in caught.value.faults] == [
         "poses.a[1].pan_deg: must be a number (got 'x').",
+        "poses.a[3].pan_deg: must be a finite number (got '1e999').",
         "steps[0].mvoe: unknown key. Did you mean 'move'?",
         "poses.a[0].pan_deg: pan 99 deg lies outside the station's -15 to 15 deg.",
         "poses.a[2].roll_deg: the station's stage has no roll axis; it has pan, tilt.",
@@ -292,6 +311,9 @@ def test_the_plan_as_json_is_plain_and_names_no_place_of_this_machine():
     assert str(SHIPPED.parent) not in text
     data = json.loads(text)
     assert (data["runnable"], data["simulated"], len(data["poses"])) == (True, True, 9)
+    document = check_document((HEAD + "steps: [solve]\n").encode(), "folder/s.yaml", Sequence)
+    fault = plan(document, STATION).to_dict()["faults"][0]
+    assert (fault["file"], fault["line"], fault["path"]) == ("s.yaml", 3, "steps[0].solve")
     assert data["steps"][-1]["done_after_s"] == pytest.approx(data["duration_s"])
 
 
@@ -335,6 +357,14 @@ def test_a_sequence_with_other_numbers_is_planned_or_refused_never_anything_else
     assert made.duration_s > 0
     assert json.dumps(made.to_dict(), allow_nan=False)
     assert ("It cannot be run" in render_plan(made)) == bool(made.faults)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0, "0.0 s"), (9.94, "9.9 s"), (9.96, "10 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (3599, "59 min 59 s"), (3600, "1 h 0 min")],
+)  # fmt: skip
+def test_a_duration_is_said_as_people_say_it(seconds, text):
+    assert duration_text(seconds) == text
 
 
 @given(st.floats(0, 1e7))

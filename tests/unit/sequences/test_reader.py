@@ -12,6 +12,7 @@ from pydantic import Field
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document, find_document, read_document
 from sequences.schema import Sequence, Words
+from sequences.yaml_text import MOST_BYTES
 
 SHIPPED = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
 
@@ -131,6 +132,16 @@ def test_a_file_that_is_not_there_is_a_folder_or_cannot_be_read_is_one_fault(tmp
     assert fault_of(tmp_path / "pipe") == f"{tmp_path}/pipe: this is not a file."
     assert "cannot be read" in fault_of(tmp_path / "a\0b")
     assert "cannot be read" in fault_of(tmp_path / ("x" * 300))
+
+
+def test_a_file_one_byte_too_large_is_refused_not_cut(tmp_path):
+    large = tmp_path / "large.yaml"
+    text = b"format: test/1\nlight: {kind: lamp, watts: 1}\n#"
+    large.write_bytes(text.ljust(MOST_BYTES, b"x"))
+    assert read_document(large, Table).value.light.watts == 1
+    large.write_bytes(text.ljust(MOST_BYTES + 1, b"x"))
+    with pytest.raises(DocumentFaults, match="larger than 1000000 bytes"):
+        read_document(large, Table)
 
 
 def test_a_file_without_permission_is_one_fault(tmp_path, monkeypatch):
