@@ -1,8 +1,8 @@
 """Stars of the target in an image of one pose: which, where, and how surely.
 
-Knows the order of the work: tag, growth, refinement, rejection, covariances. An image may come from events or
-from a frame camera, of any number type and either contrast. A star that is cut, too faint or out of line is
-left out: no star is better than a wrong one.
+Knows the order of the work: tag, growth, symmetry, rejection, likelihood, covariances. An image may come from
+events or from a frame camera, of any number type and either contrast. A star that is cut, too faint or out of
+line is left out: no star is better than a wrong one.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, TooFewStars
-from calib.grid_map import GridMap, fit_view
+from calib.grid_map import fit_view
 from calib.star_growth import grow
+from calib.star_likelihood import likely_stars, quantise
 from calib.star_noise import variance_factor
 from calib.star_refine import (
+    LocalShape,
     RefinedStars,
     StarTemplate,
     refine_stars,
@@ -44,6 +46,12 @@ IN_LINE_PX = 0.05
 WALK = 0.06
 #: Stars that a view needs at least.
 MIN_STARS = 12
+#: Stars from which a view can teach how its pixels look near edges.
+MIN_FOR_LIKELIHOOD = 40
+#: Variance of centres by symmetry, in units of what residuals of independent pixels would promise, as usual.
+USUAL_EXCESS = 6.0
+#: How far, in sigmas, symmetry and likelihood may put a star apart.
+MAX_APART_SIGMAS = 6.0
 
 
 class _Stars(NamedTuple):
@@ -93,25 +101,59 @@ def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view"
     _enough(len(stars.nodes), name)
     stars, _, _ = _refined(values, stars, target, seed)
     _enough(len(stars.nodes), name)
-    stars, fine, _ = _refined(values, stars, target, seed)
+    stars, fine, shape = _refined(values, stars, target, seed)
     _enough(len(stars.nodes), name)
     promised = fine.residual[:, None, None] * np.linalg.inv(fine.information)
-    factor = variance_factor(stars.nodes, stars.points, promised)
-    ids = target.id_at(stars.nodes[:, 0], stars.nodes[:, 1])
+    points, covariances = _best_placed(image, stars, promised, shape, target)
+    kept = np.isfinite(points).all(axis=1)
+    _enough(int(np.count_nonzero(kept)), name)
+    ids = target.id_at(stars.nodes[kept, 0], stars.nodes[kept, 1])
     order = np.argsort(ids)
     return View(
         name=name,
         image_size=(image.shape[1], image.shape[0]),
         ids=ids[order],
-        points_px=stars.points[order],
+        points_px=points[kept][order],
         target_mm=target.positions_mm(ids[order]),
-        covariances_px2=(factor * promised)[order],
+        covariances_px2=covariances[kept][order],
     )
+
+
+def _best_placed(
+    image: NDArray[np.generic],
+    stars: _Stars,
+    promised: NDArray[np.float64],
+    shape: LocalShape,
+    target: StarTarget,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Place the stars by likelihood as well, and return what scatters less: (N, 2) px, (N, 2, 2) px^2.
+
+    Symmetry is best where shades of grey are many and noise is little, likelihood where the image is nearly black
+    and white. Stars on which the two contradict each other are nan.
+    """
+    by_symmetry = promised * variance_factor(stars.nodes, stars.points, promised, usual=USUAL_EXCESS)
+    if len(stars.nodes) < MIN_FOR_LIKELIHOOD:
+        return stars.points, by_symmetry
+    likely = likely_stars(quantise(image), stars.points, shape, target)
+    by_likelihood = likely.covariances * variance_factor(
+        stars.nodes, likely.centres, likely.covariances, usual=1.0
+    )
+    apart = likely.centres - stars.points
+    sigmas = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(by_symmetry + by_likelihood), apart)
+    agree = (sigmas <= MAX_APART_SIGMAS**2)[:, None]
+    if _typical(by_likelihood) < _typical(by_symmetry):
+        return np.where(agree, likely.centres, np.nan), by_likelihood
+    return np.where(agree, stars.points, np.nan), by_symmetry
+
+
+def _typical(covariances: NDArray[np.float64]) -> float:
+    """Median variance of a view's stars, px^2."""
+    return float(np.median(np.trace(covariances, axis1=1, axis2=2))) / 2.0
 
 
 def _refined(
     image: NDArray[np.float32], stars: _Stars, target: StarTarget, seed: TagSeed
-) -> tuple[_Stars, RefinedStars, GridMap]:
+) -> tuple[_Stars, RefinedStars, LocalShape]:
     """Refine all stars with the map that they tell together, and leave out those that do not stand."""
     grid = stars.nodes.astype(float)
     view_map, _ = fit_view(grid, stars.points)
@@ -127,7 +169,7 @@ def _refined(
         good &= middle >= MIN_CONTRAST * np.median(middle[good])
     good = _in_line(grid, fine.centres, good)
     kept = _Stars(stars.nodes, fine.centres).kept(good)
-    return kept, fine.kept(good), view_map
+    return kept, fine.kept(good), LocalShape(shape.linear[good], shape.curved[good])
 
 
 def _in_line(

@@ -26,11 +26,9 @@ _STENCIL = {
     (-1, 1): 0.25,
     (-1, -1): 0.25,
 }
-#: Stars surrounded by eight others from which their scatter is trusted alone; below, it is mixed with the
-#: promise enlarged by `USUAL_EXCESS`.
+#: Stars surrounded by eight others from which their scatter is trusted alone; below, it is mixed with what is
+#: usual.
 TRUSTED_FROM = 30
-#: Variance of star centres in units of what the residuals of independent pixels would promise, as usual.
-USUAL_EXCESS = 6.0
 #: Normalised squares beyond this do not take part: chi-square of two degrees of freedom, 1 in 22,000.
 _CUT = 20.0
 
@@ -66,11 +64,16 @@ def stencil_residuals(
 
 
 def variance_factor(
-    nodes: NDArray[np.int64], points: NDArray[np.float64], promised: NDArray[np.float64]
+    nodes: NDArray[np.int64], points: NDArray[np.float64], promised: NDArray[np.float64], *, usual: float
 ) -> float:
     """By what the promised covariances must be multiplied so that neighbouring stars scatter as they say.
 
-    Parameters are those of `stencil_residuals`.
+    Parameters
+    ----------
+    nodes, points, promised
+        As for `stencil_residuals`.
+    usual
+        The factor as it usually is, for views in which too few stars are surrounded by others.
     """
     residuals, covariances = stencil_residuals(nodes, points, promised)
     count, total = 0.0, 0.0
@@ -81,4 +84,4 @@ def variance_factor(
             near = squares < _CUT * factor
             count, total = float(np.count_nonzero(near)), float(squares[near].sum()) / 2.0
     borrowed = max(TRUSTED_FROM - count, 0.0)
-    return (total + borrowed * USUAL_EXCESS) / (count + borrowed)
+    return (total + borrowed * usual) / (count + borrowed)

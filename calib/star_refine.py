@@ -24,8 +24,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-#: Radii, in pitches, at which a star's segments are compared with the image.
-TEMPLATE_RADII = (0.12, 0.18, 0.24, 0.30, 0.36, 0.42, 0.47)
+#: Radii, in pitches, at which a star's segments are compared with the image; further in they may run together.
+TEMPLATE_RADII = (0.24, 0.28, 0.32, 0.36, 0.40, 0.44, 0.47)
 #: Outer of these: a star cut by the disc's rim lacks contrast there.
 OUTER_FROM = 0.35
 #: Places along a segment's width, as shares of it.
