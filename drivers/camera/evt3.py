@@ -74,6 +74,9 @@ class StreamTally:
         The sensor's clock at its first and its last time word; both -1 before any.
     rate_controller_in, rate_controller_out
         Events into and out of the rate controller, summed over its windows; None when it has not reported.
+    lost_events, odd_windows
+        The sensor reports how many events it sent in each 200 us: those that did not arrive, and the windows in
+        which the numbers differ. Zero when it does not report.
     gaps
         The clock before and after each step of TIME_HIGH by more than one, us: words are missing there.
     gap_count
@@ -91,6 +94,8 @@ class StreamTally:
     last_t_us: int
     rate_controller_in: int | None
     rate_controller_out: int | None
+    lost_events: int
+    odd_windows: int
     gaps: tuple[tuple[int, int], ...]
     gap_count: int
     unplaced_events: int
@@ -101,11 +106,16 @@ class StreamTally:
         """Span of the sensor's clock from the first time word to the last."""
         return (self.last_t_us - self.first_t_us) * 1e-6
 
-    def gaps_in_words(self) -> tuple[str, ...]:
-        """Each gap as a sentence; the last one says how many more there are."""
+    def losses_in_words(self) -> tuple[str, ...]:
+        """Say each gap in a sentence, and what the sensor's own counts tell of lost events."""
         said = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
         if self.gap_count > len(self.gaps):
             said.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
+        if self.odd_windows:
+            said.append(
+                f"In {self.odd_windows} of the sensor's windows of 200 us other events arrived than it counted: "
+                f"{self.lost_events} are missing."
+            )
         return tuple(said)
 
 
@@ -237,6 +247,8 @@ class Evt3Decoder:
             last_t_us=state[S.T],
             rate_controller_in=state[S.RATE_IN] if reported else None,
             rate_controller_out=state[S.RATE_OUT] if reported else None,
+            lost_events=state[S.LOST],
+            odd_windows=state[S.ODD_WINDOWS],
             gaps=tuple((int(a), int(b)) for a, b in kept),
             gap_count=state[S.GAPS],
             unplaced_events=state[S.UNPLACED],

@@ -105,12 +105,22 @@ class S(IntEnum):
     TAKEN_EDGES = 20
     WIDTH = 21
     HEIGHT = 22
+    REPORTED_AT = 23
+    """Events of the stream at the last report of the rate controller, -1 before the first."""
+    WINDOW = 24
+    """Events between the report that is being read and the one before it, -1 for the first."""
+    COUNTED = 25
+    """Events that this report tells of its window."""
+    LOST = 26
+    """Events that the sensor counted in its windows and that did not arrive."""
+    ODD_WINDOWS = 27
+    """Windows in which the sensor's count is not that of the events that arrived."""
 
 
 def new_state(width: int, height: int) -> NDArray[np.int64]:
     """State before the first word of a stream."""
     state = np.zeros(len(S), np.int64)
-    state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T]] = -1
+    state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.REPORTED_AT]] = -1
     state[S.WIDTH], state[S.HEIGHT] = width, height
     return state
 
@@ -157,13 +167,19 @@ def _time_low(state: Any, low: int) -> Fault:
 def _rate_controller(state: Any, kind: int, payload: int) -> None:
     """Add an OTHERS word, or a part of its payload, to the rate controller's counters.
 
-    Parts are added as they come, so that a payload without its last four bits counts as well.
+    Parts are added as they come, so that a payload without its last four bits counts as well. The sensor
+    counts exactly the events that it sends between two reports, so what did not arrive is noticed. (The last
+    four bits stay zero below 16 million events in 200 us.)
     """
     if kind == 0xE:
         state[S.SUBTYPE] = payload
         state[S.PARTS] = 0
         if payload == _RATE_OUT:
             state[S.RATE_WINDOWS] += 1
+            sent = state[S.EVENTS] + state[S.TAKEN]
+            state[S.WINDOW] = sent - state[S.REPORTED_AT] if state[S.REPORTED_AT] >= 0 else -1
+            state[S.REPORTED_AT] = sent
+            state[S.COUNTED] = 0
         return
     parts = state[S.PARTS]
     state[S.PARTS] = parts + 1
@@ -174,6 +190,10 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
         state[S.RATE_IN] += value
     elif state[S.SUBTYPE] == _RATE_OUT:
         state[S.RATE_OUT] += value
+        state[S.COUNTED] += value
+        if parts == 1 and state[S.WINDOW] >= 0 and state[S.COUNTED] != state[S.WINDOW]:
+            state[S.ODD_WINDOWS] += 1
+            state[S.LOST] += max(state[S.COUNTED] - state[S.WINDOW], 0)
 
 
 @njit(cache=True, nogil=True)
@@ -349,7 +369,7 @@ def run(  # noqa: PLR0915 - one loop that keeps its state in registers
             on += p * _ones(bits)
             i += taken - 1
         else:
-            state[S.T], state[S.Y] = t, y
+            state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
             fault = _other_word(state, kind, word & 0xFFF, gaps, edges)
             t, y = state[S.T], state[S.Y]
             repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]

@@ -184,6 +184,6 @@ def recording_facts(
         rate_controller_out=told.rate_controller_out,
         temperature_c=temperature_c,
         illumination_lux=illumination_lux,
-        gaps=(*losses, *told.gaps_in_words()),
+        gaps=(*losses, *told.losses_in_words()),
         complete=recorded.complete,
     )

@@ -76,6 +76,22 @@ def test_the_real_recording_accounts_for_its_events_and_its_trigger_pulse(refere
     triggers = recording.triggers()
     assert scan.rate_controller_in == scan.rate_controller_out == 82_460
     assert (scan.gap_count, scan.unplaced_events, scan.truncated) == (0, 0, False)
+    assert (scan.lost_events, scan.odd_windows) == (0, 0)
     assert triggers.value.tolist() == [0, 1]
     assert int(triggers.t[1] - triggers.t[0]) == 2000
     assert scan.duration_s == pytest.approx(1.25, abs=0.01)
+
+
+def test_words_taken_out_of_the_real_recording_are_missed(reference_data, tmp_path):
+    whole = (reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw").read_bytes()
+    start = RawFile.open(
+        reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+    ).raw_header.size_bytes
+    words = np.frombuffer(whole, "<u2", offset=start)
+    kept = np.ones(len(words), bool)
+    kept[np.flatnonzero(words >> 12 == 0x2)[1000::5000]] = False
+    path = tmp_path / "lossy.raw"
+    path.write_bytes(whole[:start] + words[kept].tobytes())
+    scan = RawFile.open(path).scan()
+    assert scan.lost_events == (~kept).sum() == 17
+    assert scan.odd_windows == 17

@@ -150,14 +150,14 @@ def test_time_high_stepping_back_is_refused():
 def test_time_high_leaping_forward_is_a_gap():
     told = decode(high(10), low(100), high(12), low(0))[2]
     assert told.gaps == ((10 * 4096 + 100, 12 * 4096),)
-    assert told.gaps_in_words() == ("Words are missing from 41060 to 49152 us of the sensor's clock.",)
+    assert told.losses_in_words() == ("Words are missing from 41060 to 49152 us of the sensor's clock.",)
 
 
 def test_gaps_beyond_the_kept_ones_are_counted():
     words = [word for k in range(100) for word in (high(2 * k), low(0))]
     told = decode(*words)[2]
     assert (told.gap_count, len(told.gaps)) == (99, 64)
-    assert told.gaps_in_words()[-1] == "35 more gaps follow."
+    assert told.losses_in_words()[-1] == "35 more gaps follow."
 
 
 def test_a_leap_over_the_wrap_is_a_gap_and_one_turn():
@@ -198,6 +198,43 @@ def test_rate_controller_counts_add_up_with_and_without_the_last_four_bits(parts
     found, _, told = decode(high(0), low(0), *words, row(0), event(1))
     assert (told.rate_controller_in, told.rate_controller_out) == (5000, 4001)
     assert len(found) == 1
+
+
+def reported(*windows, parts=3):
+    """A stream of windows of (events, events that the sensor says it sent), each with its report."""
+    words = [high(0), low(0), row(0), *others(0x016, 123)]
+    for events, counted in windows:
+        words += [
+            *[event(k) for k in range(events)],
+            *others(0x014, counted + 5),
+            *others(0x016, counted, parts=parts),
+        ]
+    return decode(*words)[2]
+
+
+@pytest.mark.parametrize("parts", [2, 3])
+def test_a_stream_that_has_what_the_sensor_counted_has_lost_nothing(parts):
+    told = reported((3, 3), (0, 0), (7, 7), parts=parts)
+    assert (told.lost_events, told.odd_windows, told.losses_in_words()) == (0, 0, ())
+
+
+def test_events_that_the_sensor_counted_and_that_did_not_arrive_are_lost():
+    told = reported((3, 3), (2, 6), (7, 7), (0, 1))
+    assert (told.lost_events, told.odd_windows) == (5, 2)
+    assert "5 are missing" in told.losses_in_words()[0]
+
+
+def test_a_report_that_did_not_arrive_leaves_an_odd_window():
+    told = reported((3, 3), (9, 4))
+    assert (told.lost_events, told.odd_windows) == (0, 1)
+
+
+def test_windows_over_several_pieces_are_counted_whole():
+    decoder = Evt3Decoder(WIDTH, HEIGHT)
+    words = [high(0), low(0), row(0), *others(0x016, 0), event(1), event(2), *others(0x016, 2)]
+    for k in range(0, len(words), 2):
+        decoder.tally(np.array(words[k : k + 2], np.uint16))
+    assert decoder.told().odd_windows == 0
 
 
 def test_rate_controller_counts_use_28_bits():
