@@ -14,12 +14,21 @@ from html.parser import HTMLParser
 from typing import Any
 
 import jinja2
+import numpy as np
 from markupsafe import Markup
 
 from bench.report import tables, text
 from bench.report.pictures import ViewPicture, pose_pictures
-from bench.report.plots import coverage, deviations_from_truth, residual_cloud, residual_vectors
+from bench.report.plots import (
+    coverage,
+    deviations_from_truth,
+    residual_cloud,
+    residual_vectors,
+    uncertainty_contours,
+)
 from bench.report.walk import walk_diagram
+from calib.camera import PINHOLE, CameraModel
+from calib.infinity import uncertainty_map
 
 _DRAWN = frozenset({"section", "svg", "style"})
 """Elements whose text comes with pictures and plots; in the template, sections hold nothing else."""
@@ -64,6 +73,7 @@ def render_report(data: ReportData) -> str:
     """
     results = data.results
     calibration = results["calibration"]
+    k = tables.coverage_factor(calibration)
     return (
         _environment()
         .get_template("report.html.j2")
@@ -78,7 +88,9 @@ def render_report(data: ReportData) -> str:
             correlation=tables.correlation(calibration),
             planar=tables.against_planar(calibration, results.get("planar")),
             candidates=tables.candidates(calibration),
-            comparison=tables.comparison(results.get("comparison") or []),
+            budget=tables.budget(calibration),
+            checks=tables.checks(results),
+            comparison=tables.comparison(results.get("comparison") or [], k),
             conditions=tables.conditions(results.get("conditions") or {}),
             devices=tables.devices(results.get("devices") or {}),
             poses=tables.poses(results.get("poses") or []),
@@ -91,7 +103,7 @@ def render_report(data: ReportData) -> str:
                 (_drawn(svg), view.name)
                 for svg, view in zip(pose_pictures(data.views), data.views, strict=True)
             ],
-            k=text.COVERAGE_FACTOR,
+            k=text.exact(round(k, 2)),
         )
     )
 
@@ -156,6 +168,20 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
+def _uncertainty(calibration: Mapping[str, Any]) -> str:
+    """Draw the projection uncertainty that the camera's covariance implies; nothing where there is none."""
+    values, covariance = dict(calibration["camera"]), calibration["covariance"]
+    names = [name for name in values if name in covariance["names"]]
+    if names != list(values):
+        return ""
+    at = [covariance["names"].index(name) for name in names]
+    lens = {name: value for name, value in values.items() if name not in PINHOLE}
+    fx, fy, cx, cy = (values[name] for name in PINHOLE)
+    camera = CameraModel(fx, fy, cx, cy, tuple(calibration["image_size"]), lens)
+    matrix = np.array(covariance["matrix"])[np.ix_(at, at)]
+    return uncertainty_contours(uncertainty_map(camera, matrix), tables.coverage_factor(calibration))
+
+
 def _drawn(svg: str) -> Markup:
     """Let a drawing of our own through as it is; the names in it were escaped when it was drawn."""
     return Markup(svg)  # noqa: S704
@@ -168,13 +194,15 @@ def _css_text(value: object) -> str:
 
 def _plots(data: ReportData) -> dict[str, Markup]:
     """Draw what can be drawn, by name; nothing stands for what cannot."""
-    plots = dict.fromkeys(("truth", "vectors", "cloud", "coverage"), "")
+    plots = dict.fromkeys(("truth", "uncertainty", "vectors", "cloud", "coverage"), "")
     compared = data.results.get("comparison") or []
     if compared:
         names = [row["name"] for row in compared]
         plots["truth"] = deviations_from_truth(names, [row["error_sigmas"] for row in compared])
+    camera = data.results["calibration"]["camera"]
+    if data.views:
+        plots["uncertainty"] = _uncertainty(data.results["calibration"])
     if any(len(view.detected) for view in data.views):
-        camera = data.results["calibration"]["camera"]
         height, width = data.views[0].image.shape
         centre = (camera["cx"], camera["cy"])
         plots["vectors"] = residual_vectors(data.views, (width, height))

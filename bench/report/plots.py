@@ -23,6 +23,7 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from bench.report.pictures import ViewPicture
+from calib.infinity import ProjectionMap
 
 Array = NDArray[np.float64]
 
@@ -48,7 +49,27 @@ _STYLE: Any = {
     "ytick.major.size": 3,
 }
 _REGIONS = (4, 3)
+_LEVELS = 8
 _CLOUD_PERCENTILE = 99.5
+
+
+def uncertainty_contours(found: ProjectionMap, k: float) -> str:
+    """Draw how sure the camera is of a direction, over the sensor: expanded, px and arc seconds."""
+    x, y = found.grid_px[..., 0], found.grid_px[..., 1]
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(10.2, 3.5), layout="constrained")
+        maps = ((k * found.sigma_px, "px"), (k * found.sigma_arcsec, "arc seconds"))
+        for axes, (expanded, unit) in zip(figure.subplots(1, 2), maps, strict=True):
+            shown = _to_digits(expanded, 6)
+            worst, middle = float(np.nanmax(shown)), float(np.nanmedian(shown))
+            levels = np.linspace(0, worst, _LEVELS + 1)
+            shades = mpl.colormaps["Blues"](np.linspace(0.04, 0.6, _LEVELS))
+            axes.contourf(x, y, shown, levels=levels, colors=shades)
+            lines = axes.contour(x, y, shown, levels=levels, colors=_INK, linewidths=0.6)
+            axes.clabel(lines, fmt=lambda level: f"{level:.2g}", fontsize=8.5)
+            axes.set_title(f"U, {unit}: median {middle:.2g}, at most {worst:.2g}")
+            _sensor(axes, (int(x.max()) + 1, int(y.max()) + 1))
+        return _svg(figure, "uncertainty")
 
 
 def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
@@ -221,6 +242,12 @@ def _region_map(axes: Axes, points: Array, squares: Array, image_size: tuple[int
             )
             text = f"{rms:.3f}\n{len(inside)}" if len(inside) else "none"
             axes.text((i + 0.5) * width, (j + 0.5) * height, text, ha="center", va="center", linespacing=1.5)
+
+
+def _to_digits(values: Array, digits: int) -> Array:
+    """Round an array to so many digits of its largest value: the last bits differ from process to process."""
+    unit = 10.0 ** (np.ceil(np.log10(max(float(np.nanmax(values)), 1e-30))) - digits)
+    return np.asarray(np.round(values / unit) * unit)
 
 
 def _round_down(value: float) -> float:

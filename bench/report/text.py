@@ -12,8 +12,6 @@ from datetime import datetime
 from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Any
 
-COVERAGE_FACTOR = 2
-"""k: the expanded uncertainty U is this many standard uncertainties, about 95 % for a normal distribution."""
 NOTHING = "\N{EN DASH}"
 """Printed where there is no number."""
 MINUS = "\N{MINUS SIGN}"
@@ -35,6 +33,16 @@ _MEANINGS = {
     "x": "collimator axis on the target, X",
     "y": "collimator axis on the target, Y",
     "r": "collimator focal length, on the target's scale",
+    "pupil_shift": "collimator: reticle out of focus",
+    "radial": "collimator: distortion, or a bowed reticle",
+    "field_curve": "collimator: focus varies over the field",
+    "tilt_x": "collimator: reticle tilted, about Y",
+    "tilt_y": "collimator: reticle tilted, about X",
+    "coma": "collimator: coma",
+    "coma_round": "collimator: coma, in all directions",
+    "astigmatism": "collimator: astigmatism",
+    "rim_4": "collimator: rim of the beam, 4th order",
+    "rim_10": "collimator: rim of the beam, 10th order",
 }
 
 
@@ -78,11 +86,6 @@ def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
     rounded = _to_digit(exact, exact.adjusted() - 1)
     digit = rounded.adjusted() - 1  # 0.0996 becomes 0.10: one digit coarser
     return _plain(_to_digit(Decimal(repr(float(value))), digit)), _plain(_to_digit(rounded, digit))
-
-
-def expanded_uncertainty(sigma: float) -> str:
-    """Print k times a standard uncertainty, to two significant digits."""
-    return with_uncertainty(0.0, COVERAGE_FACTOR * sigma)[1]
 
 
 def number(value: Any, digits: int = 4) -> str:

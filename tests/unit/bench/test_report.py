@@ -19,6 +19,8 @@ from bench.report import ReportData, ViewPicture, printed_text, render_report
 from bench.report.plots import residual_vectors
 from bench.report.text import with_uncertainty
 from bench.report.walk import walk_diagram
+from calib.camera import CameraModel
+from calib.infinity import uncertainty_map
 
 sys.path.insert(0, str(Path(__file__).parent))
 from report_sample import COLLIMATOR, SIGMA, TRUE, sample
@@ -192,6 +194,13 @@ def test_each_value_is_printed_with_its_uncertainty(html):
         ("calibration", "mean_px"),
         ("calibration", "covariance", "matrix", 0, 2),
         ("calibration", "views", 0, "n"),
+        ("calibration", "disagreement"),
+        ("calibration", "left_out_rms_px"),
+        ("calibration", "coverage_factor"),
+        ("calibration", "budget", "noise of the stars", "cx"),
+        ("halves", "worst_px"),
+        ("gimbal", "rms_arcsec"),
+        ("gimbal", "scale_sigma", "pan_deg"),
         ("planar", "camera", "fx"),
         ("planar", "sigma", "fx"),
         ("comparison", 0, "error_sigmas"),
@@ -215,6 +224,43 @@ def test_each_number_of_the_results_is_printed(data, html, path, monkeypatch):
     place[path[-1]] = place[path[-1]] * 1.5 + 1
     changed = printed_text(render_report(ReportData(results, (), data.journal_head)))
     assert changed != printed_text(html)
+
+
+def test_the_expanded_uncertainty_takes_the_factor_that_few_poses_ask_for(data):
+    results = copy.deepcopy(dict(data.results))
+    results["calibration"]["coverage_factor"] = 3.5
+    words = printed_text(render_report(ReportData(results)))
+    assert words[words.index("focal length, along rows") + 2] == "± 7.5"  # 3.5 * 2.13
+    assert "3.5" in words[words.index("k") : words.index("k") + 6] or any("= 3.5" in word for word in words)
+    compared = words[words.index("How far from the truth") :]
+    assert "± 7.5" in compared
+
+
+def test_a_collimator_s_imperfections_are_named_with_their_uncertainty(data):
+    results = copy.deepcopy(dict(data.results))
+    results["calibration"]["model"] = "pupil"
+    results["calibration"]["collimator"]["pupil_shift"] = -0.0712
+    results["calibration"]["sigma"]["pupil_shift"] = 0.0052
+    words = printed_text(render_report(ReportData(results)))
+    place = words.index("collimator: reticle out of focus")
+    assert words[place - 1 : place + 3] == ["pupil shift", words[place], "\N{MINUS SIGN}0.071", "± 0.010"]
+    assert any("model “pupil”" in word for word in words)
+
+
+def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html):
+    # of the shown digits, "at most" is k times what the engine's own map says
+    camera = CameraModel(
+        *(data.results["calibration"]["camera"][n] for n in ("fx", "fy", "cx", "cy")),
+        SMALL,
+        {
+            "k1": data.results["calibration"]["camera"]["k1"],
+            "k2": data.results["calibration"]["camera"]["k2"],
+        },
+    )
+    covariance = np.array(data.results["calibration"]["covariance"]["matrix"])[:6, :6]
+    found = uncertainty_map(camera, covariance)
+    titles = re.findall(r"U, (px|arc seconds): median [\d.e+]+, at most ([\d.e+]+)", html)
+    assert titles == [("px", f"{2 * found.worst_px:.2g}"), ("arc seconds", f"{2 * found.worst_arcsec:.2g}")]
 
 
 def test_words_are_the_same_with_and_without_pictures(data, html):
