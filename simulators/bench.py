@@ -18,32 +18,26 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
-from simulators.axis_motion import Mechanics
-from simulators.config import AxisConfig, BenchConfig, bench_config
+from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError, SimulatorError
 from simulators.evk4 import SimulatedEvk4
 from simulators.faults import Order, Parts, order, order_from_text, prepare
 from simulators.lamp import Lamp
+from simulators.lights import make_light
 from simulators.line_faults import FaultLine
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.scpi_generator import GeneratorModel, ScpiGenerator
 from simulators.sensor_stream import CameraState, SensorStream
-from simulators.serial_device import Dialect, SerialDevice
+from simulators.serial_device import Dialect, Port, SerialDevice
+from simulators.stages import make_stage
+from simulators.tcp_port import TcpPort
 from simulators.trajectory import Pointing
 from simulators.truth import Truth
 from simulators.world import AxisMotion, AxisName, LightState, World
-from simulators.zaber import ZaberChain
-from simulators.zaber_controller import ZaberController, ZaberModel
-
-#: End stops lie this much beyond the soft limits.
-_STOP_MARGIN_DEG = 2.0
 
 
 class Bench:
@@ -76,15 +70,14 @@ class Bench:
         self.endpoints: dict[str, str] = {}
 
     def __enter__(self) -> Self:
+        clock = self.world.now_s
         lamp = Lamp(self.world.set_light)
-        controllers = self._controllers()
-        dialects: dict[str, Dialect] = {
-            "gimbal": ZaberChain([*controllers.values()], self.world.now_s),
-            "light": self._generator(lamp),
-        }
+        light = make_light(self._config.light, clock, lamp.drive)
+        stage = make_stage(self._config.stage_kind, self._config.axes, clock, self._axis_moves)
+        dialects: dict[str, Dialect] = {**stage.dialects, "light": light}
         chance = np.random.SeedSequence(self.world.seed).spawn(len(dialects))
         lines = {
-            name: FaultLine(dialect, self.world.now_s, np.random.default_rng(seed))
+            name: FaultLine(dialect, clock, np.random.default_rng(seed))
             for (name, dialect), seed in zip(dialects.items(), chance, strict=True)
         }
         with ExitStack() as stack:
@@ -93,7 +86,7 @@ class Bench:
             camera.start()
             stack.callback(camera.close)
             self._write_truth()
-            self._parts = Parts(controllers, ports, lines, "gimbal", lamp, camera, self.world.now_s)
+            self._parts = Parts(stage.controllers, ports, lines, stage.ports, light, lamp, camera, clock)
             self.endpoints = {name: port.address for name, port in ports.items()} | {"camera": camera.address}
             self._running = stack.pop_all()
         for one in self._config.faults:
@@ -124,23 +117,18 @@ class Bench:
 
     # ------------------------------------------------------------------ inside
     def _serial(self, name: str, dialect: Dialect) -> SerialDevice:
-        return SerialDevice(PseudoTerminal(self._folder / name), dialect, paced=self._config.paced)
+        port: Port
+        if self._config.ports == "tcp":
+            port = TcpPort(name)
+        else:
+            from simulators.pseudo_terminal import PseudoTerminal  # not where there are none
 
-    def _controllers(self) -> dict[str, ZaberController]:
-        now = self.world.now_s()
-        return {
-            name: ZaberController(_zaber_model(axis), now, partial(self._axis_moves, name))
-            for name, axis in self._config.axes.items()
-        }
+            port = PseudoTerminal(self._folder / name)
+        return SerialDevice(port, dialect, paced=self._config.paced)
 
     def _axis_moves(self, name: AxisName, pointing: Pointing) -> None:
         motion = AxisMotion(pointing.angle_deg, pointing.settled_from_s, round(pointing.rest))
         self.world.set_axis(name, motion, since_s=pointing.course.start_s)
-
-    def _generator(self, lamp: Lamp) -> ScpiGenerator:
-        light = self._config.light
-        model = GeneratorModel(serial=light.serial, error_queue=light.error_queue)
-        return ScpiGenerator(model, self.world.now_s, lamp.drive)
 
     def _write_truth(self) -> None:
         fresh = self.truth_path.with_suffix(".part")
@@ -160,27 +148,6 @@ def _warm_up(truth: Truth) -> None:
     world = World(truth)
     world.set_light(LightState(output=True, sync=True))
     SensorStream(world, CameraState(trigger_in=True), {}).next_frame()
-
-
-def _zaber_model(axis: AxisConfig) -> ZaberModel:
-    steps = axis.microsteps_per_deg
-    stop_deg = axis.limit_deg + _STOP_MARGIN_DEG
-    return ZaberModel(
-        mechanics=Mechanics(
-            counts_per_deg=float(steps),
-            lowest_deg=-stop_deg,
-            highest_deg=stop_deg,
-            start_deg=axis.start_deg,
-            settle_s=axis.settle_s,
-            backlash_deg=axis.backlash_deg,
-        ),
-        serial=axis.serial,
-        lowest=-round(axis.limit_deg * steps),
-        highest=round(axis.limit_deg * steps),
-        speed_deg_s=axis.speed_deg_s,
-        acceleration_deg_s2=axis.acceleration_deg_s2,
-        encoder=axis.encoder,
-    )
 
 
 def _read_config(path: Path | None) -> BenchConfig:

@@ -7,7 +7,8 @@ key. The sections camera, collimator, optics and noise are `truth`'s.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, TypeVar
 
@@ -17,6 +18,14 @@ from simulators.errors import ConfigError
 from simulators.faults import Order, order
 from simulators.truth import Truth, truth_from_config
 from simulators.world import AxisName
+
+#: Stages by kind, with the counts a degree that are usual for them.
+STAGE_KINDS: Final[Mapping[str, int]] = {"zaber": 6400, "ximc": 25_600, "grbl": 640, "esp301": 10_000}
+
+#: Drivers of the light by kind: makes of function generators, and a strobe controller.
+LIGHT_KINDS: Final = ("keysight", "rigol", "siglent", "gardasoft")
+
+_PORTS: Final = ("pty", "tcp")
 
 _TRUTH_SECTIONS: Final = ("camera", "collimator", "optics", "noise")
 _AXES: Final[tuple[AxisName, ...]] = ("pan", "tilt", "roll")
@@ -57,16 +66,19 @@ class AxisConfig:
 
 @dataclass(frozen=True)
 class LightConfig:
-    """The light's generator.
+    """The light's driver.
 
     Attributes
     ----------
+    kind
+        One of `LIGHT_KINDS`.
     serial
-        Its serial number.
+        Its serial number, where it has one.
     error_queue
-        Whether it answers ``SYST:ERR?``.
+        Whether it answers ``SYST:ERR?``, where that is up to the instrument.
     """
 
+    kind: str = "keysight"
     serial: str = "SG0042"
     error_queue: bool = True
 
@@ -79,8 +91,12 @@ class BenchConfig:
     ----------
     truth
         The world, but for what is left to the seed.
-    axes, light, camera_serial, paced
+    stage_kind, axes, light, camera_serial
         The devices.
+    ports
+        What the lines run over: "pty" or "tcp".
+    paced
+        Whether bytes take their time on the line.
     faults
         What goes wrong from the start.
     camera_seed
@@ -91,6 +107,7 @@ class BenchConfig:
     """
 
     truth: Truth = field(default_factory=Truth)
+    stage_kind: str = "zaber"
     axes: Mapping[AxisName, AxisConfig] = field(
         default_factory=lambda: {
             "pan": AxisConfig("100101", 15.0, start_deg=2.4),
@@ -102,6 +119,7 @@ class BenchConfig:
     camera_serial: str = "00050423"
     camera_seed: int | None = None
     mounting_from_seed: bool = True
+    ports: str = "pty" if hasattr(os, "openpty") else "tcp"
     paced: bool = True
 
     def truth_for(self, seed: int) -> Truth:
@@ -126,9 +144,10 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     ----------
     given
         Sections ``camera``, ``collimator``, ``optics`` and ``noise`` (see `truth`); ``stage``, a mapping of
-        the axes pan, tilt and roll, in the order of their addresses; ``light``; ``faults``, a list of
-        orders (see `faults`) that are carried out from the start; and the values ``camera_serial``,
-        ``camera_seed`` and ``paced`` (whether bytes take their time on the line). All are optional.
+        the axes pan, tilt and roll, in the order of their addresses, and perhaps its ``kind``; ``light``;
+        ``faults``, a list of orders (see `faults`) that are carried out from the start; and the values
+        ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes take their
+        time on the line). All are optional.
 
     Raises
     ------
@@ -141,7 +160,7 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     170.0
     """
     default = BenchConfig()
-    known = [*_TRUTH_SECTIONS, "stage", "light", "faults", "camera_serial", "camera_seed", "paced"]
+    known = [*_TRUTH_SECTIONS, "stage", "light", "faults", "camera_serial", "camera_seed", "ports", "paced"]
     for key in given:
         if key not in known:
             raise ConfigError("Unknown key.", where=str(key), remedy=f"Known are: {', '.join(known)}.")
@@ -151,14 +170,18 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     orders = given.get("faults", [])
     if not isinstance(orders, list) or not all(isinstance(one, Mapping) for one in orders):
         raise ConfigError("A list of orders is expected.", where="faults")
+    stage_kind, axes = _stage(given["stage"], default.axes) if "stage" in given else ("zaber", default.axes)
+    light = _section("light", default.light, given.get("light", {}))
     return BenchConfig(
         truth=truth_from_config(given),
-        axes=_axes(given["stage"], default.axes) if "stage" in given else default.axes,
-        light=_section("light", default.light, given.get("light", {})),
+        stage_kind=stage_kind,
+        axes=axes,
+        light=replace(light, kind=_one_of(LIGHT_KINDS, light.kind, "light.kind")),
         faults=tuple(_order(index, one) for index, one in enumerate(orders)),
         camera_serial=_like(default.camera_serial, given.get("camera_serial", "00050423"), "camera_serial"),
         camera_seed=_like(0, given["camera_seed"], "camera_seed") if "camera_seed" in given else None,
         mounting_from_seed="mounting_deg" not in optics,
+        ports=_one_of(_PORTS, given.get("ports", default.ports), "ports"),
         paced=_like(default.paced, given.get("paced", True), "paced"),
     )
 
@@ -171,21 +194,41 @@ def _order(index: int, given: Mapping[str, Any]) -> Order:
         raise ConfigError(error.what, where=f"faults[{index}].{error.where}", remedy=error.remedy) from error
 
 
-def _axes(given: object, default: Mapping[AxisName, AxisConfig]) -> Mapping[AxisName, AxisConfig]:
-    """Read the axes that are named, in their order; those not named are not there."""
-    if not isinstance(given, Mapping) or not given:
+def _one_of(known: Collection[str], value: object, where: str) -> str:
+    """See that a value is one of a few words."""
+    if value not in known:
+        raise ConfigError(
+            f"No such thing: {value!r}.", where=where, remedy=f"Use one of: {', '.join(known)}."
+        )
+    return str(value)
+
+
+def _stage(
+    given: object, default: Mapping[AxisName, AxisConfig]
+) -> tuple[str, Mapping[AxisName, AxisConfig]]:
+    """Read the stage's kind and the axes that are named, in their order; those not named are not there."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"A mapping is expected, not {given!r}.", where="stage")
+    kind = _one_of(STAGE_KINDS, given.get("kind", "zaber"), "stage.kind")
+    named = {name: section for name, section in given.items() if name != "kind"}
+    usual = {name: replace(axis, microsteps_per_deg=STAGE_KINDS[kind]) for name, axis in default.items()}
+    if not named and given:
+        return kind, usual
+    if not named:
         raise ConfigError(
             "At least one axis is expected.", where="stage", remedy=f"Name some of {', '.join(_AXES)}."
         )
     axes: dict[AxisName, AxisConfig] = {}
-    for name, section in given.items():
+    for name, section in named.items():
         if name not in _AXES:
             raise ConfigError(
                 "Unknown axis.", where=f"stage.{name}", remedy=f"Known are: {', '.join(_AXES)}."
             )
-        fallback = default.get(name, AxisConfig(f"1001{len(axes) + 1:02d}", 180.0))
-        axes[name] = _checked(f"stage.{name}", _section(f"stage.{name}", fallback, section))
-    return axes
+        fresh = AxisConfig(f"1001{len(axes) + 1:02d}", 180.0, microsteps_per_deg=STAGE_KINDS[kind])
+        axes[name] = _checked(f"stage.{name}", _section(f"stage.{name}", usual.get(name, fresh), section))
+        if kind == "ximc" and not axes[name].serial.isdigit():
+            raise ConfigError("A XIMC controller's serial number is digits.", where=f"stage.{name}.serial")
+    return kind, axes
 
 
 def _checked(where: str, axis: AxisConfig) -> AxisConfig:

@@ -41,6 +41,14 @@ class AxisController(Protocol):
         ...
 
 
+class Light(Protocol):
+    """What a fault needs of the light's driver."""
+
+    def trip(self) -> None:
+        """Have the protection switch the light off."""
+        ...
+
+
 class Camera(Protocol):
     """What a fault needs of the camera."""
 
@@ -65,10 +73,10 @@ class Parts:
         Devices on serial lines, by name.
     lines
         The lines to them, by the same names.
-    axis_port
-        Name of the port at which the axes' controllers answer.
-    lamp, camera
-        What they say.
+    axis_ports
+        Names of the ports at which they answer.
+    light, lamp, camera
+        The light's driver, what hangs on it, and the camera.
     clock
         Time in seconds.
     """
@@ -76,7 +84,8 @@ class Parts:
     axes: Mapping[str, AxisController]
     ports: Mapping[str, SerialDevice]
     lines: Mapping[str, FaultLine]
-    axis_port: str
+    axis_ports: Mapping[str, str]
+    light: Light
     lamp: Lamp
     camera: Camera
     clock: Callable[[], float]
@@ -132,6 +141,11 @@ _LAMP_CATALOGUE: Final[Mapping[str, Fault]] = {
     for name, what in LAMP_FAULTS.items()
 }
 
+LIGHT_FAULTS: Final[Mapping[str, Fault]] = {
+    **_LAMP_CATALOGUE,
+    "trip": Fault("the protection of the light's driver switches it off", {}),
+}
+
 CAMERA_FAULTS: Final[Mapping[str, Fault]] = {
     "unplug": Fault("the camera goes away; it may be connected again", {}),
     "fault": Fault("the camera tells of a fault", {"message": "sensor fault"}),
@@ -158,8 +172,8 @@ def catalogue(device: str) -> Mapping[str, Fault]:
     """
     by_device: dict[str, Mapping[str, Fault]] = {
         **dict.fromkeys(("pan", "tilt", "roll"), AXIS_FAULTS),
-        "gimbal": LINE_FAULTS,
-        "light": {**_LAMP_CATALOGUE, **LINE_FAULTS},
+        **dict.fromkeys(("gimbal", "gimbal-pan", "gimbal-tilt", "gimbal-roll"), LINE_FAULTS),
+        "light": {**LIGHT_FAULTS, **LINE_FAULTS},
         "camera": CAMERA_FAULTS,
     }
     if device not in by_device:
@@ -249,7 +263,7 @@ def prepare(one: Order, parts: Parts) -> Callable[[], None]:
         message = str(one.parameters.get("message", ""))
         return parts.camera.unplug if one.fault == "unplug" else lambda: parts.camera.fault(message)
     if one.device in parts.axes:
-        controller, port = parts.axes[one.device], parts.ports[parts.axis_port]
+        controller, port = parts.axes[one.device], parts.ports[parts.axis_ports[one.device]]
         return lambda: port.between_exchanges(lambda: _on_axis(one, controller, parts.clock()))
     raise ConfigError(f"This bench has no {one.device}.", where="device")
 
@@ -268,6 +282,8 @@ def _on_port(one: Order, parts: Parts) -> Callable[[], None]:
 
     if one.fault == "mend":
         return lambda: port.between_exchanges(mend)
+    if one.fault == "trip":
+        return lambda: port.between_exchanges(parts.light.trip)
     if one.fault in LAMP_FAULTS:
         factor = float(one.parameters.get("factor", 1.0))
         if factor <= 0.0:

@@ -43,6 +43,11 @@ class PseudoTerminal:
         self.plug()
 
     @property
+    def name(self) -> str:
+        """Name of its link."""
+        return self.link.name
+
+    @property
     def address(self) -> str:
         """What a client opens."""
         return str(self.link)

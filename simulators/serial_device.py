@@ -1,21 +1,19 @@
 """A simulated device on a serial line: bytes in, bytes out, at the speed of the line.
 
 Knows threads, pacing by baud rate, and that a wrong baud rate is garbage; knows nothing of any protocol. What
-the device says is up to a `Dialect`.
+the device says is up to a `Dialect`, what carries the bytes to a `Port`.
 """
 
 from __future__ import annotations
 
-import os
 import queue
 import select
+import socket
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from types import TracebackType
 from typing import Protocol, Self
-
-from simulators.pseudo_terminal import PseudoTerminal
 
 #: Bits on the wire a byte: start, eight data, stop.
 _BITS = 10
@@ -44,12 +42,54 @@ class Dialect(Protocol):
         ...
 
 
+class Port(Protocol):
+    """The device's end of a line. Nothing here waits."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    @property
+    def address(self) -> str:
+        """What a client opens."""
+        ...
+
+    def fileno(self) -> int:
+        """Descriptor to wait on, -1 while unplugged."""
+        ...
+
+    def plug(self) -> None:
+        """Have clients find it."""
+        ...
+
+    def unplug(self) -> None:
+        """Take it away from them."""
+        ...
+
+    def read(self) -> bytes:
+        """Whatever the client has sent."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send to the client; what it leaves no room for is lost."""
+        ...
+
+    def client_baud(self) -> int | None:
+        """Baud rate of the client; None where there is none to be known."""
+        ...
+
+    def close(self) -> None:
+        """Take it away for good."""
+        ...
+
+
 class SerialDevice:
-    """A device that answers on a pseudo-terminal until it is closed.
+    """A device that answers on a port until it is closed.
 
     Parameters
     ----------
-    terminal
+    port
         Its end of the line.
     dialect
         What it says.
@@ -57,19 +97,19 @@ class SerialDevice:
         Whether bytes take the time they need at the baud rate.
     """
 
-    def __init__(self, terminal: PseudoTerminal, dialect: Dialect, *, paced: bool = True) -> None:
-        self._terminal = terminal
+    def __init__(self, port: Port, dialect: Dialect, *, paced: bool = True) -> None:
+        self._port = port
         self._dialect = dialect
         self._paced = paced
         self._ending = threading.Event()
         self._orders: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._waking, self._wake = os.pipe()
-        self._thread = threading.Thread(target=self._serve, name=f"serial {terminal.link.name}", daemon=True)
+        self._waking, self._wake = socket.socketpair()
+        self._thread = threading.Thread(target=self._serve, name=f"serial {port.name}", daemon=True)
 
     @property
     def address(self) -> str:
         """What a client opens."""
-        return self._terminal.address
+        return self._port.address
 
     def start(self) -> Self:
         """Begin to answer."""
@@ -78,20 +118,20 @@ class SerialDevice:
 
     def unplug(self) -> None:
         """Pull the cable; the device itself goes on."""
-        self.between_exchanges(self._terminal.unplug)
+        self.between_exchanges(self._port.unplug)
 
     def replug(self) -> None:
         """Put the cable back in."""
-        self.between_exchanges(self._terminal.plug)
+        self.between_exchanges(self._port.plug)
 
     def close(self) -> None:
         """Stop answering, and remove the port."""
         self._ending.set()
-        os.write(self._wake, b".")
+        self._wake.send(b".")
         self._thread.join()
-        self._terminal.close()
-        os.close(self._waking)
-        os.close(self._wake)
+        self._port.close()
+        self._waking.close()
+        self._wake.close()
 
     def __enter__(self) -> Self:
         return self.start()
@@ -117,24 +157,24 @@ class SerialDevice:
                 done.set_result(None)
 
         self._orders.put(carry_out)
-        os.write(self._wake, b".")
+        self._wake.send(b".")
         done.result()
 
     # ------------------------------------------------------------------ inside
     def _serve(self) -> None:
         while not self._ending.is_set():
-            ends = [self._waking] + ([self._terminal.fileno()] if self._terminal.fileno() >= 0 else [])
+            ends = [self._waking.fileno()] + ([self._port.fileno()] if self._port.fileno() >= 0 else [])
             ready, _, _ = select.select(ends, [], [], _POLL_S)
-            if self._waking in ready:
-                os.read(self._waking, 64)
+            if self._waking.fileno() in ready:
+                self._waking.recv(64)
             while not self._orders.empty():
                 self._orders.get()()
-            if self._terminal.fileno() >= 0:
+            if self._port.fileno() >= 0:
                 self._exchange()
 
     def _exchange(self) -> None:
-        heard = self._terminal.read()
-        understood = self._terminal.client_baud() in (self._dialect.baud, None)
+        heard = self._port.read()
+        understood = self._port.client_baud() in (self._dialect.baud, None)
         if heard:
             self._take_time(len(heard))
         answer = self._dialect.receive(heard) if heard and understood else _garbage(heard)
@@ -142,7 +182,7 @@ class SerialDevice:
         for start in range(0, len(answer), _PACKET):
             packet = answer[start : start + _PACKET]
             self._take_time(len(packet))
-            self._terminal.write(packet)
+            self._port.write(packet)
 
     def _take_time(self, count: int) -> None:
         if self._paced:

@@ -16,6 +16,7 @@ import serial
 from simulators.bench import Bench
 from simulators.config import bench_config
 from simulators.errors import ConfigError
+from simulators.faults import order_from_text
 
 
 def start(folder, *words: str, until_eof: bool = True) -> subprocess.Popen[str]:
@@ -109,6 +110,10 @@ def test_a_configuration_that_cannot_be_ends_in_one_line(tmp_path, config, said)
         ({"stage": {"pan": {"microsteps_per_deg": 1.5}}}, "stage.pan.microsteps_per_deg"),
         ({"light": {"error_queue": 1}}, "light.error_queue"),
         ({"light": 5}, "light"),
+        ({"light": {"kind": "candle"}}, "light.kind"),
+        ({"stage": {"kind": "hand"}}, "stage.kind"),
+        ({"stage": {"kind": "ximc", "pan": {"serial": "A1"}}}, "stage.pan.serial"),
+        ({"ports": "usb"}, "ports"),
         ({"camera": {"fx": "wide"}}, "camera.fx"),
         ({"camera_seed": None}, "camera_seed"),
         ({"paced": "yes"}, "paced"),
@@ -204,3 +209,59 @@ def test_what_the_ports_are_told_happens_in_the_world(tmp_path):
         assert ask(light, "*OPC?") == "1"
         assert world.light(world.now_s()).output
         assert world.light(world.now_s()).frequency_hz == 60.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "ports", "talk"),
+    [
+        ("ximc", ["gimbal-pan", "gimbal-tilt"], [(b"gser", b"gser")]),
+        ("grbl", ["gimbal"], [(b"$I\n", b"[VER:1.1h")]),
+        ("esp301", ["gimbal"], [(b"2ID?\r", b"URS75BCC, SN100102")]),
+    ],
+)
+def test_the_stage_may_be_of_another_kind(tmp_path, kind, ports, talk):
+    with Bench(tmp_path, bench_config({"stage": {"kind": kind}})) as bench:
+        assert [name for name in bench.endpoints if name.startswith("gimbal")] == ports
+        baud = 19_200 if kind == "esp301" else 115_200
+        with serial.Serial(bench.endpoints[ports[0]], baud, timeout=5.0) as line:
+            for said, answer in talk:
+                line.write(said)
+                assert line.read_until(answer).endswith(answer)
+        bench.inject(order_from_text("pan push deg=1"))
+        deadline = time.monotonic() + 10.0
+        while bench.world.angles_deg(bench.world.now_s())["pan"] != pytest.approx(3.4):
+            assert time.monotonic() < deadline
+
+
+@pytest.mark.parametrize(
+    ("kind", "said", "answer", "baud"),
+    [
+        ("keysight", b"SOUR:FREQ 50;*IDN?\n", b"SG0042", 9600),
+        ("rigol", b":SOUR1:FREQ 50;*IDN?\n", b"DG4062", 9600),
+        ("siglent", b"C1:BSWV FRQ,50;*IDN?\n", b"SDG1032X", 9600),
+        ("gardasoft", b"TT1,20;VR\r", b"RT460", 115_200),
+    ],
+)
+def test_the_light_may_be_of_another_kind(tmp_path, kind, said, answer, baud):
+    with Bench(tmp_path, bench_config({"light": {"kind": kind}})) as bench:
+        with serial.Serial(bench.endpoints["light"], baud, timeout=5.0) as line:
+            line.write(said)
+            assert line.read_until(answer).endswith(answer)
+        assert bench.world.light(bench.world.now_s()).frequency_hz == 50.0
+        bench.inject(order_from_text("light trip"))
+        assert not bench.world.light(bench.world.now_s()).output
+
+
+def test_without_pseudo_terminals_the_lines_run_over_tcp(tmp_path):
+    with Bench(tmp_path, bench_config({"ports": "tcp"})) as bench:
+        address = bench.endpoints["gimbal"]
+        assert address.startswith("socket://127.0.0.1:")
+        for _ in range(2):
+            with serial.serial_for_url(address, timeout=5.0) as line:
+                assert ask(line, "/2 0 00 get system.serial").startswith("@02 0 00 OK IDLE WR 100102")
+        bench.inject(order_from_text("gimbal unplug"))
+        with pytest.raises(serial.SerialException):
+            serial.serial_for_url(address, timeout=5.0)
+        bench.inject(order_from_text("gimbal replug"))
+        with serial.serial_for_url(address, timeout=5.0) as line:
+            assert ask(line, "/1 0 00").startswith("@01 0 00 OK")

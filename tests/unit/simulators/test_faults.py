@@ -12,13 +12,14 @@ from simulators.errors import ConfigError, SimulatorError
 from simulators.faults import (
     AXIS_FAULTS,
     CAMERA_FAULTS,
+    LIGHT_FAULTS,
     LINE_FAULTS,
     Order,
     catalogue,
     order,
     order_from_text,
 )
-from simulators.lamp import LAMP_FAULTS, Lamp
+from simulators.lamp import Lamp
 from simulators.world import LightState
 
 
@@ -77,7 +78,7 @@ def test_every_device_has_its_catalogue():
     assert catalogue("roll") == AXIS_FAULTS
     assert catalogue("gimbal") == LINE_FAULTS
     assert catalogue("camera") == CAMERA_FAULTS
-    assert {*LINE_FAULTS, *LAMP_FAULTS} == set(catalogue("light"))
+    assert {*LINE_FAULTS, *LIGHT_FAULTS} == set(catalogue("light"))
 
 
 # ---------------------------------------------------------------- the lamp
