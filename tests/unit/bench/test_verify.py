@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from bench.errors import RunFolderError
 from bench.journal import read_journal
@@ -15,7 +17,7 @@ from bench.keys import NAMESPACE, Signer, create_key, read_signers
 from bench.report import ReportData, render_report
 from bench.run_folder import RunFolder
 from bench.seal import manifest_of, seal
-from bench.sshsig import sign
+from bench.sshsig import read_signature, sign
 from bench.verify import verify_run
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -326,3 +328,70 @@ def test_a_report_of_another_version_is_not_compared_and_that_is_told(reported, 
     found = sealed_and_verified(reported, key, signers)
     assert found.ok
     assert "Starbench 0.0.9 wrote it" in found.remarks[0]
+
+
+# ------------------------------------------------------------------ anything else
+
+
+def files_of(folder):
+    return sorted(p for p in folder.rglob("*") if p.is_file())
+
+
+@st.composite
+def tamperings(draw):
+    """What somebody might do to a file: which one, how, where and with what."""
+    kind = draw(st.sampled_from(["change", "cut", "extend", "delete", "rename", "copy", "swap"]))
+    return (
+        kind,
+        draw(st.integers(0, 10**6)),
+        draw(st.integers(0, 10**6)),
+        draw(st.binary(min_size=1, max_size=40)),
+    )
+
+
+def tamper(folder, tampering):
+    kind, which, where, data = tampering
+    files = files_of(folder)
+    path, other = files[which % len(files)], files[where % len(files)]
+    content = path.read_bytes()
+    at = where % (len(content) + 1)
+    if kind == "change":
+        path.write_bytes(content[:at] + data + content[at + len(data) :])
+    elif kind == "cut":
+        path.write_bytes(content[:at])
+    elif kind == "extend":
+        path.write_bytes(content + data)
+    elif kind == "delete":
+        path.unlink()
+    elif kind == "rename":
+        path.rename(path.with_name(path.name + "x"))
+    elif kind == "copy":
+        (folder / f"copy{which}").write_bytes(content)
+    else:
+        path.write_bytes(other.read_bytes())
+        other.write_bytes(content)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=100)
+@given(st.lists(tamperings(), min_size=1, max_size=3))
+def test_whatever_is_done_to_a_sealed_folder_is_found_and_told_without_a_crash(
+    sealed_once, signers, tmp_path, done
+):
+    folder = tmp_path / "tampered"
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(sealed_once, folder)
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    before = {p.relative_to(folder): p.read_bytes() for p in files_of(folder)}
+    for tampering in done:
+        tamper(folder, tampering)
+    after = {p.relative_to(folder): p.read_bytes() for p in files_of(folder)}
+    try:
+        found = verify_run(folder, signers)
+    except RunFolderError:
+        assert not {"SHA256SUMS", "journal.jsonl"} & {p.name for p in after}
+        return
+    if found.ok != (after == before):  # the armour of a signature may end in spaces and be the same
+        assert {p.name for p in before if before.get(p) != after.get(p)} == {"SHA256SUMS.sig"}
+        assert read_signature(after[Path("SHA256SUMS.sig")]) == read_signature(before[Path("SHA256SUMS.sig")])
+    json.dumps(found.to_dict())
