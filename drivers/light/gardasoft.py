@@ -1,0 +1,339 @@
+"""Gardasoft RT strobe controllers as flicker lights: an internal trigger pulses the lamp's channel.
+
+Knows their two-letter commands (manual of the RT series, section 12). All outputs pulse on the same trigger, so
+a second channel, wired to the camera, is the sync. Levels are currents: ``high_v`` of the settings is taken as
+a share of 5 V, full scale being the current the station file allows. Nothing is switched by opening.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from drivers.clock import Clock
+from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
+from drivers.light import LightIdentity, LightSettings
+from drivers.readings import agreeing
+from drivers.serial_port import Port, SerialPort
+from drivers.text_line import PROMPT_S, TextLine
+from drivers.wire_log import WireLog
+
+FULL_SCALE_V = 5.0
+_PULSED = "2"
+_IDENTITY = re.compile(r"(RT\S+) (.*?) ?(V\d+)")
+_REFUSED = re.compile(r"Err ?(\d{1,3})")
+_QUANTITY = re.compile(r"(\d+(?:\.(\d+))?) ?(us|ms|s|ma|a)?", re.IGNORECASE)
+_FACTORS = {"us": 1e-3, "ms": 1.0, "s": 1e3, "ma": 1e-3, "a": 1.0, "": 1.0}
+"""To milliseconds, and to amperes."""
+
+REFUSALS = {
+    1: "a value is invalid",
+    2: "it does not know this command",
+    3: "a number has the wrong form",
+    4: "wrong number of values",
+    5: "a time was out of range and was changed to a valid one",
+}
+
+
+class Quantity(NamedTuple):
+    """A number as printed, in ms or A, and half its last digit."""
+
+    value: float
+    half_digit: float
+
+    def is_near(self, wanted: float) -> bool:
+        """Whether a wanted value prints like this; a part in 100,000 more is the controller's own rounding."""
+        return abs(self.value - wanted) <= self.half_digit * 1.001 + 1e-5 * abs(wanted)
+
+
+class RtLine(TextLine):
+    """An RT controller on a line: each command is answered, at the least by its prompt ``>``."""
+
+    def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
+        super().__init__(
+            port,
+            who="VR",
+            is_identity=lambda text: _IDENTITY.fullmatch(text) is not None,
+            clock=clock,
+            request_end=b"\r",
+            reply_end=b">",
+            reply_s=PROMPT_S,
+            wire_log=wire_log,
+        )
+
+    def at_once(self, command: str) -> None:
+        """Send a command before any resynchronising, and see its prompt. Raises ReplyError, PortLost."""
+        self._ask(command, PROMPT_S, urgent=True)
+
+    def fields(self, query: str) -> dict[str, str]:
+        """Ask for settings, and return them by their names. Raises ReplyError, PortLost."""
+        text = self.ask(query)
+        pairs = [part.split(" ", 1) for part in text.split(", ")]
+        if not all(len(pair) == 2 and re.fullmatch("[A-Z]{1,2}", pair[0]) for pair in pairs):
+            raise self.garbled(f"{query} answered {text!r}.")
+        return dict(pairs)
+
+    def quantity(self, fields: dict[str, str], name: str) -> Quantity:
+        """Understand one of the fields as a time in ms or a current in A. Raises ReplyGarbled."""
+        match = _QUANTITY.fullmatch(fields.get(name, "").split(",")[0])
+        if match is None:
+            raise self.garbled(f"no quantity {name} in {fields}.")
+        factor = _FACTORS[(match[3] or "").lower()]
+        return Quantity(float(match[1]) * factor, 0.5 * 10.0 ** -len(match[2] or "") * factor)
+
+    def _text(self, line: bytes) -> str:
+        """Understand what stands before the prompt; nothing does where a command only carries out."""
+        body = line.removesuffix(b">").strip(b"\r\n")
+        if not re.fullmatch(rb"[ -~]*", body):
+            raise self.garbled(f"not a reply: {line[:80]!r}.")
+        return body.decode("ascii").strip()
+
+
+class GardasoftLight:
+    """A light behind an RT controller. Implements ``drivers.light.Light``.
+
+    Open it with ``GardasoftLight.open``; the constructor takes a port that is open already.
+
+    Parameters
+    ----------
+    port
+        The open port.
+    model
+        As the controller names itself (RT260-20); None when it need not be checked. It tells no serial number.
+    channel
+        Channel of the lamp.
+    sync_channel
+        Channel that is wired to the camera's trigger input; None when there is none.
+    current_a
+        Current of the lamp at ``high_v`` = 5 V, in amperes.
+    sync_current_a
+        Current of the sync channel, in amperes.
+    clock, wire_log
+        See ``drivers.link.Link``.
+
+    Raises
+    ------
+    WrongDevice
+        Another model answers; nothing was set.
+    ReplyError, PortLost
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        *,
+        model: str | None = None,
+        channel: int = 1,
+        sync_channel: int | None = 2,
+        current_a: float,
+        sync_current_a: float = 0.02,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+    ) -> None:
+        self._model = model
+        self._channel = channel
+        self._sync_channel = sync_channel
+        self._current_a = current_a
+        self._sync_current_a = sync_current_a
+        self._switched_on = False
+        try:
+            self._line = RtLine(port, clock=clock, wire_log=wire_log)
+            self.identify()
+        except BaseException:
+            port.close()
+            raise
+
+    @classmethod
+    def open(
+        cls,
+        port: str,
+        *,
+        model: str | None = None,
+        channel: int = 1,
+        sync_channel: int | None = 2,
+        current_a: float,
+        sync_current_a: float = 0.02,
+        baudrate: int = 115200,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+    ) -> GardasoftLight:
+        """Open the port and check who answers. Sets and switches nothing.
+
+        Raises PortNotFound, PortBusy, PortDenied, and what the constructor raises.
+        """
+        return cls(
+            SerialPort(port, baudrate=baudrate),
+            model=model,
+            channel=channel,
+            sync_channel=sync_channel,
+            current_a=current_a,
+            sync_current_a=sync_current_a,
+            clock=clock,
+            wire_log=wire_log,
+        )
+
+    def identify(self) -> LightIdentity:
+        """Return who it is. Raises WrongDevice when the model is not the station file's."""
+        match = _IDENTITY.fullmatch(self._line.identity_text)
+        assert match is not None
+        if self._model is not None and match[1] != self._model:
+            raise WrongDevice(
+                f"the station file says {self._model}, but {match[1]} answers. Nothing was set.",
+                where=self._line.name,
+                remedy="Check the port and the model in the station file.",
+            )
+        return LightIdentity("Gardasoft", match[1], "", match[3])
+
+    def apply(self, settings: LightSettings) -> LightSettings:
+        """Set everything, read it back, and return what the controller says. Stays dark when it is dark.
+
+        Raises SettingRefused.
+        """
+        period_ms = 1e3 / settings.frequency_hz
+        width_ms = period_ms * settings.duty_percent / 100.0
+        current_a = self._current_a * settings.high_v / FULL_SCALE_V
+        self._refuse_impossible(settings, current_a)
+        if self.is_on():
+            self._set("frequency", f"TT1,{period_ms:.4f}")
+        else:
+            self._set("level", f"RS{self._channel},0")  # dark, while the trigger must run to take its period
+            self._set("frequency", f"TT1,{period_ms:.4f}")
+            self._set("frequency", "TT0")
+        self._set("pulse", f"RT{self._channel},{width_ms:.4f},0,{current_a:.4f}")
+        self._set_sync(settings.sync_output, width_ms)
+        self._compare(period_ms, width_ms, current_a)
+        return self.read()
+
+    def read(self) -> LightSettings:
+        """Return the present settings, asked twice. Raises LightFault when the channel does not pulse."""
+        return agreeing(self._read_once, what="the settings", where=self._line.name)
+
+    def on(self) -> None:
+        """Start the internal trigger and see that it runs. Raises LightFault, SettingRefused."""
+        self._set("trigger", "TT1")
+        if not self.is_on():
+            raise LightFault(
+                "the trigger was started, but does not run.",
+                where=self._line.name,
+                remedy="See what error the controller shows.",
+            )
+        self._switched_on = True
+
+    def off(self) -> None:
+        """Stop the internal trigger and see that it stands; at once, before any resynchronising.
+
+        Raises LightFault; ReplyError, PortLost when it cannot be known.
+        """
+        self._switched_on = False
+        try:
+            self._line.at_once("TT0")
+        except ReplyError:
+            self._line.ask("TT0")
+        if self.is_on():
+            raise LightFault(
+                "the trigger was stopped, but still runs.",
+                where=self._line.name,
+                remedy="Switch the controller off.",
+            )
+
+    def is_on(self) -> bool:
+        """Whether the internal trigger runs, asked twice."""
+        return agreeing(self._runs, what="the trigger's state", where=self._line.name)
+
+    def faults(self) -> Sequence[str]:
+        """Return the controller's latest event, which this clears, and whether it went dark by itself."""
+        event = self._line.ask("GR")
+        found = [f"the controller reports {event} (event codes: section 13.5 of its manual)"] if event else []
+        if self._switched_on and not self.is_on():
+            found.append("the light was switched on, but is off")
+        return found
+
+    def close(self) -> None:
+        """Give the port back; does not switch anything."""
+        self._line.close()
+
+    # ------------------------------------------------------------ inside
+
+    def _set(self, name: str, command: str) -> None:
+        """Send a setting, again when its prompt is lost. Raises SettingRefused."""
+        answer = self._line.ask(command)
+        match = _REFUSED.fullmatch(answer)
+        if match is not None or answer:
+            words = (
+                REFUSALS.get(int(match[1]), "see its manual") if match else "it answers what it should not"
+            )
+            raise SettingRefused(
+                f"{name} is not taken: '{command}' is answered '{answer}': {words}.",
+                where=self._line.name,
+                remedy="Ask for a value within the controller's range, and the lamp's rating.",
+            )
+
+    def _set_sync(self, wanted: bool, width_ms: float) -> None:
+        if self._sync_channel is None:
+            return
+        pulse = f"RT{self._sync_channel},{width_ms:.4f},0,{self._sync_current_a:.4f}"
+        self._set("sync", pulse if wanted else f"RS{self._sync_channel},0")
+
+    def _refuse_impossible(self, settings: LightSettings, current_a: float) -> None:
+        """Refuse what no RT controller can do, before anything is sent."""
+        wrong = []
+        if settings.waveform != "square":
+            wrong.append("it makes square pulses only")
+        if settings.low_v != 0:
+            wrong.append("it is dark between pulses: low_v must be 0")
+        if not 0 < current_a <= self._current_a:
+            wrong.append(f"high_v must be above 0 V and at most {FULL_SCALE_V:g} V, its full scale")
+        if settings.sync_output and self._sync_channel is None:
+            wrong.append("it has no sync channel")
+        if wrong:
+            raise SettingRefused(
+                f"{'; '.join(wrong)}.", where=self._line.name, remedy="Change the light step, or the station."
+            )
+
+    def _compare(self, period_ms: float, width_ms: float, current_a: float) -> None:
+        general, channel = self._line.fields("ST0"), self._line.fields(f"ST{self._channel}")
+        pairs = {
+            "period": (period_ms, self._line.quantity(general, "TP"), "ms"),
+            "pulse width": (width_ms, self._line.quantity(channel, "PU"), "ms"),
+            "current": (current_a, self._line.quantity(channel, "S"), "A"),
+        }
+        wrong = [
+            f"{name}: asked {wanted:.4f} {unit}, got {got.value:.4f} {unit}"
+            for name, (wanted, got, unit) in pairs.items()
+            if not got.is_near(wanted)
+        ]
+        if wrong:
+            raise SettingRefused(
+                f"the controller has other settings than asked ({'; '.join(wrong)}).",
+                where=self._line.name,
+                remedy="Ask for values within the controller's range and resolution.",
+            )
+
+    def _read_once(self) -> LightSettings:
+        general, channel = self._line.fields("ST0"), self._line.fields(f"ST{self._channel}")
+        if channel.get("MD") != _PULSED:
+            raise LightFault(
+                f"channel {self._channel} does not pulse.",
+                where=self._line.name,
+                remedy="Apply the light's settings first.",
+            )
+        period_ms = self._line.quantity(general, "TP").value
+        if period_ms <= 0:
+            raise self._line.garbled(f"a period of {period_ms} ms.")
+        current_a = self._line.quantity(channel, "S").value
+        return LightSettings(
+            waveform="square",
+            frequency_hz=1e3 / period_ms,
+            duty_percent=100.0 * self._line.quantity(channel, "PU").value / period_ms,
+            low_v=0.0,
+            high_v=FULL_SCALE_V * current_a / self._current_a,
+            sync_output=self._sync_channel is not None
+            and self._line.fields(f"ST{self._sync_channel}").get("MD") == _PULSED,
+        )
+
+    def _runs(self) -> bool:
+        state = self._line.fields("ST0").get("TM")
+        if state not in {"0", "1"}:
+            raise self._line.garbled(f"a trigger state {state!r}.")
+        return state == "1"
