@@ -22,6 +22,19 @@ class CameraIdentity:
 
 
 @dataclass(frozen=True)
+class FoundCamera:
+    """A camera that is connected: what a station file calls its driver and serial number, and what is known of it.
+
+    ``trouble`` says why it cannot be used as it is; empty when it can.
+    """
+
+    driver: str
+    serial: str
+    description: str
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
 class CameraSettings:
     """What is set before recording. Biases are offsets from the factory value."""
 

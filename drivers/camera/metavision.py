@@ -12,11 +12,10 @@ import math
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
+from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
 from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
 from drivers.camera.raw_file import RawFile, RecordingScan
 from drivers.camera.raw_writer import check_new, check_space, sync_file
@@ -42,25 +41,22 @@ _LARGEST_STEP_US: Final = 1_000_000
 """Between two buffers of one stream lie milliseconds; a longer step is the clock of another start."""
 
 
-@dataclass(frozen=True)
-class FoundCamera:
-    """A camera that the vendor's software sees; ``serial`` is what a station file calls it."""
-
-    serial: str
-    integrator: str
-    plugin: str
-    connection: str
-
-
 def discover() -> tuple[FoundCamera, ...]:
-    """List the cameras that are connected. Raises CameraSoftwareMissing."""
+    """List the cameras that the vendor's software sees. Raises CameraSoftwareMissing, CameraError."""
     hal = _vendor_software()
-    return tuple(
-        FoundCamera(
-            str(c.serial), str(c.integrator_name), str(c.plugin_name), str(c.connection).split(".")[-1]
+    try:
+        return tuple(
+            FoundCamera(
+                driver="metavision",
+                serial=str(found.serial),
+                description=f"{found.integrator_name}, {str(found.connection).rsplit('.', 1)[-1]}, {found.plugin_name}",
+            )
+            for found in hal.DeviceDiscovery.list_available_sources()
         )
-        for c in hal.DeviceDiscovery.list_available_sources()
-    )
+    except RuntimeError as error:
+        raise CameraError(
+            f"Its software cannot list cameras ({_reason(error)}).", where="metavision_hal"
+        ) from error
 
 
 class MetavisionEvk4:

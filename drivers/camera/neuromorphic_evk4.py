@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
+from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
 from drivers.camera.evt3 import first_time_high
 from drivers.camera.raw_header import render_header
 from drivers.camera.recording import Watch, check_duration, record_words, recording_facts
@@ -38,15 +38,18 @@ POLL_S: Final = 0.02
 BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
 
 
-def discover() -> tuple[tuple[str, str], ...]:
-    """Serial number and trouble, if any, of each EVK4 that is connected. Raises CameraSoftwareMissing."""
+def discover() -> tuple[FoundCamera, ...]:
+    """List the EVK4 that are connected. Raises CameraSoftwareMissing."""
     package = _package()
     try:
         listed = package.list_devices()
     except RuntimeError:  # how it says that there is no USB on this machine
         return ()
-    evk4 = [device for device in listed if device.name == package.Name.PROPHESEE_EVK4]
-    return tuple((device.serial or "", device.error or "") for device in evk4)
+    return tuple(
+        FoundCamera("neuromorphic_evk4", device.serial or "", "Prophesee EVK4, USB", device.error or "")
+        for device in listed
+        if device.name == package.Name.PROPHESEE_EVK4
+    )
 
 
 class NeuromorphicEvk4:
@@ -103,7 +106,7 @@ class NeuromorphicEvk4:
             device = package.open(configuration, iterator_timeout=POLL_S, raw=True, serial=serial)
         except RuntimeError as error:
             seen = ", ".join(
-                f"{number or 'without number'} {trouble}".strip() for number, trouble in discover()
+                f"{found.serial or 'without number'} {found.trouble}".strip() for found in discover()
             )
             raise CameraNotFound(
                 f"Camera {serial or 'of any number'} cannot be opened ({error}); connected EVK4: {seen or 'none'}.",

@@ -189,7 +189,7 @@ def connect(peer):
         camera.close()
 
 
-class Interrupted(Exception):  # noqa: N818 - it is no error
+class Interrupted(Exception):
     pass
 
 

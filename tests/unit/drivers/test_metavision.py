@@ -13,9 +13,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from drivers.camera import CameraSettings
+from drivers.camera import CameraSettings, FoundCamera
 from drivers.camera import metavision as metavision_driver
-from drivers.camera.metavision import FoundCamera, MetavisionEvk4, discover
+from drivers.camera.metavision import MetavisionEvk4, discover
 from drivers.camera.raw_file import RawFile
 from drivers.errors import (
     CameraLost,
@@ -366,7 +366,7 @@ def test_importing_the_driver_needs_no_vendor_software():
 
 
 def test_connected_cameras_are_listed(devices):
-    assert discover() == (FoundCamera(SERIAL, "Prophesee", "hal_plugin_prophesee", "USB_LINK"),)
+    assert discover() == (FoundCamera("metavision", SERIAL, "Prophesee, USB_LINK, hal_plugin_prophesee"),)
 
 
 @pytest.mark.usefixtures("devices")

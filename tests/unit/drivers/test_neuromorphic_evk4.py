@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.camera import CameraSettings
+from drivers.camera import CameraSettings, FoundCamera
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4, discover
 from drivers.camera.raw_file import RawFile
 from drivers.errors import (
@@ -183,7 +183,10 @@ def test_a_missing_package_is_told_with_how_to_install_it(monkeypatch, clock):
 
 @pytest.mark.usefixtures("package")
 def test_connected_evk4_are_listed_with_their_troubles():
-    assert discover() == ((SERIAL, ""), ("", "access denied"))
+    assert discover() == (
+        FoundCamera("neuromorphic_evk4", SERIAL, "Prophesee EVK4, USB"),
+        FoundCamera("neuromorphic_evk4", "", "Prophesee EVK4, USB", "access denied"),
+    )
 
 
 def test_a_machine_without_usb_has_no_cameras(package):
