@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from bench.plan import load, plan
 from bench.script_check import check_script
 from bench.station import Station, load_station
 from sequences.flatten import flatten
@@ -50,6 +51,12 @@ def test_every_word_of_the_language_is_in_the_table_of_steps():
 )
 def test_every_setting_is_named_in_the_document(words):
     assert [name for name in words.model_fields if name not in DOCS["sequences"]] == []
+
+
+def test_every_key_of_a_plan_is_named_in_the_document():
+    made = plan(*load("three_pose", "simulated")).to_dict()
+    keys = {*made, *made["poses"][0], *made["steps"][1], "line", "column", "path", "message"}
+    assert sorted(key for key in keys if f"`{key}`" not in DOCS["sequences"]) == []
 
 
 def test_every_key_of_a_station_is_named_in_the_document():
