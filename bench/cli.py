@@ -129,8 +129,11 @@ def calibrate(paths: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     "--allowed-signers", type=click.Path(path_type=Path), help="Trusted keys; by default this bench's own."
 )
 @click.option("--serial", help="Serial number the calibrated camera must have.")
+@click.option("--again", is_flag=True, help="Also calibrate again from the recordings, and compare.")
 @_JSON
-def verify(run_folder: Path, allowed_signers: Path | None, serial: str | None, as_json: bool) -> int:
+def verify(
+    run_folder: Path, allowed_signers: Path | None, serial: str | None, again: bool, as_json: bool
+) -> int:
     """Check the seal of a RUN: signature, every file, the journal, the printed numbers."""
     from bench.keys import SIGNERS_FILE, home_folder, read_signers
     from bench.output import show_verification
@@ -139,7 +142,8 @@ def verify(run_folder: Path, allowed_signers: Path | None, serial: str | None, a
     if not run_folder.is_dir():
         raise UsageError("There is no such run folder.", where=str(run_folder), remedy="Check the path.")
     signers = read_signers(allowed_signers or home_folder() / SIGNERS_FILE)
-    return show_verification(verify_run(run_folder, signers, camera_serial=serial), as_json=as_json)
+    found = verify_run(run_folder, signers, camera_serial=serial, again=again)
+    return show_verification(found, as_json=as_json)
 
 
 @cli.command()

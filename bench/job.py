@@ -16,9 +16,10 @@ from bench.measure import Measurement, measure
 from bench.plan import Plan, load, plan, whole_periods
 from bench.simulated import SimulatedBench
 from bench.station import Station
+from calib.calibration import CalibrationOptions
 from calib.target import StarTarget
 from drivers.light import LightSettings
-from sequences.script import Flicker, LightStep, MoveStep, RecordStep, SettleStep, Step
+from sequences.script import Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
 
 STILL_DEG = 0.0005
 """More motion than this between the begin and the end of a recording is motion: 0.03 px at f = 3345 px."""
@@ -173,3 +174,8 @@ class Job:
             return None
         with SimulatedBench(self.station.simulation or {}, self.seed) as bench:
             return bench.truth()
+
+
+def calibration_options(step: SolveStep) -> CalibrationOptions:
+    """Give the engine's options as a solve step asks for them."""
+    return CalibrationOptions(step.model, step.distortion, step.loss, step.huber_px)

@@ -24,8 +24,8 @@ from bench.journal import Journal
 from bench.keys import ensure_key, home_folder
 from bench.plan import Plan
 from bench.progress import Progress
-from bench.result import REPORT, RESULTS, Outcome, software
-from bench.run_folder import SEQUENCE_COPY, STATION_COPY, RunFolder
+from bench.result import Outcome, software
+from bench.run_folder import REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY, RunFolder
 from bench.runner import RunEnd, Runner
 from bench.seal import seal
 from bench.signals import stop_on_signals

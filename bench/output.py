@@ -88,14 +88,17 @@ def _run_text(results: Mapping[str, Any]) -> str:
 
 
 def _calibration_text(calibration: Mapping[str, Any]) -> str:
-    from bench.report.text import COVERAGE_FACTOR, with_uncertainty
+    from bench.report.tables import coverage_factor
+    from bench.report.text import exact, with_uncertainty
 
     values = {**calibration["camera"], **(calibration["collimator"] or {})}
     views = calibration["views"]
     stars = sum(view["n"] for view in views)
-    lines = [f"{calibration['model'].capitalize()} model, {len(views)} views, {stars} stars; U with k = 2:"]
+    k = coverage_factor(calibration)
+    model = calibration["model"].capitalize()
+    lines = [f"{model} model, {len(views)} views, {stars} stars; U with k = {exact(round(k, 2))}:"]
     for name, sigma in calibration["sigma"].items():
-        value, expanded = with_uncertainty(values[name], COVERAGE_FACTOR * sigma)
+        value, expanded = with_uncertainty(values[name], k * sigma)
         lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {_unit(name)}".rstrip())
     lines.append(
         f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
@@ -121,6 +124,11 @@ def show_verification(verification: Verification, *, as_json: bool) -> int:
         click.echo(
             f"Verified: {verification.files} files as sealed by {verification.signer} ({verification.fingerprint})."
         )
+        if verification.run_id is not None:
+            simulated = " SIMULATED devices." if verification.simulated else ""
+            click.echo(f"Run {verification.run_id}, camera {verification.camera_serial}.{simulated}")
+        for remark in verification.remarks:
+            click.echo(f"Not checked: {remark}.")
     else:
         click.echo("NOT VERIFIED:", err=True)
         for fault in verification.faults:

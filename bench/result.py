@@ -19,17 +19,15 @@ from bench.comparison import compare, planar_beside
 from bench.errors import BenchError
 from bench.exports import exports
 from bench.history import Attempt, History, RunLog
-from bench.job import Job
+from bench.job import Job, calibration_options
 from bench.measure import Measurement
 from bench.report import ReportData, ViewPicture, render_report
-from bench.run_folder import RunFolder
+from bench.run_folder import REPORT, RESULTS, RunFolder
 from bench.views_file import views_file
-from calib.calibrate import Calibration, CalibrationOptions, calibrate
+from calib.calibrate import Calibration, calibrate
 from calib.picture import to_uint8
 from sequences.script import SolveStep
 
-RESULTS = "results.json"
-REPORT = "report.html"
 VIEWS = "views.h5"
 
 
@@ -94,7 +92,7 @@ class ResultWriter:
             check()
             measurements.append(measured.get(index) or self._measure_again(attempt))
         views = [m.view for m in measurements if m.view is not None]
-        options = CalibrationOptions(step.model, step.distortion, step.loss, step.huber_px)
+        options = calibration_options(step)
         calibration = calibrate(views, options)
         check()
         planar = planar_beside(views, options) if calibration.model == "spherical" else None

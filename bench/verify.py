@@ -19,13 +19,11 @@ from bench.captures import stored_captures
 from bench.errors import EvidenceError, RunFolderError
 from bench.journal import read_journal
 from bench.keys import NAMESPACE, Signer
-from bench.run_folder import JOURNAL, SIGNATURE
+from bench.run_folder import JOURNAL, REPORT, RESULTS, SIGNATURE
 from bench.seal import MANIFEST, NOT_LISTED, listing, read_manifest
 from bench.sshsig import fingerprint, holds, read_signature
 from bench.storage import sha256_of, storing
 
-RESULTS = "results.json"
-REPORT = "report.html"
 _LARGEST_MANIFEST_BYTES = 64 << 20
 
 
@@ -95,7 +93,12 @@ class Verification:
 
 
 def verify_run(
-    folder: Path, signers: Iterable[Signer], *, when: datetime | None = None, camera_serial: str | None = None
+    folder: Path,
+    signers: Iterable[Signer],
+    *,
+    when: datetime | None = None,
+    camera_serial: str | None = None,
+    again: bool = False,
 ) -> Verification:
     """Check a sealed run folder.
 
@@ -109,6 +112,8 @@ def verify_run(
         Moment at which the signer's key must be valid; the default is now.
     camera_serial
         Serial number that the calibrated camera must have, against a report passed off for another.
+    again
+        Also calibrate again from the recordings, and compare; takes as long as the calibration did.
 
     Raises
     ------
@@ -129,6 +134,8 @@ def verify_run(
         facts = check.results(told, manifest, camera_serial)
         if not check.faults and facts is not _NO_RESULTS:
             check.report()
+        if again and not check.faults and facts is not _NO_RESULTS:
+            check.calibration()
     return Verification(
         folder=str(folder),
         faults=tuple(check.faults),
@@ -269,6 +276,13 @@ class _Check:
             self.fault(
                 "report", REPORT, f"it prints {differing[0][0]!r} where {RESULTS} gives {differing[0][1]!r}"
             )
+
+    def calibration(self) -> None:
+        """Check that the results follow from the recordings."""
+        from bench.reproduce import differences
+
+        for difference in differences(self.folder):
+            self.fault("results", RESULTS, difference)
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,12 @@ def warm_up() -> int:
             path = Path(folder) / "warm-up.raw"
             devices.camera.record(path, 0.051)
             found = measure(
-                path, name="warm-up", target=station.target.pattern(), image="auto", periods=2, expected_hz=60.0
+                path,
+                name="warm-up",
+                target=station.target.pattern(),
+                image="auto",
+                periods=2,
+                expected_hz=60.0,
             )
     finally:
         devices.make_safe()
