@@ -237,7 +237,7 @@ class Evt3Decoder:
     def told(self) -> StreamTally:
         """Sum up what the stream has told so far."""
         state = {place: int(self._state[place]) for place in S}
-        reported = state[S.RATE_WINDOWS] > 0
+        reported = state[S.REPORTED_AT] >= 0
         kept = self._gaps[: min(state[S.GAPS], GAPS_KEPT)]
         return StreamTally(
             events=state[S.EVENTS],

@@ -93,27 +93,25 @@ class S(IntEnum):
     TRIGGERS = 11
     RATE_IN = 12
     RATE_OUT = 13
-    RATE_WINDOWS = 14
-    """OTHERS words of subtype 0x016: one for each window of the rate controller."""
-    GAPS = 15
-    UNPLACED = 16
+    GAPS = 14
+    UNPLACED = 15
     """Events without a time, a row or a vector base: the stream was joined in its middle."""
-    BACK_STEPS = 17
-    FAULT = 18
-    TAKEN = 19
+    BACK_STEPS = 16
+    FAULT = 17
+    TAKEN = 18
     """Events taken in this call."""
-    TAKEN_EDGES = 20
-    WIDTH = 21
-    HEIGHT = 22
-    REPORTED_AT = 23
+    TAKEN_EDGES = 19
+    WIDTH = 20
+    HEIGHT = 21
+    REPORTED_AT = 22
     """Events of the stream at the last report of the rate controller, -1 before the first."""
-    WINDOW = 24
+    WINDOW = 23
     """Events between the report that is being read and the one before it, -1 for the first."""
-    COUNTED = 25
+    COUNTED = 24
     """Events that this report tells of its window."""
-    LOST = 26
+    LOST = 25
     """Events that the sensor counted in its windows and that did not arrive."""
-    ODD_WINDOWS = 27
+    ODD_WINDOWS = 26
     """Windows in which the sensor's count is not that of the events that arrived."""
 
 
@@ -132,7 +130,7 @@ def _time_high(state: Any, high: int, gaps: Any) -> Fault:
     before = state[S.T]
     if high == old:
         return Fault.NONE
-    if old >= 0 and high < old:
+    if high < old:
         if high > old - 2048:
             return Fault.CLOCK
         state[S.LOOPS_US] += 1 << 24
@@ -175,7 +173,6 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
         state[S.SUBTYPE] = payload
         state[S.PARTS] = 0
         if payload == _RATE_OUT:
-            state[S.RATE_WINDOWS] += 1
             sent = state[S.EVENTS] + state[S.TAKEN]
             state[S.WINDOW] = sent - state[S.REPORTED_AT] if state[S.REPORTED_AT] >= 0 else -1
             state[S.REPORTED_AT] = sent

@@ -135,6 +135,34 @@ def test_time_low_stepping_back_by_some_microseconds_is_no_wrap():
     assert told.back_steps == 1
 
 
+def test_every_back_step_is_counted_and_a_repeated_time_is_none():
+    assert decode(high(1), low(20), low(9), low(9), low(30), low(29))[2].back_steps == 2
+
+
+@pytest.mark.parametrize(("back", "fine"), [(64, True), (65, False)])
+def test_how_far_a_clock_may_step_back(back, fine):
+    words = [high(1), low(100), low(100 - back)]
+    if fine:
+        assert decode(*words)[2].last_t_us == 4096 + 100 - back
+    else:
+        with pytest.raises(RecordingCorrupt):
+            decode(*words)
+
+
+@pytest.mark.parametrize(("new", "wraps"), [(1000, True), (1001, False)])
+def test_a_time_high_that_is_half_a_turn_lower_has_wrapped(new, wraps):
+    words = [high(1000 + 2048), low(0), high(new)]
+    if wraps:
+        assert decode(*words)[2].last_t_us == LOOP_US + (1000 << 12)
+    else:
+        with pytest.raises(RecordingCorrupt):
+            decode(*words)
+
+
+def test_a_stream_that_begins_at_zero_covers_its_time():
+    assert decode(high(0), low(0), low(5), low(9))[2].first_t_us == 0
+
+
 def test_time_low_stepping_back_far_means_missing_words():
     with pytest.raises(RecordingCorrupt, match="steps back from 8000 us: its lower part reads 5") as caught:
         decode(high(1), low(8000 - 4096), low(5))
@@ -219,9 +247,16 @@ def test_a_stream_that_has_what_the_sensor_counted_has_lost_nothing(parts):
 
 
 def test_events_that_the_sensor_counted_and_that_did_not_arrive_are_lost():
-    told = reported((3, 3), (2, 6), (7, 7), (0, 1))
+    told = reported((2, 6), (3, 3), (7, 7), (0, 1))
     assert (told.lost_events, told.odd_windows) == (5, 2)
     assert "5 are missing" in told.losses_in_words()[0]
+
+
+@pytest.mark.parametrize(
+    "stray", [[0xE016, 0x7003], [0xF005], [0x7001], [0xE016, 0xF000, 0xF000, 0xF001, 0x7001]]
+)
+def test_parts_of_a_payload_out_of_their_order_count_nowhere(stray):
+    assert decode(*others(0x016, 3), *stray)[2].rate_controller_out == 3
 
 
 def test_a_report_that_did_not_arrive_leaves_an_odd_window():

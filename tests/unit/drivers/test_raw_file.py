@@ -1,6 +1,7 @@
 """RAW files: headers of all makes, events out of them, and files that are something else."""
 
 import os
+import tracemalloc
 from datetime import UTC, datetime
 
 import numpy as np
@@ -69,6 +70,20 @@ def test_a_file_longer_than_a_block_is_read_whole(raw):
     words = np.full(n + 3, 0x2007)
     words[:3] = 0x8001, 0x6002, 0x0005
     assert len(RawFile.open(raw(words)).read()[0].t) == n
+
+
+def test_a_long_file_is_streamed_in_little_memory(raw):
+    words = np.full(12_000_000, 0x2007, "<u2")
+    words[:3] = 0x8001, 0x6002, 0x0005
+    recording = RawFile.open(raw(words))
+    list(RawFile.open(raw(WORDS)).chunks())  # compiled before memory is watched
+    raw(words)
+    tracemalloc.start()
+    assert sum(len(chunk.t) for chunk in recording.chunks(max_events=100_000)) == 12_000_000 - 3
+    assert recording.scan().events == 12_000_000 - 3
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 8e6
 
 
 def test_a_file_that_ends_in_a_word_is_read_up_to_it_and_says_so(raw):
