@@ -136,8 +136,18 @@ LINE_FAULTS: Final[Mapping[str, Fault]] = {
     "mend": Fault("nothing more goes wrong with this port", {}),
 }
 
+#: What the factor of a lamp's fault is unless it is said; those without one are not here.
+_LAMP_FACTORS: Final = {
+    "dim": 0.5,
+    "wrong_frequency": 0.5,
+    "wrong_duty": 0.5,
+    "sync_missing": 2.0,
+    "sync_extra": 2.0,
+    "sync_jitter": 0.1,
+}
+
 _LAMP_CATALOGUE: Final[Mapping[str, Fault]] = {
-    name: Fault(what, {"factor": 0.5} if "factor" in what or "share" in what else {})
+    name: Fault(what, {"factor": _LAMP_FACTORS[name]} if name in _LAMP_FACTORS else {})
     for name, what in LAMP_FAULTS.items()
 }
 

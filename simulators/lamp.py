@@ -6,11 +6,12 @@ what comes of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from simulators.errors import SimulatorError
+from simulators.sync_line import SyncLine
 from simulators.world import LightState
 
 #: What can go wrong with the light, by name.
@@ -20,15 +21,40 @@ LAMP_FAULTS: Final = {
     "wrong_frequency": "the flicker runs at another frequency than the driver says, by a factor",
     "wrong_duty": "the high part of a period has another share than the driver says, by a factor",
     "no_sync": "sync edges no longer reach the camera",
+    "sync_inverted": "the sync line carries high for low",
+    "sync_missing": "both sync edges are lost every so many periods, by the factor",
+    "sync_extra": "a stray sync pulse comes every so many periods, by the factor",
+    "sync_jitter": "sync edges come early or late by up to a share of a period, by the factor",
 }
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Effect:
+    """What the faults so far make of the driver's light."""
+
     brightness: float = 1.0
     frequency: float = 1.0
     duty: float = 1.0
     sync: bool = True
+    line: SyncLine = field(default_factory=SyncLine)
+    jitter: float = 0.0
+
+
+_EFFECTS: Final[Mapping[str, Callable[[_Effect, float], _Effect]]] = {
+    "lamp_open": lambda effect, _factor: replace(effect, brightness=0.0),
+    "dim": lambda effect, factor: replace(effect, brightness=factor),
+    "wrong_frequency": lambda effect, factor: replace(effect, frequency=factor),
+    "wrong_duty": lambda effect, factor: replace(effect, duty=factor),
+    "no_sync": lambda effect, _factor: replace(effect, sync=False),
+    "sync_inverted": lambda effect, _factor: replace(effect, line=replace(effect.line, inverted=True)),
+    "sync_missing": lambda effect, factor: replace(
+        effect, line=replace(effect.line, missing_every=max(1, round(factor)))
+    ),
+    "sync_extra": lambda effect, factor: replace(
+        effect, line=replace(effect.line, extra_every=max(1, round(factor)))
+    ),
+    "sync_jitter": lambda effect, factor: replace(effect, jitter=factor),
+}
 
 
 class Lamp:
@@ -57,6 +83,7 @@ class Lamp:
                 frequency_hz=state.frequency_hz * effect.frequency,
                 duty_percent=min(99.0, state.duty_percent * effect.duty),
                 sync=state.sync and effect.sync,
+                sync_line=replace(effect.line, jitter_us=effect.jitter * state.period_us / effect.frequency),
             )
         )
 
@@ -68,7 +95,7 @@ class Lamp:
         kind
             One of `LAMP_FAULTS`.
         factor
-            Of brightness, frequency or duty, where the fault has one.
+            Of brightness, frequency or duty, number of periods, or share of a period, where the fault has one.
 
         Raises
         ------
@@ -79,16 +106,7 @@ class Lamp:
             raise SimulatorError(f"No lamp fault {kind!r}.", remedy=f"Known are: {', '.join(LAMP_FAULTS)}.")
         if factor <= 0.0:
             raise SimulatorError(f"A factor of {factor}.", remedy="Give a positive one.")
-        if kind == "lamp_open":
-            self._effect.brightness = 0.0
-        elif kind == "dim":
-            self._effect.brightness = factor
-        elif kind == "wrong_frequency":
-            self._effect.frequency = factor
-        elif kind == "wrong_duty":
-            self._effect.duty = factor
-        else:
-            self._effect.sync = False
+        self._effect = _EFFECTS[kind](self._effect, factor)
         self.drive(self._driven)
 
     def mend(self) -> None:

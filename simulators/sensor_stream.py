@@ -139,8 +139,7 @@ def sync_edges(
     )
     rising = np.floor(period_starts_us + k * period).astype(np.int64)
     falling = np.floor(period_starts_us + (k + light.high_share) * period).astype(np.int64)
-    t = np.column_stack([rising, falling]).ravel()
-    value = np.tile(np.array([1, 0], np.uint8), len(k))
+    t, value = light.sync_line.carry(k.astype(np.int64), rising, falling, period)
     inside = (t >= first_us) & (t < end_us)
     return t[inside], value[inside]
 

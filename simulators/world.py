@@ -12,10 +12,11 @@ import threading
 import time
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, Literal, TypeVar
 
 from simulators.errors import SimulationMisuse
+from simulators.sync_line import SyncLine
 from simulators.truth import Truth
 
 AxisName = Literal["pan", "tilt", "roll"]
@@ -63,6 +64,8 @@ class LightState:
     sync
         Whether sync edges reach the camera's trigger input (rising at the start of a period, falling at the
         end of a square's high part or at half of a sine's period).
+    sync_line
+        The cable they take.
     """
 
     waveform: Waveform = "square"
@@ -73,6 +76,7 @@ class LightState:
     output: bool = False
     sync: bool = False
     origin_s: float = 0.0
+    sync_line: SyncLine = field(default_factory=SyncLine)
 
     @property
     def low(self) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,6 +21,7 @@ from simulators.faults import (
     order_from_text,
 )
 from simulators.lamp import Lamp
+from simulators.sync_line import SyncLine
 from simulators.world import LightState
 
 
@@ -105,6 +107,68 @@ def test_a_lamp_fails_at_once_stays_so_and_is_mended(kind, factor, name, value):
     assert getattr(shown[-1], name) == pytest.approx(value)
     lamp.mend()
     assert shown[-1] == LIT
+
+
+@pytest.mark.parametrize(
+    ("kind", "factor", "line"),
+    [
+        ("sync_inverted", 1.0, SyncLine(inverted=True)),
+        ("sync_missing", 3.0, SyncLine(missing_every=3)),
+        ("sync_extra", 4.0, SyncLine(extra_every=4)),
+        ("sync_jitter", 0.06, SyncLine(jitter_us=1000.0)),
+    ],
+)
+def test_the_sync_cable_fails_and_is_mended(kind, factor, line):
+    shown: list[LightState] = []
+    lamp = Lamp(shown.append)
+    lamp.drive(LIT)
+    lamp.go_wrong(kind, factor)
+    assert shown[-1].sync_line == line
+    lamp.mend()
+    assert shown[-1] == LIT
+
+
+PERIOD = 16_667
+
+
+def carried(line: SyncLine, first: int = 0, count: int = 60) -> list[tuple[int, int]]:
+    k = np.arange(first, first + count)
+    t, value = line.carry(k, k * PERIOD, k * PERIOD + PERIOD // 2, float(PERIOD))
+    return list(zip(t.tolist(), value.tolist(), strict=True))
+
+
+def test_a_good_sync_cable_carries_two_edges_a_period_in_turn():
+    edges = carried(SyncLine())
+    assert edges[:3] == [(0, 1), (PERIOD // 2, 0), (PERIOD, 1)]
+    assert len(edges) == 120
+
+
+def test_a_swapped_sync_cable_carries_low_for_high():
+    assert [(t, 1 - value) for t, value in carried(SyncLine(inverted=True))] == carried(SyncLine())
+
+
+def test_lost_and_stray_pulses_come_in_pairs_at_their_periods():
+    lost = set(carried(SyncLine())) - set(carried(SyncLine(missing_every=20)))
+    assert {t // PERIOD for t, _ in lost} == {0, 20, 40}
+    stray = [edge for edge in carried(SyncLine(extra_every=30)) if edge not in carried(SyncLine())]
+    assert [(t // PERIOD, value) for t, value in stray] == [(0, 1), (0, 0), (30, 1), (30, 0)]
+
+
+def test_jitter_is_bounded_even_and_of_each_edge_its_own():
+    late = np.array(
+        [
+            a - b
+            for (a, _), (b, _) in zip(
+                carried(SyncLine(jitter_us=500.0), 0, 2000), carried(SyncLine(), 0, 2000), strict=True
+            )
+        ]
+    )
+    assert np.abs(late).max() <= 500
+    assert abs(late.mean()) < 20
+    assert late.std() == pytest.approx(500 / 3**0.5, rel=0.05)
+    assert len(np.unique(late)) > 800
+    alone = carried(SyncLine(jitter_us=500.0), 5, 1)
+    assert set(alone) <= set(carried(SyncLine(jitter_us=500.0)))
 
 
 def test_an_unknown_lamp_fault_is_refused():
