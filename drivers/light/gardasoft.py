@@ -1,8 +1,9 @@
 """Gardasoft RT strobe controllers as flicker lights: an internal trigger pulses the lamp's channel.
 
 Knows their two-letter commands (manual of the RT series, section 12). All outputs pulse on the same trigger, so
-a second channel, wired to the camera, is the sync. Levels are currents: ``high_v`` of the settings is taken as
-a share of 5 V, full scale being the current the station file allows. Nothing is switched by opening.
+a second channel, wired to the camera, is the sync. Levels are percent of the lamp's rating: ``high_v`` of the
+settings is taken as a share of 5 V, full scale being what the station file allows. Nothing is switched by
+opening.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ from drivers.wire_log import WireLog
 
 FULL_SCALE_V = 5.0
 _PULSED = "2"
+_DELAY_MS = 0.01
+"""The shortest delay from trigger to pulse; the same for lamp and sync."""
 _IDENTITY = re.compile(r"(RT\S+) (.*?) ?(V\d+)")
 _REFUSED = re.compile(r"Err ?(\d{1,3})")
-_QUANTITY = re.compile(r"(\d+(?:\.(\d+))?) ?(us|ms|s|ma|a)?", re.IGNORECASE)
-_FACTORS = {"us": 1e-3, "ms": 1.0, "s": 1e3, "ma": 1e-3, "a": 1.0, "": 1.0}
-"""To milliseconds, and to amperes."""
+_QUANTITY = re.compile(r"(\d+(?:\.(\d+))?) ?(us|ms|s|%)?", re.IGNORECASE)
+_FACTORS = {"us": 1e-3, "ms": 1.0, "s": 1e3, "%": 1.0, "": 1.0}
+"""To milliseconds, and to percent."""
 
 REFUSALS = {
     1: "a value is invalid",
@@ -37,7 +40,7 @@ REFUSALS = {
 
 
 class Quantity(NamedTuple):
-    """A number as printed, in ms or A, and half its last digit."""
+    """A number as printed, in ms or percent, and half its last digit."""
 
     value: float
     half_digit: float
@@ -75,7 +78,7 @@ class RtLine(TextLine):
         return dict(pairs)
 
     def quantity(self, fields: dict[str, str], name: str) -> Quantity:
-        """Understand one of the fields as a time in ms or a current in A. Raises ReplyGarbled."""
+        """Understand one of the fields as a time in ms or a brightness in percent. Raises ReplyGarbled."""
         match = _QUANTITY.fullmatch(fields.get(name, "").split(",")[0])
         if match is None:
             raise self.garbled(f"no quantity {name} in {fields}.")
@@ -105,10 +108,10 @@ class GardasoftLight:
         Channel of the lamp.
     sync_channel
         Channel that is wired to the camera's trigger input; None when there is none.
-    current_a
-        Current of the lamp at ``high_v`` = 5 V, in amperes.
-    sync_current_a
-        Current of the sync channel, in amperes.
+    full_percent
+        Brightness at ``high_v`` = 5 V, in percent of the lamp's rating as the controller knows it.
+    sync_percent
+        Brightness of the sync channel, in percent of its rating.
     clock, wire_log
         See ``drivers.link.Link``.
 
@@ -126,16 +129,16 @@ class GardasoftLight:
         model: str | None = None,
         channel: int = 1,
         sync_channel: int | None = 2,
-        current_a: float,
-        sync_current_a: float = 0.02,
+        full_percent: float = 100.0,
+        sync_percent: float = 100.0,
         clock: Clock,
         wire_log: WireLog | None = None,
     ) -> None:
         self._model = model
         self._channel = channel
         self._sync_channel = sync_channel
-        self._current_a = current_a
-        self._sync_current_a = sync_current_a
+        self._full_percent = full_percent
+        self._sync_percent = sync_percent
         self._switched_on = False
         try:
             self._line = RtLine(port, clock=clock, wire_log=wire_log)
@@ -152,8 +155,8 @@ class GardasoftLight:
         model: str | None = None,
         channel: int = 1,
         sync_channel: int | None = 2,
-        current_a: float,
-        sync_current_a: float = 0.02,
+        full_percent: float = 100.0,
+        sync_percent: float = 100.0,
         baudrate: int = 115200,
         clock: Clock,
         wire_log: WireLog | None = None,
@@ -167,8 +170,8 @@ class GardasoftLight:
             model=model,
             channel=channel,
             sync_channel=sync_channel,
-            current_a=current_a,
-            sync_current_a=sync_current_a,
+            full_percent=full_percent,
+            sync_percent=sync_percent,
             clock=clock,
             wire_log=wire_log,
         )
@@ -192,17 +195,17 @@ class GardasoftLight:
         """
         period_ms = 1e3 / settings.frequency_hz
         width_ms = period_ms * settings.duty_percent / 100.0
-        current_a = self._current_a * settings.high_v / FULL_SCALE_V
-        self._refuse_impossible(settings, current_a)
+        percent = round(self._full_percent * settings.high_v / FULL_SCALE_V, 1)
+        self._refuse_impossible(settings, percent)
         if self.is_on():
             self._set("frequency", f"TT1,{period_ms:.4f}")
         else:
             self._set("level", f"RS{self._channel},0")  # dark, while the trigger must run to take its period
             self._set("frequency", f"TT1,{period_ms:.4f}")
             self._set("frequency", "TT0")
-        self._set("pulse", f"RT{self._channel},{width_ms:.4f},0,{current_a:.4f}")
+        self._set("pulse", f"RT{self._channel},{width_ms:.4f},{_DELAY_MS},{percent:.1f}")
         self._set_sync(settings.sync_output, width_ms)
-        self._compare(period_ms, width_ms, current_a)
+        self._compare(period_ms, width_ms, percent)
         return self.read()
 
     def read(self) -> LightSettings:
@@ -272,17 +275,17 @@ class GardasoftLight:
     def _set_sync(self, wanted: bool, width_ms: float) -> None:
         if self._sync_channel is None:
             return
-        pulse = f"RT{self._sync_channel},{width_ms:.4f},0,{self._sync_current_a:.4f}"
+        pulse = f"RT{self._sync_channel},{width_ms:.4f},{_DELAY_MS},{self._sync_percent:.1f}"
         self._set("sync", pulse if wanted else f"RS{self._sync_channel},0")
 
-    def _refuse_impossible(self, settings: LightSettings, current_a: float) -> None:
+    def _refuse_impossible(self, settings: LightSettings, percent: float) -> None:
         """Refuse what no RT controller can do, before anything is sent."""
         wrong = []
         if settings.waveform != "square":
             wrong.append("it makes square pulses only")
         if settings.low_v != 0:
             wrong.append("it is dark between pulses: low_v must be 0")
-        if not 0 < current_a <= self._current_a:
+        if not 0 < percent <= self._full_percent:
             wrong.append(f"high_v must be above 0 V and at most {FULL_SCALE_V:g} V, its full scale")
         if settings.sync_output and self._sync_channel is None:
             wrong.append("it has no sync channel")
@@ -291,12 +294,12 @@ class GardasoftLight:
                 f"{'; '.join(wrong)}.", where=self._line.name, remedy="Change the light step, or the station."
             )
 
-    def _compare(self, period_ms: float, width_ms: float, current_a: float) -> None:
+    def _compare(self, period_ms: float, width_ms: float, percent: float) -> None:
         general, channel = self._line.fields("ST0"), self._line.fields(f"ST{self._channel}")
         pairs = {
             "period": (period_ms, self._line.quantity(general, "TP"), "ms"),
             "pulse width": (width_ms, self._line.quantity(channel, "PU"), "ms"),
-            "current": (current_a, self._line.quantity(channel, "S"), "A"),
+            "brightness": (percent, self._line.quantity(channel, "S"), "%"),
         }
         wrong = [
             f"{name}: asked {wanted:.4f} {unit}, got {got.value:.4f} {unit}"
@@ -321,13 +324,13 @@ class GardasoftLight:
         period_ms = self._line.quantity(general, "TP").value
         if period_ms <= 0:
             raise self._line.garbled(f"a period of {period_ms} ms.")
-        current_a = self._line.quantity(channel, "S").value
+        percent = self._line.quantity(channel, "S").value
         return LightSettings(
             waveform="square",
             frequency_hz=1e3 / period_ms,
             duty_percent=100.0 * self._line.quantity(channel, "PU").value / period_ms,
             low_v=0.0,
-            high_v=FULL_SCALE_V * current_a / self._current_a,
+            high_v=FULL_SCALE_V * percent / self._full_percent,
             sync_output=self._sync_channel is not None
             and self._line.fields(f"ST{self._sync_channel}").get("MD") == _PULSED,
         )

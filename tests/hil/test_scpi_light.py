@@ -1,4 +1,4 @@
-"""The SCPI driver on a simulated generator, over a pseudo-terminal."""
+"""The SCPI driver on a simulated generator, what is its own; see also test_light_families."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import closing
 import pytest
 
 from drivers.clock import SystemClock
-from drivers.errors import PortBusy, PortLost, ReplyError, SettingRefused, WrongDevice
+from drivers.errors import ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from simulators.pseudo_terminal import PseudoTerminal
@@ -46,27 +46,9 @@ def light(device) -> Iterator[ScpiLight]:
         yield light
 
 
-def test_a_flicker_is_set_read_back_and_switched(light) -> None:
-    assert light.identify().serial == "SG0042"
-    assert not light.is_on()
-    assert light.apply(FLICKER) == FLICKER
-    assert not light.is_on()
-    light.on()
-    assert light.is_on()
-    assert light.faults() == []
-    light.off()
-    assert not light.is_on()
-
-
 def test_a_sine_is_set_and_read_back(light) -> None:
     sine = LightSettings("sine", 59.94, low_v=1.0, high_v=2.0, sync_output=False)
     assert light.apply(sine) == sine
-
-
-def test_what_the_generator_cannot_do_is_refused_and_the_light_still_works(light) -> None:
-    with pytest.raises(SettingRefused, match="frequency"):
-        light.apply(LightSettings("square", 1e12))
-    assert light.apply(FLICKER) == FLICKER
 
 
 def test_a_generator_without_error_queue_is_served(generator) -> None:
@@ -77,32 +59,11 @@ def test_a_generator_without_error_queue_is_served(generator) -> None:
             light.apply(LightSettings("square", 1e12))
 
 
-def test_settings_outlive_the_connection_and_opening_changes_none(device, light) -> None:
-    light.apply(FLICKER)
-    light.on()
-    light.close()
-    with closing(ScpiLight.open(device.address, clock=SystemClock())) as again:
-        assert again.is_on()
-        assert again.read() == FLICKER
-
-
 def test_another_generator_is_refused(device) -> None:
     with pytest.raises(WrongDevice, match="SG0042"):
         ScpiLight.open(device.address, serial="SG0001", clock=SystemClock())
 
 
-def test_a_port_in_use_is_refused(device, light) -> None:
-    with pytest.raises(PortBusy):
-        ScpiLight.open(device.address, clock=SystemClock())
-    assert light.read().frequency_hz > 0
-
-
 def test_a_wrong_baud_rate_is_told(device) -> None:
     with pytest.raises(ReplyError):
         ScpiLight.open(device.address, baudrate=115200, clock=SystemClock())
-
-
-def test_an_unplugged_generator_is_lost(device, light) -> None:
-    device.unplug()
-    with pytest.raises(PortLost):
-        light.is_on()

@@ -42,7 +42,7 @@ class RtPeer:
             return f"TM {self.running}, TP {self.period_ms:.2f}ms"
         if match := re.fullmatch(r"ST([12])", command):
             channel = self.channels[int(match[1])]
-            level, delay, pulse = f"{channel['S']:.3f}A", channel["DL"], channel["PU"]
+            level, delay, pulse = f"{channel['S']:.1f}%", channel["DL"], channel["PU"]
             return (
                 f"CH {match[1]}, MD {channel['MD']}, S {level},{level}, DL {delay:.2f}ms, PU {pulse:.3f}ms,"
                 " RT 0.000us, IP 1, FL 0, CS 1.000A, RA 1.000A"
@@ -55,8 +55,8 @@ class RtPeer:
         if match := re.fullmatch(r"RS([12]),(\d+(?:\.\d+)?)", command):
             self.channels[int(match[1])].update(MD=0, S=float(match[2]))
             return ""
-        if match := re.fullmatch(r"RT([12]),(\d+\.\d+),(\d+),(\d+\.\d+)", command):
-            if float(match[4]) > 2.0:
+        if match := re.fullmatch(r"RT([12]),(\d+\.\d+),(0\.\d+),(\d+\.\d+)", command):
+            if float(match[4]) > 200.0:
                 return "Err 1"
             self.channels[int(match[1])].update(
                 MD=2, PU=float(match[2]), DL=float(match[3]), S=float(match[4])

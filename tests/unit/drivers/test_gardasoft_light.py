@@ -21,7 +21,7 @@ def peer() -> RtPeer:
 
 @pytest.fixture
 def light(peer, clock) -> GardasoftLight:
-    return GardasoftLight(peer, model="RT260-20", current_a=1.0, clock=clock)
+    return GardasoftLight(peer, model="RT260-20", clock=clock)
 
 
 def test_opening_sets_and_switches_nothing(light, peer) -> None:
@@ -39,8 +39,8 @@ def test_a_flicker_is_set_in_the_controllers_words_and_in_the_dark(light, peer) 
         "RS1,0",
         "TT1,16.6667",
         "TT0",
-        "RT1,5.0000,0,0.5000",
-        "RT2,5.0000,0,0.0200",
+        "RT1,5.0000,0.01,50.0",
+        "RT2,5.0000,0.01,100.0",
     ]
     assert not peer.lit
 
@@ -70,7 +70,7 @@ def test_without_sync_the_second_channel_is_dark(light, peer) -> None:
 
 def test_another_model_is_refused(peer, clock) -> None:
     with pytest.raises(WrongDevice, match="RT820, but RT260-20 answers"):
-        GardasoftLight(peer, model="RT820", current_a=1.0, clock=clock)
+        GardasoftLight(peer, model="RT820", clock=clock)
     assert peer.closed
 
 
@@ -91,7 +91,7 @@ def test_what_it_cannot_do_is_refused_before_anything_is_sent(light, peer, setti
 
 
 def test_a_sync_without_a_channel_for_it_is_refused(peer, clock) -> None:
-    light = GardasoftLight(peer, current_a=1.0, sync_channel=None, clock=clock)
+    light = GardasoftLight(peer, sync_channel=None, clock=clock)
     with pytest.raises(SettingRefused, match="no sync channel"):
         light.apply(FLICKER)
 
@@ -101,8 +101,8 @@ def test_a_period_that_is_held_in_its_range_is_refused(light, peer) -> None:
         light.apply(LightSettings(frequency_hz=300.0))
 
 
-def test_a_current_beyond_the_lamp_is_refused(peer, clock) -> None:
-    light = GardasoftLight(peer, current_a=3.0, clock=clock)
+def test_a_brightness_beyond_the_lamp_is_refused(peer, clock) -> None:
+    light = GardasoftLight(peer, full_percent=300.0, clock=clock)
     with pytest.raises(SettingRefused, match="Err 1"):
         light.apply(LightSettings(high_v=5.0))
 
@@ -170,7 +170,7 @@ def test_a_controller_with_one_thing_wrong_is_refused(peer, clock, spoil) -> Non
     peer.spoil = spoil
 
     def open_and_apply() -> None:
-        GardasoftLight(peer, current_a=1.0, clock=clock).apply(FLICKER)
+        GardasoftLight(peer, clock=clock).apply(FLICKER)
 
     with pytest.raises(DriverError):
         open_and_apply()
@@ -183,14 +183,14 @@ def test_no_setting_that_is_told_is_wrong(clock, exchanges, rate) -> None:
     peer = RtPeer()
     rng = np.random.default_rng(9)
     port = NoisyPort(peer, rng, 0.0)
-    light = GardasoftLight(port, current_a=1.0, clock=clock)
+    light = GardasoftLight(port, clock=clock)
     light.apply(FLICKER)
     port.rate = rate
     good = 0
     while port.writes < exchanges:
         peer.running = 0
         peer.period_ms = float(rng.integers(10, 100))
-        peer.channels[1].update(MD=2, S=float(rng.integers(1, 10)) / 10)
+        peer.channels[1].update(MD=2, S=float(rng.integers(1, 100)))
         before = (peer.period_ms, dict(peer.channels[1]))
         try:
             told = light.read()
@@ -198,6 +198,6 @@ def test_no_setting_that_is_told_is_wrong(clock, exchanges, rate) -> None:
             continue
         if before == (peer.period_ms, peer.channels[1]):  # a question changed on its way can be a command
             assert told.frequency_hz == 1e3 / before[0]
-            assert told.high_v == 5.0 * before[1]["S"]
+            assert told.high_v == 5.0 * before[1]["S"] / 100.0
         good += 1
     assert good > 10
