@@ -5,11 +5,14 @@ import os
 import socket
 import struct
 import threading
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drivers.camera import CameraSettings
 from drivers.camera.raw_file import RawFile
@@ -21,6 +24,7 @@ from drivers.errors import (
     CameraNotFound,
     CameraSettingRefused,
     DeviceRefused,
+    DriverError,
     RecordingFailed,
     ReplyGarbled,
     ReplyTimeout,
@@ -449,6 +453,47 @@ def test_bytes_that_are_no_frame_are_refused(peer, connect, kind, payload):
     peer.do_monitor = lambda *_: peer.send(kind, payload)
     with pytest.raises(ReplyGarbled):
         camera.temperature_c()
+
+
+def frame(kind, payload):
+    return kind + struct.pack("<I", len(payload)) + payload
+
+
+ANSWERS = st.sampled_from(
+    [
+        frame(b"A", json.dumps({"id": 1, "ok": True, **WHO}).encode()),
+        frame(b"A", b'{"id": 1, "ok": true}'),
+        frame(b"A", b'{"id": 1, "ok": false, "error": 5}'),
+        frame(b"A", b'{"id": 1, "ok": true, "maker": [], "format": "EVT3"}'),
+        frame(b"N", b'{"event": "fault"}'),
+        frame(b"N", b"[]"),
+        frame(b"D", words_of(0)),
+    ]
+)
+
+
+@settings(max_examples=150)
+@given(st.lists(ANSWERS | st.binary(max_size=60), max_size=5), st.integers(1, 40))
+def test_whatever_a_peer_sends_ends_in_an_identity_or_a_drivers_error(pieces, cut):
+    sent = b"".join(pieces)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve():
+            link, _ = listener.accept()
+            with link, suppress(OSError):  # the client may have hung up on it
+                for k in range(0, len(sent), cut):
+                    link.sendall(sent[k : k + cut])
+
+        peer = threading.Thread(target=serve)
+        peer.start()
+        with suppress(DriverError):  # anything else it raises fails the test
+            SimulatedEvk4Camera.open(
+                f"127.0.0.1:{listener.getsockname()[1]}",
+                clock=SystemClock(),
+                utc_now=lambda: NOW,
+                silence_s=5.0,
+            ).close()
+        peer.join()
 
 
 def test_a_refused_start_is_told(peer, connect, tmp_path):
