@@ -158,6 +158,39 @@ def simulate(station: str, seed: int) -> int:
     return serve_simulated_bench(station, seed)
 
 
+@cli.command()
+@_JSON
+def devices(as_json: bool) -> int:
+    """List what is connected, what a station file calls it, and what is missing. Sends nothing to any device."""
+    from bench.discovery import discover
+    from bench.output import show_devices
+
+    return show_devices(discover(), as_json=as_json)
+
+
+@cli.group()
+def station() -> None:
+    """Write station files."""
+
+
+@station.command("new")
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option("--name", default="My bench", show_default=True, help="Name of the bench.")
+@click.option(
+    "--stage",
+    type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x"]),
+    default="zaber_ascii",
+    show_default=True,
+    help="Family of the stage.",
+)
+def station_new(path: Path, name: str, stage: str) -> int:
+    """Write a new station file to PATH, with what is connected filled in."""
+    from bench.discovery import discover
+    from bench.output import write_station
+
+    return write_station(path, name, stage, discover())
+
+
 @cli.group()
 def keys() -> None:
     """Show, make and trust signing keys."""

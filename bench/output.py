@@ -21,6 +21,7 @@ import click
 from bench.errors import BenchError, EvidenceError, ScriptError
 
 if TYPE_CHECKING:
+    from bench.discovery import Discovery
     from bench.offline import OfflineResult
     from bench.runner import RunEnd
     from bench.verify import Verification
@@ -234,6 +235,42 @@ def trust_key(line: str) -> int:
     make_folder(home_folder())
     signer = trust(home_folder(), line)
     click.echo(f"Trusted: {signer.principal}  {fingerprint(signer.public_key)}")
+    return 0
+
+
+def show_devices(found: Discovery, *, as_json: bool) -> int:
+    """Show what is connected and what is missing."""
+    if as_json:
+        print_json(found.to_dict())
+        return 0
+    for port in found.ports:
+        note = f"  ({port.note})" if port.note else ""
+        click.echo(f"serial port  {port.name}  {port.what}{note}")
+    for camera in found.cameras:
+        trouble = f"  ({camera.trouble})" if camera.trouble else ""
+        click.echo(
+            f"camera       driver: {camera.driver}  serial: {camera.serial}  {camera.description}{trouble}"
+        )
+    for sentence in found.missing:
+        click.echo(f"missing      {sentence}")
+    return 0
+
+
+def write_station(path: Path, name: str, stage: str, found: Discovery) -> int:
+    """Write a new station file; never over another."""
+    from bench.errors import UsageError
+    from bench.station_draft import ASK, draft_station
+
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(draft_station(name, found, stage=stage))
+    except FileExistsError as error:
+        raise UsageError(
+            "There is a file of this name.", where=str(path), remedy="Choose another."
+        ) from error
+    click.echo(
+        f"Written: {path}. Replace every {ASK}, check scales and limits, then: starbench plan three_pose -s {path}"
+    )
     return 0
 
 
