@@ -18,6 +18,7 @@ from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.camera import PINHOLE
 from calib.collimator import CENTRE
 from calib.contradiction import require_agreement
+from calib.drift import WORRYING, centre_drift
 from calib.errors import DegenerateViews, NotConverged
 from calib.homography import fit_homography
 from calib.imperfections import LADDER, displacements
@@ -86,7 +87,7 @@ def fit(views: Sequence[View], options: CalibrationOptions, model: str, *, leave
     if discs:
         degeneracy.require_rims(views, discs)
         views = [within(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
-    bundle, start = _begin(views, options, model)
+    bundle, start = begin(views, options, model)
     if terms:
         bundle, start = _with_terms(views, discs, bundle, start, options, terms)
     if model == "drift":
@@ -97,7 +98,7 @@ def fit(views: Sequence[View], options: CalibrationOptions, model: str, *, leave
     return _checked(views, options, model, bundle, refined, loss, leave_out=leave_out)
 
 
-def _begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tuple[Bundle, State]:
+def begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tuple[Bundle, State]:
     """Return what the ideal model estimates, and where to begin."""
     h = np.array([fit_homography(view) for view in views])
     size, distortion = views[0].image_size, tuple(options.distortion)
@@ -149,7 +150,7 @@ def refine_robustly(
     The spread is the robust standard deviation per axis at the least squares optimum, and then at each robust
     one, so that the result depends on the data alone and not on the start.
     """
-    given = None if options.huber_px is None else options.huber_px * _whitening_scale(bundle)
+    given = None if options.huber_px is None else options.huber_px * bundle.observations.per_px
     loss = Loss("l2") if given is None else Loss(options.loss, given)
     refined = refine(bundle, start, loss, options.max_iterations)
     iterations = refined.iterations
@@ -182,12 +183,6 @@ def _noise(bundle: Bundle, state: State, loss: Loss, options: CalibrationOptions
     known = uncertainty.at_optimum(bundle, state, loss)
     ratio = known.disagreement if known.disagree else 1.0
     return known.variance_factor * max(ratio, options.passport.disagreement) ** 2
-
-
-def _whitening_scale(bundle: Bundle) -> float:
-    """Return the factor from px to units of the typical star's uncertainty."""
-    determinants = np.linalg.det(bundle.observations.whitening)
-    return float(np.sqrt(np.median(np.abs(determinants))))
 
 
 def _checked(
@@ -268,7 +263,16 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
     if not fitted.known.disagree:
         return ()
     ratio = f"{fitted.known.disagreement:.1f} times more than their stars' noise explains"
-    return (f"The views disagree {ratio}; the uncertainties say so. A {fitted.model} collimator is not all.",)
+    notes = [f"The views disagree {ratio}; the uncertainties say so. A {fitted.model} collimator is not all."]
+    if fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:
+        drift = centre_drift(fitted.bundle, fitted.state, fitted.loss)
+        if np.linalg.norm(drift) > WORRYING:
+            shares = " / ".join(f"{100 * share:.2f}" for share in drift)
+            notes.append(
+                f"The centre wanders by {shares} % of r along x / y / z from view to view: the spherical model "
+                "is biased. Let the data choose a model, or use a passport with the collimator's imperfections."
+            )
+    return tuple(notes)
 
 
 def _rms(lengths: Array) -> float:

@@ -67,6 +67,11 @@ class Observations:
             np.repeat(np.arange(len(views)), counts),
         )
 
+    @property
+    def per_px(self) -> float:
+        """The factor from px to units of the typical star's uncertainty."""
+        return float(np.sqrt(np.median(np.abs(np.linalg.det(self.whitening)))))
+
     def whitened(self, vectors: Array) -> Array:
         """Multiply (N, 2) vectors, or (N, 2, k) columns of them, by the whitening."""
         w = self.whitening if vectors.ndim == 2 else self.whitening[..., None]

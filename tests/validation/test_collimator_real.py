@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.baselines import opencv_planar, published_recipe
 from calib.calibrate import CalibrationOptions, calibrate
 from calib.target import StarTarget
 from calib.view import View
@@ -84,6 +85,18 @@ def test_imperfections_of_the_collimator_predict_views_left_out_twice_as_well(vi
     assert result.rms_px < 0.22
 
 
+def test_baselines_stand_beside(views):
+    opencv_s, published = opencv_planar(views, L2), published_recipe(views, L2)
+    rms, matrix, *_ = opencv(views, cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST)
+    assert opencv_s.rms_px == pytest.approx(rms, abs=1e-6)
+    assert opencv_s.camera.fx == pytest.approx(matrix[0, 0], abs=0.01)
+    assert opencv_s.left_out_rms_px == pytest.approx(0.621, abs=0.001)
+    # Noise is all that their uncertainties know of.
+    assert opencv_s.sigma["fx"] < 1.5
+    assert published.sigma["fx"] < 1.0
+    assert published.camera.fx == pytest.approx(2423.5, abs=1.5)
+
+
 @pytest.mark.slow
 def test_the_data_choose_the_richest_collimator(views):
     result = calibrate(views, CalibrationOptions(model="auto"))
@@ -95,7 +108,7 @@ def test_the_data_choose_the_richest_collimator(views):
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [2, 3])
 def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
-    from calib.fit import _begin
+    from calib.fit import begin
     from calib.homography import fit_homography
     from calib.refine import Loss, refine
     from calib.start import spherical_states
@@ -103,7 +116,7 @@ def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
     rng = np.random.default_rng(size)
     for _ in range(100):
         subset = [views[i] for i in rng.choice(20, size, replace=False)]
-        bundle, _ = _begin(subset, L2, "spherical")
+        bundle, _ = begin(subset, L2, "spherical")
         h = np.array([fit_homography(view) for view in subset])
         ends = [refine(bundle, s, Loss("l2")).cost for s in spherical_states(h, SIZE, ("k1", "k2"))]
         misses = np.concatenate(calibrate(subset, L2).residuals_px)

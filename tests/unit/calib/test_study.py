@@ -1,0 +1,80 @@
+"""Monte Carlo studies of the stated uncertainties."""
+
+import numpy as np
+import pytest
+
+from calib.calibrate import CalibrationOptions
+from calib.camera import CameraModel
+from calib.collimator import Collimator
+from calib.imagined import Expectation
+from calib.passport import Passport
+from calib.study import repeat
+from calib.target import StarTarget
+
+#: The paper's camera before a narrow beam: stars 26 px apart, 4.5 degrees of half angle, r = 700 mm.
+PITCH = 5.45
+NARROW = Expectation(
+    CameraModel(3345.0, 3345.0, 642.0, 363.0, (1280, 720), {"k1": 0.06, "k2": -0.9}),
+    Collimator(24 * PITCH, 35 * PITCH, 700.0),
+    4.5,
+    0.05,
+    StarTarget(pitch_mm=PITCH),
+    needs_tag=False,
+)
+POSES = [
+    {"pan_deg": -6.0, "tilt_deg": 1.5},
+    {"pan_deg": 1.0, "tilt_deg": -3.0, "roll_deg": 20.0},
+    {"pan_deg": 5.0, "tilt_deg": 2.5, "roll_deg": -20.0},
+]
+EXACT = Passport(("x", "y", "r"), NARROW.collimator.values, np.eye(3) * 1e-8)
+L2 = CalibrationOptions(loss="l2")
+
+
+def test_one_seed_gives_one_result_and_runs_are_told_as_they_end():
+    told = []
+    study = repeat(NARROW, POSES, L2, 3, 5, progress=lambda run, runs: told.append((run, runs)))
+    again = repeat(NARROW, POSES, L2, 3, 5)
+    assert np.array_equal(study.values, again.values)
+    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert not np.array_equal(study.values, repeat(NARROW, POSES, L2, 3, 6).values)
+
+
+def test_runs_without_a_calibration_are_kept_with_their_reason():
+    study = repeat(NARROW, POSES[:1] * 2, L2, 2, 5)
+    assert study.values.size == 0
+    assert all("same pose" in why for why in study.failed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", ["l2", "huber"])
+def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
+    study = repeat(NARROW, POSES, CalibrationOptions(loss=loss), 500, 17)
+    low, high = study.coverage_band
+    assert not study.failed
+    assert all(low <= share <= high for share in study.coverage.values())
+    assert all(0.9 < z < 1.1 for z in study.z_rms.values())
+    # With half the sigmas the same study fails.
+    halved = np.abs(study.values - study.truth) <= study.sigmas
+    assert (halved.mean(axis=0) < low).all()
+
+
+@pytest.mark.slow
+def test_the_spherical_model_is_twice_as_sure_as_the_planar_one():
+    spherical = repeat(NARROW, POSES, L2, 150, 18).scatter["fx"]
+    planar = repeat(NARROW, POSES, CalibrationOptions(model="planar", loss="l2"), 150, 18).scatter["fx"]
+    assert spherical < 15
+    assert 18 < planar < 32
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "limit"), [(1, 0.5), (3, 0.12)])
+def test_a_passport_makes_the_focal_length_a_hundred_times_surer(count, limit):
+    study = repeat(NARROW, POSES[:count], CalibrationOptions(passport=EXACT), 100, 19)
+    assert study.scatter["fx"] < limit
+
+
+@pytest.mark.slow
+def test_a_drift_prior_keeps_what_a_wandering_centre_would_spoil():
+    free = CalibrationOptions(model="drift", drift_mm=0.1, loss="l2")
+    assert repeat(NARROW, POSES, free, 150, 20, drift_mm=0.1).scatter["fx"] < 12.5
+    assert repeat(NARROW, POSES, L2, 150, 20, drift_mm=0.1).scatter["fx"] > 16
