@@ -360,7 +360,7 @@ def run(  # noqa: PLR0915 - one loop that keeps its state in registers
                 bits = 0
             if mode == Mode.STORE:
                 _store(t_out, x_out, y_out, p_out, n, t, y, x, p, bits)
-            elif mode == Mode.COUNT:
+            elif mode == Mode.COUNT and bits:
                 _count(image, y, x, p, bits)
             n += _ones(bits)
             on += p * _ones(bits)

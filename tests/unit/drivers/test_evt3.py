@@ -437,6 +437,16 @@ def test_counting_without_a_list_gives_the_same_image(stream):
     assert rows(edges) == stream[2]
 
 
+@pytest.mark.parametrize("missing", ["row", "base"])
+def test_events_without_a_place_count_nowhere(missing):
+    image = np.zeros((2, HEIGHT, WIDTH), np.uint16)
+    decoder = Evt3Decoder(WIDTH, HEIGHT)
+    words = [high(0), low(0), base(5) if missing == "row" else row(5), vector12(7), event(9) | 0x800]
+    decoder.count(np.array(words, np.uint16), image)
+    assert image.sum() == (0 if missing == "row" else 1)
+    assert decoder.told().unplaced_events == (4 if missing == "row" else 3)
+
+
 def test_an_image_of_another_size_is_refused():
     with pytest.raises(ValueError, match="another sensor"):
         Evt3Decoder(WIDTH, HEIGHT).count(np.array([high(0)], np.uint16), np.zeros((2, 10, 10), np.uint16))
