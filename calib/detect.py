@@ -42,6 +42,8 @@ MIN_CONTRAST = 0.2
 OUT_OF_LINE_SIGMAS = 7.0
 #: ... unless within this, px.
 IN_LINE_PX = 0.05
+#: Distance of the samples of the first refinement, px; the second has them a pixel apart.
+COARSE_STEP_PX = 1.6
 #: How far refinement may walk, in pitches.
 WALK = 0.06
 #: Stars that a view needs at least.
@@ -99,9 +101,9 @@ def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view"
     grown = grow(values, seed, target)
     stars = _Stars(grown.nodes(), grown.places())
     _enough(len(stars.nodes), name)
-    stars, _, _ = _refined(values, stars, target, seed)
+    stars, _, _ = _refined(values, stars, target, seed, COARSE_STEP_PX)
     _enough(len(stars.nodes), name)
-    stars, fine, shape = _refined(values, stars, target, seed)
+    stars, fine, shape = _refined(values, stars, target, seed, 1.0)
     _enough(len(stars.nodes), name)
     promised = fine.residual[:, None, None] * np.linalg.inv(fine.information)
     points, covariances = _best_placed(image, stars, promised, shape, target)
@@ -152,14 +154,14 @@ def _typical(covariances: NDArray[np.float64]) -> float:
 
 
 def _refined(
-    image: NDArray[np.float32], stars: _Stars, target: StarTarget, seed: TagSeed
+    image: NDArray[np.float32], stars: _Stars, target: StarTarget, seed: TagSeed, step_px: float
 ) -> tuple[_Stars, RefinedStars, LocalShape]:
     """Refine all stars with the map that they tell together, and leave out those that do not stand."""
     grid = stars.nodes.astype(float)
     view_map, _ = fit_view(grid, stars.points)
     shape = view_map.shape(grid)
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(shape.linear)))))
-    fine = refine_stars(image, stars.points, shape, symmetry_samples(pitch), WALK * pitch)
+    fine = refine_stars(image, stars.points, shape, symmetry_samples(pitch / step_px), WALK * pitch)
     score, contrast = star_contrasts(
         image, fine.centres, shape.linear, StarTemplate.of(target.segments), seed.sign
     )

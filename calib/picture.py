@@ -30,7 +30,7 @@ def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     Examples
     --------
     >>> to_uint8(np.array([[0.0, 1.0], [2.0, 4.0]])).tolist()
-    [[0, 62], [126, 255]]
+    [[0, 63], [127, 255]]
     """
     if image.ndim != 2 or image.size == 0:
         raise InputMismatch(

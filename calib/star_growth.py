@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.grid_map import apply_homography, fit_homography, predict_locally
-from calib.star_refine import StarTemplate, search_stars
+from calib.star_refine import SEARCH_RADII, StarTemplate, search_stars
 from calib.tag_seed import TagSeed
 from calib.target import StarTarget
 
@@ -59,7 +59,7 @@ def grow(image: NDArray[np.float32], seed: TagSeed, target: StarTarget) -> Grown
     Places to about half a pixel; empty where no star stands around the tag.
     """
     grown = Grown()
-    template = StarTemplate.of(target.segments)
+    template = StarTemplate.of(target.segments, SEARCH_RADII)
     corners = target.tag_corners_mm / target.pitch_mm
     h = seed.homography
     wanted = _around(corners.round().astype(np.int64), target, grown, whole_tag=True)

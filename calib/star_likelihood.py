@@ -179,6 +179,8 @@ def draw_print(target: StarTarget, pitch_px: float, blur_px: float) -> Print:
     u, v = np.meshgrid(steps, steps)
     x, y = (columns.ravel()[at] + u) * target.pitch_mm, (rows.ravel()[at] + v) * target.pitch_mm
     blurred = cv2.GaussianBlur(target.reflectance(x, y), (0, 0), blur_px * OVERSAMPLING)
+    # Samples on an edge fall to either side by rounding; half a turn more makes the drawing even again.
+    blurred = (blurred + blurred[::-1, ::-1]) / 2.0
     tau = blur_px * ndtri(np.clip(blurred, 1e-4, 1.0 - 1e-4))
     edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * target.segments) % target.segments
     return Print(tau.astype(np.float32), edge.astype(np.uint8), half, scale, TAU_LIMIT_BLURS * blur_px)

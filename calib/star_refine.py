@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 
 #: Radii, in pitches, at which a star's segments are compared with the image; further in they may run together.
 TEMPLATE_RADII = (0.24, 0.28, 0.32, 0.36, 0.40, 0.44, 0.47)
+#: ... and those that are enough to look for it.
+SEARCH_RADII = (0.26, 0.35, 0.44)
 #: Outer of these: a star cut by the disc's rim lacks contrast there.
 OUTER_FROM = 0.35
 #: Places along a segment's width, as shares of it.
@@ -51,11 +53,11 @@ class StarTemplate(NamedTuple):
     outer: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, segments: int) -> StarTemplate:
+    def of(cls, segments: int, radii: tuple[float, ...] = TEMPLATE_RADII) -> StarTemplate:
         """Template of a star of so many segments, counted from +Y, the first one white."""
         across = np.array(TEMPLATE_ACROSS)
         turns = (np.arange(segments)[:, None] + across[None, :]).ravel() / segments
-        angle, radius = np.meshgrid(2 * np.pi * (turns + 0.25), TEMPLATE_RADII)
+        angle, radius = np.meshgrid(2 * np.pi * (turns + 0.25), radii)
         white = np.floor(turns * segments) % 2 == 0
         octant = np.floor(turns * OCTANTS).astype(np.int64)
         shape = radius.shape

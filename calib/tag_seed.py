@@ -18,8 +18,10 @@ from calib.target import TAG_MODULES, StarTarget
 
 #: Correlation of a tag's modules with the print that it needs at least, of either sign.
 MIN_CORRELATION = 0.5
-#: Images smaller than this are not halved for the search, px.
-HALVING_FROM_PX = 500
+#: Pictures stay at least this large when they are made smaller for the search, px.
+SMALLEST_PICTURE_PX = 170
+#: Perimeter of a tag as a share of the picture's longer side, at least: the stars' many corners are smaller.
+MIN_PERIMETER = 0.12
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class TagSeed:
 def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> TagSeed:
     """Find the target's own tag, at any roll and with either contrast.
 
-    The image is tried halved, blurred, as it is and median filtered, until the tag is seen.
+    The image is tried smaller, blurred, as it is and median filtered, until the tag is seen.
 
     Parameters
     ----------
@@ -91,11 +93,10 @@ def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> Ta
 
 def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], float]]:
     """Pictures to look at one after the other, and how many of their pixels make one of the image's."""
-    if min(picture.shape) >= HALVING_FROM_PX:
-        yield (
-            np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8),
-            0.5,
-        )
+    for scale in (0.25, 0.5):
+        if scale * min(picture.shape) >= SMALLEST_PICTURE_PX:
+            smaller = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            yield np.asarray(smaller, np.uint8), scale
     yield np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.2), np.uint8), 1.0
     yield picture, 1.0
     yield np.asarray(cv2.medianBlur(picture, 5), np.uint8), 1.0
@@ -106,6 +107,7 @@ def _read_tags(picture: NDArray[np.uint8], scale: float) -> Iterator[tuple[NDArr
     """Corners, in px of the full image, and numbers of all tags of the family."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.detectInvertedMarker = True
+    parameters.minMarkerPerimeterRate = MIN_PERIMETER
     # Windows from about the smallest module to a quarter of the picture: larger modules are not hollow to it.
     parameters.adaptiveThreshWinSizeMin = 9
     parameters.adaptiveThreshWinSizeMax = max(23, min(picture.shape) // 8 | 1)
