@@ -286,8 +286,8 @@ def test_a_sensor_that_does_not_report_its_rate_controller_is_not_taken_for_zero
 
 
 def test_events_between_the_first_time_high_and_its_time_low_are_at_its_start():
-    found, _, told = decode(row(3), high(2), event(7), low(5), event(8))
-    assert found == [(8192, 7, 3, 0), (8197, 8, 3, 0)]
+    found, _, told = decode(row(3), high(2), event(7, 1), low(5), event(8))
+    assert found == [(8192, 7, 3, 1), (8197, 8, 3, 0)]
     assert told.first_t_us == 8197
 
 
@@ -355,7 +355,7 @@ def streams(draw):
     t &= LOOP_US - 1
     events, triggers, passed = [], [], 0
     for _ in range(draw(st.integers(0, 30))):
-        kind = draw(st.sampled_from(["single", "vector", "trigger", "wait", "counter"]))
+        kind = draw(st.sampled_from(["single", "vector", "vectors", "trigger", "wait", "counter"]))
         if kind == "wait":
             before, t = t, t + draw(st.integers(1, 20_000))
             words += [high(k & 0xFFF) for k in range((before >> 12) + 1, (t >> 12) + 1)]
@@ -383,6 +383,16 @@ def streams(draw):
                 vector8(bits >> 24),
             ]
             events += [(t, x + k, y, p) for k in range(32) if bits >> k & 1]
+        elif kind == "vectors":
+            widths = draw(st.lists(st.sampled_from([12, 8]), max_size=6))
+            x, p = draw(st.integers(0, WIDTH - sum(widths))), draw(st.integers(0, 1))
+            y = draw(st.integers(0, HEIGHT - 1))
+            words += [row(y), base(x, p)]
+            for width in widths:
+                bits = draw(st.integers(0, 2**width - 1))
+                words.append(vector12(bits) if width == 12 else vector8(bits))
+                events += [(t, x + k, y, p) for k in range(width) if bits >> k & 1]
+                x += width
         elif kind == "trigger":
             value, channel = draw(st.integers(0, 1)), draw(st.integers(0, 15))
             words.append(trigger(value, channel))
