@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from report_sample import COLLIMATOR, SIGMA, TRUE, sample
 
 from bench.report import ReportData, ViewPicture, printed_text, render_report
 from bench.report.plots import residual_vectors
@@ -21,9 +22,6 @@ from bench.report.text import with_uncertainty
 from bench.report.walk import walk_diagram
 from calib.camera import CameraModel
 from calib.infinity import uncertainty_map
-
-sys.path.insert(0, str(Path(__file__).parent))
-from report_sample import COLLIMATOR, SIGMA, TRUE, sample
 
 SMALL = (320, 180)
 VOID = {"meta", "link", "br", "img", "hr", "input"}
@@ -100,7 +98,7 @@ def test_it_forbids_all_but_its_own_pictures_and_style(html):
 def test_the_same_data_give_the_same_bytes_in_another_process(html, tmp_path):
     code = "import sys; sys.path.insert(0, sys.argv[1]); from report_sample import sample; from bench.report import render_report; print(render_report(sample(size=(320, 180))), end='')"
     other = subprocess.run(
-        [sys.executable, "-c", code, Path(__file__).parent],
+        [sys.executable, "-c", code, Path(__file__).parents[2] / "support"],
         capture_output=True,
         check=True,
         env={

@@ -3,13 +3,13 @@
 import json
 import os
 import shutil
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from report_sample import sample
 
 from bench.errors import RunFolderError
 from bench.journal import read_journal
@@ -19,9 +19,6 @@ from bench.run_folder import RunFolder
 from bench.seal import manifest_of, seal
 from bench.sshsig import read_signature, sign
 from bench.verify import verify_run
-
-sys.path.insert(0, str(Path(__file__).parent))
-from report_sample import sample
 
 
 def kinds(verification):

@@ -1,0 +1,43 @@
+"""Two calibrations held against each other, as results.json tells them."""
+
+import copy
+
+import pytest
+from report_sample import sample
+
+from bench.reproduce import _differing
+
+
+@pytest.fixture(scope="module")
+def told():
+    return sample(size=(160, 90)).results["calibration"]
+
+
+def changed(calibration, part, name, sigmas):
+    again = copy.deepcopy(dict(calibration))
+    again[part][name] += sigmas * calibration["sigma"][name]
+    return again
+
+
+def test_the_same_calibration_does_not_differ(told):
+    assert _differing(told, copy.deepcopy(told)) == []
+
+
+@pytest.mark.parametrize(("part", "name"), [("camera", "k2"), ("collimator", "r"), ("sigma", "fx")])
+def test_what_differs_by_more_than_rounding_is_told(told, part, name):
+    assert _differing(told, changed(told, part, name, 1e-5)) == []
+    (found,) = _differing(told, changed(told, part, name, 0.01))
+    assert found.startswith(f"the recordings give {name}")
+    assert ("the sigma" in found) == (part == "sigma")
+
+
+def test_what_is_no_number_differs(told):
+    assert _differing(changed(told, "camera", "fx", float("nan")), told) != []
+
+
+def test_another_model_or_lens_is_told(told):
+    for again in ({**told, "model": "planar"}, {**told, "sigma": {"fx": 1.0}}):
+        (found,) = _differing(told, again)
+        assert found.startswith(
+            f"the recordings give the model {again['model']} in {', '.join(again['sigma'])}"
+        )
