@@ -142,7 +142,7 @@ def _open(address: str, baudrate: int, stopbits: int) -> Any:
             baudrate=baudrate,
             stopbits=stopbits,
             timeout=_SLICE_S,
-            write_timeout=_WRITE_S,
+            write_timeout=None if "://" in address else _WRITE_S,  # device servers know none
             exclusive=True,  # flock, before pyserial touches a line setting
             dsrdtr=True,  # with it pyserial leaves DTR alone; it turns no flow control on
             do_not_open=True,

@@ -16,6 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
+import serial.rfc2217
 
 from drivers.clock import SystemClock
 from drivers.errors import PortBusy, PortDenied, PortLost, PortNotFound, ReplyTimeout
@@ -262,3 +264,54 @@ def test_threads_take_turns_on_one_line(plug, port) -> None:
     for thread in [*threads, device]:
         thread.join()
     assert wrong == []
+
+
+class DeviceServer:
+    """A serial device server as RFC 2217 has it, with a plug that returns what is sent to it."""
+
+    def __init__(self) -> None:
+        self.listening = socket.create_server(("127.0.0.1", 0))
+        self.address = f"rfc2217://127.0.0.1:{self.listening.getsockname()[1]}"
+        self.device = serial.serial_for_url("loop://", timeout=0.05)
+        self.thread = threading.Thread(target=self.serve, daemon=True)
+        self.thread.start()
+
+    def serve(self) -> None:
+        self.client, _ = self.listening.accept()
+        self.client.settimeout(0.05)
+        manager = serial.rfc2217.PortManager(self.device, self)
+        while True:
+            try:
+                data = self.client.recv(1024)
+            except TimeoutError:
+                continue
+            if not data:
+                return
+            self.device.write(b"".join(manager.filter(data)))
+            if waiting := self.device.in_waiting:
+                self.client.sendall(b"".join(manager.escape(self.device.read(waiting))))
+
+    def write(self, data: bytes) -> None:
+        self.client.sendall(data)
+
+    def close(self) -> None:
+        self.thread.join(5.0)
+        self.client.close()
+        self.listening.close()
+        self.device.close()
+
+
+@pytest.mark.filterwarnings("ignore:setDaemon:DeprecationWarning")  # pyserial 3.5 calls it
+def test_a_device_server_serves_as_a_port_and_takes_its_baud_rate() -> None:
+    server = DeviceServer()
+    try:
+        port = SerialPort(server.address, baudrate=19200)
+        port.write(b"there and back\n")
+        data = b""
+        while len(data) < 15:
+            data += port.read(5.0)
+        assert data == b"there and back\n"
+        assert server.device.baudrate == 19200
+        port.close()
+    finally:
+        server.close()
