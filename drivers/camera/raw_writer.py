@@ -14,6 +14,8 @@ from drivers.errors import RecordingFailed
 FULL_BYTES: Final = 1 << 20
 """A disk with less free space than this is taken for full."""
 
+_BINARY: Final = getattr(os, "O_BINARY", 0)  # only Windows knows other files
+
 _REMEDIES: Final = {
     errno.EEXIST: ("There is such a file already", "Recordings are never overwritten: choose another name."),
     errno.ENOSPC: ("The disk is full", "Free space on that disk, then record again."),
@@ -46,7 +48,7 @@ class RawWriter:
         self.path = path
         self.bytes_written = 0
         try:
-            self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o644)
         except OSError as error:
             raise disk_refused(path, error) from error
         try:
@@ -120,7 +122,9 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync a folder, so that a new file's name is on disk as well."""
+    """Sync a folder, so that a new file's name is on disk as well; Windows has no such thing."""
+    if os.name == "nt":
+        return
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.camera.raw_file import RawFile
+from drivers.errors import RecordingCorrupt
 
 evt3 = pytest.importorskip("evt3", reason="the PyPI package evt3 is not built for this platform")
 
@@ -95,3 +96,25 @@ def test_words_taken_out_of_the_real_recording_are_missed(reference_data, tmp_pa
     scan = RawFile.open(path).scan()
     assert scan.lost_events == (~kept).sum() == 17
     assert scan.odd_windows == 17
+
+
+def test_a_damaged_real_recording_never_gives_events_outside_the_sensor(reference_data, tmp_path):
+    whole = (reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw").read_bytes()[:40_000]
+    rng = np.random.default_rng(5)
+    path = tmp_path / "damaged.raw"
+    refused_at = []
+    for _ in range(200):
+        data = bytearray(whole)
+        for place in rng.integers(300, len(data), 3):
+            data[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(data)
+        try:
+            events, _ = RawFile.open(path).read()
+        except RecordingCorrupt as error:
+            refused_at.append(error.offset)
+        else:
+            assert events.x.max() < 1280
+            assert events.y.max() < 720
+            assert abs(int(events.t[0]) - 14_224_870) < 1 << 24
+    assert 50 < len(refused_at) < 200
+    assert all(300 <= offset < len(whole) for offset in refused_at)
