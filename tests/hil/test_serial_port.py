@@ -301,7 +301,7 @@ class DeviceServer:
         self.device.close()
 
 
-@pytest.mark.filterwarnings("ignore:setDaemon:DeprecationWarning")  # pyserial 3.5 calls it
+@pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial 3.5 calls them
 def test_a_device_server_serves_as_a_port_and_takes_its_baud_rate() -> None:
     server = DeviceServer()
     try:
