@@ -21,11 +21,11 @@ def two_cameras(bench, seed):
 
 
 def test_the_relative_rotation_is_found_within_its_uncertainty(bench):
-    runs = [relative_rotation(*two_cameras(bench, i)) for i in range(20)]
+    runs = [relative_rotation(*two_cameras(bench, i)) for i in range(12)]
     z = np.array([log_map(run.rotation @ TURN.T) / np.sqrt(np.diag(run.covariance)) for run in runs])
     assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.3)
     assert runs[0].views == ("pose-001", "pose-002", "pose-003")
-    assert sum(run.rigid for run in runs) >= 19
+    assert sum(run.rigid for run in runs) >= 11
     assert runs[0].sigma_arcsec.max() < 60
 
 

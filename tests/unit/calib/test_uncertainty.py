@@ -30,7 +30,7 @@ def in_the_band(z):
 
 @pytest.mark.parametrize("options", [CalibrationOptions(), CalibrationOptions(model="planar", loss="l2")])
 def test_sigmas_are_those_of_repeated_calibrations(bench, options):
-    z = z_scores(bench, options, 40, 12)
+    z = z_scores(bench, options, 30, 12)
     assert in_the_band(z).all()
     assert not in_the_band(2.5 * z).any()
 
