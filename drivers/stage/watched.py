@@ -201,6 +201,8 @@ class WatchedStage(ABC, Generic[A]):
         have been stopped.
         """
         motion.check_targets(self.limits, target_deg, self._where)
+        if not target_deg:
+            return
         go_on = self._begin()
         moving = [self._axes[name] for name in target_deg]
         start_deg = {axis.name: self._standing_deg(axis) for axis in moving}

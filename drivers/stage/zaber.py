@@ -97,18 +97,34 @@ class ZaberStage(WatchedStage[ZaberAxis]):
         return not any(zaber_protocol.UNREFERENCED & set(self._flags(axis)) for axis in self._axes.values())
 
     def faults(self) -> Sequence[str]:
-        """Present warning flags of all axes in plain words."""
+        """Present warning flags of all axes in plain words, those aside that are only history."""
         return [
             f"{name}: {zaber_protocol.in_words(flag)}"
             for name, axis in self._axes.items()
             for flag in self._flags(axis)
+            if not zaber_protocol.is_history(flag)
         ]
+
+    def park(self) -> None:
+        """Let every controller keep its position over a loss of power; moves nothing, and refuses all moves.
+
+        Raises DeviceRefused while an axis moves.
+        """
+        self._tell_each("tools parking park")
+
+    def unpark(self) -> None:
+        """Take the axes out of their parking; they move at most to the nearest full step. Raises DeviceRefused."""
+        self._tell_each("tools parking unpark")
 
     def close(self) -> None:
         """Give the port back; the stage stays where it is."""
         self._chain.close()
 
     # ------------------------------------------------------------ on the wire
+
+    def _tell_each(self, words: str) -> None:
+        for axis in self._axes.values():
+            self._chain.command(axis.device, axis.axis, words)
 
     def _assure_ready(self, axis: ZaberAxis) -> None:
         """See that an axis is referenced and without fault; clear what is only history."""

@@ -192,6 +192,15 @@ def is_fault(flag: str) -> bool:
     return flag.startswith("F") or flag in _STOPPING_WARNINGS
 
 
+def is_history(flag: str) -> bool:
+    """Whether a flag tells what happened, not what is the matter now: a note, manual control aside.
+
+    >>> is_history("NI"), is_history("NC"), is_history("WT")
+    (True, False, False)
+    """
+    return flag.startswith("N") and flag != "NC"
+
+
 def in_words(flag: str) -> str:
     """Return a flag in plain words.
 

@@ -105,6 +105,28 @@ def test_faults_are_told_in_plain_words(stage, peer) -> None:
     assert stage.faults() == ["pan: no reference position (WR)", "tilt: controller too hot (WT)"]
 
 
+def test_what_is_only_history_is_no_fault(homed, peer) -> None:
+    peer.pan.go(9000.0)
+    homed.stop()
+    assert peer.pan.flags == ["NI"]
+    assert homed.faults() == []
+
+
+def test_a_move_to_nowhere_sends_nothing(homed, peer) -> None:
+    homed.move_to({})
+    assert peer.sent == []
+
+
+def test_parking_is_told_to_each_axis_and_refuses_moves(homed, peer) -> None:
+    homed.park()
+    assert [line for line in peer.sent if b" park:" in line] == peer.sent
+    assert len(peer.sent) == 2
+    with pytest.raises(DeviceRefused, match="the axis is parked"):
+        homed.move_to({"pan": 1.0})
+    homed.unpark()
+    homed.move_to({"pan": 1.0})
+
+
 def test_closing_gives_the_port_back(stage, peer) -> None:
     stage.close()
     assert peer.closed
@@ -156,7 +178,9 @@ def test_what_is_only_history_is_cleared_before_a_move(homed, peer) -> None:
 
 def test_limits_beyond_the_controllers_travel_are_refused(peer, clock) -> None:
     peer.pan.settings["limit.max"] = "9000"
-    with pytest.raises(OutsideLimits, match=r"-15000 to 15000 microsteps, reach beyond the controller's, -15000 to 9000"):
+    with pytest.raises(
+        OutsideLimits, match=r"-15000 to 15000 microsteps, reach beyond the controller's, -15000 to 9000"
+    ):
         ZaberStage(peer, axes(), clock=clock)
 
 

@@ -23,6 +23,7 @@ class Controller:
         self.clock = clock
         self.flags = ["WR"]
         self.encoder: int | None = None
+        self.parked = False
         self.settings = {
             "system.serial": serial,
             "deviceid": "50958",
@@ -47,6 +48,9 @@ class Controller:
     def go(self, goal: float) -> None:
         self.start, self.goal, self.began_s = float(self.position()), float(goal), self.clock.now_s
 
+    def refusal(self) -> str:
+        return "PARKED" if self.parked else "BADCOMMAND"
+
     def restart(self) -> None:
         self.start = self.goal = 0.0
         self.flags = ["WR"]
@@ -59,6 +63,11 @@ class Controller:
     def answer(self, words: list[str]) -> str | None:
         """Data of the reply; None to reject the command."""
         match words:
+            case ["tools", "parking", way]:
+                self.parked = way == "park"
+                return "0"
+            case ["move" | "home", *_] if self.parked:
+                return None
             case ["get", "pos"]:
                 return str(self.position())
             case ["get", "encoder.pos"]:
@@ -115,9 +124,7 @@ class ZaberPeer:
                 verdict = "RJ" if data_back is None else "OK"
                 state = "BUSY" if controller.busy() else "IDLE"
                 flag = controller.flags[0] if controller.flags else "--"
-                text = (
-                    f"{number:02d} {axis} {message_id} {verdict} {state} {flag} {data_back or 'BADCOMMAND'}"
-                )
+                text = f"{number:02d} {axis} {message_id} {verdict} {state} {flag} {data_back or controller.refusal()}"
                 self.ready += self.spoil(close_line(text))
 
     def read(self, timeout_s: float) -> bytes:
