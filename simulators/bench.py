@@ -16,8 +16,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -27,10 +28,12 @@ import numpy as np
 from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError, SimulatorError
 from simulators.evk4 import SimulatedEvk4
-from simulators.faults import Order, Parts, order, order_from_text, prepare
+from simulators.fault_injection import Parts, prepare
+from simulators.faults import Order, order, order_from_text
 from simulators.lamp import Lamp
 from simulators.lights import make_light
 from simulators.line_faults import FaultLine
+from simulators.orders import answer, take_orders
 from simulators.sensor_stream import CameraState, SensorStream
 from simulators.serial_device import Dialect, Port, SerialDevice
 from simulators.stages import make_stage
@@ -174,34 +177,11 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def _listen(bench: Bench, ended: Callable[[], None]) -> None:
-    """Take orders for faults from standard input, a line each, and answer each with a line of JSON.
-
-    Parameters
-    ----------
-    bench
-        Where things are to go wrong.
-    ended
-        Called at the end of standard input.
-    """
-    waiting = b""
-    # Not sys.stdin: its lock would be held by this thread while the interpreter shuts down.
-    while heard := os.read(0, 4096):
-        *lines, waiting = (waiting + heard).split(b"\n")
-        for line in lines:
-            if line.strip():
-                print(json.dumps(_obey(bench, line.decode("utf-8", "replace"))), flush=True)
-    ended()
-
-
 def _obey(bench: Bench, line: str) -> dict[str, Any]:
-    """Carry out an order, written as JSON or as words, and say how that went."""
-    try:
-        one = order(json.loads(line)) if line.lstrip().startswith("{") else order_from_text(line)
-        bench.inject(one)
-    except (SimulatorError, ValueError) as error:
-        return {"ok": False, "error": str(error)}
-    return {"ok": True, "device": one.device, "fault": one.fault, "after_s": one.after_s, **one.parameters}
+    """Carry out an order, written as JSON or as words, and say what was done."""
+    one = order(json.loads(line)) if line.startswith("{") else order_from_text(line)
+    bench.inject(one)
+    return {"device": one.device, "fault": one.fault, "after_s": one.after_s, **one.parameters}
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -225,13 +205,13 @@ def main(words: Sequence[str] | None = None) -> int:
         arguments.folder.mkdir(parents=True, exist_ok=True)
         with Bench(arguments.folder, _read_config(arguments.config), arguments.seed) as bench:
             ready = {"endpoints": bench.endpoints, "truth": str(bench.truth_path), "pid": os.getpid()}
-            print(json.dumps(ready), flush=True)
+            answer(ready)
             threading.Thread(target=_warm_up, args=(bench.world.truth,), name="warm-up", daemon=True).start()
             ended = ending.set if arguments.until_eof else lambda: None
-            threading.Thread(target=_listen, args=(bench, ended), name="orders", daemon=True).start()
+            threading.Thread(target=take_orders, args=(partial(_obey, bench), ended), daemon=True).start()
             ending.wait()
     except (SimulatorError, OSError) as error:
-        print(error, file=sys.stderr)
+        sys.stderr.write(f"{error}\n")
         return 2
     return 0
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from simulators.axis_motion import Axis, Mechanics
@@ -98,6 +98,11 @@ class EspAxis:
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press or release the controller's emergency stop."""
         self.controller.emergency_stop(t_s, released=released)
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Have another stage of this model on the axis, and the controller started anew."""
+        self.model = replace(self.model, serial=serial)
+        self.controller.restart(t_s)
 
 
 class EspController:

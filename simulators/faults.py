@@ -1,7 +1,6 @@
-"""Faults by name: what can go wrong on the simulated bench, and how it is brought about while it runs.
+"""Faults by name: what can go wrong on the simulated bench, and how an order for it is written.
 
-Knows the catalogue of faults, how an order for one is written, and which part of the bench it befalls. How a
-fault works is the parts' own: `axis_motion`, `line_faults`, `lamp`, and the camera.
+Knows the catalogue and checks orders against it; `fault_injection` carries them out.
 
 An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera), ``fault``,
 perhaps ``after_s``, and the fault's parameters; or the same as text: ``pan stall share=0.3``.
@@ -9,86 +8,16 @@ perhaps ``after_s``, and the fault's parameters; or the same as text: ``pan stal
 
 from __future__ import annotations
 
-import re
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final
 
-from simulators.axis_motion import Axis, FaultKind, MotionFault
 from simulators.errors import ConfigError
-from simulators.lamp import LAMP_FAULTS, Lamp
-from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
-from simulators.serial_device import SerialDevice
+from simulators.lamp import LAMP_FAULTS
+from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS
 
 Parameter = float | int | str
-
-
-class AxisController(Protocol):
-    """What a fault needs of a stage's controller, for one axis."""
-
-    @property
-    def axis(self) -> Axis:
-        """The axis."""
-        ...
-
-    def restart(self, t_s: float) -> None:
-        """Lose power, and have it again."""
-        ...
-
-    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press or release the emergency stop."""
-        ...
-
-
-class Light(Protocol):
-    """What a fault needs of the light's driver."""
-
-    def trip(self) -> None:
-        """Have the protection switch the light off."""
-        ...
-
-
-class Camera(Protocol):
-    """What a fault needs of the camera."""
-
-    def unplug(self) -> None:
-        """Break the connection."""
-        ...
-
-    def fault(self, message: str) -> None:
-        """Tell the host of a fault."""
-        ...
-
-
-@dataclass(frozen=True)
-class Parts:
-    """The bench, as far as things can go wrong with it.
-
-    Attributes
-    ----------
-    axes
-        Controllers, by axis.
-    ports
-        Devices on serial lines, by name.
-    lines
-        The lines to them, by the same names.
-    axis_ports
-        Names of the ports at which they answer.
-    light, lamp, camera
-        The light's driver, what hangs on it, and the camera.
-    clock
-        Time in seconds.
-    """
-
-    axes: Mapping[str, AxisController]
-    ports: Mapping[str, SerialDevice]
-    lines: Mapping[str, FaultLine]
-    axis_ports: Mapping[str, str]
-    light: Light
-    lamp: Lamp
-    camera: Camera
-    clock: Callable[[], float]
 
 
 @dataclass(frozen=True)
@@ -114,6 +43,9 @@ AXIS_FAULTS: Final[Mapping[str, Fault]] = {
     "idle_flicker": Fault("the controller says idle while it moves", {"times": 1}),
     "push": Fault("the shaft is turned from outside, unknown to the counter", {"deg": 0.1}),
     "reboot": Fault("the controller loses power for a moment, now", {}),
+    "exchange": Fault(
+        "somebody puts a controller of another serial number in its place", {"serial": "999999"}
+    ),
     "emergency_stop": Fault("somebody presses the emergency stop", {}),
     "release": Fault("somebody releases the emergency stop", {}),
     "mend": Fault("nothing more goes wrong with this axis", {}),
@@ -129,8 +61,12 @@ _LINE_PARAMETERS: Final[Mapping[str, Parameter]] = {
 }
 
 LINE_FAULTS: Final[Mapping[str, Fault]] = {
-    **{name: Fault("befalls replies of this port", _LINE_PARAMETERS) for name in (*REPLY_FAULTS, "any")},
+    **{
+        name: Fault("befalls replies of this port", _LINE_PARAMETERS)
+        for name in (*REPLY_FAULTS, "stale", "any")
+    },
     **{name: Fault("befalls requests to this port", _LINE_PARAMETERS) for name in REQUEST_FAULTS},
+    "say": Fault("the host hears something that nobody has asked for", {"text": "!"}),
     "unplug": Fault("the cable is pulled", {}),
     "replug": Fault("the cable is put back", {}),
     "mend": Fault("nothing more goes wrong with this port", {}),
@@ -257,99 +193,3 @@ def _like(default: Parameter, value: object, where: str) -> Parameter:
         return type(default)(value)
     except (ValueError, OverflowError):
         raise ConfigError(f"A number is expected, not {value!r}.", where=where) from None
-
-
-def prepare(one: Order, parts: Parts) -> Callable[[], None]:
-    """Give the call that brings a fault about.
-
-    Raises
-    ------
-    ConfigError
-        When this bench has no such device, or a parameter makes no sense.
-    """
-    if one.device in parts.ports:
-        return _on_port(one, parts)
-    if one.device == "camera":
-        message = str(one.parameters.get("message", ""))
-        return parts.camera.unplug if one.fault == "unplug" else lambda: parts.camera.fault(message)
-    if one.device in parts.axes:
-        controller, port = parts.axes[one.device], parts.ports[parts.axis_ports[one.device]]
-        return lambda: port.between_exchanges(lambda: _on_axis(one, controller, parts.clock()))
-    raise ConfigError(f"This bench has no {one.device}.", where="device")
-
-
-def _on_port(one: Order, parts: Parts) -> Callable[[], None]:
-    port, line, lamp = parts.ports[one.device], parts.lines[one.device], parts.lamp
-    if one.fault == "unplug":
-        return port.unplug
-    if one.fault == "replug":
-        return port.replug
-
-    def mend() -> None:
-        line.clear()
-        if one.device == "light":
-            lamp.mend()
-
-    if one.fault == "mend":
-        return lambda: port.between_exchanges(mend)
-    if one.fault == "trip":
-        return lambda: port.between_exchanges(parts.light.trip)
-    if one.fault in LAMP_FAULTS:
-        factor = float(one.parameters.get("factor", 1.0))
-        if factor <= 0.0:
-            raise ConfigError(f"{factor} is not positive.", where="factor")
-        return lambda: port.between_exchanges(lambda: lamp.go_wrong(one.fault, factor))
-    fault = _line_fault(one)
-    return lambda: port.between_exchanges(lambda: line.inject(fault))
-
-
-def _line_fault(one: Order) -> LineFault:
-    p = one.parameters
-    try:
-        re.compile(str(p["pattern"]).encode())
-    except re.error as error:
-        raise ConfigError(f"{p['pattern']!r} is no pattern: {error}.", where="pattern") from error
-    return LineFault(
-        one.fault,
-        count=int(p["count"]) or None,
-        skip=int(p["skip"]),
-        chance=float(p["chance"]),
-        delay_s=float(p["delay_s"]),
-        pattern=str(p["pattern"]).encode(),
-        replacement=_bytes(p["replacement"]),
-    )
-
-
-def _bytes(text: Parameter) -> bytes:
-    r"""Read a text in which line ends and the like are written as ``\n``."""
-    try:
-        return str(text).encode("latin-1").decode("unicode_escape").encode("latin-1")
-    except ValueError as error:
-        raise ConfigError(f"{text!r} cannot be read as bytes: {error}.", where="replacement") from error
-
-
-def _on_axis(one: Order, controller: AxisController, now: float) -> None:
-    axis, p = controller.axis, one.parameters
-    if "skip" in p:
-        axis.arm(
-            MotionFault(
-                cast("FaultKind", one.fault),
-                share=float(p.get("share", 1.0)),
-                creep_deg_s=float(p.get("creep_deg_s", 0.0)),
-                skip=int(p["skip"]),
-            )
-        )
-    elif one.fault == "stuck_busy":
-        axis.stuck_busy = True
-    elif one.fault == "idle_flicker":
-        axis.say_idle(int(p["times"]))
-    elif one.fault == "push":
-        axis.push(float(p["deg"]) * axis.mechanics.counts_per_deg, now)
-    elif one.fault == "reboot":
-        controller.restart(now)
-    elif one.fault == "mend":
-        axis.arm(None)
-        axis.say_idle(0)
-        axis.stuck_busy = False
-    else:
-        controller.emergency_stop(now, released=one.fault == "release")

@@ -53,7 +53,8 @@ class GrblController:
         pull_off_deg: float = 1.0,
     ) -> None:
         self._clock = clock
-        self.settings = _factory_settings(models, pull_off_deg)
+        self._factory = _factory_settings(models, pull_off_deg)
+        self.settings = dict(self._factory)
         self._planner = Planner(models, self.settings, clock(), publish)
         self._letters = "".join(models)
         self._in_reset = False
@@ -312,6 +313,12 @@ class GrblController:
             axis.restart(t_s)
         self._begin_anew("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
 
+    def exchange(self, t_s: float) -> None:
+        """Be another board from now on: settings that somebody has made are gone."""
+        self.settings.clear()
+        self.settings.update(self._factory)
+        self.restart(t_s)
+
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Hold the board in reset, as a stop button on its reset pin does, or let it go."""
         self._in_reset = not released
@@ -342,6 +349,11 @@ class GrblAxis:
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press or release the controller's emergency stop."""
         self.controller.emergency_stop(t_s, released=released)
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Be another board from now on; GRBL has no serial numbers, but its settings, which are the factory's."""
+        del serial
+        self.controller.exchange(t_s)
 
 
 def _factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:

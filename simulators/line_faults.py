@@ -25,7 +25,8 @@ class LineFault:
     Attributes
     ----------
     kind
-        One of `REPLY_FAULTS` or `REQUEST_FAULTS`, or ``any``: one of the reply faults, drawn for each message.
+        One of `REPLY_FAULTS` or `REQUEST_FAULTS`; ``stale``: the reply of before comes in place of this one; or
+        ``any``: one of the reply faults that need no text, drawn for each message.
     count
         How many messages it befalls; None for all from then on.
     skip
@@ -113,6 +114,7 @@ class FaultLine:
         self._clock = clock
         self._rng = rng
         self._faults: list[LineFault] = []
+        self._last = b""
         self._late: list[tuple[float, bytes]] = []
 
     @property
@@ -133,10 +135,14 @@ class FaultLine:
         SimulatorError
             When there is no such fault.
         """
-        known = [*REPLY_FAULTS, *REQUEST_FAULTS, "any"]
+        known = [*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"]
         if fault.kind not in known:
             raise SimulatorError(f"No line fault {fault.kind!r}.", remedy=f"Known are: {', '.join(known)}.")
         self._faults.append(fault)
+
+    def say(self, text: bytes) -> None:
+        """Let the host hear something that nobody has asked for."""
+        self._late.append((self._clock(), text))
 
     def clear(self) -> None:
         """Let nothing more go wrong; what is late still comes."""
@@ -163,7 +169,11 @@ class FaultLine:
 
     def _befall(self, reply: bytes) -> bytes:
         pieces: Pieces = [(0.0, reply)]
-        for fault in self._due(reply, (*REPLY_FAULTS, "any")):
+        last, self._last = self._last, reply or self._last
+        for fault in self._due(reply, (*REPLY_FAULTS, "stale", "any")):
+            if fault.kind == "stale":
+                pieces = [(0.0, last)]
+                continue
             kind = fault.kind if fault.kind != "any" else str(self._rng.choice(_DRAWN))
             pieces = [
                 (delay + more, part)

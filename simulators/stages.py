@@ -14,7 +14,7 @@ from typing import Final
 from simulators.axis_motion import Mechanics
 from simulators.config import AxisConfig
 from simulators.esp301 import EspAxisModel, EspController
-from simulators.faults import AxisController
+from simulators.fault_injection import AxisController
 from simulators.grbl import GrblAxis, GrblController
 from simulators.grbl_planner import GrblAxisModel
 from simulators.serial_device import Dialect

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from simulators.axis_motion import Axis, Mechanics
@@ -337,6 +337,12 @@ class XimcController:
             self.axis.halt(t_s)
             self.axis.forget_reference()
             self._flags |= _ALARM
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Be another controller of this model from now on, fresh from power-up."""
+        self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
+        self._settings = self._factory_settings()
+        self.restart(t_s)
 
     def _notice(self, now: float) -> None:
         """Take up what has happened to the motion by now."""

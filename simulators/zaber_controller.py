@@ -8,7 +8,7 @@ protocol has them; neither frames nor checksums (`zaber` does that), and of the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from simulators.axis_motion import Axis, Mechanics
 from simulators.trajectory import Pointing
@@ -327,6 +327,12 @@ class ZaberController:
         self.axis.halt(t_s)
         self._state.flags.add("FH")
 
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Be another controller of this model from now on, fresh from power-up."""
+        self.model = replace(self.model, serial=serial)
+        self._state = self._powered_up()
+        self.restart(t_s)
+
     def _notice(self, t_s: float) -> None:
         """Take up what has happened to the motion by now."""
         event = self.axis.take_event(t_s)
@@ -338,10 +344,7 @@ class ZaberController:
             self._state.flags.add("FS" if event.kind == "stall" else "FE")
 
     def restart(self, t_s: float) -> None:
-        """Reboot, as after a reset or a loss of power: silent for a while, then without a reference.
-
-        Settings are kept, as they are in the controller's memory; a parked axis keeps its reference.
-        """
+        """Reboot: silent for a while, then without a reference, unless parked; settings are kept."""
         if not self._state.parked:
             self.axis.restart(t_s)
         self._state.flags.clear()

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from simulators.bench import Bench
+from simulators.bench import Bench, main
 from simulators.config import bench_config
 from simulators.errors import ConfigError
 from simulators.faults import order_from_text
@@ -86,12 +86,12 @@ def test_ports_left_behind_by_a_killed_bench_are_taken_over(tmp_path):
         ("[1]", "A mapping of sections is expected."),
     ],
 )
-def test_a_configuration_that_cannot_be_ends_in_one_line(tmp_path, config, said):
+def test_a_configuration_that_cannot_be_ends_in_one_line(tmp_path, capsys, monkeypatch, config, said):
+    monkeypatch.setattr(signal, "signal", lambda _number, _handler: None)
     path = tmp_path / "config.json"
     path.write_text(config)
-    process = start(tmp_path, "--config", str(path))
-    output, errors = process.communicate(timeout=60)
-    assert process.returncode == 2
+    assert main(["--folder", str(tmp_path), "--config", str(path)]) == 2
+    output, errors = capsys.readouterr()
     assert output == ""
     assert said in errors
     assert errors.count("\n") == 1
@@ -155,6 +155,15 @@ def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
         assert ask(line, "/1 0 01").startswith("@01 0 01 OK IDLE FH")
         assert say('{"device": "gimbal", "fault": "lost", "after_s": 0.0, "count": 0}')["ok"]
         assert ask(line, "/1 0 00") == ""
+        assert say("gimbal mend")["ok"]
+        assert say("tilt exchange serial=777")["ok"]
+        line.timeout = 0.1
+        while not (answer := ask(line, "/2 0 00 get system.serial")):
+            pass  # it boots
+        line.timeout = 5.0
+        assert answer.startswith("@02 0 00 OK IDLE WR 777")
+        assert say("gimbal say text='!01 1 IDLE --\\r\\n'")["ok"]
+        assert line.read_until(b"\n") == b"!01 1 IDLE --\r\n"
         assert say("gimbal unplug")["ok"]
         assert not os.path.lexists(endpoints["gimbal"])
     assert say("gimbal replug")["ok"]

@@ -103,6 +103,18 @@ def test_a_cut_or_padded_reply_keeps_the_rest(kind, data, seed):
         )
 
 
+def test_a_stale_reply_is_the_one_before():
+    one = Line(LineFault("stale", skip=1))
+    assert [one.ask(b"a"), one.ask(b"b"), one.ask(b"c")] == [b"A", b"A", b"C"]
+
+
+def test_something_is_said_that_nobody_asked_for():
+    one = Line()
+    one.line.say(b"!x\n")
+    assert one.line.unsolicited() == b"!x\n"
+    assert one.line.unsolicited() == b""
+
+
 def test_messages_are_skipped_and_counted():
     one = Line(LineFault("lost", skip=1, count=2))
     assert [one.ask(b"a") for _ in range(4)] == [b"A", b"", b"", b"A"]

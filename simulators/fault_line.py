@@ -1,0 +1,82 @@
+"""A fault line in front of any device, real ones included, in a process of its own.
+
+    python -m simulators.fault_line --port /dev/serial/by-id/... --baud 115200 --link DIR/NAME [--seed N]
+
+publishes another port, passes everything on between the two, and prints one line of JSON once it does. Each line
+on standard input is then a fault and its parameters (``late delay_s=0.8``), answered by a line of JSON. It ends
+with standard input, or on SIGTERM or SIGINT.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simulators.errors import SimulatorError
+from simulators.fault_injection import line_action
+from simulators.faults import order_from_text
+from simulators.line_faults import FaultLine, SerialBridge
+from simulators.orders import answer, take_orders
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the line until it is told to end.
+
+    Parameters
+    ----------
+    words
+        Command line, `sys.argv` if None.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 2 when it cannot start, with one line on standard error that says why.
+    """
+    parser = argparse.ArgumentParser(
+        prog="simulators.fault_line", description="Faults in front of a serial device."
+    )
+    parser.add_argument("--port", required=True, help="port of the device, as pyserial names it")
+    parser.add_argument("--baud", type=int, required=True, help="its baud rate")
+    parser.add_argument("--link", type=Path, required=True, help="where the other port is published")
+    parser.add_argument("--seed", type=int, default=1, help="seed of chance")
+    arguments = parser.parse_args(words)
+    ending = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda _number, _frame: ending.set())
+    try:
+        bridge = SerialBridge(arguments.port, arguments.baud)
+        line = FaultLine(bridge, time.monotonic, np.random.default_rng(arguments.seed))
+        # The device and its own line take their time already.
+        with SerialDevice(PseudoTerminal(arguments.link), line, paced=False) as device:
+            answer({"link": device.address, "pid": os.getpid()})
+            carry_out = partial(_obey, device, line)
+            threading.Thread(target=take_orders, args=(carry_out, ending.set), daemon=True).start()
+            ending.wait()
+        bridge.close()
+    except SimulatorError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return 0
+
+
+def _obey(device: SerialDevice, line: FaultLine, text: str) -> dict[str, Any]:
+    """Bring a fault about, and say which."""
+    one = order_from_text(f"gimbal {text}")
+    line_action(one, device, line)()
+    return {"fault": one.fault, **one.parameters}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

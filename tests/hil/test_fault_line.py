@@ -1,0 +1,79 @@
+"""The fault line as a process, in front of a device on another port."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+import serial
+
+from simulators.axis_motion import Mechanics
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+from simulators.zaber import ZaberChain
+from simulators.zaber_controller import ZaberController, ZaberModel
+
+
+@pytest.fixture
+def device(tmp_path):
+    controller = ZaberController(ZaberModel(Mechanics(6400.0, -20.0, 20.0), "100101", -96_000, 96_000))
+    with SerialDevice(
+        PseudoTerminal(tmp_path / "device"), ZaberChain([controller], time.monotonic)
+    ) as device:
+        yield device
+
+
+def start(port: str, link) -> subprocess.Popen[str]:
+    command = [
+        sys.executable,
+        "-m",
+        "simulators.fault_line",
+        "--port",
+        port,
+        "--baud",
+        "115200",
+        "--link",
+        str(link),
+    ]
+    return subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def test_it_passes_everything_on_and_spoils_what_it_is_told_to(device: SerialDevice, tmp_path):
+    process = start(device.address, tmp_path / "spoilt")
+    link = json.loads(process.stdout.readline())["link"]
+
+    def say(text: str) -> dict[str, object]:
+        process.stdin.write(text + "\n")
+        process.stdin.flush()
+        return json.loads(process.stdout.readline())
+
+    with serial.Serial(link, 115_200, timeout=2.0) as line:
+
+        def ask(request: bytes) -> bytes:
+            line.write(request)
+            return line.read_until(b"\n")
+
+        good = ask(b"/1 0 07 get system.serial\n")
+        assert good.startswith(b"@01 0 07 OK IDLE WR 100101:")
+        assert say("replaced pattern=100101 replacement=999999")["ok"]
+        assert ask(b"/1 0 07 get system.serial\n") == good.replace(b"100101", b"999999")
+        assert ask(b"/1 0 07 get system.serial\n") == good
+        assert not say("stall")["ok"]
+        assert say("unplug")["ok"]
+        assert not os.path.lexists(link)
+    _, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (0, "")
+
+
+def test_a_device_that_is_not_there_ends_it_in_one_line(tmp_path):
+    process = start(str(tmp_path / "nothing"), tmp_path / "spoilt")
+    output, errors = process.communicate(timeout=30)
+    assert (process.returncode, output) == (2, "")
+    assert "cannot be opened" in errors
+    assert errors.count("\n") == 1
