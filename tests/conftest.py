@@ -3,7 +3,12 @@
 import os
 from pathlib import Path
 
-import pytest
+# Before numpy is loaded: on small matrices, threads of the linear algebra cost three times what they gain, and the
+# tests already fill the cores.
+for _library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+import pytest  # noqa: E402
 from hypothesis import settings
 
 # No test is timed: machines are shared, and the first call of a compiled function takes seconds.
