@@ -5,11 +5,10 @@ from pathlib import Path
 
 # Before numpy is loaded: on small matrices, threads of the linear algebra cost three times what they gain, and the
 # tests already fill the cores.
-for _library in ("OPENBLAS", "MKL", "OMP"):
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest  # noqa: E402
-from hypothesis import settings
+from hypothesis import settings  # noqa: E402
 
 # No test is timed: machines are shared, and the first call of a compiled function takes seconds.
 settings.register_profile("starbench", deadline=None)
