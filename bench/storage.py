@@ -43,7 +43,7 @@ def storing(where: Path) -> Iterator[None]:
         if error.errno in _FULL:
             what, remedy = "The disk is full.", "Make room, then go on with `starbench resume`."
         elif error.errno in _DENIED:
-            what, remedy = "No permission.", "Choose a folder you may write to, or change its mode."
+            what, remedy = "No permission.", "Change its mode or owner, or use another folder."
         else:
             what = f"The file system refused: {error.strerror or error}."
             remedy = "Check the disk (dmesg, SMART) before going on."

@@ -24,7 +24,12 @@ from bench.seal import MANIFEST, NOT_LISTED, listing, read_manifest
 from bench.sshsig import fingerprint, holds, read_signature
 from bench.storage import sha256_of, storing
 
-_LARGEST_MANIFEST_BYTES = 64 << 20
+_LARGEST_TEXT_BYTES = 64 << 20
+"""Lists, results and reports are far smaller; what is larger is not read."""
+
+
+_NOT_RESULTS = (ValueError, LookupError, TypeError, RecursionError)
+"""What reading JSON of another form ends in."""
 
 
 @dataclass(frozen=True)
@@ -169,8 +174,7 @@ class _Check:
             if path.is_symlink() or not path.is_file():
                 self.fault("unsealed", name, "it is not there: this folder is not sealed")
                 return {}
-            if path.stat().st_size > _LARGEST_MANIFEST_BYTES:
-                self.fault("manifest", name, "it is too large to be one")
+            if self._too_large("manifest", name):
                 return {}
         manifest = (self.folder / MANIFEST).read_bytes()
         try:
@@ -238,9 +242,11 @@ class _Check:
         path = self.folder / RESULTS
         if path.is_symlink() or not path.is_file():
             return _NO_RESULTS  # a run that failed has none; one that had them lacks a listed file
+        if self._too_large("results", RESULTS):
+            return _NO_RESULTS
         try:
             facts = _facts_of(json.loads(path.read_bytes()))
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+        except _NOT_RESULTS as error:
             self.fault("results", RESULTS, f"it cannot be read ({error!r})")
             return _NO_RESULTS
         for name, sha256 in facts.captures:
@@ -253,10 +259,12 @@ class _Check:
 
     def report(self) -> None:
         """Check that the report prints what the results say: render it again and compare every word."""
+        import jinja2
+
         from bench.report import ReportData, printed_text, render_report
 
         path = self.folder / REPORT
-        if not path.is_file():
+        if not path.is_file() or self._too_large("report", REPORT):
             return
         results = json.loads((self.folder / RESULTS).read_bytes())
         made_by = results["run"].get("software", {}).get("starbench")
@@ -265,24 +273,38 @@ class _Check:
                 f"{REPORT} was not compared with {RESULTS}: Starbench {made_by} wrote it, this is {__version__}"
             )
             return
-        printed = printed_text(path.read_text(encoding="utf-8"))
+        printed = printed_text(path.read_text(encoding="utf-8", errors="replace"))
         hashes = {entry.hash for entry in read_journal(self.folder / JOURNAL)[0]}
-        head = next((word for word in printed if word in hashes), "")
-        wanted = printed_text(render_report(ReportData(results, (), head)))
-        if not head:
+        head = next((word for word in printed if word in hashes), None)
+        if head is None:
             self.fault("report", REPORT, "it names no line of this journal")
-        differing = [(p, w) for p, w in zip_longest(printed, wanted, fillvalue="") if p != w]
-        if head and differing:
-            self.fault(
-                "report", REPORT, f"it prints {differing[0][0]!r} where {RESULTS} gives {differing[0][1]!r}"
-            )
+            return
+        try:
+            wanted = printed_text(render_report(ReportData(results, (), head)))
+        except (*_NOT_RESULTS, AttributeError, ArithmeticError, jinja2.TemplateError) as error:
+            self.fault("results", RESULTS, f"no report can be made of it ({error!r})")
+            return
+        for had, due in zip_longest(printed, wanted, fillvalue=""):
+            if had != due:
+                self.fault("report", REPORT, f"it prints {had!r} where {RESULTS} gives {due!r}")
+                return
 
     def calibration(self) -> None:
         """Check that the results follow from the recordings."""
         from bench.reproduce import differences
 
-        for difference in differences(self.folder):
+        try:
+            found = differences(self.folder)
+        except _NOT_RESULTS as error:
+            found = [f"it holds no calibration to compare ({error!r})"]
+        for difference in found:
             self.fault("results", RESULTS, difference)
+
+    def _too_large(self, kind: str, name: str) -> bool:
+        if (self.folder / name).stat().st_size <= _LARGEST_TEXT_BYTES:
+            return False
+        self.fault(kind, name, "it is too large to be one")
+        return True
 
 
 @dataclass(frozen=True)

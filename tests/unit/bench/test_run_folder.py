@@ -82,7 +82,7 @@ def test_no_permission_is_told(tmp_path, monkeypatch):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
 
     monkeypatch.setattr("pathlib.Path.mkdir", deny)
-    with pytest.raises(StorageError, match=r"run: No permission\. Choose a folder"):
+    with pytest.raises(StorageError, match=r"run: No permission\. Change its mode"):
         RunFolder.create(tmp_path / "run")
 
 

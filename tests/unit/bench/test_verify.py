@@ -327,6 +327,32 @@ def test_a_report_of_another_version_is_not_compared_and_that_is_told(reported, 
     assert "Starbench 0.0.9 wrote it" in found.remarks[0]
 
 
+def test_results_that_no_report_can_be_made_of_are_found(reported, key, signers):
+    results = json.loads((reported / "results.json").read_bytes())
+    results["calibration"]["sigma"] = "unknown"
+    (reported / "results.json").write_text(json.dumps(results))
+    found = sealed_and_verified(reported, key, signers)
+    assert kinds(found) == [("results", "results.json")]
+    assert "no report can be made of it" in found.faults[0].what
+
+
+def test_a_report_that_is_no_text_is_found(reported, key, signers):
+    (reported / "report.html").write_bytes(b"\xff\xfe" * 1000)
+    assert kinds(sealed_and_verified(reported, key, signers)) == [("report", "report.html")]
+
+
+def test_results_without_a_calibration_cannot_follow_from_recordings(sealed, signers, monkeypatch):
+    monkeypatch.setattr("bench.reproduce.differences", lambda folder: {}["calibration"])
+    found = verify_run(sealed, signers, again=True)
+    assert "no calibration to compare" in found.faults[0].what
+
+
+@pytest.mark.parametrize(("name", "kind"), [("results.json", "results"), ("report.html", "report")])
+def test_endless_results_and_reports_are_not_read(reported, key, signers, name, kind):
+    os.truncate(reported / name, 1 << 27)
+    assert (kind, name) in kinds(sealed_and_verified(reported, key, signers))
+
+
 # ------------------------------------------------------------------ anything else
 
 
