@@ -224,7 +224,7 @@ class MetavisionEvk4:
 
     def _poll(self, stream: Any, duration_s: float) -> bool:
         """Take buffers until the sensor's clock has covered the duration; False when stopped or ended."""
-        decoder = self._device.get_i_events_stream_decoder()
+        decoder = self._facility("get_i_events_stream_decoder", "decoder")
         wanted_us = math.ceil(duration_s * 1e6)
         covered_us, last_us = 0, -1
         deadline = self._clock.monotonic() + SILENCE_S
@@ -273,7 +273,9 @@ class MetavisionEvk4:
         return facility
 
     def _see_encoding(self) -> None:
-        encoding = str(self._facility("get_i_hw_identification", "x").get_current_data_encoding_format())
+        encoding = str(
+            self._facility("get_i_hw_identification", "identification").get_current_data_encoding_format()
+        )
         if not encoding.startswith("EVT3"):
             raise CameraSettingRefused(
                 f"It sends {encoding or 'an unknown format'}, not EVT3.",

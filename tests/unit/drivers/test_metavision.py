@@ -491,6 +491,13 @@ def test_biases_that_are_missing_are_told_when_needed(device, camera):
         camera.apply(CameraSettings({"bias_fo": 3}, trigger_in=False))
 
 
+@pytest.mark.parametrize("name", ["events_stream", "events_stream_decoder", "geometry", "hw_identification"])
+def test_a_camera_without_what_every_camera_has_is_told(device, camera, tmp_path, name):
+    device.facilities[name] = None
+    with pytest.raises(metavision_driver.CameraError, match="cannot be reached"):
+        camera.record(tmp_path / "pose.raw", 0.01)
+
+
 def test_what_the_camera_cannot_measure_is_left_out(camera, tmp_path):
     assert camera.temperature_c() == 43.0
     assert camera.record(tmp_path / "pose.raw", 0.01).illumination_lux is None
