@@ -47,6 +47,10 @@ class Light(Protocol):
         """Have the protection switch the light off."""
         ...
 
+    def exchange(self, serial: str) -> None:
+        """Be another driver from now on, fresh from power-up."""
+        ...
+
 
 class Camera(Protocol):
     """What a fault needs of the camera."""
@@ -152,6 +156,8 @@ def _on_line(one: Order, line: FaultLine) -> Callable[[], None]:
 def _on_light(one: Order, parts: Parts) -> Callable[[], None]:
     if one.fault == "trip":
         return parts.light.trip
+    if one.fault == "exchange":
+        return lambda: parts.light.exchange(str(one.parameters["serial"]))
     factor = float(one.parameters.get("factor", 1.0))
     if factor <= 0.0:
         raise ConfigError(f"{factor} is not positive.", where="factor")

@@ -90,6 +90,7 @@ _LAMP_CATALOGUE: Final[Mapping[str, Fault]] = {
 LIGHT_FAULTS: Final[Mapping[str, Fault]] = {
     **_LAMP_CATALOGUE,
     "trip": Fault("the protection of the light's driver switches it off", {}),
+    "exchange": Fault("somebody puts a driver of another serial number in its place", {"serial": "XX9999"}),
 }
 
 CAMERA_FAULTS: Final[Mapping[str, Fault]] = {

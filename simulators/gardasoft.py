@@ -127,6 +127,14 @@ class GardasoftRt:
             self._unsaid += f"{self._event}\r\n"
         self._tell()
 
+    def exchange(self, serial: str) -> None:
+        """Be another controller from now on, fresh from power-up; it has no serial number to tell."""
+        del serial
+        self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
+        self._trigger = self._tells_events = self._tripped = False
+        self._event = ""
+        self._tell()
+
     # ------------------------------------------------------------------ commands
     def _obey(self, command: str) -> str:
         if not command:

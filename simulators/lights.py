@@ -23,6 +23,10 @@ class LightDriver(Dialect, Protocol):
         """Have the protection switch the light off."""
         ...
 
+    def exchange(self, serial: str) -> None:
+        """Be another driver from now on, fresh from power-up."""
+        ...
+
 
 def make_light(
     config: LightConfig, clock: Callable[[], float], drive: Callable[[LightState], None]

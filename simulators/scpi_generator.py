@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from simulators.generator import Generator, Held, Setting
@@ -100,12 +100,17 @@ class ScpiGenerator:
         """Have the overload protection switch the output off."""
         self._generator.trip()
 
+    def exchange(self, serial: str) -> None:
+        """Be another instrument of this model from now on, fresh from power-up."""
+        self.model = replace(self.model, serial=serial)
+        self._tree.errors.clear()
+        self._generator.reset()
+
     # ------------------------------------------------------------------ what it understands
     def _teach(self) -> None:
         tree, model, generator = self._tree, self.model, self._generator
-        identity = f"{model.maker},{model.name},{model.serial},{model.firmware}"
         source, output = ("[:SOURce#]", "OUTPut#") if model.numbered_channels else ("[:SOURce]", "OUTPut")
-        tree.add("*IDN", None, lambda _: identity)
+        tree.add("*IDN", None, lambda _: self._identity())
         tree.add("*RST", self._reset, None)
         tree.add("*CLS", lambda _: tree.errors.clear(), None)
         tree.add("*OPC", no_arguments, lambda _: "1")
@@ -158,6 +163,10 @@ class ScpiGenerator:
             return _printed(self._generator.bounds(name)[bound])
 
         self._tree.add(header, set_it, tell_it)
+
+    def _identity(self) -> str:
+        model = self.model
+        return f"{model.maker},{model.name},{model.serial},{model.firmware}"
 
     def _reset(self, arguments: list[str]) -> None:
         no_arguments(arguments)

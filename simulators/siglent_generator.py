@@ -53,7 +53,7 @@ class SiglentGenerator:
         clock: Callable[[], float],
         drive: Callable[[LightState], None] = lambda _state: None,
     ) -> None:
-        self._identity = f"Siglent Technologies,SDG1032X,{serial},1.01.01.33R6"
+        self._serial = serial
         self._generator = Generator(clock, drive)
         self._heard = b""
 
@@ -81,10 +81,15 @@ class SiglentGenerator:
         """Have the overload protection switch the output off."""
         self._generator.trip()
 
+    def exchange(self, serial: str) -> None:
+        """Be another instrument of this model from now on, fresh from power-up."""
+        self._serial = serial
+        self._generator.reset()
+
     # ------------------------------------------------------------------ commands
     def _answer(self, command: str) -> str:
         if command.upper() == "*IDN?":
-            return self._identity
+            return f"Siglent Technologies,SDG1032X,{self._serial},1.01.01.33R6"
         if command.upper() == "*OPC?":
             return "1"
         if command.upper() == "*RST":

@@ -243,22 +243,26 @@ def test_the_stage_may_be_of_another_kind(tmp_path, kind, ports, talk):
 
 
 @pytest.mark.parametrize(
-    ("kind", "said", "answer", "baud"),
+    ("kind", "said", "identity", "other", "baud"),
     [
-        ("keysight", b"SOUR:FREQ 50;*IDN?\n", b"SG0042", 9600),
-        ("rigol", b":SOUR1:FREQ 50;*IDN?\n", b"DG4062", 9600),
-        ("siglent", b"C1:BSWV FRQ,50;*IDN?\n", b"SDG1032X", 9600),
-        ("gardasoft", b"TT1,20;VR\r", b"RT460", 115_200),
+        ("keysight", b"SOUR:FREQ 50;*IDN?\n", b"33250A,SG0042,", b"33250A,SG7,", 9600),
+        ("rigol", b":SOUR1:FREQ 50;*IDN?\n", b"DG4062,SG0042,", b"DG4062,SG7,", 9600),
+        ("siglent", b"C1:BSWV FRQ,50;*IDN?\n", b"SDG1032X,SG0042,", b"SDG1032X,SG7,", 9600),
+        ("gardasoft", b"TT1,20;VR\r", b"RT460-20", b"RT460-20", 115_200),
     ],
 )
-def test_the_light_may_be_of_another_kind(tmp_path, kind, said, answer, baud):
+def test_the_light_may_be_of_another_kind(tmp_path, kind, said, identity, other, baud):
     with Bench(tmp_path, bench_config({"light": {"kind": kind}})) as bench:
+        world = bench.world
         with serial.Serial(bench.endpoints["light"], baud, timeout=5.0) as line:
             line.write(said)
-            assert line.read_until(answer).endswith(answer)
-        assert bench.world.light(bench.world.now_s()).frequency_hz == 50.0
+            assert line.read_until(identity).endswith(identity)
+            assert world.light(world.now_s()).frequency_hz == 50.0
+            bench.inject(order_from_text("light exchange serial=SG7"))
+            line.write(said)
+            assert line.read_until(other).endswith(other)
         bench.inject(order_from_text("light trip"))
-        assert not bench.world.light(bench.world.now_s()).output
+        assert not world.light(world.now_s()).output
 
 
 def test_without_pseudo_terminals_the_lines_run_over_tcp(tmp_path):
