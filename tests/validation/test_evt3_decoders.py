@@ -5,6 +5,7 @@ import pytest
 
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingCorrupt
+from simulators.evt3_writer import Evt3Writer
 
 evt3 = pytest.importorskip("evt3", reason="the PyPI package evt3 is not built for this platform")
 
@@ -64,6 +65,29 @@ def test_a_recording_over_the_wrap_of_the_clock_decodes_alike(tmp_path):
     path.write_bytes(HEADER + sensor_words(9, 20_000, start_us=(1 << 24) - 300_000).tobytes())
     assert_same(path)
     assert RawFile.open(path).scan().last_t_us > 1 << 24
+
+
+@pytest.mark.parametrize("density", [0.001, 0.05, 0.5])
+def test_what_the_simulated_sensor_writes_is_what_both_decoders_read(tmp_path, density):
+    rng = np.random.default_rng(11)
+    read, x = np.nonzero(rng.random((400, 1280)) < density)
+    t, y, p = read * 37, (read * 7 % 720).astype(np.uint16), (read % 2).astype(np.uint8)
+    edges = np.arange(0, t[-1], 1000)
+    words = Evt3Writer().write(
+        t,
+        x.astype(np.uint16),
+        y,
+        p,
+        until_us=int(t[-1]) + 1000,
+        trigger_t=edges,
+        trigger_value=(edges // 1000 % 2).astype(np.uint8),
+    )
+    path = tmp_path / "simulated.raw"
+    path.write_bytes(HEADER + words.tobytes())
+    assert assert_same(path) == (len(t), len(edges))
+    found = RawFile.open(path).read()[0]
+    assert all(np.array_equal(ours, theirs) for ours, theirs in zip(found, (t, x, y, p), strict=True))
+    assert RawFile.open(path).scan().odd_windows == 0
 
 
 def test_the_real_recording_decodes_alike_and_has_the_published_counts(reference_data):
