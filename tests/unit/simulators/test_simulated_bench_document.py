@@ -1,0 +1,52 @@
+"""What the document on the simulated bench says is there, and what is there it says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from simulators.config import LIGHT_KINDS, STAGE_KINDS, bench_config
+from simulators.faults import catalogue, order, order_from_text
+
+TEXT = (Path(__file__).parents[3] / "docs" / "simulated-bench.md").read_text(encoding="utf-8")
+
+
+def words_of_first_column(title: str) -> set[str]:
+    section = re.split(r"^##+ ", TEXT.split(f"\n### {title}", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
+    cells = [line.split("|")[1] for line in section.splitlines() if line.startswith("|")]
+    return {word for cell in cells for word in re.findall(r"`(\w+)`", cell)}
+
+
+@pytest.mark.parametrize(
+    ("title", "device"), [("Of an axis", "pan"), ("Of a line", "gimbal"), ("Of the camera", "camera")]
+)
+def test_every_fault_stands_in_its_table(title, device):
+    assert words_of_first_column(title) == set(catalogue(device))
+
+
+def test_every_fault_of_the_light_stands_in_its_table():
+    of_the_line = set(catalogue("gimbal"))
+    assert words_of_first_column("Of the light") == set(catalogue("light")) - of_the_line
+
+
+def test_every_kind_of_device_is_told():
+    kinds = set(re.findall(r"^\| `(\w+)` \|", TEXT.split("\n## How a stage moves")[0], flags=re.MULTILINE))
+    assert kinds == {*STAGE_KINDS, *LIGHT_KINDS}
+
+
+def test_the_example_is_a_configuration():
+    example = re.search(r"```yaml\n(.*?)```", TEXT, flags=re.DOTALL)
+    assert example
+    config = bench_config(yaml.safe_load(example[1])["simulation"])
+    assert config.faults == (order({"device": "pan", "fault": "stall", "skip": 3}),)
+
+
+def test_the_example_orders_are_orders():
+    block = TEXT.split("answered by a line of JSON:\n\n```\n", 1)[1].split("```", 1)[0].splitlines()
+    orders = [
+        order(yaml.safe_load(line)) if line.startswith("{") else order_from_text(line) for line in block
+    ]
+    assert [one.fault for one in orders] == ["stall", "late", "wrong_frequency"]
