@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError, WrongDevice
+from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
 from drivers.readings import agreeing
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion
@@ -257,13 +257,10 @@ class EspStage(WatchedStage[EspAxis]):
         self._homed_at = self._restarts
 
     def _send_stop(self) -> None:
-        """Send ``ST``, which ramps all axes down, and see that the controller has no complaint of it."""
+        """Send ``ST``, which ramps all axes down: twice, since it has no answer; then see that it is heard."""
         self._line.blurt("ST")
-        try:
-            self._errors()
-        except ReplyError:
-            self._line.blurt("ST")
-            self._errors()
+        self._line.blurt("ST")
+        self._errors()
 
     def _listen(self, seconds: float) -> None:
         self._line.listen(seconds)
