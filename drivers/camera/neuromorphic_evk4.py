@@ -1,7 +1,8 @@
 """EVK4 through ``neuromorphic-drivers`` (extra ``evk4``): its USB bytes as they come, losses on the way noticed.
 
-That package needs no vendor software. It streams from opening on, so a recording drops what has piled up and
-begins at the next TIME_HIGH word, which gives every decoder a clock to start from. It has no anti-flicker, STC
+That package needs no vendor software. It streams from opening on, so a recording drops what has piled up, and
+the packet that was being filled meanwhile (at a low rate it reaches back half a second); it begins at the next
+TIME_HIGH word, which gives every decoder a clock to start from. It has no anti-flicker, STC
 or trail filter, its rate limiter stays off, and it sets biases but cannot read them back.
 """
 
@@ -244,6 +245,7 @@ class _Stream:
     def __init__(self, device: Any, lost: Callable[[Exception], CameraLost]) -> None:
         self._device = device
         self._lost = lost
+        self._fresh = False
         self._begun = False
         self._rest = b""
         self._dropped = 0
@@ -264,6 +266,9 @@ class _Stream:
             raise self._lost(error) from error
         if status.ring is None or not packet:
             return None
+        if not self._fresh:
+            self._fresh, self._dropped = True, status.ring.dropped_packets
+            return None
         data = self._rest + bytes(packet)
         whole = len(data) // 2 * 2
         start = 0 if self._begun else first_time_high(np.frombuffer(data[:whole], "<u2"))
@@ -280,7 +285,7 @@ class _Stream:
     def _note_losses(self, ring: Any, *, after: int) -> None:
         """Remember what the ring tells of packets lost on the way, but for those before the recording."""
         lost = [index for index in ring.overflow_indices or () if index > after]
-        if lost or (self._begun and ring.dropped_packets > self._dropped):
+        if lost or ring.dropped_packets > self._dropped:
             self.losses.append(
                 f"The computer lost packets from USB before {ring.system_time:.6f} s (UNIX time)."
             )

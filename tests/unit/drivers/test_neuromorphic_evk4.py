@@ -244,34 +244,35 @@ def test_a_recording_holds_the_packets_and_covers_the_time(device, camera, tmp_p
     path = tmp_path / "pose.raw"
     facts = camera.record(path, 0.033)
     recording = RawFile.open(path)
-    assert path.read_bytes().endswith(b"% end\n" + b"".join(words_of(k) for k in range(device.step)))
+    assert path.read_bytes().endswith(b"% end\n" + b"".join(words_of(k) for k in range(1, device.step)))
     assert 0.033 <= facts.duration_s < 0.036
-    assert facts.events == recording.scan().events == device.step
+    assert facts.events == recording.scan().events == device.step - 1
     assert recording.header["date"] == "2026-11-20 04:05:06"
     assert (facts.temperature_c, facts.illumination_lux) == (41.25, None)
     assert (facts.biases, facts.gaps, facts.complete) == ({}, (), True)
 
 
-def test_what_has_piled_up_before_is_dropped(device, camera, tmp_path):
+def test_what_has_piled_up_before_and_the_packet_in_filling_are_dropped(device, camera, tmp_path):
     camera.record(tmp_path / "pose.raw", 0.01)
     assert device.cleared == [0]
+    assert RawFile.open(tmp_path / "pose.raw").scan().first_t_us == 9_002_000
 
 
 def test_a_stream_joined_in_its_middle_begins_at_its_first_time_word(device, camera, tmp_path):
-    device.packets[0] = np.array([0x2001, 0x4FFF], "<u2").tobytes()
-    device.packets[1] = np.array([0x0005, 0x2803], "<u2").tobytes() + words_of(1)
+    device.packets[1] = np.array([0x2001, 0x4FFF], "<u2").tobytes()
+    device.packets[2] = np.array([0x0005, 0x2803], "<u2").tobytes() + words_of(2)
     path = tmp_path / "pose.raw"
     camera.record(path, 0.005)
-    assert path.read_bytes().split(b"% end\n", 1)[1].startswith(words_of(1) + words_of(2))
+    assert path.read_bytes().split(b"% end\n", 1)[1].startswith(words_of(2) + words_of(3))
     assert RawFile.open(path).scan().unplaced_events == 0
 
 
 def test_words_split_between_packets_are_put_together(device, camera, tmp_path):
-    device.packets[1] = words_of(1)[:-1]
-    device.packets[2] = words_of(1)[-1:] + words_of(2)
+    device.packets[2] = words_of(2)[:-1]
+    device.packets[3] = words_of(2)[-1:] + words_of(3)
     path = tmp_path / "pose.raw"
     camera.record(path, 0.009)
-    assert path.read_bytes().split(b"% end\n", 1)[1].startswith(b"".join(words_of(k) for k in range(4)))
+    assert path.read_bytes().split(b"% end\n", 1)[1].startswith(b"".join(words_of(k) for k in range(1, 5)))
 
 
 def test_packets_lost_on_the_way_are_in_the_facts(device, camera, tmp_path):
@@ -284,7 +285,7 @@ def test_packets_lost_on_the_way_are_in_the_facts(device, camera, tmp_path):
 
 
 def test_packets_lost_before_the_recording_are_not(device, camera, tmp_path):
-    device.overflows[0] = [0]
+    device.overflows = {0: [0], 1: [0]}
     device.dropped = dict.fromkeys(range(100), 7)
     assert camera.record(tmp_path / "pose.raw", 0.02).gaps == ()
 
@@ -294,7 +295,7 @@ def test_unplugging_is_told_with_the_partial_file(device, camera, tmp_path):
     path = tmp_path / "pose.raw"
     with pytest.raises(CameraLost, match=r"NoDevice.*pose\.raw"):
         camera.record(path, 1.0)
-    assert RawFile.open(path).scan().events == 3
+    assert RawFile.open(path).scan().events == 2
 
 
 def test_a_silent_camera_is_given_up(device, camera, clock, tmp_path):
