@@ -155,7 +155,7 @@ def _in_chunks(recording: RawFile, triggers: list[Triggers], *, size: int = CHUN
                 yield whole
                 filled = 0
     if filled:
-        yield whole.first(filled)
+        yield whole.part(0, filled)
 
 
 def _ecf_dataset(group: Any) -> Any:

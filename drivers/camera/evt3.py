@@ -37,9 +37,10 @@ class Events(NamedTuple):
     y: NDArray[np.uint16]
     p: NDArray[np.uint8]
 
-    def first(self, n: int) -> Events:
-        """Return views of the first n."""
-        return Events(self.t[:n], self.x[:n], self.y[:n], self.p[:n])
+    def part(self, begin: int, end: int) -> Events:
+        """Return views of the events from ``begin`` to before ``end``."""
+        place = slice(begin, end)
+        return Events(self.t[place], self.x[place], self.y[place], self.p[place])
 
 
 class Triggers(NamedTuple):
@@ -158,12 +159,27 @@ class Evt3Decoder:
         """
         start = 0
         while start < len(words):
-            room = min(max(max_events, MARGIN), 12 * (len(words) - start) + MARGIN)
-            out = empty_events(room)
+            out = empty_events(min(max(max_events, MARGIN), 12 * (len(words) - start) + MARGIN))
             stop = run(words, start, Mode.STORE, self._state, self._gaps, out, self._no_image, self._edges)
-            n = int(self._state[S.TAKEN])
-            yield out.first(n), self._taken_triggers()
+            yield out.part(0, int(self._state[S.TAKEN])), self._taken_triggers()
             start = self._went_on(words, start, stop)
+
+    def decode_into(self, words: Words, events: Events, at: int) -> tuple[int, Triggers]:
+        """Write the words' events into arrays, from place ``at`` on; returns the next place and the triggers.
+
+        The arrays must have room for 32 events more than come. Raises RecordingCorrupt.
+        """
+        found = []
+        start = 0
+        while start < len(words):
+            out = events.part(at, len(events.t))
+            stop = run(words, start, Mode.STORE, self._state, self._gaps, out, self._no_image, self._edges)
+            found.append(self._taken_triggers())
+            if stop == start and self._state[S.FAULT] == Fault.ROOM:
+                raise ValueError(f"arrays of {len(events.t)} events have no room for more")
+            at += int(self._state[S.TAKEN])
+            start = self._went_on(words, start, stop)
+        return at, join_triggers(found)
 
     def count(self, words: Words, image: NDArray[np.uint16]) -> Triggers:
         """Add the words' events to a count image without making a list of them.

@@ -22,6 +22,7 @@ from drivers.camera.evt3 import (
     empty_events,
     join_triggers,
 )
+from drivers.camera.evt3_kernel import MARGIN
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.errors import NotARecording, RecordingFileError
 
@@ -138,16 +139,15 @@ class RawFile:
 
     def read(self) -> tuple[Events, Triggers]:
         """All events and triggers: 13 bytes of memory an event. Raises as ``pieces``."""
-        events = empty_events(self.scan().events)
+        n = self.scan().events
+        events = empty_events(n + MARGIN)
+        decoder = self._decoder()
         triggers = []
         done = 0
-        for piece, edges in self.pieces():
-            place = slice(done, done + len(piece.t))
-            events.t[place], events.x[place] = piece.t, piece.x
-            events.y[place], events.p[place] = piece.y, piece.p
-            done = place.stop
+        for words in self.words():
+            done, edges = decoder.decode_into(words, events, done)
             triggers.append(edges)
-        return events, join_triggers(triggers)
+        return events.part(0, n), join_triggers(triggers)
 
     def triggers(self) -> Triggers:
         """All trigger edges. Raises as ``pieces``."""

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.camera.evt3 import Events, Evt3Decoder, Triggers
+from drivers.camera.evt3 import Events, Evt3Decoder, Triggers, empty_events
 from drivers.errors import RecordingCorrupt
 
 WIDTH, HEIGHT = 1280, 720
@@ -498,3 +498,24 @@ def test_the_clock_covered_counts_from_the_first_time_word():
     decoder.tally(np.array([high(6), low(20)], np.uint16))
     assert decoder.covered_us == 4096 + 10
     assert decoder.told().duration_s == pytest.approx(4106e-6)
+
+
+@given(streams(), st.integers(0, 5))
+def test_decoding_into_given_arrays_gives_the_same(stream, at):
+    words, events, triggers, _ = stream
+    out = empty_events(at + len(events) + 32)
+    end, edges = Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array(words, np.uint16), out, at)
+    assert rows(out.part(at, end)) == events
+    assert rows(edges) == triggers
+
+
+def test_arrays_without_room_are_refused():
+    words = np.array([high(0), low(0), row(0), *[event(k) for k in range(40)]], np.uint16)
+    with pytest.raises(ValueError, match="no room"):
+        Evt3Decoder(WIDTH, HEIGHT).decode_into(words, empty_events(50), 0)
+
+
+def test_decoding_into_arrays_refuses_a_malformed_first_word():
+    with pytest.raises(RecordingCorrupt) as caught:
+        Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array([0x9000], np.uint16), empty_events(50), 0)
+    assert caught.value.offset == 0
