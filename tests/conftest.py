@@ -7,8 +7,8 @@ from pathlib import Path
 # tests already fill the cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import pytest  # noqa: E402
-from hypothesis import settings  # noqa: E402
+import pytest
+from hypothesis import settings
 
 # No test is timed: machines are shared, and the first call of a compiled function takes seconds.
 settings.register_profile("starbench", deadline=None)
