@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 
 import cv2
 import numpy as np
@@ -64,8 +65,8 @@ def _pose_picture(view: ViewPicture, identifier: str, limit_bytes: int) -> str:
         for row, centre in enumerate(_looked_at(view))
     )
     return (
-        f'<svg class="pose" viewBox="-0.5 -0.5 {width + 24 + side:g} {height}" role="img" '
-        'xmlns="http://www.w3.org/2000/svg">'
+        f'<svg class="pose" role="img" aria-label="Event image and stars of {escape(view.name)}" '
+        f'viewBox="-0.5 -0.5 {width + 24 + side:g} {height}" xmlns="http://www.w3.org/2000/svg">'
         f'<g id="{identifier}">'
         f'<image x="-0.5" y="-0.5" width="{width}" height="{height}" '
         f'image-rendering="pixelated" href="{_data_uri(view.image, limit_bytes)}"/>'

@@ -48,6 +48,7 @@ _STYLE: Any = {
     "xtick.major.size": 3,
     "ytick.major.size": 3,
 }
+_SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _REGIONS = (4, 3)
 _LEVELS = 8
 _CLOUD_PERCENTILE = 99.5
@@ -69,7 +70,7 @@ def uncertainty_contours(found: ProjectionMap, k: float) -> str:
             axes.clabel(lines, fmt=lambda level: f"{level:.2g}", fontsize=8.5)
             axes.set_title(f"U, {unit}: median {middle:.2g}, at most {worst:.2g}")
             _sensor(axes, (int(x.max()) + 1, int(y.max()) + 1))
-        return _svg(figure, "uncertainty")
+        return _svg(figure, "uncertainty", "Projection uncertainty over the sensor")
 
 
 def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
@@ -87,7 +88,7 @@ def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) 
         _sensor(axes, image_size)
         _legend(axes, views)
         _scale_bar(axes, image_size, magnification)
-        return _svg(figure, "vectors")
+        return _svg(figure, "vectors", "Residual vectors on the sensor")
 
 
 def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
@@ -121,7 +122,7 @@ def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, f
         radial.set_title("Length of the residuals; the line is their RMS by distance")
         _bare(cloud)
         _bare(radial)
-        return _svg(figure, "cloud")
+        return _svg(figure, "cloud", "Residuals about zero, and by distance from the principal point")
 
 
 def coverage(
@@ -144,7 +145,7 @@ def coverage(
         _region_map(regions, points, squares, image_size)
         regions.set_title("RMS residual, px, and number of stars by region")
         _sensor(regions, image_size)
-        return _svg(figure, "coverage")
+        return _svg(figure, "coverage", "Coverage of the sensor, and residuals by region")
 
 
 def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
@@ -162,7 +163,7 @@ def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -
         axes.set_xlabel("(value \N{MINUS SIGN} truth) / standard uncertainty; shaded: within 1 and 2")
         _bare(axes)
         axes.tick_params(axis="y", length=0, labelcolor=_INK)
-        return _svg(figure, "truth")
+        return _svg(figure, "truth", "Deviations from the truth in standard uncertainties")
 
 
 def _strokes(axes: Axes, begins: Array, ends: Array, colour: str, width: float, alpha: float = 1.0) -> None:
@@ -256,7 +257,7 @@ def _round_down(value: float) -> float:
     return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
 
 
-def _svg(figure: Figure, identifier: str) -> str:
+def _svg(figure: Figure, identifier: str, label: str) -> str:
     """Render without date; make ids unique on the page, coordinates short."""
     FigureCanvasSVG(figure)
     buffer = io.StringIO()
@@ -266,10 +267,8 @@ def _svg(figure: Figure, identifier: str) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'( id="|url\(#|href="#)', rf"\g<1>{identifier}-", text)
     text = re.sub(r'(?<= d=)"[^"]*"', lambda found: _shortened(found[0]), text)
-    head = r'<svg class="plot" viewBox="\1" role="img" xmlns="http://www.w3.org/2000/svg" xmlns:xlink="{}">'
-    text = re.sub(
-        r'<svg [^>]*viewBox="([^"]*)"[^>]*>', head.format("http://www.w3.org/1999/xlink"), text, count=1
-    )
+    head = rf'<svg class="plot" role="img" aria-label="{label}" viewBox="\1" xmlns="{_SVG}" xmlns:xlink="{_XLINK}">'
+    text = re.sub(r'<svg [^>]*viewBox="([^"]*)"[^>]*>', head, text, count=1)
     return text.strip()
 
 

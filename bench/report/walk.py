@@ -46,8 +46,8 @@ def walk_diagram(states: Sequence[Mapping[str, Any]]) -> str:
         _box(name, x, middle, names.count(name), _seconds_in(name, states)) for name, x in places.items()
     ]
     return (
-        f'<svg class="walk" viewBox="0 0 {width:g} {height:g}" style="max-width:{1.15 * width:.0f}px" role="img" '
-        'xmlns="http://www.w3.org/2000/svg">'
+        f'<svg class="walk" role="img" aria-label="States walked through" viewBox="0 0 {width:g} {height:g}" '
+        f'style="max-width:{1.15 * width:.0f}px" xmlns="http://www.w3.org/2000/svg">'
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6" '
         'orient="auto-start-reverse"><path d="M0 0 8 4 0 8z"/></marker></defs>' + "".join(parts) + "</svg>"
     )

@@ -75,6 +75,13 @@ def test_every_element_is_closed_and_every_id_is_unique(html):
     assert references <= set(ids)
 
 
+def test_every_picture_has_a_name_for_those_who_do_not_see_it(html):
+    pictures = re.findall(r'<svg [^>]*role="img"[^>]*>', html)
+    labels = [re.search(r'aria-label="([^"]+)"', picture) for picture in pictures]
+    assert all(labels)
+    assert len({label[1] for label in labels}) == len(pictures) == 9
+
+
 def test_it_needs_no_network_and_runs_no_script(html):
     found = Structure(html)
     assert not {"script", "iframe", "object", "embed", "link", "form", "base"} & set(found.tags)
