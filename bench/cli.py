@@ -191,9 +191,12 @@ def station_new(path: Path, name: str, stage: str) -> int:
     return write_station(path, name, stage, discover())
 
 
-@cli.group()
-def keys() -> None:
-    """Show, make and trust signing keys."""
+@cli.group(invoke_without_command=True)
+@click.pass_context
+def keys(context: click.Context) -> None:
+    """Show (without a further word), make and trust signing keys."""
+    if context.invoked_subcommand is None:
+        context.invoke(keys_show)
 
 
 @keys.command("show")
