@@ -80,10 +80,12 @@ class Evk4Line:
         number = self._send(command, parameters)
         allowed_s = self.silence_s if within_s is None else within_s
         deadline = self._clock.monotonic() + allowed_s
-        while self._clock.monotonic() < deadline:
+        idle_s = 0.0  # ends the wait also where the clock only goes on while it is slept on
+        while self._clock.monotonic() < deadline and idle_s < allowed_s:
             if interruptible:
                 self._clock.sleep(0.0)
             frame = self.receive()
+            idle_s += POLL_S if frame is None else 0.0
             if frame is None or frame.kind != b"A":
                 continue
             answer = self._json(frame)
