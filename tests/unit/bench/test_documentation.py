@@ -11,7 +11,17 @@ from bench.script_check import check_script
 from bench.station import Station, load_station
 from sequences.flatten import flatten
 from sequences.reader import check_document, read_document
-from sequences.schema import DefaultWords, FlickerWords, GateWords, Sequence, SettleWords, StepWords
+from sequences.schema import (
+    DefaultWords,
+    FlickerWords,
+    GateWords,
+    LimitWords,
+    RecordWords,
+    Sequence,
+    SettleWords,
+    SolveWords,
+    StepWords,
+)
 
 ROOT = Path(__file__).parents[3]
 DOCS = {
@@ -47,7 +57,9 @@ def test_every_word_of_the_language_is_in_the_table_of_steps():
 
 
 @pytest.mark.parametrize(
-    "words", [FlickerWords, SettleWords, GateWords, DefaultWords], ids=lambda words: words.__name__
+    "words",
+    [FlickerWords, SettleWords, GateWords, RecordWords, SolveWords, LimitWords, DefaultWords],
+    ids=lambda words: words.__name__,
 )
 def test_every_setting_is_named_in_the_document(words):
     assert [name for name in words.model_fields if name not in DOCS["sequences"]] == []

@@ -217,6 +217,16 @@ def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():
     ]
 
 
+def test_a_limit_on_what_is_not_estimated_is_blamed():
+    solve = "{solve: {model: planar, distortion: [k1], limits: {rms_px: 1, sigma_k1: 1, sigma_k2: 1, sigma_r_mm: 1}}}"
+    said = faults(GOOD.replace("solve", solve))
+    assert [line.split(": ")[1] for line in said] == [
+        "steps[7].solve.limits.sigma_k2",
+        "steps[7].solve.limits.sigma_r_mm",
+    ]
+    assert faults(GOOD.replace("solve", "{solve: {limits: {sigma_k2: 1, sigma_r_mm: 1}}}")) == []
+
+
 def test_triggers_cannot_be_required_of_a_light_that_gives_none():
     station = station_with("high_v: 5", "sync_output: false")
     (fault, again) = faults(GOOD, station)

@@ -143,6 +143,7 @@ def test_names_cannot_become_markup(data):
     assert "{{ 7*7 }}" in html
 
 
+@pytest.mark.slow
 def test_a_page_of_twenty_noisy_poses_stays_small():
     rng = np.random.default_rng(3)
     points = rng.uniform(10, 700, (450, 2))
