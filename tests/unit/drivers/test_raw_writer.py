@@ -1,0 +1,104 @@
+"""New RAW files: never over another one, whole and readable however the writing ends."""
+
+import errno
+import os
+
+import pytest
+
+from drivers.camera.raw_writer import RawWriter, check_new, check_space, sync_file
+from drivers.errors import RecordingFailed
+
+
+def test_what_is_written_is_in_the_file(tmp_path):
+    with RawWriter(tmp_path / "a.raw", b"head") as file:
+        file.write(b"1234")
+        file.write(memoryview(b"56"))
+    assert (tmp_path / "a.raw").read_bytes() == b"head123456"
+    assert file.bytes_written == 10
+
+
+def test_an_existing_file_is_left_as_it_is(tmp_path):
+    (tmp_path / "a.raw").write_bytes(b"precious")
+    with pytest.raises(RecordingFailed, match="never overwritten"):
+        RawWriter(tmp_path / "a.raw", b"head")
+    assert (tmp_path / "a.raw").read_bytes() == b"precious"
+
+
+def test_an_error_inside_leaves_what_was_written_and_is_passed_on(tmp_path):
+    file = RawWriter(tmp_path / "a.raw", b"head")
+    file.write(b"12")
+    with pytest.raises(KeyboardInterrupt), file:
+        raise KeyboardInterrupt
+    assert (tmp_path / "a.raw").read_bytes() == b"head12"
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        (errno.ENOSPC, r"disk is full.*recorded before is kept.*Free space"),
+        (errno.EDQUOT, "quota is used up"),
+        (errno.EACCES, "may not write there"),
+        (errno.EROFS, "read-only"),
+        (errno.ENOTDIR, "no folder"),
+        (errno.EIO, "cannot be written"),
+    ],
+)
+def test_each_refusal_of_the_disk_has_its_words(tmp_path, monkeypatch, code, message):
+    def refuse(*_):
+        raise OSError(code, os.strerror(code))
+
+    file = RawWriter(tmp_path / "a.raw", b"head")
+    with file:
+        monkeypatch.setattr(os, "write", refuse)
+        with pytest.raises(RecordingFailed, match=message):
+            file.write(b"12")
+        monkeypatch.undo()
+
+
+def test_a_disk_that_takes_little_at_a_time_gets_all_of_it(tmp_path, monkeypatch):
+    real_write = os.write
+    monkeypatch.setattr(os, "write", lambda handle, data: real_write(handle, bytes(data[:3])))
+    with RawWriter(tmp_path / "a.raw", b"head") as file:
+        file.write(b"1234567")
+    assert (tmp_path / "a.raw").read_bytes() == b"head1234567"
+
+
+def test_a_sync_that_fails_fails_the_recording(tmp_path, monkeypatch):
+    def refuse(_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    file = RawWriter(tmp_path / "a.raw", b"head")
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(RecordingFailed, match="cannot be written"), file:
+        file.write(b"12")
+
+
+def test_a_first_error_is_not_hidden_by_a_failing_sync(tmp_path, monkeypatch):
+    def refuse(_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    file = RawWriter(tmp_path / "a.raw", b"head")
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(KeyboardInterrupt), file:
+        raise KeyboardInterrupt
+
+
+def test_places_that_cannot_be_written_are_told_before(tmp_path, monkeypatch):
+    check_new(tmp_path / "a.raw")
+    with pytest.raises(RecordingFailed, match="no such folder"):
+        check_new(tmp_path / "none" / "a.raw")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(RecordingFailed, match="may not write"):
+        check_new(tmp_path / "a.raw")
+
+
+def test_space_is_looked_at(tmp_path, monkeypatch):
+    check_space(tmp_path / "a.raw")
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
+    with pytest.raises(RecordingFailed, match="disk is full"):
+        check_space(tmp_path / "a.raw")
+
+
+def test_a_file_that_is_not_there_needs_no_sync(tmp_path):
+    sync_file(tmp_path / "none.raw")
+    assert not list(tmp_path.iterdir())
