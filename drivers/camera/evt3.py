@@ -28,8 +28,8 @@ _TRIGGERS_AT_ONCE: Final = 4096
 class Events(NamedTuple):
     """Contrast change events in the order sent, one array a field.
 
-    ``t`` (N,) int64, us, the sensor's clock (busy sensors let it step back by some us now and then); ``y``
-    (N,) uint16, px; ``p`` (N,) uint8, 1 = ON.
+    ``t`` (N,) int64, us, the sensor's clock (busy sensors let it step back by some us now and then); ``x`` and
+    ``y`` (N,) uint16, px; ``p`` (N,) uint8, 1 = ON.
     """
 
     t: NDArray[np.int64]
@@ -104,8 +104,8 @@ class StreamTally:
 
     @property
     def duration_s(self) -> float:
-        """Span of the sensor's clock from the first time word to the last."""
-        return (self.last_t_us - self.first_t_us) * 1e-6
+        """Span of the sensor's clock from the first time word to the last; 0 without any."""
+        return (self.last_t_us - self.first_t_us) * 1e-6 if self.first_t_us >= 0 else 0.0
 
     def losses_in_words(self) -> tuple[str, ...]:
         """Say each gap in a sentence, and what the sensor's own counts tell of lost events."""

@@ -159,6 +159,11 @@ def test_a_time_high_that_is_half_a_turn_lower_has_wrapped(new, wraps):
             decode(*words)
 
 
+def test_a_stream_without_a_whole_time_has_no_duration():
+    assert decode()[2].duration_s == 0.0
+    assert decode(high(5))[2].duration_s == 0.0
+
+
 def test_a_stream_that_begins_at_zero_covers_its_time():
     assert decode(high(0), low(0), low(5), low(9))[2].first_t_us == 0
 
