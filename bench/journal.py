@@ -251,7 +251,7 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
             raise JournalBroken(
                 f"The journal does not hold: {error}.",
                 where=f"{path}:{number + 1}",
-                remedy="It was changed after it was written; restore the run folder from a copy.",
+                remedy="It was changed after it was written; restore it from a copy.",
             ) from error
     return entries, torn
 

@@ -110,6 +110,8 @@ def identification(results: Json) -> list[tuple[str, str]]:
     """Say what was calibrated, by whom, where and when."""
     run = results["run"]
     camera = (results.get("devices") or {}).get("camera") or {}
+    ledger = run.get("ledger")
+    entered = [("In the laboratory's ledger", _place_in_ledger(ledger))] if ledger else []
     item = " ".join(str(camera[key]) for key in ("maker", "model", "sensor") if camera.get(key))
     return [
         ("Item", item or NOTHING),
@@ -122,6 +124,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
         ("Station", words(run.get("station"))),
         ("Started", moment(run.get("started_utc"))),
         ("Finished", moment(run.get("finished_utc"))),
+        *entered,
     ]
 
 
@@ -341,6 +344,11 @@ def gates(found: Sequence[Json]) -> list[GateRow]:
             GateRow(name, f"{limit} {unit}".strip(), values_text, f"{passed} of {len(judged)}", worst)
         )
     return rows
+
+
+def _place_in_ledger(ledger: Json) -> str:
+    standing = ", ".join(f"{count} {how}" for how, count in ledger["of_camera"].items())
+    return f"run {ledger['number']}; of this camera {standing}, this one included"
 
 
 def _angles(found: Json | None, decimals: int) -> str:

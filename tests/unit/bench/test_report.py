@@ -278,6 +278,15 @@ def test_a_page_s_words_leave_out_what_is_drawn():
     assert printed_text(page) == ["one & two", "four"]
 
 
+def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
+    words = printed_text(html)
+    assert "run 12; of this camera 2 finished, 1 open, this one included" in words
+    assert data.results["run"]["ledger"]["head"] in words
+    results = copy.deepcopy(dict(data.results))
+    del results["run"]["ledger"]
+    assert "ledger" not in " ".join(printed_text(render_report(ReportData(results)))).lower()
+
+
 def test_refused_recordings_deviations_and_gates_are_told(html):
     words = " ".join(printed_text(html))
     assert "stars 31, wanted >= 40" in words
