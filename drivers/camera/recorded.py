@@ -1,14 +1,16 @@
 """Recordings played as a camera: a folder of RAW files, one for each recording asked for, or one long RAW file.
 
-Knows the files alone; what it hands on are their own words and header. From one long file, recordings are
-taken one after the other, each beginning at a TIME_HIGH word. Nothing can be set: what was set when the files
-were recorded is in them.
+Knows the files alone; what it hands on are their own words and header. The files of a folder are played whole;
+from one long file, recordings are taken one after the other, each beginning at a TIME_HIGH word. Nothing can be
+set: what was set when the files were recorded is in them.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -110,7 +112,7 @@ class RecordedCamera:
         return None
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Play the next recording into a new RAW file; it is not complete when the source is shorter.
+        """Play the next recording into a new RAW file; it is not complete when it is shorter than asked for.
 
         Raises
         ------
@@ -125,12 +127,18 @@ class RecordedCamera:
             path,
             source.file.raw_header.text,
             (source.file.width, source.file.height),
-            duration_s,
+            math.inf if self._tape is None else duration_s,
             Watch(self._clock, self._stop_asked, _SILENCE_S, self._where),
         )
         self._played += 1
+        complete = recorded.told.duration_s >= duration_s and not self._stop_asked.is_set()
         return recording_facts(
-            self.identify(), recorded, biases={}, filters={}, temperature_c=None, illumination_lux=None
+            self.identify(),
+            replace(recorded, complete=complete),
+            biases={},
+            filters={},
+            temperature_c=None,
+            illumination_lux=None,
         )
 
     def stop(self) -> None:

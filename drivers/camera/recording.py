@@ -94,7 +94,7 @@ def record_words(
     size
         Columns and rows of the sensor.
     duration_s
-        At least this long of the sensor's clock, s.
+        At least this long of the sensor's clock, s; infinite for all there is.
     watch
         What may end it before.
 
@@ -125,7 +125,7 @@ def _write_words(
     source: WordSource, file: RawWriter, decoder: Evt3Decoder, duration_s: float, watch: Watch
 ) -> bool:
     """Write until covered (True), or until stopped or at the stream's own end (False)."""
-    wanted_us = math.ceil(duration_s * 1e6)
+    wanted_us = duration_s * 1e6
     covered_us = -1
     deadline = 0.0
     while decoder.covered_us < wanted_us:
