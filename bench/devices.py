@@ -59,7 +59,7 @@ class Devices:
         self._clock = clock
         self._simulation: SimulatedBench | None = None
         with ExitStack() as opened:
-            if station.is_simulated:
+            if station.needs_simulated_bench:
                 self._simulation = opened.enter_context(SimulatedBench(station.simulation or {}, seed))
             self.stage: Stage = _open_stage(station, self._port, clock, wire_log)
             opened.callback(self.stage.close)

@@ -98,6 +98,29 @@ def recording_gates(
     return judged
 
 
+def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> list[Gate]:
+    """Judge a calibration by the limits of its solve step.
+
+    Parameters
+    ----------
+    limits
+        The most each number may be, by name with its unit: ``rms_px``, ``sigma_r_mm``, ``sigma_k1``.
+    found
+        Numbers by name without unit (``rms``, ``sigma_r``); a model that was chosen without a parameter has none.
+
+    Examples
+    --------
+    >>> [gate.verdict for gate in solution_gates({"rms_px": 0.2, "sigma_fx_px": 3}, {"rms": 0.05, "sigma_fx": 2.8})]
+    ['pass', 'marginal']
+    """
+    judged = []
+    for name, limit in limits.items():
+        stem, _, unit = name.rpartition("_") if name.endswith(("_px", "_mm")) else (name, "", "")
+        if stem in found:
+            judged.append(at_most(stem.replace("_", " "), found[stem], limit, unit))
+    return judged
+
+
 def refusals(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
     """Say why a recording does not count; empty when it does."""
     reasons = [

@@ -170,7 +170,7 @@ class Job:
 
     def read_truth(self) -> dict[str, Any] | None:
         """What the simulated world is made of, for the final comparison; None on a real bench."""
-        if not self.simulated:
+        if not self.station.needs_simulated_bench:
             return None
         with SimulatedBench(self.station.simulation or {}, self.seed) as bench:
             return bench.truth()

@@ -20,6 +20,7 @@ READY = (
     "slewing",
     "settling",
     "checking",
+    "backing_off",
     "waiting",
     "holding",
     "parking",
@@ -27,8 +28,8 @@ READY = (
 """States whose work, once done, leaves the bench ready for the next step of the script."""
 
 STATES = (
-    "idle", "preflight", "homing", "lighting", "slewing", "settling", "recording", "checking", "waiting",
-    "holding", "recovering", "parking", "solving", "reporting", "finished", "aborting", "aborted", "failed",
+    "idle", "preflight", "homing", "lighting", "slewing", "settling", "recording", "checking", "backing_off",
+    "waiting", "holding", "recovering", "parking", "solving", "reporting", "finished", "aborting", "aborted", "failed",
 )  # fmt: skip
 
 END_STATES = ("finished", "aborted", "failed")
@@ -44,6 +45,7 @@ EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("settle", READY, "settling"),
     ("record", (*READY, "recording"), "recording"),
     ("check", ("recording", "recovering", "checking"), "checking"),
+    ("back_off", ("recording", "checking"), "backing_off"),
     ("wait", READY, "waiting"),
     ("hold", READY, "holding"),
     ("park", READY, "parking"),

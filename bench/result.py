@@ -18,6 +18,7 @@ from bench import __version__
 from bench.comparison import compare, planar_beside
 from bench.errors import BenchError
 from bench.exports import exports
+from bench.gates import Gate, solution_gates
 from bench.history import Attempt, History, RunLog
 from bench.job import Job, calibration_options
 from bench.measure import Measurement
@@ -41,11 +42,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Solution:
-    """A calibration, the planar one on the same points, and what they were made of."""
+    """A calibration, the planar one on the same points, what they were made of, and how it was judged."""
 
     calibration: Calibration
     planar: Calibration | None
     measurements: Sequence[Measurement]
+    judged: Sequence[Gate]
 
 
 class ResultWriter:
@@ -96,7 +98,9 @@ class ResultWriter:
         calibration = calibrate(views, options)
         check()
         planar = planar_beside(views, options) if calibration.model == "spherical" else None
-        self._solution = Solution(calibration, planar, measurements)
+        found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
+        found |= {f"sigma_{name}": sigma for name, sigma in calibration.sigma.items()}
+        self._solution = Solution(calibration, planar, measurements, solution_gates(step.limits, found))
         return {
             "model": calibration.model,
             "converged": calibration.converged,
@@ -178,7 +182,7 @@ class ResultWriter:
             "calibration": calibration.to_dict(),
             "planar": solution.planar.to_dict() if solution.planar else None,
             "poses": _poses(history, solution),
-            "gates": _gates(history),
+            "gates": [*(gate.as_data() for gate in solution.judged), *_gates(history)],
             "deviations": list(history.deviations),
             "states": list(history.states),
             "truth": dict(truth) if truth is not None else None,

@@ -220,11 +220,34 @@ class Runner:
             self._progress.done(done_s)
 
     def _record_until_accepted(self, step: RecordStep) -> None:
+        """Record until accepted; once the attempts are used up, do as the sequence says."""
+        while (reasons := self._attempts(step)) is not None:
+            pose = step.pose
+            what = f"Pose {pose.index} ({pose.name}) failed {step.attempts} attempts: {'; '.join(reasons)}."
+            if step.on_failure == "fail":
+                raise PoseFailed(
+                    what,
+                    where=step.where,
+                    remedy="Mend the cause, then go on with `starbench resume`; all attempts are kept.",
+                )
+            if step.on_failure == "skip":
+                self._log.tell(Event.DEVIATION, what=f"{what} It was skipped, as the sequence says.")
+                self._progress.say(f"{what} Skipped.")
+                return
+            question = f"{what} Try it again?"
+            self._work.step = PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s)
+            self._machine.fire("hold", step=step.number)
+            self._work.step = step
+
+    def _attempts(self, step: RecordStep) -> list[str] | None:
+        """Record up to so many times; return why the last one did not count, or None when one did."""
         history, pose = self._log.history, step.pose
         reasons: list[str] = []
         if pose.index in history.accepted():  # the process died between accepting it and saying so
-            return
-        for _ in range(step.attempts):
+            return None
+        for i in range(step.attempts):
+            if i:
+                self._fire("back_off", step, wait_s=step.backoff_s * 2 ** (i - 1))
             attempt = history.next_attempt(pose.index)
             try:
                 self._fire("record", step, attempt=attempt)
@@ -234,14 +257,11 @@ class Runner:
                 self._lose(step, attempt, error)
                 continue
             if pose.index in history.accepted():
-                return
+                return None
             reasons = list((history.attempts_at(pose.index)[-1].checked or {}).get("reasons", []))
             self._progress.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {'; '.join(reasons)}")
-        raise PoseFailed(
-            f"Pose {pose.index} ({pose.name}) failed {step.attempts} attempts: {'; '.join(reasons)}.",
-            where=step.where,
-            remedy="Mend the cause, then go on with `starbench resume`; all attempts are kept.",
-        )
+        self._fire("back_off", step, wait_s=0.0)
+        return reasons
 
     def _lose(self, step: RecordStep, attempt: int, error: RecordingFailed) -> None:
         """Keep what there is of a recording that the camera could not complete."""

@@ -57,6 +57,7 @@ def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: 
         *_light_faults(document, steps, station),
         *_recording_faults(document, steps, station),
         *_order_faults(document, steps),
+        *_limit_faults(document, steps),
     ]
     return Findings(tuple(sorted(set(faults))), tuple(sorted(set(_remarks(document, steps)))))
 
@@ -161,6 +162,19 @@ def _order_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Itera
             reported = True
             if not solved:
                 yield document.fault(step.path, "a report before any solve has no result to show.")
+
+
+def _limit_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
+    """Find limits on parameters that the solve does not estimate."""
+    for step in steps:
+        if isinstance(step, SolveStep):
+            estimated = {"fx", "fy", "cx", "cy", *step.distortion}
+            estimated |= {"x", "y", "r"} if step.model != "planar" else set()
+            for name in step.limits:
+                _, sigma, parameter = name.partition("sigma_")
+                if sigma and parameter.removesuffix("_px").removesuffix("_mm") not in estimated:
+                    path = (*_said(document, step.path, "limits", "solve"), name)
+                    yield document.fault(path, "this solve does not estimate it, so it has no uncertainty.")
 
 
 def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:

@@ -70,6 +70,7 @@ class StateWork:
             "waiting": self.stand_still,
             "recording": self.record,
             "checking": self.check,
+            "backing_off": self.back_off,
             "holding": self.hold,
             "parking": self.park,
             "solving": self.solve,
@@ -171,6 +172,10 @@ class StateWork:
             gates=[gate.as_data() for gate in judged],
             measured=dict(found.facts),
         )
+
+    def back_off(self, *, wait_s: float, **_: Any) -> None:
+        """Let time pass after a recording that does not count, so that its cause may pass too."""
+        self._clock.sleep(wait_s)
 
     def hold(self, **_: Any) -> None:
         """Ask the operator, and go on or abort as answered."""

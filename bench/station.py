@@ -15,7 +15,17 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.station_devices import SIMULATED, AxisWords, Camera, Light, Positive, Serial, Stage, Text
+from bench.station_devices import (
+    SIMULATED,
+    AxisWords,
+    Camera,
+    Light,
+    Positive,
+    RecordedCamera,
+    Serial,
+    Stage,
+    Text,
+)
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from sequences.reader import Located, find_document, read_document
@@ -110,10 +120,15 @@ class Station(Words):
         return {str(name): axis for name, axis in self.stage.axes.items()}
 
     @property
-    def is_simulated(self) -> bool:
-        """Whether any device of it is a simulated one."""
+    def needs_simulated_bench(self) -> bool:
+        """Whether any device of it is one of the simulated bench's."""
         ports = (*self.stage.ports, *self.light.ports, *self.camera.ports)
         return any(port.startswith(SIMULATED) for port in ports)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a run on it measures no camera: a device is simulated, or recordings are played again."""
+        return self.needs_simulated_bench or isinstance(self.camera, RecordedCamera)
 
 
 def load_station(name_or_path: str) -> Located[Station]:

@@ -211,7 +211,9 @@ class _Unfolding:
         if word == "settle":
             return SettleStep(**place, **merged(said, self.sequence.defaults.settle))
         if word == "solve":
-            return SolveStep(**place, **merged(said, self.sequence.defaults.solve))
+            settings = merged(said, self.sequence.defaults.solve)
+            limits = {name: limit for name, limit in settings.pop("limits").items() if limit is not None}
+            return SolveStep(**place, **settings, limits=limits)
         if word == "wait":
             return WaitStep(**place, **dict(said))
         if word == "prompt":

@@ -31,9 +31,13 @@ CalibrationModel = Literal["spherical", "planar", "auto"]
 DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3"]
 Loss = Literal["huber", "l2", "cauchy"]
 Answer = Literal["continue", "abort"]
+OnFailure = Literal["fail", "skip", "hold"]
 
 Angle = Annotated[float, Field(ge=-360, le=360)]
 Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S(.*\S)?$")]
+
+
+Limit = Annotated[float, Field(gt=0)] | None
 
 
 class Words(BaseModel):
@@ -209,6 +213,14 @@ class RecordWords(Words):
     )
     image: ImageKind = "auto"
     attempts: Annotated[int, Field(ge=1, le=20)] = 2
+    backoff_s: Annotated[
+        float,
+        Field(ge=0, le=600, description="Before the second attempt; twice as long before each further one."),
+    ] = 0.0
+    on_failure: Annotated[OnFailure, Field(description="Once the attempts are used up.")] = "fail"
+    hold_s: Annotated[float, Field(gt=0, le=7 * 86_400, description="How long hold waits for an answer.")] = (
+        3600.0
+    )
     gates: GateWords = GateWords()
 
 
@@ -226,6 +238,25 @@ class PromptWords(Words):
     timeout_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 600.0
 
 
+class LimitWords(Words):
+    """The most a result may show. Within a tenth of its limit it is marginal, above it the result fails."""
+
+    rms_px: Limit = None
+    mean_px: Limit = None
+    sigma_fx_px: Limit = None
+    sigma_fy_px: Limit = None
+    sigma_cx_px: Limit = None
+    sigma_cy_px: Limit = None
+    sigma_k1: Limit = None
+    sigma_k2: Limit = None
+    sigma_p1: Limit = None
+    sigma_p2: Limit = None
+    sigma_k3: Limit = None
+    sigma_x_mm: Limit = None
+    sigma_y_mm: Limit = None
+    sigma_r_mm: Limit = None
+
+
 class SolveWords(Words):
     """Calibrate from the poses recorded so far."""
 
@@ -233,6 +264,7 @@ class SolveWords(Words):
     distortion: tuple[DistortionTerm, ...] = ("k1", "k2")
     loss: Loss = "huber"
     huber_px: Annotated[float, Field(gt=0, le=100)] | None = None
+    limits: LimitWords = LimitWords()
 
     @field_validator("distortion")
     @classmethod

@@ -8,7 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sequences.schema import Answer, CalibrationModel, DistortionTerm, ImageKind, Loss, Waveform
+from sequences.schema import (
+    Answer,
+    CalibrationModel,
+    DistortionTerm,
+    ImageKind,
+    Loss,
+    OnFailure,
+    Waveform,
+)
 from sequences.yaml_text import DocumentPath
 
 
@@ -93,7 +101,11 @@ class SettleStep:
 
 @dataclass(frozen=True)
 class RecordStep:
-    """Record at a pose, until a recording passes its gates or the attempts are used up."""
+    """Record at a pose, until a recording passes its gates or the attempts are used up.
+
+    The ``backoff_s`` before the second attempt doubles with every further one; ``hold_s`` bounds how long
+    ``on_failure: hold`` waits for an answer.
+    """
 
     number: int
     where: str
@@ -102,6 +114,9 @@ class RecordStep:
     window_ms: float
     image: ImageKind
     attempts: int
+    backoff_s: float
+    on_failure: OnFailure
+    hold_s: float
     gates: Gates
 
 
@@ -129,7 +144,10 @@ class PromptStep:
 
 @dataclass(frozen=True)
 class SolveStep:
-    """Calibrate from the poses recorded so far; ``huber_px`` None leaves the choice to the engine."""
+    """Calibrate from the poses recorded so far.
+
+    ``huber_px`` None leaves the choice to the engine; ``limits`` are the most each named result may show.
+    """
 
     number: int
     where: str
@@ -138,6 +156,7 @@ class SolveStep:
     distortion: tuple[DistortionTerm, ...]
     loss: Loss
     huber_px: float | None
+    limits: Mapping[str, float]
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,15 @@ def test_a_step_takes_from_the_defaults_what_it_does_not_say_itself():
     assert off.flicker is None
 
 
+def test_what_follows_failed_attempts_and_the_limits_of_a_result_are_settings_too():
+    _, record, solve = steps(
+        "defaults: {record: {attempts: 3, backoff_s: 2}, solve: {limits: {rms_px: 0.5, sigma_fx_px: 9}}}\n"
+        "steps: [{move: {pan_deg: 0}}, {record: {on_failure: skip}}, {solve: {limits: {sigma_fx_px: 4}}}]\n"
+    )
+    assert (record.attempts, record.backoff_s, record.on_failure, record.hold_s) == (3, 2, "skip", 3600)
+    assert solve.limits == {"rms_px": 0.5, "sigma_fx_px": 4}
+
+
 def test_waits_and_prompts_say_how_long():
     wait, prompt = steps(
         "steps: [{wait: {duration_s: 5}}, {prompt: {text: 'Cap off?', default: abort, timeout_s: 9}}]\n"
