@@ -7,14 +7,17 @@ line is left out: no star is better than a wrong one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InputMismatch, TooFewStars
+from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.grid_map import fit_view
-from calib.star_growth import grow
+from calib.identity import number_by_pose, number_by_tag
+from calib.lattice import find_lattice
+from calib.star_growth import Grown, grow, start_at_tag
 from calib.star_likelihood import likely_stars, quantise
 from calib.star_noise import variance_factor
 from calib.star_refine import (
@@ -26,7 +29,7 @@ from calib.star_refine import (
     star_contrasts,
     symmetry_samples,
 )
-from calib.tag_seed import TagSeed, find_tag
+from calib.tag_seed import find_tag
 from calib.target import StarTarget
 from calib.view import View
 
@@ -46,6 +49,8 @@ IN_LINE_PX = 0.05
 COARSE_STEP_PX = 1.6
 #: How far refinement may walk, in pitches.
 WALK = 0.06
+#: Share of the stars found without the tag that may stand where none is printed.
+MAX_STRAY = 0.02
 #: Stars that a view needs at least.
 MIN_STARS = 12
 #: Stars from which a view can teach how its pixels look near edges.
@@ -66,7 +71,13 @@ class _Stars(NamedTuple):
         return _Stars(self.nodes[mask], self.points[mask])
 
 
-def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view") -> View:
+def detect(
+    image: NDArray[np.generic],
+    target: StarTarget,
+    *,
+    name: str = "view",
+    expected: NDArray[np.float64] | None = None,
+) -> View:
     """Find the target's stars.
 
     Parameters
@@ -77,6 +88,9 @@ def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view"
         The printed target.
     name
         The pose's name, for the view and for messages.
+    expected
+        (3, 3) homography from [column row 1] of the target's grid to [u v 1] px, to a third of a pitch, as pose,
+        collimator and camera let expect it; needed only where the tag is not in view.
 
     Returns
     -------
@@ -86,7 +100,7 @@ def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view"
     Raises
     ------
     TargetNotFound
-        When the target's tag is not in the image, or more than once.
+        When the target's tag is not in the image, nor enough of it, nor a pose to do without; or more than once.
     TooFewStars
         When fewer than `MIN_STARS` stars pass.
     InputMismatch
@@ -96,14 +110,17 @@ def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view"
         raise InputMismatch(
             f"An image of shape {image.shape}.", where=f"view {name}", remedy="Give one grey plane (H, W)."
         )
-    seed = find_tag(image, target, name=name)
     values = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
-    grown = grow(values, seed, target)
-    stars = _Stars(grown.nodes(), grown.places())
+    seed = find_tag(image, target, name=name)
+    if seed is not None:
+        grown = grow(values, start_at_tag(seed, target), target.segments, _printed(target))
+        stars, sign = _Stars(grown.nodes(), grown.places()), seed.sign
+    else:
+        stars, sign = _without_tag(values, target, expected, name)
     _enough(len(stars.nodes), name)
-    stars, _, _ = _refined(values, stars, target, seed, COARSE_STEP_PX)
+    stars, _, _ = _refined(values, stars, target, sign, COARSE_STEP_PX)
     _enough(len(stars.nodes), name)
-    stars, fine, shape = _refined(values, stars, target, seed, 1.0)
+    stars, fine, shape = _refined(values, stars, target, sign, 1.0)
     _enough(len(stars.nodes), name)
     promised = fine.residual[:, None, None] * np.linalg.inv(fine.information)
     points, covariances = _best_placed(image, stars, promised, shape, target)
@@ -119,6 +136,45 @@ def detect(image: NDArray[np.generic], target: StarTarget, *, name: str = "view"
         target_mm=target.positions_mm(ids[order]),
         covariances_px2=covariances[kept][order],
     )
+
+
+def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
+    """Whether a star is printed at nodes of the target."""
+    return lambda nodes: np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
+
+
+def _without_tag(
+    image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
+) -> tuple[_Stars, float]:
+    """Find stars from any of them on, and number them by what is seen of the tag, or else by the expected pose."""
+    start = find_lattice(image, target.segments)
+    size = max(target.columns, target.rows)
+    grown = Grown()
+    if start is not None:
+        grown = grow(
+            image, start, target.segments, lambda nodes: np.asarray((np.abs(nodes) < size).all(axis=1))
+        )
+    if start is None or len(grown.points) < MIN_STARS:
+        raise TargetNotFound(
+            f"Tag {target.tag_id} of family 36h11 is not in the image, nor are stars.",
+            where=f"view {name}",
+            remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
+        )
+    try:
+        numbering = number_by_tag(image, grown, start.sign, target, name=name)
+    except TargetNotFound:
+        if expected is None:
+            raise
+        numbering = number_by_pose(grown, expected, name=name)
+    nodes = numbering.apply(grown.nodes())
+    printed = _printed(target)(nodes)
+    if np.count_nonzero(~printed) > MAX_STRAY * len(nodes):
+        raise TargetNotFound(
+            f"{np.count_nonzero(~printed)} of {len(nodes)} stars would lie where the target has none.",
+            where=f"view {name}",
+            remedy="Check the target's description and the expected pose.",
+        )
+    return _Stars(nodes, grown.places()).kept(printed), start.sign
 
 
 def _best_placed(
@@ -154,7 +210,7 @@ def _typical(covariances: NDArray[np.float64]) -> float:
 
 
 def _refined(
-    image: NDArray[np.float32], stars: _Stars, target: StarTarget, seed: TagSeed, step_px: float
+    image: NDArray[np.float32], stars: _Stars, target: StarTarget, sign: float, step_px: float
 ) -> tuple[_Stars, RefinedStars, LocalShape]:
     """Refine all stars with the map that they tell together, and leave out those that do not stand."""
     grid = stars.nodes.astype(float)
@@ -163,7 +219,7 @@ def _refined(
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(shape.linear)))))
     fine = refine_stars(image, stars.points, shape, symmetry_samples(pitch / step_px), WALK * pitch)
     score, contrast = star_contrasts(
-        image, fine.centres, shape.linear, StarTemplate.of(target.segments), seed.sign
+        image, fine.centres, shape.linear, StarTemplate.of(target.segments), sign
     )
     middle = np.median(contrast, axis=1)
     good = fine.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)

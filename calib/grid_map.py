@@ -43,6 +43,13 @@ def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> ND
     return np.asarray(h, np.float64)
 
 
+def fit_affine(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least-squares affine map from (N, 2) grid positions to (N, 2) px, as a (3, 3) homography."""
+    design = np.column_stack([grid, np.ones(len(grid))])
+    solution = np.linalg.lstsq(design, points, rcond=None)[0]
+    return np.vstack([solution.T, [0.0, 0.0, 1.0]])
+
+
 def apply_homography(h: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
     """Map (N, 2) grid positions to (N, 2) px."""
     q = grid @ h[:, :2].T + h[:, 2]

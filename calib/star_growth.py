@@ -1,28 +1,32 @@
-"""From the tag to all stars: ring by ring over the grid, each star predicted by those around it.
+"""From some first stars to all: ring by ring over the grid, each star predicted by those around it.
 
 Knows the grid's order; how a star looks is `star_refine`'s, how the grid bends is `grid_map`'s.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.grid_map import apply_homography, fit_homography, predict_locally
+from calib.grid_map import apply_homography, fit_affine, fit_homography, predict_locally
 from calib.star_refine import SEARCH_RADII, StarTemplate, search_stars
 from calib.tag_seed import TagSeed
 from calib.target import StarTarget
 
 #: Correlation with its print from which a star is taken for one while growing.
 MIN_CORRELATION = 0.45
-#: How far from its prediction a star is looked for, in pitches: beside the tag, and beside other stars.
+#: How far from its prediction a star is looked for, in pitches: at first, and beside other stars.
 FIRST_REACH, REACH = 0.15, 0.08
 #: Stars closer than this cannot be told, px.
 MIN_PITCH_PX = 10.0
 #: How often a node is tried, each time with more neighbours to predict it.
 TRIES = 3
+#: Points from which perspective is fitted.
+PERSPECTIVE_FROM = 16
 _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
@@ -33,6 +37,13 @@ class Grown:
     points: dict[tuple[int, int], NDArray[np.float64]] = field(default_factory=dict)
     tries: dict[tuple[int, int], int] = field(default_factory=dict)
 
+    def note(self, tried: NDArray[np.int64], found: NDArray[np.int64], places: NDArray[np.float64]) -> None:
+        """Take up the nodes tried and, of them, the stars found with their places."""
+        for column, row in tried:
+            key = (int(column), int(row))
+            self.tries[key] = self.tries.get(key, 0) + 1
+        self.points.update({(int(c), int(r)): place for (c, r), place in zip(found, places, strict=True)})
+
     def nodes(self) -> NDArray[np.int64]:
         """(N, 2) columns and rows."""
         return np.array(list(self.points), np.int64).reshape(-1, 2)
@@ -42,47 +53,89 @@ class Grown:
         return np.array(list(self.points.values()), np.float64).reshape(-1, 2)
 
 
-def grow(image: NDArray[np.float32], seed: TagSeed, target: StarTarget) -> Grown:
-    """Find the stars around the tag, then around these, until no more are found.
+class Start(NamedTuple):
+    """Where growth begins.
+
+    Attributes
+    ----------
+    homography
+        (3, 3) from [column row 1] to [u v 1] px, good near the first nodes.
+    sign
+        +1 where white is bright, -1 where it is dark.
+    nodes
+        (M, 2) nodes to look at first.
+    anchor_grid, anchor_px
+        (K, 2) points known beforehand, on the grid and in the image, that go into the fits.
+    """
+
+    homography: NDArray[np.float64]
+    sign: float
+    nodes: NDArray[np.int64]
+    anchor_grid: NDArray[np.float64]
+    anchor_px: NDArray[np.float64]
+
+
+def start_at_tag(seed: TagSeed, target: StarTarget) -> Start:
+    """Begin with the ring of stars around the tag."""
+    corners = target.tag_corners_mm / target.pitch_mm
+    low, high = corners[0].round().astype(np.int64) - 1, corners[2].round().astype(np.int64) + 1
+    columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+    nodes = np.column_stack([columns.ravel(), rows.ravel()])
+    ring = nodes[target.id_at(nodes[:, 0], nodes[:, 1]) >= 0]
+    return Start(seed.homography, seed.sign, ring, corners, seed.corners_px)
+
+
+def grow(
+    image: NDArray[np.float32],
+    start: Start,
+    segments: int,
+    exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]],
+) -> Grown:
+    """Find the first stars, then those around them, until no more are found.
 
     Parameters
     ----------
     image
-        (H, W), smoothed; of either contrast, the seed says which.
-    seed
-        The tag.
-    target
-        Which nodes carry stars.
+        (H, W), smoothed; of either contrast.
+    start
+        Where to begin.
+    segments
+        Segments of a star.
+    exists
+        Says of (N, 2) nodes whether a star may stand there, (N,) bool.
 
     Returns
     -------
-    Places to about half a pixel; empty where no star stands around the tag.
+    Places to about half a pixel; empty where the first nodes have no star.
     """
     grown = Grown()
-    template = StarTemplate.of(target.segments, SEARCH_RADII)
-    corners = target.tag_corners_mm / target.pitch_mm
-    h = seed.homography
-    wanted = _around(corners.round().astype(np.int64), target, grown, whole_tag=True)
-    reach = FIRST_REACH
+    template = StarTemplate.of(segments, SEARCH_RADII)
+    h, wanted, reach = start.homography, start.nodes, FIRST_REACH
     while len(wanted):
-        at = predict_locally(h, grown.nodes().astype(float), grown.places(), wanted.astype(float))
-        linear = linear_at(h, wanted.astype(float))
+        grid = wanted.astype(float)
+        at = predict_locally(h, grown.nodes().astype(float), grown.places(), grid)
+        linear = linear_at(h, grid)
         pitch = np.sqrt(np.abs(np.linalg.det(linear)))
         seen = (pitch >= MIN_PITCH_PX) & _inside(at, image.shape)
-        found, score = search_stars(image, at[seen], linear[seen], reach * pitch[seen], template, seed.sign)
-        for node in wanted:
-            key = (int(node[0]), int(node[1]))
-            grown.tries[key] = grown.tries.get(key, 0) + 1
+        found, score = search_stars(image, at[seen], linear[seen], reach * pitch[seen], template, start.sign)
         good = score >= MIN_CORRELATION
         if not good.any():
             break
         new = wanted[seen][good]
-        grown.points.update({(int(c), int(r)): place for (c, r), place in zip(new, found[good], strict=True)})
-        nodes, places = grown.nodes().astype(float), grown.places()
-        h = fit_homography(np.vstack([nodes, corners]), np.vstack([places, seed.corners_px]))
-        wanted = _around(new, target, grown)
+        grown.note(wanted, new, found[good])
+        h = _refitted(h, start, grown)
+        wanted = _around(new, grown, exists)
         reach = REACH
     return grown
+
+
+def _refitted(h: NDArray[np.float64], start: Start, grown: Grown) -> NDArray[np.float64]:
+    """Fit the homography again to the stars found and the points known beforehand."""
+    grid = np.vstack([grown.nodes().astype(float), start.anchor_grid])
+    places = np.vstack([grown.places(), start.anchor_px])
+    if len(grid) >= PERSPECTIVE_FROM:
+        return fit_homography(grid, places)
+    return fit_affine(grid, places) if len(grid) >= PERSPECTIVE_FROM // 2 else h
 
 
 def linear_at(h: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -93,20 +146,14 @@ def linear_at(h: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _around(
-    nodes: NDArray[np.int64], target: StarTarget, grown: Grown, *, whole_tag: bool = False
+    nodes: NDArray[np.int64], grown: Grown, exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 ) -> NDArray[np.int64]:
-    """(M, 2) nodes with a star next to some others that are not found yet and may be tried again."""
-    if whole_tag:
-        low, high = nodes.min(axis=0), nodes.max(axis=0)
-        columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
-        nodes = np.column_stack([columns.ravel(), rows.ravel()])
+    """(M, 2) nodes next to some stars that are not found yet and may be tried again."""
     next_to = np.unique((nodes[:, None, :] + _AROUND[None]).reshape(-1, 2), axis=0)
-    next_to = next_to[target.id_at(next_to[:, 0], next_to[:, 1]) >= 0]
-    open_ = [
-        (int(c), int(r)) not in grown.points and grown.tries.get((int(c), int(r)), 0) < TRIES
-        for c, r in next_to
-    ]
-    return next_to[np.array(open_, bool)] if len(next_to) else next_to
+    next_to = next_to[exists(next_to)]
+    keys = [(int(c), int(r)) for c, r in next_to]
+    open_ = [key not in grown.points and grown.tries.get(key, 0) < TRIES for key in keys]
+    return next_to[np.array(open_, bool)]
 
 
 def _inside(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.bool_]:

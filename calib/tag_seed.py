@@ -46,7 +46,7 @@ class TagSeed:
     correlation: float
 
 
-def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> TagSeed:
+def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> TagSeed | None:
     """Find the target's own tag, at any roll and with either contrast.
 
     The image is tried smaller, blurred, as it is and median filtered, until the tag is seen.
@@ -60,10 +60,15 @@ def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> Ta
     name
         The view's name, for messages.
 
+    Returns
+    -------
+    TagSeed or None
+        None where no tag is seen.
+
     Raises
     ------
     TargetNotFound
-        When the tag is not there, or is there more than once; other tags seen are named.
+        When the tag is there more than once, or another one is there in its place.
     """
     strangers: set[int] = set()
     for variant, scale in _variants(to_uint8(image)):
@@ -82,13 +87,14 @@ def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> Ta
             )
         if seeds:
             return seeds[0]
-    others = sorted(strangers - {target.tag_id})
-    seen = f"; tags seen instead: {', '.join(map(str, others))}" if others else ""
-    raise TargetNotFound(
-        f"Tag {target.tag_id} of family 36h11 is not in the image{seen}.",
-        where=f"view {name}",
-        remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
-    )
+    if strangers - {target.tag_id}:
+        others = ", ".join(map(str, sorted(strangers - {target.tag_id})))
+        raise TargetNotFound(
+            f"Tag {target.tag_id} of family 36h11 is not in the image; tags seen instead: {others}.",
+            where=f"view {name}",
+            remedy="Check that the target is the one described.",
+        )
+    return None
 
 
 def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], float]]:

@@ -16,18 +16,27 @@ from calib.tag_seed import find_tag
 from calib.target import StarTarget
 
 TARGET = StarTarget()
-SIZE = (640, 480)
+SIZE = (560, 440)
 
 
 class Scene:
     """A camera in front of the target, drawn here with OpenCV's projection alone."""
 
     def __init__(
-        self, *, pitch_px=40.0, tilts=(4.0, -3.0), roll=0.0, disc_px=None, k=(0.06, -0.9), size=SIZE
+        self,
+        *,
+        pitch_px=40.0,
+        tilts=(4.0, -3.0),
+        roll=0.0,
+        disc_px=None,
+        k=(0.06, -0.9),
+        size=SIZE,
+        shift=(0, 0),
     ):
         self.size, self.disc_px, self.k = size, disc_px, np.array([*k, 0.0, 0.0])
         f, r = 2500.0, 2500.0 * TARGET.pitch_mm / pitch_px
-        self.matrix = np.array([[f, 0, size[0] / 2 - 3.3], [0, f, size[1] / 2 + 2.1], [0, 0, 1]])
+        middle = size[0] / 2 - 3.3 + shift[0], size[1] / 2 + 2.1 + shift[1]
+        self.matrix = np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1]])
         angles = np.deg2rad([*tilts, roll])
         self.turn = cv2.Rodrigues(angles[2] * np.array([0, 0, 1.0]))[0]
         self.turn = self.turn @ cv2.Rodrigues(np.array([angles[0], angles[1], 0.0]))[0]
@@ -39,7 +48,7 @@ class Scene:
         world = np.column_stack([mm, np.zeros(len(mm))])
         return cv2.projectPoints(world, cv2.Rodrigues(self.turn)[0], self.shift, self.matrix, self.k)[0][:, 0]
 
-    def draw(self, samples=8, blur=0.7, black=0.1):
+    def draw(self, samples=7, blur=0.7, black=0.1):
         """Image, float32: black to 1 inside of the disc, 0 outside."""
         image = np.zeros((self.size[1], self.size[0]), np.float32)
         pixels = np.stack(np.meshgrid(*(np.arange(float(n)) for n in self.size)), axis=-1).reshape(-1, 2)
@@ -167,6 +176,63 @@ def test_a_blot_on_the_target_costs_the_stars_below_it_and_no_others():
     off = np.linalg.norm(view.points_px - scene.project(TARGET.positions_mm(view.ids)), axis=1)
     assert off.max() < 0.3
     assert not np.isin(whole[np.linalg.norm(points - [150, 130], axis=1) < 40], view.ids).any()
+
+
+def expected_homography(scene, nodes_off=(0.0, 0.0)):
+    """What a pose lets expect: from the target's grid to the image, some nodes off."""
+    ids, points = scene.whole_stars()
+    return cv2.findHomography(TARGET.node_of(ids) + np.array(nodes_off), points)[0]
+
+
+@pytest.mark.parametrize(
+    ("roll", "shift"),
+    [(20, (230, 0)), (213, (-220, 20)), (20, (10, 180)), (213, (0, -170)), (110, (210, 150))],
+)
+def test_part_of_the_tag_is_enough(roll, shift):
+    scene, image = drawn(roll=roll, shift=shift)
+    view = detect(as_events_show_it(image, np.random.default_rng(1)), TARGET)
+    assert find_tag(image, TARGET, name="p") is None, "the tag is not meant to be readable"
+    check(view, scene, rms_px=0.05)
+
+
+def test_without_the_tag_stars_are_not_named():
+    _, image = drawn(roll=61, shift=(390, 0))
+    with pytest.raises(TargetNotFound, match="no readable part of the tag"):
+        detect(image, TARGET)
+
+
+@pytest.mark.parametrize("bright", [True, False])
+@pytest.mark.parametrize("off", [(0.0, 0.0), (0.25, -0.2)])
+def test_without_the_tag_the_expected_pose_names_the_stars(off, bright):
+    scene, image = drawn(roll=61, shift=(390, 0))
+    view = detect(image if bright else 1 - image, TARGET, expected=expected_homography(scene, off))
+    check(view, scene, rms_px=0.008)
+
+
+@pytest.mark.parametrize("off", [(0.5, 0.0), (0.1, -0.4)])
+def test_an_expected_pose_between_two_namings_is_refused(off):
+    scene, image = drawn(roll=61, shift=(390, 0))
+    with pytest.raises(TargetNotFound, match="does not say which they are"):
+        detect(image, TARGET, expected=expected_homography(scene, off))
+
+
+def test_an_expected_pose_of_another_roll_is_refused():
+    _, image = drawn(roll=61, shift=(390, 0))
+    with pytest.raises(TargetNotFound, match="does not say which they are"):
+        detect(image, TARGET, expected=expected_homography(Scene(roll=80, shift=(390, 0))))
+
+
+def test_part_of_another_tag_is_refused():
+    _, image = drawn(roll=20, shift=(230, 0))
+    with pytest.raises(TargetNotFound):
+        detect(image, StarTarget(tag_id=8))
+
+
+def test_a_target_without_room_for_the_stars_seen_is_refused():
+    scene, image = drawn(roll=61, shift=(390, 0))
+    small = StarTarget(squares_x=12, squares_y=12, tag_square=(4, 4))
+    with pytest.raises(TargetNotFound):
+        detect(image, small, expected=expected_homography(scene))
 
 
 def test_the_same_image_gives_the_same_view():
