@@ -119,6 +119,24 @@ def test_a_value_out_of_range_is_clipped_not_refused(generator):
     assert generator.light.duty_percent == 20.0
 
 
+@pytest.mark.parametrize(
+    ("command", "query", "held"),
+    [
+        ("VOLT:LOW -7", "VOLT:LOW?", -5.0),
+        ("VOLT:HIGH 7", "VOLT:HIGH?", 5.0),
+        ("VOLT 30", "VOLT?", 10.0),
+        ("VOLT 0.0001", "VOLT?", 0.001),
+        ("VOLT:OFFS 6", "VOLT:OFFS?", 4.95),
+        ("FREQ 0", "FREQ?", 1e-6),
+        ("OUTP:LOAD 0.5", "OUTP:LOAD?", 1.0),
+    ],
+)
+def test_each_value_is_held_at_its_own_limit(generator, command, query, held):
+    generator.say(command)
+    assert float(generator.say(query)) == pytest.approx(held, abs=1e-6)
+    assert generator.say("SYST:ERR?").startswith("-222,")
+
+
 def test_the_error_queue_is_bounded_and_says_so(generator):
     for _ in range(30):
         generator.say("NONSENSE")

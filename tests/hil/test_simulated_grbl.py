@@ -117,6 +117,14 @@ def test_axes_begin_and_arrive_together(homed: Board):
     assert (x + 1.0) / -20.0 == pytest.approx((y + 1.0) / -5.0, abs=1e-3)
 
 
+def test_a_diagonal_is_as_fast_as_its_slowest_axis_lets_it_be(homed: Board):
+    homed.say("$111=600", "$121=50", "G0 X-21 Y-11")
+    homed.wait(1.19)
+    assert homed.report()[0] == "Run"
+    homed.wait(0.03)
+    assert homed.report() == ("Idle", -21.0, -11.0)
+
+
 def test_motions_follow_each_other(homed: Board):
     homed.say("G1 X-5 F3000", "G91", "G1 X-2 Y-3")
     homed.wait()

@@ -144,6 +144,12 @@ def test_the_makers_client_sees_a_move_interrupted_by_another(port: SerialDevice
         ("1 1 08 warnings", ["@01 1 08 OK IDLE WR 01 WR"]),
         ("1 1 get limit.max", ["@01 1 OK IDLE WR 96000"]),
         ("3 1 08 home", []),
+        ("1 1 08 stop now", ["@01 1 08 RJ IDLE WR BADCOMMAND"]),
+        ("1 1 08 home fast", ["@01 1 08 RJ IDLE WR BADCOMMAND"]),
+        ("1 1 08 tools echo hello there", ["@01 1 08 OK IDLE WR hello there"]),
+        ("2 1 08 set maxspeed 0", ["@02 1 08 RJ IDLE WR BADDATA"]),
+        ("1 1 08 move sideways 5", ["@01 1 08 RJ IDLE WR BADCOMMAND"]),
+        ("1 1 08 tools parking sell", ["@01 1 08 RJ IDLE WR BADCOMMAND"]),
     ],
 )
 def test_a_request_is_answered_as_the_protocol_has_it(gimbal: Gimbal, request_body: str, replies: list[str]):
@@ -210,6 +216,27 @@ def test_speed_and_acceleration_settings_make_the_ramp(homed: Gimbal):
     assert homed.ask("1 1 05") == ["@01 1 05 OK BUSY -- 0"]
     homed.wait(0.02)
     assert homed.ask("1 1 06") == ["@01 1 06 OK IDLE -- 0"]
+
+
+def test_the_position_may_be_called_otherwise(homed: Gimbal):
+    homed.ask("1 1 02 set pos 500")
+    assert homed.ask("1 1 03 get pos") == ["@01 1 03 OK IDLE -- 500"]
+    assert homed.ask("1 1 04 get encoder.pos") == ["@01 1 04 OK IDLE -- 500"]
+
+
+def test_one_motion_may_have_a_speed_and_acceleration_of_its_own(homed: Gimbal):
+    speed, acceleration = round(10 * SCALE * 1.6384), round(50 * SCALE * 1.6384 / 10_000)
+    homed.ask(f"1 1 02 move rel {10 * SCALE} {speed} {acceleration}")
+    homed.wait(1.19)
+    assert homed.ask("1 1 03") == ["@01 1 03 OK BUSY -- 0"]
+    homed.wait(0.02)
+    assert homed.ask("1 1 04 get pos") == [f"@01 1 04 OK IDLE -- {10 * SCALE}"]
+
+
+def test_the_emergency_command_halts_at_once(homed: Gimbal):
+    homed.ask("1 1 02 move max")
+    homed.wait(0.3)
+    assert homed.ask("1 1 03 estop") == ["@01 1 03 OK IDLE NI 0"]
 
 
 def test_a_reset_is_followed_by_silence_and_a_lost_reference(homed: Gimbal):

@@ -133,6 +133,23 @@ def test_homing_that_is_stopped_leaves_no_reference():
     assert not one.referenced(60.0)
 
 
+def test_homing_again_has_no_reference_until_it_ends():
+    one = homed_axis()
+    one.move_to(5.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    one.home(25.0, SPEED, SPEED / 10, ACCELERATION)
+    assert not one.referenced(25.1)
+    assert one.referenced(30.0)
+
+
+def test_a_counter_called_otherwise_after_homing_stays_so():
+    one = homed_axis()
+    one.set_counter(100.0, 20.0)
+    assert one.counter(30.0) == 100.0
+    assert one.encoder(30.0) == 0.0
+    one.set_encoder(7.0, 30.0)
+    assert (one.counter(40.0), one.encoder(40.0)) == (100.0, 7.0)
+
+
 def test_a_restart_in_motion_stands_still_at_zero_without_a_reference():
     one = homed_axis()
     one.move_to(8.0 * SCALE, 20.0, SPEED, ACCELERATION)
@@ -230,6 +247,20 @@ def test_an_end_stop_is_noticed_by_a_controller_that_watches_for_stalls():
     assert event is not None
     assert event.kind == "stall"
     assert one.counter(30.0) == 12.0 * SCALE
+
+
+@pytest.mark.parametrize("stop_deg", [-0.5, -3.0, -9.9])
+def test_an_end_stop_is_met_when_the_motor_gets_there(stop_deg):
+    one = homed_axis(lowest_deg=stop_deg)
+    one.move_to(-10.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    moments = np.linspace(20.0, 20.45, 45_001)
+    free = Axis(Mechanics(SCALE, -20.0, 20.0))
+    free.move_to(-10.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    expected = next(t for t in moments if free.motor.position(t) <= stop_deg * SCALE)
+    event = one.take_event(30.0)
+    assert event is not None
+    assert event.t_s == pytest.approx(expected, abs=2e-5)
+    assert one.encoder(30.0) == stop_deg * SCALE
 
 
 def test_an_end_stop_makes_a_controller_that_counts_on_lose_steps():
