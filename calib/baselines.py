@@ -14,10 +14,11 @@ import numpy as np
 
 from calib import uncertainty
 from calib.calibration import Calibration, CalibrationOptions
-from calib.camera import BROWN, PINHOLE, CameraModel
-from calib.errors import DegenerateViews
+from calib.camera import PINHOLE, CameraModel
+from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import begin
 from calib.fit import fit as fit_model
+from calib.lens import BROWN, is_fisheye
 from calib.refine import Loss, refine
 from calib.resample import MIN_VIEWS, leave_one_out
 from calib.view import View
@@ -74,8 +75,12 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baselin
     ------
     DegenerateViews
         When OpenCV finds no calibration.
+    InputMismatch
+        For a fisheye lens.
     """
     names = tuple(options.distortion)
+    if is_fisheye(dict.fromkeys(names, 0.0)):
+        raise InputMismatch("OpenCV's planar calibration has no fisheye lens.", remedy="Leave it out.")
     objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
     images = [v.points_px.astype(np.float32)[:, None] for v in views]
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _OPENCV_STEPS, _OPENCV_EPSILON)

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 _ODD = 0.01
 #: Softness of the rim in pitches, coarse to fine.
 _SOFTNESS = (1.0, 0.25)
+#: Stars this far from the nodes, in pitches, stand on no grid.
+_OFF_GRID = 0.1
 #: Stars so near the frame's border, in pitches, are absent for that reason.
 _BORDER_PITCHES = 1.0
 
@@ -47,14 +49,19 @@ class Disc:
 def visible_disc(view: View) -> Disc:
     """Fit the disc that best parts the stars present from those absent (a logistic model of the rim).
 
+    Stars that stand on no grid tell nothing of those absent: then the centre's sigma is infinite.
+
     Raises
     ------
     TooFewStars, DegenerateViews, InputMismatch
         As `calib.homography.fit_homography`.
     """
-    nodes, present, pitch = _nodes(view)
+    h, pitch = fit_homography(view), _pitch(view)
     middle = view.target_mm.mean(axis=0)
     reach = float(np.linalg.norm(view.target_mm - middle, axis=1).max())
+    if pitch is None:
+        return Disc(middle, reach, float("inf"))
+    nodes, present = _nodes(view, h, pitch)
     best = np.array([*middle, reach])
     for softness in _SOFTNESS:
         starts = [best * [1.0, 1.0, scale] for scale in (0.9, 1.0, 1.1)]
@@ -87,25 +94,30 @@ def within(view: View, disc: Disc, share: float) -> View:
     )
 
 
-def _nodes(view: View) -> tuple[Array, NDArray[np.bool_], float]:
-    """Return the grid's nodes that lie in the frame, which of them carry a star found, and the pitch."""
+def _pitch(view: View) -> float | None:
+    """Return the pitch of the grid that the stars stand on, mm; None when they stand on none."""
     stars = view.target_mm
-    steps = np.diff(np.unique(np.round(stars, 6)))
+    steps = np.concatenate([np.diff(np.unique(np.round(along, 6))) for along in stars.T])
     pitch = float(np.min(steps[steps > 1e-3 * np.ptp(stars)]))
+    nodes = (stars - stars.min(axis=0)) / pitch
+    return pitch if np.abs(nodes - np.round(nodes)).max() < _OFF_GRID else None
+
+
+def _nodes(view: View, h: Array, pitch: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the grid's nodes that lie in the frame, and which of them carry a star found."""
+    stars = view.target_mm
     first, last = stars.min(axis=0) - 6 * pitch, stars.max(axis=0) + 6.5 * pitch
     columns, rows = (np.arange(a, b, pitch) for a, b in zip(first, last, strict=True))
     nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     taken = np.round((stars - first) / pitch).astype(np.int64)
     present = np.zeros(len(nodes), np.bool_)
     present[taken[:, 1] * len(columns) + taken[:, 0]] = True
-
-    h = fit_homography(view)
     in_front = nodes @ h[2, :2] + h[2, 2] > 0
     pixels, beside = transfer(h, nodes), transfer(h, nodes + np.array([pitch, 0.0]))
     border = _BORDER_PITCHES * np.linalg.norm(beside - pixels, axis=1)[:, None]
     framed = ((pixels > border) & (pixels < np.array(view.image_size) - 1 - border)).all(axis=1)
     used = present | (framed & in_front)
-    return nodes[used], present[used], pitch
+    return nodes[used], present[used]
 
 
 def _misfit(disc: Array, nodes: Array, present: NDArray[np.bool_], softness: float) -> tuple[float, Array]:

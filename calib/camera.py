@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
+from calib.lens import BROWN, FISHEYE, distort, distort_with_jacobians, is_fisheye
+
+__all__ = ["BROWN", "DISTORTION_SETS", "FISHEYE", "PINHOLE", "CameraModel", "distortion_names"]
 
 Array = NDArray[np.float64]
 
 PINHOLE = ("fx", "fy", "cx", "cy")
-#: OpenCV's order of Brown's coefficients; k4 to k6 stand in the denominator (its rational model).
-BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 #: Sets of coefficients by the names the command line takes.
 DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
     "none": (),
@@ -28,6 +29,7 @@ DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
     "k1k2p1p2": ("k1", "k2", "p1", "p2"),
     "k1k2k3p1p2": ("k1", "k2", "p1", "p2", "k3"),
     "rational": BROWN,
+    "fisheye": FISHEYE,
 }
 
 
@@ -49,15 +51,17 @@ def distortion_names(chosen: str | Sequence[str]) -> tuple[str, ...]:
             known = ", ".join(DISTORTION_SETS)
             raise InputMismatch(f"Unknown distortion {chosen!r}.", remedy=f"Known are: {known}.")
         return DISTORTION_SETS[chosen]
-    unknown = [name for name in chosen if name not in BROWN]
-    if unknown:
-        raise InputMismatch(f"Unknown distortion coefficient {unknown[0]!r}.", remedy=f"Known are: {BROWN}.")
-    return tuple(name for name in BROWN if name in chosen)
+    families = (BROWN, FISHEYE)
+    for family in families:
+        if set(chosen) <= set(family):
+            return tuple(name for name in family if name in chosen)
+    known = " or ".join(" ".join(family) for family in families)
+    raise InputMismatch(f"No lens has the coefficients {' '.join(chosen)}.", remedy=f"Known are: {known}.")
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A pinhole camera with Brown's distortion (OpenCV's ``calibrateCamera`` model).
+    """A camera: pinhole projection and the distortion of its lens (`calib.lens`).
 
     Parameters
     ----------
@@ -95,7 +99,15 @@ class CameraModel:
 
     @property
     def coefficients(self) -> Array:
-        """(8,) all coefficients in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6."""
+        """(8,) all of Brown's coefficients in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6.
+
+        Raises
+        ------
+        InputMismatch
+            For a fisheye lens, which has none of them.
+        """
+        if is_fisheye(self.distortion):
+            raise InputMismatch("A fisheye lens has no coefficients k1 to k6, p1, p2.")
         return np.array([self.distortion.get(name, 0.0) for name in BROWN])
 
     def with_values(self, values: Array) -> CameraModel:
@@ -110,7 +122,7 @@ class CameraModel:
         A ray that does not point forward (Z > 0) has no image: NaN.
         """
         forward = np.where(points[:, 2:] > 0, points, np.nan)
-        distorted = _brown(forward[:, :2] / forward[:, 2:], self.coefficients)
+        distorted = distort(forward[:, :2] / forward[:, 2:], self.distortion)
         return np.asarray(distorted * [self.fx, self.fy] + [self.cx, self.cy])
 
     project_rays = project
@@ -131,7 +143,7 @@ class CameraModel:
         """
         inverse_z = 1.0 / points[:, 2]
         normalised = points[:, :2] * inverse_z[:, None]
-        distorted, by_normalised, by_coefficients = _brown_with_jacobians(normalised, self.coefficients)
+        distorted, by_normalised, by_coefficients = distort_with_jacobians(normalised, self.distortion)
         focal = np.array([self.fx, self.fy])
         pixels = distorted * focal + [self.cx, self.cy]
 
@@ -142,8 +154,7 @@ class CameraModel:
         by_parameters = np.zeros((len(points), 2, 4 + len(self.distortion)))
         by_parameters[:, 0, 0], by_parameters[:, 1, 1] = distorted[:, 0], distorted[:, 1]
         by_parameters[:, 0, 2] = by_parameters[:, 1, 3] = 1.0
-        columns = [BROWN.index(name) for name in self.distortion]
-        by_parameters[:, :, 4:] = by_coefficients[:, :, columns] * focal[:, None]
+        by_parameters[:, :, 4:] = by_coefficients * focal[:, None]
         return pixels, by_points, by_parameters
 
     def rays(self, points_px: Array) -> Array:
@@ -155,7 +166,7 @@ class CameraModel:
         wanted = (np.asarray(points_px, float) - [self.cx, self.cy]) / [self.fx, self.fy]
         normalised = wanted.copy()
         for _ in range(30):
-            distorted, slope, _ = _brown_with_jacobians(normalised, self.coefficients)
+            distorted, slope, _ = distort_with_jacobians(normalised, self.distortion)
             determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
             # Where the determinant is not positive, the distortion has folded back.
             miss = (wanted - distorted) / np.where(determinant > 0, determinant, np.nan)[:, None]
@@ -168,7 +179,7 @@ class CameraModel:
             normalised = normalised + step
             if not (np.abs(step) > 1e-14).any():
                 break
-        inverted = np.abs(_brown(normalised, self.coefficients) - wanted).max(axis=1) < 1e-9
+        inverted = np.abs(distort(normalised, self.distortion) - wanted).max(axis=1) < 1e-9
         rays = np.column_stack([normalised, np.ones(len(normalised))])
         rays[~inverted] = np.nan
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
@@ -176,49 +187,3 @@ class CameraModel:
     def to_dict(self) -> dict[str, float]:
         """Return the parameters by name."""
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))
-
-
-def _radial_terms(points: Array, k: Array) -> tuple[Array, Array, Array, Array]:
-    """Return r^2, numerator, denominator and radial factor of the rational distortion."""
-    r2 = points[:, 0] ** 2 + points[:, 1] ** 2
-    numerator = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-    denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    return r2, numerator, denominator, numerator / denominator
-
-
-def _brown(points: Array, k: Array) -> Array:
-    """Distort normalised points (N, 2): Brown's model with OpenCV's rational radial factor."""
-    x, y = points[:, 0], points[:, 1]
-    r2, _, _, radial = _radial_terms(points, k)
-    p1, p2 = k[2], k[3]
-    return np.column_stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ]
-    )
-
-
-def _brown_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Distort points; also the derivatives by the points (N, 2, 2) and by all 8 coefficients (N, 2, 8)."""
-    x, y = points[:, 0], points[:, 1]
-    r2, numerator, denominator, radial = _radial_terms(points, k)
-    p1, p2 = k[2], k[3]
-    numerator_slope = k[0] + r2 * (2.0 * k[1] + 3.0 * k[4] * r2)
-    denominator_slope = k[5] + r2 * (2.0 * k[6] + 3.0 * k[7] * r2)
-    slope = (numerator_slope - radial * denominator_slope) / denominator
-
-    by_points = np.empty((len(points), 2, 2))
-    by_points[:, 0, 0] = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-    by_points[:, 1, 1] = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-    by_points[:, 0, 1] = by_points[:, 1, 0] = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-
-    by_coefficients = np.zeros((len(points), 2, 8))
-    powers = np.column_stack([r2, r2**2, r2**3])
-    by_coefficients[:, :, [0, 1, 4]] = points[:, :, None] * (powers / denominator[:, None])[:, None, :]
-    by_denominator = -(numerator / denominator**2)[:, None] * powers
-    by_coefficients[:, :, 5:8] = points[:, :, None] * by_denominator[:, None, :]
-    by_coefficients[:, 0, 2] = by_coefficients[:, 1, 3] = 2.0 * x * y
-    by_coefficients[:, 1, 2] = r2 + 2.0 * y * y
-    by_coefficients[:, 0, 3] = r2 + 2.0 * x * x
-    return _brown(points, k), by_points, by_coefficients

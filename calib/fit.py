@@ -70,7 +70,14 @@ class Fit:
         return self.refined.state
 
 
-def fit(views: Sequence[View], options: CalibrationOptions, model: str, *, leave_out: bool = False) -> Fit:
+def fit(
+    views: Sequence[View],
+    options: CalibrationOptions,
+    model: str,
+    *,
+    leave_out: bool = False,
+    discs: Sequence[Disc] | None = None,
+) -> Fit:
     """Fit one model; errors as in `calib.calibrate.calibrate`.
 
     Parameters
@@ -81,14 +88,16 @@ def fit(views: Sequence[View], options: CalibrationOptions, model: str, *, leave
         A rung of `calib.imperfections.LADDER`, ``drift`` or ``planar``; with a passport, its terms decide.
     leave_out
         Whether to leave out each view in turn even when the views agree.
+    discs
+        The views' visible discs, when they are known already.
     """
     terms = options.passport.terms if options.passport else LADDER.get(model, ())
-    discs = [visible_disc(view) for view in views] if terms or options.guard_band < 1 else []
-    if discs:
+    if terms or options.guard_band < 1:
+        discs = discs or [visible_disc(view) for view in views]
         degeneracy.require_rims(views, discs)
         views = [within(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
     bundle, start = begin(views, options, model)
-    if terms:
+    if terms and discs:
         bundle, start = _with_terms(views, discs, bundle, start, options, terms)
     if model == "drift":
         bundle = replace(bundle, free_centres=True, drift_mm=options.drift_mm)

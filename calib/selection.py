@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.beam import visible_disc
 from calib.calibration import Calibration, CalibrationOptions, Candidate
 from calib.errors import CalibrationError
 from calib.fit import Fit, fit, summary
@@ -36,11 +37,12 @@ def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
     CalibrationError
         When no model can be fitted: the first one's reason.
     """
+    discs = [visible_disc(view) for view in views]
     fits: list[Fit] = []
     errors: list[CalibrationError] = []
     for model in MODELS:
         try:
-            fits.append(fit(views, options, model, leave_out=True))
+            fits.append(fit(views, options, model, leave_out=True, discs=discs))
         except CalibrationError as error:
             errors.append(error)
     if not fits:

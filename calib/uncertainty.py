@@ -4,7 +4,7 @@ Knows residuals and normal equations. The covariance rests on what the residuals
 covariances promise: J^T J inverted, times the variance of the influence function over the square of its mean slope
 (Huber's formula for M-estimators). That holds when the model does. Whether it does, the views tell: each alone would
 like other shared parameters, and when they differ by more than their stars' noise allows, the covariance is
-inflated - by the jackknife where there are views enough, else by the Birge ratio.
+inflated - by the jackknife, and where there are few views by the Birge ratio at least.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _SINGULAR = 1e-13
 _TOLD = 1e-6
 #: Views that agree are found to disagree this rarely.
 _FALSE_ALARMS = 1e-3
-#: From this number of views on, the jackknife has enough of them.
-_JACKKNIFE_VIEWS = 4
+#: From this number of views on, the jackknife has enough of them to stand alone.
+_JACKKNIFE_VIEWS = 10
 #: Probability that k = 2 covers for a Gaussian.
 _COVERAGE = 0.9545
 
@@ -142,15 +142,16 @@ def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
 def inflated(known: Uncertainty, left_out: LeftOut | None) -> Uncertainty:
     """Return the uncertainty with what the views disagree on; unchanged when they agree.
 
-    Each sigma grows to that of the jackknife, correlations kept; with fewer than 4 views, all grow by the Birge
-    ratio.
+    Each sigma grows to that of the jackknife, correlations kept. A jackknife of few views can be small by chance: with
+    fewer than 10, no sigma grows by less than the Birge ratio, and with two, all grow by that.
     """
     if not known.disagree:
         return known
     sigmas = np.sqrt(np.diag(known.covariance))
     growth, freedom = np.full(len(sigmas), known.disagreement), known.effective_freedom
-    if left_out is not None and len(left_out.values) >= _JACKKNIFE_VIEWS:
-        growth = np.maximum(np.sqrt(np.diag(left_out.jackknife)) / sigmas, 1.0)
+    if left_out is not None:
+        least = 1.0 if len(left_out.values) >= _JACKKNIFE_VIEWS else known.disagreement
+        growth = np.maximum(np.sqrt(np.diag(left_out.jackknife)) / sigmas, least)
         freedom = float(len(left_out.values) - 1)
     more = (growth**2 - 1.0) * np.diag(known.covariance)
     return replace(

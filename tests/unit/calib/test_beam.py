@@ -47,3 +47,11 @@ def test_the_guard_band_takes_the_outer_stars_off(make_bench):
     assert 0.5 * len(view) < len(inner) < 0.75 * len(view)
     assert np.linalg.norm(inner.target_mm - disc.centre_mm, axis=1).max() <= 0.8 * disc.radius_mm
     assert within(view, disc, 1.0) is view
+
+
+def test_stars_on_no_grid_leave_the_centre_unknown(make_bench):
+    bench = make_bench(half_angle_deg=4.8, centre=(97.0, 100.0, -255.0))
+    view = bench.view("one", bench.turn(0.0, 0.0))
+    moved = view.target_mm + np.random.default_rng(53).uniform(-1, 1, view.target_mm.shape)
+    scattered = type(view)(view.name, view.image_size, view.ids, view.points_px, moved, view.covariances_px2)
+    assert visible_disc(scattered).sigma_mm == np.inf

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.camera import BROWN, CameraModel, distortion_names
+from calib.camera import CameraModel, distortion_names
 from calib.errors import InputMismatch
+from calib.lens import BROWN
 
 RNG = np.random.default_rng(4)
 POINTS = np.column_stack([RNG.uniform(-0.4, 0.4, (60, 2)), np.ones(60)]) * RNG.uniform(0.5, 300, (60, 1))
@@ -70,3 +71,34 @@ def test_distortion_sets_keep_opencvs_order_and_refuse_the_unknown():
         distortion_names("k1k9")
     with pytest.raises(InputMismatch, match="k9"):
         distortion_names(["k9"])
+    with pytest.raises(InputMismatch, match="k1 kb1"):
+        distortion_names(["k1", "kb1"])
+
+
+WIDE = np.column_stack([RNG.uniform(-2.5, 2.5, (60, 2)), np.ones(60)]) * RNG.uniform(0.5, 300, (60, 1))
+FISHEYE = dict(zip(("kb1", "kb2", "kb3", "kb4"), [-0.02, 0.01, -0.004, 0.0007], strict=True))
+
+
+def test_a_fisheye_projects_as_opencvs_does():
+    model = camera(**FISHEYE)
+    bent = np.array(list(FISHEYE.values()))
+    expected = cv2.fisheye.projectPoints(WIDE[:, None], np.zeros(3), np.zeros(3), model.matrix, bent)[0][:, 0]
+    assert np.allclose(model.project(WIDE), expected, atol=1e-9)
+    unit = WIDE / np.linalg.norm(WIDE, axis=1, keepdims=True)
+    assert np.allclose(model.rays(model.project(WIDE)), unit, atol=1e-10)
+    with pytest.raises(InputMismatch, match="fisheye"):
+        _ = model.coefficients
+
+
+def test_a_fisheyes_derivatives_agree_with_finite_differences():
+    model = camera(**FISHEYE)
+    _, by_points, by_parameters = model.project_with_jacobians(WIDE)
+    for i in range(3):
+        step = np.eye(3)[i] * 1e-6 * WIDE[:, 2:]
+        slope = (model.project(WIDE + step) - model.project(WIDE - step)) / (2e-6 * WIDE[:, 2:])
+        assert np.allclose(by_points[:, :, i], slope, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+    for i in range(8):
+        step = 1e-5 * np.eye(8)[i]
+        slope = model.with_values(model.values + step).project(WIDE)
+        slope = (slope - model.with_values(model.values - step).project(WIDE)) / 2e-5
+        assert np.allclose(by_parameters[:, :, i], slope, rtol=1e-5, atol=1e-4)

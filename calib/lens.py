@@ -1,0 +1,118 @@
+"""Lens distortion: where a ray's normalised image point really lands, and the derivatives of that.
+
+Knows normalised image coordinates (x / z, y / z) and coefficients; no focal length, no pixels. Two families: Brown's
+radial and tangential polynomials with OpenCV's rational denominator, and Kannala and Brandt's polynomial of the angle
+(OpenCV's fisheye).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: OpenCV's order of Brown's coefficients; k4 to k6 stand in the denominator (its rational model).
+BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+#: Coefficients of the angle's polynomial: theta (1 + kb1 theta^2 + kb2 theta^4 + ...); OpenCV's fisheye k1 to k4.
+FISHEYE = ("kb1", "kb2", "kb3", "kb4")
+
+
+def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
+    """Distort normalised points (N, 2); the names of the coefficients tell the family."""
+    if is_fisheye(coefficients):
+        return _fisheye(points, _ordered(coefficients, FISHEYE))
+    return _brown(points, _ordered(coefficients, BROWN))
+
+
+def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> tuple[Array, Array, Array]:
+    """Distort points; also the derivatives by them (N, 2, 2), and by the named coefficients (N, 2, k)."""
+    family = FISHEYE if is_fisheye(coefficients) else BROWN
+    evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
+    distorted, by_points, by_all = evaluate(points, _ordered(coefficients, family))
+    return distorted, by_points, by_all[:, :, [family.index(name) for name in coefficients]]
+
+
+def is_fisheye(coefficients: Mapping[str, float]) -> bool:
+    """Tell whether coefficients are those of a fisheye lens."""
+    return any(name in FISHEYE for name in coefficients)
+
+
+def _ordered(coefficients: Mapping[str, float], family: tuple[str, ...]) -> Array:
+    """Return all coefficients of a family; those not named are zero."""
+    return np.array([coefficients.get(name, 0.0) for name in family])
+
+
+def _radial_terms(points: Array, k: Array) -> tuple[Array, Array, Array, Array]:
+    """Return r^2, numerator, denominator and radial factor of the rational distortion."""
+    r2 = points[:, 0] ** 2 + points[:, 1] ** 2
+    numerator = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+    return r2, numerator, denominator, numerator / denominator
+
+
+def _brown(points: Array, k: Array) -> Array:
+    """Distort normalised points (N, 2): Brown's model with OpenCV's rational radial factor."""
+    x, y = points[:, 0], points[:, 1]
+    r2, _, _, radial = _radial_terms(points, k)
+    p1, p2 = k[2], k[3]
+    return np.column_stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ]
+    )
+
+
+def _brown_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
+    """Distort points; also the derivatives by the points (N, 2, 2) and by all 8 coefficients (N, 2, 8)."""
+    x, y = points[:, 0], points[:, 1]
+    r2, numerator, denominator, radial = _radial_terms(points, k)
+    p1, p2 = k[2], k[3]
+    numerator_slope = k[0] + r2 * (2.0 * k[1] + 3.0 * k[4] * r2)
+    denominator_slope = k[5] + r2 * (2.0 * k[6] + 3.0 * k[7] * r2)
+    slope = (numerator_slope - radial * denominator_slope) / denominator
+
+    by_points = np.empty((len(points), 2, 2))
+    by_points[:, 0, 0] = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    by_points[:, 1, 1] = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    by_points[:, 0, 1] = by_points[:, 1, 0] = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+
+    by_coefficients = np.zeros((len(points), 2, 8))
+    powers = np.column_stack([r2, r2**2, r2**3])
+    by_coefficients[:, :, [0, 1, 4]] = points[:, :, None] * (powers / denominator[:, None])[:, None, :]
+    by_denominator = -(numerator / denominator**2)[:, None] * powers
+    by_coefficients[:, :, 5:8] = points[:, :, None] * by_denominator[:, None, :]
+    by_coefficients[:, 0, 2] = by_coefficients[:, 1, 3] = 2.0 * x * y
+    by_coefficients[:, 1, 2] = r2 + 2.0 * y * y
+    by_coefficients[:, 0, 3] = r2 + 2.0 * x * x
+    return _brown(points, k), by_points, by_coefficients
+
+
+def _angles(points: Array) -> tuple[Array, Array]:
+    """Return (N,) the distance r from the axis, and the angle theta = atan r."""
+    r = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
+    return r, np.arctan(r)
+
+
+def _fisheye(points: Array, k: Array) -> Array:
+    """Distort normalised points (N, 2): the radius becomes a polynomial of the angle."""
+    r, theta = _angles(points)
+    t2 = theta**2
+    bent = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+    return points * (bent / r)[:, None]
+
+
+def _fisheye_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
+    """Distort points; also the derivatives by the points (N, 2, 2) and by all 4 coefficients (N, 2, 4)."""
+    r, theta = _angles(points)
+    powers = theta[:, None] ** np.array([3, 5, 7, 9])
+    bent = theta + powers @ k
+    slope = (1.0 + (theta[:, None] ** np.array([2, 4, 6, 8])) @ (k * [3, 5, 7, 9])) / (1.0 + r**2)
+    unit = points / r[:, None]
+    outer = unit[:, :, None] * unit[:, None, :]
+    scale = bent / r
+    by_points = scale[:, None, None] * np.eye(2) + (slope - scale)[:, None, None] * outer
+    return points * scale[:, None], by_points, unit[:, :, None] * powers[:, None, :]
