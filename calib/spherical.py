@@ -7,6 +7,7 @@ the right side; no distortion, no noise model. Its answers start the refinement.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ from calib.rotation import nearest_rotation
 Array = NDArray[np.float64]
 
 _UPPER = np.triu_indices(3)
+#: Entries of K K^T that may be unknown; the last one is 1 where the scale is free to choose.
+_IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1), (2, 2))
 
 
 @dataclass(frozen=True)
@@ -62,26 +65,63 @@ def linear_start(
         return None
     to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
     inverses = np.linalg.inv(to_unit @ homographies @ plane)
-    unknown = [(0, 0), (1, 1), (0, 2), (1, 2), (0, 1)] if free_principal_point else [(0, 0), (1, 1)]
+    unknown = _IMAGE[:5] if free_principal_point else _IMAGE[:2]
     left = np.concatenate([_equations(g, unknown) for g in inverses])
     right = np.concatenate([-np.outer(g[:, 2], g[:, 2])[_UPPER] for g in inverses])
     scale = np.linalg.norm(left, axis=0)
     solution = np.linalg.lstsq(left / scale, right, rcond=None)[0] / scale
-
     image = dict(zip(unknown, solution, strict=False))
+    name = "linear, principal point " + ("free" if free_principal_point else "at the image's centre")
+    return _read_out(name, image, solution[len(unknown) :], to_unit, plane)
+
+
+def two_view_starts(homographies: Array, image_size: tuple[int, int]) -> list[Start]:
+    """Solve two views with a free principal point: every real root that is a camera.
+
+    Twelve equations determine the eleven ratios of the unknowns too weakly. The two weakest directions of the
+    system are mixed so that the skew vanishes, w12 w33 = w13 w23: a quadratic equation.
+    """
+    to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
+    inverses = np.linalg.inv(to_unit @ homographies @ plane)
+    left = np.concatenate([_equations(g, _IMAGE) for g in inverses])
+    scale = np.linalg.norm(left, axis=0)
+    u, v = np.linalg.svd(left / scale)[2][-2:] / scale
+    w13, w23, w12, w33 = (_IMAGE.index(ij) for ij in ((0, 2), (1, 2), (0, 1), (2, 2)))
+
+    def skew(t: float) -> float:
+        mixed = u + t * v
+        return float(mixed[w12] * mixed[w33] - mixed[w13] * mixed[w23])
+
+    # A quadratic through three of its values.
+    roots = np.roots(np.polyfit([-1.0, 0.0, 1.0], [skew(-1.0), skew(0.0), skew(1.0)], 2))
+    starts = []
+    for root in roots[np.isreal(roots)].real:
+        mixed = u + root * v
+        if abs(mixed[w33]) > np.finfo(float).tiny:
+            image = dict(zip(_IMAGE, mixed / mixed[w33], strict=False))
+            start = _read_out("two views", image, mixed[len(_IMAGE) :] / mixed[w33], to_unit, plane)
+            starts += [start] if start is not None else []
+    return starts
+
+
+def _read_out(
+    name: str, image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
+) -> Start | None:
+    """Return the camera and the centre that entries of K K^T (the last one 1) and of the right side mean."""
     cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
     squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])
-    target = np.zeros((3, 3))
-    target[_UPPER] = solution[len(unknown) :]
-    x, y = target[0, 2] / target[2, 2], target[1, 2] / target[2, 2]
-    r_squared = 0.5 * ((target[0, 0] + target[1, 1]) / target[2, 2] - x**2 - y**2)
+    right = np.zeros((3, 3))
+    right[_UPPER] = target
+    if right[2, 2] == 0.0:
+        return None
+    x, y = right[0, 2] / right[2, 2], right[1, 2] / right[2, 2]
+    r_squared = 0.5 * ((right[0, 0] + right[1, 1]) / right[2, 2] - x**2 - y**2)
     if not (squares > 0).all() or not r_squared > 0:
         return None
     fx, fy = np.sqrt(squares)
     matrix = np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     x_mm, y_mm, _ = plane @ [x, y, 1.0]
     collimator = Collimator(float(x_mm), float(y_mm), float(np.sqrt(r_squared) * plane[0, 0]))
-    name = "linear, principal point " + ("free" if free_principal_point else "at the image's centre")
     return Start(name, matrix, collimator)
 
 
@@ -131,7 +171,7 @@ def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Arr
     return np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]], [0.0, 0.0, 1.0]])
 
 
-def _equations(g: Array, unknown: list[tuple[int, int]]) -> Array:
+def _equations(g: Array, unknown: Sequence[tuple[int, int]]) -> Array:
     """Return the rows g W g^T - B for the chosen entries of W, then those of B; 6 rows a view."""
     columns = []
     for i, j in unknown:

@@ -17,7 +17,7 @@ from calib.errors import DegenerateViews
 from calib.passport import Passport
 from calib.planar import poses, zhang_matrix
 from calib.refine import Loss, Refined, refine
-from calib.spherical import linear_start, matrix_about, rotations_about
+from calib.spherical import linear_start, matrix_about, rotations_about, two_view_starts
 from calib.state import State
 
 Array = NDArray[np.float64]
@@ -33,11 +33,14 @@ def spherical_states(
 ) -> Iterator[State]:
     """Yield starts of the spherical model, the most trusted first; distortion zero.
 
-    The linear solutions with the principal point free and at the image's centre; Zhang's camera, and a range
+    The linear solutions with the principal point free and at the image's centre; of two views, every real root;
+    Zhang's camera, and a range
     of focal lengths, each with the mean of the centres it gives.
     """
-    for free in (True, False):
-        start = linear_start(homographies, image_size, free_principal_point=free)
+    starts = [linear_start(homographies, image_size, free_principal_point=free) for free in (True, False)]
+    if len(homographies) == 2:
+        starts += two_view_starts(homographies, image_size)
+    for start in starts:
         if start is not None:
             yield _about(homographies, start.collimator, _camera(start.matrix, image_size, distortion))
     for state in planar_states(homographies, image_size, distortion):
