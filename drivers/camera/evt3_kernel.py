@@ -248,11 +248,8 @@ def _ones(bits: int) -> int:
 @njit(cache=True, nogil=True)
 def _other_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> Fault:
     """Take a word that stands for no event, with every check; returns a Fault."""
-    address = payload & 0x7FF
-    if kind == 0x3:
-        state[S.BASE] = address
-        state[S.POLARITY] = payload >> 11
-    elif kind <= 0x1:
+    if kind <= 0x1:
+        address = payload & 0x7FF
         if address >= state[S.HEIGHT]:
             return Fault.ROW
         state[S.Y] = address if kind == 0x0 else -1
@@ -297,7 +294,7 @@ def _count(image: Any, y: int, x: int, p: int, bits: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def run(  # noqa: PLR0915 - one loop that keeps its state in registers
+def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
     words: Any, start: int, mode: int, state: Any, gaps: Any, events: Any, image: Any, edges: Any
 ) -> int:
     """Take words from ``start`` on; returns where it stopped: ``state[S.FAULT]`` says why.
@@ -346,6 +343,8 @@ def run(  # noqa: PLR0915 - one loop that keeps its state in registers
             on += p & is_event
             y = address if is_row else y
             t = moved if is_low else t
+        elif kind == 0x3:
+            state[S.BASE], state[S.POLARITY] = address, p
         elif kind in (0x2, 0x4, 0x5):
             if n > room:
                 fault = Fault.ROOM
