@@ -22,7 +22,7 @@ from drivers.camera.evt3 import (
     empty_events,
     join_triggers,
 )
-from drivers.camera.evt3_kernel import MARGIN
+from drivers.camera.evt3_kernel import MARGIN, most_events
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.errors import NotARecording, RecordingFileError
 
@@ -139,15 +139,14 @@ class RawFile:
 
     def read(self) -> tuple[Events, Triggers]:
         """All events and triggers: 13 bytes of memory an event. Raises as ``pieces``."""
-        n = self.scan().events
-        events = empty_events(n + MARGIN)
+        events = empty_events(sum(most_events(words) for words in self.words()) + MARGIN)
         decoder = self._decoder()
         triggers = []
         done = 0
         for words in self.words():
             done, edges = decoder.decode_into(words, events, done)
             triggers.append(edges)
-        return events.part(0, n), join_triggers(triggers)
+        return events.part(0, done), join_triggers(triggers)
 
     def triggers(self) -> Triggers:
         """All trigger edges. Raises as ``pieces``."""

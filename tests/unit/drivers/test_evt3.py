@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.camera.evt3 import Events, Evt3Decoder, Triggers, empty_events
+from drivers.camera.evt3_kernel import most_events
 from drivers.errors import RecordingCorrupt
 
 WIDTH, HEIGHT = 1280, 720
@@ -524,3 +525,8 @@ def test_decoding_into_arrays_refuses_a_malformed_first_word():
     with pytest.raises(RecordingCorrupt) as caught:
         Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array([0x9000], np.uint16), empty_events(50), 0)
     assert caught.value.offset == 0
+
+
+@given(streams())
+def test_events_can_be_counted_without_decoding(stream):
+    assert most_events(np.array(stream[0], np.uint16)) == len(stream[1])
