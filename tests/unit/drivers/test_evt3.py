@@ -463,6 +463,14 @@ def test_events_without_a_place_count_nowhere(missing):
     assert decoder.told().unplaced_events == (4 if missing == "row" else 3)
 
 
+@pytest.mark.parametrize("x", [100, WIDTH - 12])
+def test_events_of_one_pixel_add_up(x):
+    image = np.zeros((2, HEIGHT, WIDTH), np.uint16)
+    once = [base(x), vector12(0b101), event(x)]
+    Evt3Decoder(WIDTH, HEIGHT).count(np.array([high(0), low(0), row(5), *once * 3], np.uint16), image)
+    assert image[0, 5, x : x + 3].tolist() == [6, 0, 3]
+
+
 def test_an_image_of_another_size_is_refused():
     with pytest.raises(ValueError, match="another sensor"):
         Evt3Decoder(WIDTH, HEIGHT).count(np.array([high(0)], np.uint16), np.zeros((2, 10, 10), np.uint16))
