@@ -129,7 +129,7 @@ class GrblStage(WatchedStage[GrblAxis]):
     def identify(self) -> Sequence[AxisIdentity]:
         """Ask the board who it is. Raises WrongDevice when its name is not the station file's."""
         version, name = self._board.build()
-        if self._serial and name != self._serial:
+        if self._serial and name.upper() != self._serial.upper():  # the board capitalises what it is sent
             raise WrongDevice(
                 f"the station file says {self._serial}, but a board named '{name}' answers. Nothing was moved.",
                 where=self._where,

@@ -17,7 +17,7 @@ from drivers.wire_log import WireLog
 
 _REPLY_S = 1.0
 _MARKER_S = 0.5
-_QUIET_S = 0.05
+_QUIET_S = 0.1
 _LOUD_S = 1.0
 _TRIES = 3
 _RESYNC_TRIES = 2
@@ -216,14 +216,13 @@ class GrblController:
         self._link.distrust()  # it may still hold half a line of somebody before us
 
     def _resynchronise(self) -> None:
-        """Spoil what half line the board holds, then see it answer an empty line by one ``ok`` alone."""
+        """Spoil what half line the board holds and wait for its refusal; then one ``ok`` to an empty line, alone."""
         for attempt in range(_RESYNC_TRIES):
             self._route_all(self._link.drain(_QUIET_S, _LOUD_S))
-            self._link.send(_SPOILER)
-            self._route_all(self._link.drain(_QUIET_S, _LOUD_S))
             try:
+                self._link.exchange(_SPOILER, self._refusal, deadline_s=_REPLY_S, urgent=True)
                 self._report(deadline_s=_MARKER_S, urgent=True)
-                self._link.exchange(b"\n", self._empty_ok, deadline_s=_MARKER_S, urgent=True)
+                self._link.exchange(b"\n", self._single_ok, deadline_s=_MARKER_S, urgent=True)
             except ReplyError:
                 if attempt == _RESYNC_TRIES - 1:
                     raise
@@ -234,9 +233,14 @@ class GrblController:
             "the board says more than it was asked.", where=self.name, remedy="Check the port."
         )
 
-    def _empty_ok(self, incoming: Incoming) -> None:
+    def _refusal(self, incoming: Incoming) -> None:
+        """Receive until something is refused: answers to what was asked before come first."""
+        while not grbl_protocol.parse_verdict(incoming.line()):
+            pass
+
+    def _single_ok(self, incoming: Incoming) -> None:
         line = incoming.line()
-        if grbl_protocol.parse_verdict(line) is None:
+        if grbl_protocol.parse_verdict(line) != 0:
             raise ReplyGarbled(
                 f"{line[:80]!r} answers an empty line.", where=self.name, remedy="Check the port."
             )

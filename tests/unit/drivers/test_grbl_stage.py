@@ -130,6 +130,11 @@ def test_another_board_is_refused_and_nothing_is_set(peer, clock) -> None:
     assert peer.closed
 
 
+def test_a_boards_name_may_be_in_capitals_as_the_board_itself_makes_it(peer, clock) -> None:
+    peer.build = "1.1h.20190830:GIMBAL-7"
+    GrblStage(peer, axes(), serial="gimbal-7", clock=clock)
+
+
 def test_a_board_without_homing_is_refused(peer, clock) -> None:
     peer.settings[22] = 0
     with pytest.raises(DeviceRefused, match=r"\$22=0"):
@@ -308,6 +313,26 @@ def test_half_a_line_from_before_us_is_never_completed_into_a_motion(peer, clock
     peer.pending = b"$J=G21G53X-5.0F100.0"
     GrblStage(peer, axes(), clock=clock)
     assert peer.machine() == (0.0, 0.0)
+
+
+def test_a_refusal_that_comes_late_is_never_taken_for_the_next_answer(peer, clock) -> None:
+    held: list[bytes] = []
+
+    def hold_refusals(line: bytes) -> bytes:
+        if line.startswith(b"error") and len(held) < 2:
+            held.append(line)
+            return b""
+        return line
+
+    def release(line: str) -> None:
+        if held and held[-1]:
+            peer.ready += held[-1]
+            held[-1] = b""
+
+    peer.spoil, peer.before = hold_refusals, release
+    stage = GrblStage(peer, axes(), clock=clock)
+    assert stage.identify()[0].serial == "gimbal-7"
+    assert peer.settings[130] == 33.0
 
 
 def test_a_lost_ok_to_a_jog_is_not_followed_by_a_second_one(homed, peer) -> None:
