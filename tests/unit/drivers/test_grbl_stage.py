@@ -315,24 +315,12 @@ def test_half_a_line_from_before_us_is_never_completed_into_a_motion(peer, clock
     assert peer.machine() == (0.0, 0.0)
 
 
-def test_a_refusal_that_comes_late_is_never_taken_for_the_next_answer(peer, clock) -> None:
-    held: list[bytes] = []
-
-    def hold_refusals(line: bytes) -> bytes:
-        if line.startswith(b"error") and len(held) < 2:
-            held.append(line)
-            return b""
-        return line
-
-    def release(line: str) -> None:
-        if held and held[-1]:
-            peer.ready += held[-1]
-            held[-1] = b""
-
-    peer.spoil, peer.before = hold_refusals, release
-    stage = GrblStage(peer, axes(), clock=clock)
-    assert stage.identify()[0].serial == "gimbal-7"
-    assert peer.settings[130] == 33.0
+def test_a_refusal_is_not_taken_for_the_ok_that_shows_the_line_in_step(peer, clock) -> None:
+    last = []
+    peer.before = last.append
+    peer.spoil = lambda line: b"error:2\r\n" if line == b"ok\r\n" and last[-1] == "" else line
+    with pytest.raises(ReplyGarbled, match="answers an empty line"):
+        GrblStage(peer, axes(), clock=clock)
 
 
 def test_a_lost_ok_to_a_jog_is_not_followed_by_a_second_one(homed, peer) -> None:
