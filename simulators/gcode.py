@@ -6,10 +6,11 @@ Knows words, their values and which of them a block may hold; knows no motion. E
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-_WORD: Final = re.compile(r"([A-Z])([^A-Z]*)")
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _COMMENT: Final = re.compile(r"\([^)]*\)|;.*")
 
 #: Codes that are understood and change nothing here: plane, work offset, units per minute, spindle and coolant off.
@@ -63,33 +64,29 @@ def parse_block(line: str, axes: str = "XYZ") -> Block:
     Raises
     ------
     GcodeError
-        1 no letter, 2 bad number, 20 unsupported code, 21 two codes of one group, 25 a letter twice,
-        28 no dwell time, 22 feed not positive.
+        1 a letter is expected, 2 bad number, 4 negative, 20 unsupported, 21 two codes of one group, 23 a code that is
+        no whole number, 24 two codes that want the axes, 25 a letter twice, 28 no dwell time.
 
     Examples
     --------
     >>> parse_block("G90 g1 X-1.5 F600").targets
     {'X': -1.5}
     """
-    text = _COMMENT.sub("", line).replace(" ", "").replace("\t", "").upper()
-    if _WORD.sub("", text):
-        raise GcodeError(1)
     codes: dict[str, str] = {}
     values: dict[str, float] = {}
-    for letter, digits in _WORD.findall(text):
-        value = _number(digits)
+    for letter, value in _words(_COMMENT.sub("", line).replace(" ", "").replace("\t", "").upper()):
         if letter in "GM":
-            _take_code(f"{letter}{value:g}", codes)
-        elif letter in axes or letter in "FPNST":
-            if letter in values:
-                raise GcodeError(25)
-            values[letter] = value
-        else:
+            _take_code(letter, value, codes)
+        elif letter not in axes and letter not in "FPNST":
             raise GcodeError(20)
+        elif letter in values:
+            raise GcodeError(25)
+        elif letter in "FPNST" and value < 0.0:
+            raise GcodeError(4)
+        else:
+            values[letter] = value
     if codes.get("once") == "G4" and "P" not in values:
         raise GcodeError(28)
-    if values.get("F", 1.0) <= 0.0:
-        raise GcodeError(22)
     return Block(
         motion=codes.get("motion"),
         distance=codes.get("distance"),
@@ -100,18 +97,28 @@ def parse_block(line: str, axes: str = "XYZ") -> Block:
     )
 
 
-def _take_code(code: str, codes: dict[str, str]) -> None:
+def _words(text: str) -> Iterator[tuple[str, float]]:
+    """Take letters and their numbers off a block."""
+    while text:
+        letter, text = text[0], text[1:]
+        if not "A" <= letter <= "Z":
+            raise GcodeError(1)
+        match = _NUMBER.match(text)
+        if match is None:
+            raise GcodeError(2)
+        text = text[match.end() :]
+        yield letter, float(match[0])
+
+
+def _take_code(letter: str, value: float, codes: dict[str, str]) -> None:
+    if value != int(value):
+        raise GcodeError(23)
+    code = f"{letter}{int(value)}"
     if code in _WITHOUT_EFFECT:
         return
     if code not in _GROUPS:
         raise GcodeError(20)
-    if _GROUPS[code] in codes:
-        raise GcodeError(21)
-    codes[_GROUPS[code]] = code
-
-
-def _number(digits: str) -> float:
-    try:
-        return float(digits)
-    except ValueError:
-        raise GcodeError(2) from None
+    group = _GROUPS[code]
+    if group in codes:
+        raise GcodeError(24 if group == "motion" else 21)
+    codes[group] = code

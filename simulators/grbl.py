@@ -7,7 +7,6 @@ together is `grbl_planner`'s.
 
 from __future__ import annotations
 
-import math
 import re
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -24,7 +23,11 @@ State = Literal["Idle", "Run", "Jog", "Home", "Alarm"]
 _BANNER: Final = "\r\nGrbl 1.1h ['$' for help]\r\n"
 _LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
 _LONGEST: Final = 80
+_SETTING: Final = re.compile(r"(\d+)=([+-]?(?:\d+\.?\d*|\.\d+))")
 _SOFT_LIMITS, _HOMING_ENABLED = 20, 22
+
+#: Settings that are told with decimals, apart from those of the axes.
+_WITH_DECIMALS: Final = {11, 12, 24, 25, 27}
 
 #: What else a status report tells, each now and then, by the number of the report modulo ten.
 _NOW_AND_THEN: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
@@ -146,7 +149,6 @@ class GrblController:
             self._block(parse_block(line, self._letters))
 
     def _system(self, command: str) -> None:
-        setting = re.fullmatch(r"(\d+)=(\S+)", command)
         if command == "I":
             self._say += "[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\n"
         elif command == "G":
@@ -156,7 +158,7 @@ class GrblController:
         elif command == "$":
             self._need_rest()
             self._say += "".join(
-                f"${number}={value:g}\r\n" for number, value in sorted(self.settings.items())
+                f"${number}={_shown(number, value)}\r\n" for number, value in self.settings.items()
             )
         elif command == "X":
             if self._state == "Alarm":
@@ -164,22 +166,22 @@ class GrblController:
                 self._say += "[MSG:Caution: Unlocked]\r\n"
         elif command == "H":
             self._home()
-        elif setting:
-            self._need_rest()
-            self._set(int(setting[1]), setting[2])
-        else:
+        elif command[:1] in {"I", "G", "$", "X", "H"}:
             raise GcodeError(3)
+        else:
+            self._set(command)
 
     def _need_rest(self) -> None:
         if self._state not in {"Idle", "Alarm"}:
             raise GcodeError(8)
 
-    def _set(self, number: int, text: str) -> None:
-        try:
-            value = float(text)
-        except ValueError:
-            raise GcodeError(2) from None
-        if value < 0.0 or not math.isfinite(value):
+    def _set(self, command: str) -> None:
+        setting = _SETTING.fullmatch(command)
+        if setting is None:
+            raise GcodeError(3 if command[:1].isdigit() and "=" not in command else 2)
+        self._need_rest()
+        number, value = int(setting[1]), float(setting[2])
+        if value < 0.0:
             raise GcodeError(4)
         if number not in self.settings:
             raise GcodeError(3)
@@ -197,7 +199,7 @@ class GrblController:
     def _block(self, block: Block) -> None:
         self._motion = block.motion or self._motion
         self._distance = block.distance or self._distance
-        self._feed = block.feed or self._feed
+        self._feed = self._feed if block.feed is None else block.feed
         if block.dwell_s is not None:
             self._dwell_s = block.dwell_s
         elif block.targets:
@@ -213,11 +215,13 @@ class GrblController:
 
     def _jog(self, block: Block) -> None:
         if self._state not in {"Idle", "Jog"}:
-            raise GcodeError(9 if self._state == "Alarm" else 8)
+            raise GcodeError(8)
+        if block.motion or block.dwell_s is not None:
+            raise GcodeError(16)
         if not block.feed:
             raise GcodeError(22)
-        if not block.targets or block.motion or block.dwell_s is not None:
-            raise GcodeError(16)
+        if not block.targets:
+            return
         targets = self._targets(block, relative=(block.distance or self._distance) == "G91")
         if self.settings[_SOFT_LIMITS] and not self._planner.inside(targets):
             raise GcodeError(15)
@@ -379,4 +383,9 @@ def _factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) 
             ACCELERATION + number: model.acceleration_deg_s2,
             MAX_TRAVEL + number: model.travel_deg,
         }
-    return settings
+    return dict(sorted(settings.items()))
+
+
+def _shown(number: int, value: float) -> str:
+    """Print a setting: those that are no whole numbers with three decimals."""
+    return f"{value:.3f}" if number in _WITH_DECIMALS or number >= STEPS else f"{value:.0f}"

@@ -87,6 +87,7 @@ def test_it_wakes_up_locked_and_says_so(board: Board):
     assert board.greeting == BANNER + LOCKED
     assert board.report()[0] == "Alarm"
     assert board.say("G0 X-5") == "error:9\r\n"
+    assert board.say("$J=X-5 F100") == "error:8\r\n"
     assert board.say("$X") == "[MSG:Caution: Unlocked]\r\nok\r\n"
     assert board.report()[0] == "Idle"
 
@@ -187,17 +188,30 @@ def test_a_jog_is_cancelled_without_an_alarm(homed: Board):
         ("G1 X-5", "error:22"),
         ("G0 X", "error:2"),
         ("5", "error:1"),
+        ("G0 X1..2", "error:1"),
+        ("G1.5 X1", "error:23"),
+        ("F-5", "error:4"),
+        ("G4 P-1", "error:4"),
+        ("G21 G90 G91", "error:21"),
+        ("Q1", "error:20"),
         ("G2 X1", "error:20"),
-        ("G0 G1 X1", "error:21"),
+        ("G0 G1 X1", "error:24"),
         ("G0 X1 X2", "error:25"),
         ("G4", "error:28"),
-        ("$Q", "error:3"),
+        ("$Q", "error:2"),
+        ("$X1", "error:3"),
+        ("$100", "error:3"),
+        ("$100=", "error:2"),
+        ("$=5", "error:2"),
         ("$999=1", "error:3"),
         ("$130=-1", "error:4"),
         ("$J=X-100 F100", "error:15"),
         ("$J=X-5", "error:22"),
         ("$J=G1 X-5 F100", "error:16"),
         ("G0" + "X" * 90, "error:14"),
+        ("$J=F100", "ok"),
+        ("$J=G4 P1 F100", "error:16"),
+        ("F100", "ok"),
         ("(a comment) ; and more", "ok"),
         ("", "ok"),
     ],
@@ -216,9 +230,10 @@ def test_a_target_beyond_the_travel_is_an_alarm_that_only_a_reset_ends(homed: Bo
 
 
 def test_settings_are_listed_written_and_obeyed(homed: Board):
-    assert "$130=32\r\n" in homed.say("$$")
+    assert "$130=32.000\r\n" in homed.say("$$")
+    assert "$27=1.000\r\n$30=1000\r\n" in homed.say("$$")
     assert homed.say("$130=5") == "ok\r\n"
-    assert "$130=5\r\n" in homed.say("$$")
+    assert "$130=5.000\r\n" in homed.say("$$")
     assert homed.say("G0 X-6").startswith("ALARM:2")
 
 
