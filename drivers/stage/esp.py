@@ -59,6 +59,9 @@ class EspAxis:
         Number of the axis on the controller, 1 to 3.
     serial
         Serial number of the stage as ``1ID?`` says it (SN1263); empty when it need not be checked.
+    home_mode
+        How it searches its reference (``OR``): 1 by home switch and index, 2 by home switch, 3 and 4 by the
+        positive and negative limit, 5 and 6 by those and index. Without it the controller would only go to 0.
     direction
         -1 when the controller's degrees fall as the angle grows.
     zero_deg
@@ -75,6 +78,7 @@ class EspAxis:
     number: int
     serial: str
     limits: AxisLimits
+    home_mode: Literal[1, 2, 3, 4, 5, 6] = 1
     direction: Literal[1, -1] = 1
     zero_deg: float = 0.0
     tolerance_deg: float = 0.002
@@ -234,7 +238,7 @@ class EspStage(WatchedStage[EspAxis]):
         self._homed_at = None
         for axis in self._axes.values():
             go_on()
-            self._tell(axis, "OR")
+            self._tell(axis, f"OR{axis.home_mode}")
 
     def _look(self, axis: EspAxis, *, homing: bool = False) -> Look:  # noqa: ARG002 - its troubles are the same
         """Whether it moves, then where it is: so that a position at rest is one of rest."""

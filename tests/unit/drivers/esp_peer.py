@@ -91,7 +91,7 @@ class EspPeer:
                 return f"{axis.position():.4f}"
             case "MO", None:
                 axis.motor = True
-            case "OR", None:
+            case "OR", "1":
                 axis.go(0.0)
                 if not self.homes:
                     self.errors.append((100 * number + 19, "HOMING ABORTED"))

@@ -71,7 +71,7 @@ def test_homing_powers_the_motors_first(stage, peer) -> None:
     assert stage.is_homed()
     assert stage.faults() == []
     assert stage.position_deg() == {"pan": 0.0, "tilt": 2.0}
-    assert peer.motions() == ["1OR", "2OR"]
+    assert peer.motions() == ["1OR1", "2OR1"]
 
 
 def test_a_move_arrives_where_it_was_sent(homed, peer) -> None:
