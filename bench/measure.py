@@ -18,6 +18,7 @@ from calib.detect import detect
 from calib.errors import CalibrationError, FlickerNotFound
 from calib.event_image import BestImage, EventImages, make_images
 from calib.flicker import Flicker, flicker_from_events, flicker_from_triggers
+from calib.rim import mistrust_rim
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera.evt3 import Triggers
@@ -99,7 +100,7 @@ def measure(
         chosen = _choose(images, image)
         picture = chosen.image
         facts.update(_image_facts(images, chosen))
-        view = detect(chosen.image, target, name=name)
+        view = mistrust_rim(detect(chosen.image, target, name=name), target)
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, picture, facts, str(error))
     return Measurement(view, picture, facts)

@@ -27,6 +27,7 @@ from bench.station import load_station
 from calib.calibrate import Calibration, CalibrationOptions, calibrate
 from calib.detect import detect
 from calib.errors import CalibrationError, TooFewStars
+from calib.rim import mistrust_rim
 from calib.target import StarTarget
 from calib.view import View
 from sequences.schema import ImageKind
@@ -240,7 +241,7 @@ def _view_of_photograph(path: Path, choices: Choices) -> View:
             "It cannot be read as an image.", where=str(path), remedy="Give PNG, TIFF, JPEG or BMP."
         )
     grey = image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
-    return detect(np.asarray(grey), choices.target, name=path.stem)
+    return mistrust_rim(detect(np.asarray(grey), choices.target, name=path.stem), choices.target)
 
 
 def _one_size(views: Sequence[View]) -> list[View]:
