@@ -43,11 +43,13 @@ N_BATCH: Final = 8
 # Columns of Drive.turns.
 X_DARK: Final = 0  # bin of the largest u, and of the smallest, up to one period later
 X_BRIGHT: Final = 1
-U_DARK: Final = 2  # u there
-U_BRIGHT: Final = 3
-LN_BRIGHT: Final = 4  # ln of the smallest u, and 1 / (ln of the largest - ln of the smallest)
-LN_SPAN: Final = 5
-N_TURNS: Final = 6
+LN_DARK: Final = 2  # ln u there
+LN_BRIGHT: Final = 3
+N_TURNS: Final = 4
+
+STRAIGHT: Final = np.float32(1.0)
+"""Half the number of bins over which the atlas may be taken for straight."""
+TRIES: Final = 3
 
 _ZERO: Final = np.float32(0.0)
 _ONE: Final = np.float32(1.0)
@@ -67,10 +69,10 @@ class Drive(NamedTuple):
     ambient: float
     q_us: float
     start_us: float  # sensor time at which a period begins
-    atlas: NDArray[np.float32]  # smooth: (levels, bins + 1) u over a period, light rising from row to row
+    atlas: NDArray[np.float32]  # smooth: (levels, bins + 1) ln u over a period, light rising from row to row
     by_bin: NDArray[np.float32]  # the same, transposed
     turns: NDArray[np.float32]  # (levels, N_TURNS) where each row turns
-    guess: NDArray[np.float32]  # (2, levels, steps) bin at which u crosses a level, falling and rising
+    when: NDArray[np.float32]  # (2, levels, steps) bin at which ln u crosses a value, falling and rising
     lowest: float  # light of the first row; below, nothing ever crosses
     log_step: float  # ln of the ratio of light from one row to the next
 
@@ -161,7 +163,7 @@ def _steady_square(drive: Drive, light: float) -> tuple[float, float]:
 
 @njit(inline="always", **JIT)
 def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
-    """u relaxes towards 1 / I from its value at the last edge."""
+    """Let u relax towards 1 / I from its value at the last edge."""
     rising = phase >= d.high_us  # u rises in the low part
     i = np.float32(d.ambient) + light * np.float32(d.w_low if rising else d.w_high)
     since = np.float32((phase - (d.high_us if rising else 0.0)) / d.q_us)
@@ -203,7 +205,7 @@ def _square_crossing(
 
 @njit(inline="always", **JIT)
 def _smooth_level(drive: Drive, level: Any, phase: float) -> Any:
-    """u at a phase, interpolated on the atlas."""
+    """Interpolate u at a phase on the atlas."""
     bins = drive.atlas.shape[1] - 1
     x = phase / drive.period_us * bins
     i = min(int(x), bins - 1)
@@ -212,7 +214,7 @@ def _smooth_level(drive: Drive, level: Any, phase: float) -> Any:
     f = level - np.float32(j)
     a = drive.by_bin[i, j] + f * (drive.by_bin[i, j + 1] - drive.by_bin[i, j])
     b = drive.by_bin[i + 1, j] + f * (drive.by_bin[i + 1, j + 1] - drive.by_bin[i + 1, j])
-    return a + g * (b - a) if level >= _ZERO else np.float32(1.0 / drive.ambient)
+    return exp32(a + g * (b - a)) if level >= _ZERO else np.float32(1.0 / drive.ambient)
 
 
 @njit(inline="always", **JIT)
@@ -221,97 +223,84 @@ def _between(table: NDArray, j: int, f: float, column: int) -> float:
     return table[j, column] + f * (table[j + 1, column] - table[j, column])
 
 
-@njit(**JIT)
-def _smooth_crossing(drive: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> tuple[Any, Any]:
-    """Phase and polarity of a pixel's next crossing on the atlas."""
-    if level < _ZERO:
-        return _NEVER, _ZERO
-    bins = drive.atlas.shape[1] - 1
-    j = int(level)
+@njit(inline="always", **JIT)
+def _smooth_crossing(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> Any:
+    """The present branch of the atlas is searched, then the one after it, as under a square light.
+
+    Errors would add up from event to event, each taking its reference where the last one left it: that is why
+    ln u is interpolated between levels, which bends less than u.
+    """
+    bins = np.float32(d.atlas.shape[1] - 1)
+    j = int(max(level, _ZERO))
     f = level - np.float32(j)
-    dark, bright = _between(drive.turns, j, f, X_DARK), _between(drive.turns, j, f, X_BRIGHT)
-    falls_to, rises_to = _between(drive.turns, j, f, U_BRIGHT), _between(drive.turns, j, f, U_DARK)
-    can_on, can_off = falls_to <= on_at, rises_to >= off_at
-    x = phase / drive.period_us * bins
-    x += (
-        floor((dark - x) / bins + 1.0) * bins
-    )  # into the period that begins in the dark: dark <= x < dark + bins
-    shift = x - phase / drive.period_us * bins
-    if x < bright:
-        if can_on:
-            return (_on_bin(drive, j, f, on_at, x) - shift) * drive.period_us / bins, _ONE
-        if can_off:
-            return (_off_bin(drive, j, f, off_at, x) - shift) * drive.period_us / bins, _ZERO
-    elif can_off:
-        return (_off_bin(drive, j, f, off_at, x) - shift) * drive.period_us / bins, _ZERO
-    elif can_on:
-        return (_on_bin(drive, j, f, on_at, x - bins) + bins - shift) * drive.period_us / bins, _ONE
-    return _NEVER, _ZERO
-
-
-@njit(inline="always", **JIT)
-def _on_bin(drive: Drive, j: int, f: float, target: float, x: float) -> float:
-    """Bin, not before x, at which u falls to the target between dark and bright."""
-    return max(x, _crossing_bin(drive, j, f, target, 0, np.float32(-1.0)))
-
-
-@njit(inline="always", **JIT)
-def _off_bin(drive: Drive, j: int, f: float, target: float, x: float) -> float:
-    """Bin, not before x, at which u rises to the target between bright and the next dark."""
-    return max(x, _crossing_bin(drive, j, f, target, 1, np.float32(1.0)))
+    dark, bright = _between(d.turns, j, f, X_DARK), _between(d.turns, j, f, X_BRIGHT)
+    ln_dark, ln_bright = _between(d.turns, j, f, LN_DARK), _between(d.turns, j, f, LN_BRIGHT)
+    ln_on, ln_off = log32(on_at), log32(off_at)
+    x = np.float32(phase / d.period_us) * bins
+    turn = bins if x < dark else _ZERO  # into the period that begins in the dark: dark <= x < dark + bins
+    x += turn
+    rising = x >= bright
+    in_now = ln_dark >= ln_off if rising else ln_bright <= ln_on
+    in_next = ln_bright <= ln_on if rising else ln_dark >= ln_off
+    off = rising == in_now
+    target = ln_off if off else ln_on
+    steps = np.float32(d.when.shape[2] - 1)
+    s = min(max((target - ln_bright) / (ln_dark - ln_bright) * steps, _ZERO), steps)
+    # A table says about where; from there along the slope of the atlas, unless it turns nearby.
+    at = np.float32(d.when[1 if off else 0, j, np.int32(s + np.float32(0.5))])
+    cross = _NEVER
+    if _ONE < s < steps - _ONE:
+        for _ in range(TRIES):
+            i = np.int32(at)
+            c = i - np.int32(bins) if i >= np.int32(bins) else i
+            here, there = _between(d.atlas, j, f, c), _between(d.atlas, j, f, c + 1)
+            step = (target - here) / (there - here)
+            at = np.float32(i) + step
+            if abs(step - np.float32(0.5)) <= STRAIGHT:
+                cross = at
+                break
+            if not bins > abs(step):
+                break
+    if not dark <= cross <= dark + bins:
+        cross = _crossing_bin(d, j, f, target, off)
+    cross = max(cross, x) if in_now else cross + (bins if rising else _ZERO)
+    never = not (in_now or in_next) or level < _ZERO
+    return _NEVER if never else (cross - turn) * np.float32(d.period_us) / bins, _ZERO if off else _ONE
 
 
 @njit(**JIT)
-def _crossing_bin(drive: Drive, j: int, f: float, target: float, branch: int, sign: float) -> float:
-    """Bin at which sign * u rises to sign * target: guessed from a table, then sought on the atlas."""
+def _crossing_bin(drive: Drive, j: int, f: float, target: float, off: bool) -> float:
+    """Bin at which ln u crosses the target, sought by halving on the branch of the atlas."""
     bins = drive.atlas.shape[1] - 1
-    steps = drive.guess.shape[2]
-    first = _between(drive.turns, j, f, X_DARK if branch == 0 else X_BRIGHT)
-    last = (
-        _between(drive.turns, j, f, X_BRIGHT) if branch == 0 else _between(drive.turns, j, f, X_DARK) + bins
-    )
-    s = (log32(target) - _between(drive.turns, j, f, LN_BRIGHT)) * _between(drive.turns, j, f, LN_SPAN)
-    s = min(max(s, _ZERO), _ONE) * np.float32(steps - 1)
-    a = min(int(s), steps - 2)
-    i = int(
-        _between(drive.guess[branch], j, f, a) * (a + 1 - s)
-        + _between(drive.guess[branch], j, f, a + 1) * (s - a)
-    )
+    dark, bright = _between(drive.turns, j, f, X_DARK), _between(drive.turns, j, f, X_BRIGHT)
+    first, last = (bright, dark + bins) if off else (dark, bright)
     low, high = int(first), int(last) + 1
-    i = min(max(i, low), high - 1)
-    row, above = drive.atlas[j], drive.atlas[j + 1]
-    c = i % bins
-    here = row[c] + f * (above[c] - row[c])
-    there = row[c + 1] + f * (above[c + 1] - row[c + 1])
-    while sign * (here - target) >= _ZERO and i > low:
-        i -= 1
-        c = c - 1 if c > 0 else bins - 1
-        there = here
-        here = row[c] + f * (above[c] - row[c])
-    while sign * (there - target) < _ZERO and i < high - 1:
-        i += 1
-        c = c + 1 if c < bins - 1 else 0
-        here = there
-        there = row[c + 1] + f * (above[c + 1] - row[c + 1])
+    while high - low > 1:
+        middle = (low + high) // 2
+        if (_between(drive.atlas, j, f, middle % bins) >= target) == off:
+            high = middle
+        else:
+            low = middle
+    here, there = _between(drive.atlas, j, f, low % bins), _between(drive.atlas, j, f, high % bins)
     share = (target - here) / (there - here) if there != here else _ZERO
-    return min(max(i + min(max(share, _ZERO), _ONE), first), last)
+    return min(max(low + min(max(share, _ZERO), _ONE), first), last)
 
 
 @njit(**JIT)
 def fill_atlas(
     atlas: NDArray,
     turns: NDArray,
-    guess: NDArray,
+    when: NDArray,
     lights: NDArray,
     wave: NDArray,
     ambient: float,
     bin_q: float,
 ) -> None:
-    """Tabulate the periodic steady state of u for each light, its turns, and where it crosses levels.
+    """Tabulate the periodic steady state of ln u for each light, its turns, and where it crosses values.
 
     Parameters
     ----------
-    atlas, turns, guess
+    atlas, turns, when
         As in ``Drive``; filled in.
     lights
         (levels,) light of each row.
@@ -333,38 +322,41 @@ def fill_atlas(
             offset = offset * decay + (1.0 - decay) / intensity
         u = offset / (1.0 - scale)
         for i in range(bins + 1):
-            atlas[j, i] = u
+            atlas[j, i] = log(u)
             intensity = ambient + lights[j] * wave[i % bins]
             u = 1.0 / intensity + (u - 1.0 / intensity) * exp(-intensity * bin_q)
-        _fill_turns(atlas[j], turns[j])
+        _fill_turns(atlas, turns, j)
         for branch in range(2):
-            _fill_guess(atlas[j], turns[j], guess[branch, j], branch)
+            _fill_when(atlas, turns, when, j, branch)
 
 
 @njit(**JIT)
-def _fill_turns(row: NDArray, turns: NDArray) -> None:
+def _fill_turns(atlas: NDArray, turns: NDArray, j: int) -> None:
     """Where a row of the atlas has its largest u, and after that its smallest."""
-    bins = row.size - 1
-    dark, bright = row[:bins].argmax(), row[:bins].argmin()
-    turns[X_DARK], turns[X_BRIGHT] = dark, bright if bright > dark else bright + bins
-    turns[U_DARK], turns[U_BRIGHT] = row[dark], row[bright]
-    turns[LN_BRIGHT] = log(row[bright])
-    turns[LN_SPAN] = 1.0 / (log(row[dark]) - log(row[bright]))
+    bins = atlas.shape[1] - 1
+    dark = bright = 0
+    for i in range(bins):
+        if atlas[j, i] > atlas[j, dark]:
+            dark = i
+        if atlas[j, i] < atlas[j, bright]:
+            bright = i
+    turns[j, LN_DARK], turns[j, LN_BRIGHT] = atlas[j, dark], atlas[j, bright]
+    turns[j, X_DARK], turns[j, X_BRIGHT] = dark, bright if bright > dark else bright + bins
 
 
 @njit(**JIT)
-def _fill_guess(row: NDArray, turns: NDArray, guess: NDArray, branch: int) -> None:
-    """Bins at which a row crosses levels evenly spaced in ln u, from bright to dark."""
-    bins = row.size - 1
-    dark, bright = int(turns[X_DARK]), int(turns[X_BRIGHT])
-    for a in range(guess.size):
-        target = exp(turns[LN_BRIGHT] + a / (guess.size - 1) / turns[LN_SPAN])
+def _fill_when(atlas: NDArray, turns: NDArray, when: NDArray, j: int, branch: int) -> None:
+    """Bins at which a row crosses values evenly spaced in ln u, from bright to dark."""
+    bins, steps = atlas.shape[1] - 1, when.shape[2]
+    dark, bright = int(turns[j, X_DARK]), int(turns[j, X_BRIGHT])
+    for a in range(steps):
+        target = turns[j, LN_BRIGHT] + a / (steps - 1) * (turns[j, LN_DARK] - turns[j, LN_BRIGHT])
         low, high = (dark, bright) if branch == 0 else (bright, dark + bins)
         while high - low > 1:
             middle = (low + high) // 2
-            above = row[middle % bins] >= target
-            if above == (branch == 0):
-                low = middle
-            else:
+            if (atlas[j, middle % bins] >= target) == (branch == 1):
                 high = middle
-        guess[a] = low
+            else:
+                low = middle
+        here, there = atlas[j, low % bins], atlas[j, high % bins]
+        when[branch, j, a] = low + ((target - here) / (there - here) if there != here else 0.0)

@@ -17,19 +17,19 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from simulators import readout
+from simulators import readout, sensor_state
 from simulators.biases import PixelSettings
 from simulators.errors import SimulationMisuse
 from simulators.photoreceptor import N_BATCH, N_TURNS, SMOOTH, SQUARE, Drive, fill_atlas
-from simulators.readout import BLOCK, GROUP, Pixels, Readout
+from simulators.sensor_state import BLOCK, GROUP, Pixels, Readout
 from simulators.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world import LightState
 
 EPOCH_US: Final = 16384.0
 """The pixels' times are counted from a multiple of this: float32 then resolves 4 ns."""
-ATLAS_LEVELS: Final = 256
+ATLAS_LEVELS: Final = 128
 ATLAS_BINS: Final = 4096
-GUESS_STEPS: Final = 256
+WHEN_STEPS: Final = 128
 BRIGHTEST: Final = 1.5
 """Highest light of a pixel that the atlas covers."""
 LOWEST_CONTRAST: Final = 0.02
@@ -114,10 +114,10 @@ def _atlas(light: LightState, settings: PixelSettings) -> _Atlas:
     wave = 0.5 * (light.high + light.low) + 0.5 * (light.high - light.low) * np.sin(2.0 * np.pi * phase)
     atlas = np.empty((ATLAS_LEVELS, ATLAS_BINS + 1), np.float32)
     turns = np.empty((ATLAS_LEVELS, N_TURNS), np.float32)
-    guess = np.empty((2, ATLAS_LEVELS, GUESS_STEPS), np.float32)
+    when = np.empty((2, ATLAS_LEVELS, WHEN_STEPS), np.float32)
     bin_q = light.period_us / ATLAS_BINS / settings.q_us
-    fill_atlas(atlas, turns, guess, lights, wave, settings.ambient, bin_q)
-    return atlas, np.ascontiguousarray(atlas.T), turns, guess, lowest, log_step
+    fill_atlas(atlas, turns, when, lights, wave, settings.ambient, bin_q)
+    return atlas, np.ascontiguousarray(atlas.T), turns, when, lowest, log_step
 
 
 class Sensor:
@@ -154,7 +154,7 @@ class Sensor:
         self.settings = settings if settings is not None else PixelSettings()
         self._pixels = _make_pixels(width, height, noise, self.settings, camera_seed)
         self._readout = _make_readout(width, height, noise, self.settings, camera_seed, link or Link())
-        self._state = np.zeros(readout.N_STATE)
+        self._state = np.zeros(sensor_state.N_STATE)
         self._random = np.random.default_rng(seed).integers(1, 2**63, 2, dtype=np.uint64)
         self._buffer = (
             np.empty(BUFFER_EVENTS, np.int64),
@@ -169,7 +169,7 @@ class Sensor:
     @property
     def stalled_us(self) -> float:
         """How long the readout has waited for the link."""
-        return float(self._state[readout.STALL])
+        return float(self._state[sensor_state.STALL])
 
     def begin(
         self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
@@ -190,17 +190,19 @@ class Sensor:
         self._drive = make_drive(light, at_us - phase * light.period_us, self.settings)
         state = self._state
         state[:] = 0.0
-        state[readout.EPOCH] = epoch
-        state[readout.FREE] = state[readout.FIFO_T] = begin_us - epoch
-        state[readout.NOISE] = math.inf
+        state[sensor_state.EPOCH] = epoch
+        state[sensor_state.FREE] = state[sensor_state.FIFO_T] = begin_us - epoch
+        state[sensor_state.NOISE] = math.inf
         if self._readout.noise_rate_us > 0.0:
-            readout.draw_noise(self._pixels, self._readout, self.width, state[readout.FREE], self._random)
-            state[readout.NOISE] = self._pixels.noise_t[0]
+            readout.draw_noise(
+                self._pixels, self._readout, self.width, state[sensor_state.FREE], self._random
+            )
+            state[sensor_state.NOISE] = self._pixels.noise_t[0]
         self._see(picture)
         readout.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
         self._now_us = begin_us
         self.run(at_us)
-        state[readout.STALL] = 0.0
+        state[sensor_state.STALL] = 0.0
 
     def change(
         self, picture: NDArray[np.float32] | None, light: LightState, phase: float, step_us: float
@@ -211,7 +213,7 @@ class Sensor:
         """
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
         self._see(picture)
-        t = self._now_us - self._state[readout.EPOCH]
+        t = self._now_us - self._state[sensor_state.EPOCH]
         readout.redrive(self._pixels, self._drive, self.width, t, step_us, self._state, self._random)
 
     def _see(self, picture: NDArray[np.float32] | None) -> None:
@@ -236,11 +238,11 @@ class Sensor:
             raise SimulationMisuse("The sensor has seen no picture yet.", remedy="Call begin first.")
         parts = []
         while self._now_us < until_us:
-            next_epoch = self._state[readout.EPOCH] + EPOCH_US
+            next_epoch = self._state[sensor_state.EPOCH] + EPOCH_US
             end = min(until_us, next_epoch)
-            parts += self._run_epoch(end - self._state[readout.EPOCH])
+            parts += self._run_epoch(end - self._state[sensor_state.EPOCH])
             if end == next_epoch:
-                readout.move_epoch(self._pixels, self._state, EPOCH_US)
+                sensor_state.move_epoch(self._pixels, self._state, EPOCH_US)
             self._now_us = end
         if len(parts) == 1:
             return parts[0]
@@ -267,7 +269,7 @@ class Sensor:
             )
             t, x, y, p = self._buffer
             parts.append(Events(t[:n].copy(), x[:n].copy(), y[:n].copy(), p[:n].copy()))
-            if self._state[readout.FULL] == 0.0:
+            if self._state[sensor_state.FULL] == 0.0:
                 return parts
 
 
@@ -316,12 +318,12 @@ def _make_pixels(
         spread = 1.0 + noise.mismatch * pattern.standard_normal((height, width), np.float32)
         return np.asarray(np.exp(threshold * np.maximum(spread, THINNEST_THRESHOLD)), np.float32)
 
-    cell = np.zeros((*shape, readout.N_CELL), np.float32)
-    cell[:, :, readout.U_REF] = 1.0
-    cell[:, :, readout.GAIN_ON] = 0.5
-    cell[:, :, readout.GAIN_OFF] = 2.0
-    cell[:, :width, readout.GAIN_ON] = 1.0 / gain(settings.threshold_on)
-    cell[:, :width, readout.GAIN_OFF] = gain(settings.threshold_off)
+    cell = np.zeros((*shape, sensor_state.N_CELL), np.float32)
+    cell[:, :, sensor_state.U_REF] = 1.0
+    cell[:, :, sensor_state.GAIN_ON] = 0.5
+    cell[:, :, sensor_state.GAIN_OFF] = 2.0
+    cell[:, :width, sensor_state.GAIN_ON] = 1.0 / gain(settings.threshold_on)
+    cell[:, :width, sensor_state.GAIN_OFF] = gain(settings.threshold_off)
     groups = -(-height // GROUP)
     return Pixels(
         t_next=np.full(shape, np.inf, np.float32),
@@ -331,8 +333,8 @@ def _make_pixels(
         group_min=np.full(groups, np.inf, np.float32),
         batch=np.zeros((N_BATCH, shape[1]), np.float32),
         column=np.zeros(shape[1], np.int32),
-        noise_t=np.zeros(readout.AHEAD),
-        noise_at=np.zeros(readout.AHEAD, np.int64),
+        noise_t=np.zeros(sensor_state.AHEAD),
+        noise_at=np.zeros(sensor_state.AHEAD, np.int64),
     )
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from simulators import readout
+from simulators import sensor_state
 from simulators.biases import ALLOWED, PixelSettings
 from simulators.errors import SimulationMisuse
 from simulators.pixels import Link, Sensor, simulate
@@ -74,7 +74,7 @@ def test_events_are_those_of_the_differential_equation(light, shape, tolerance_u
     sensor = Sensor(width, height, noise=MISMATCH_ONLY, settings=setting, camera_seed=3, link=Link.ideal())
     sensor.begin(scene, light, phase)
     events = sensor.run(duration)
-    gains = sensor._pixels.cell[:, 0, [readout.GAIN_ON, readout.GAIN_OFF]].astype(float)
+    gains = sensor._pixels.cell[:, 0, [sensor_state.GAIN_ON, sensor_state.GAIN_OFF]].astype(float)
     period = light.period_us
     compared = 0
     for y in range(height):
