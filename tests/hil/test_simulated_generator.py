@@ -69,6 +69,31 @@ def test_a_client_sets_reads_back_and_switches_over_the_serial_line(tmp_path):
     assert (state.low_v, state.high_v, state.output, state.sync) == (0.0, 4.0, True, True)
 
 
+def test_a_client_nobody_here_wrote_sets_and_reads(tmp_path):
+    keysight = pytest.importorskip("pymeasure.instruments.keysight", reason="pymeasure is not installed")
+    adapters = pytest.importorskip("pymeasure.adapters")
+    world = World()
+    dialect = ScpiGenerator(GeneratorModel(), world.now_s, world.set_light)
+    with SerialDevice(PseudoTerminal(tmp_path / "light"), dialect) as device:
+        adapter = adapters.SerialAdapter(
+            device.address, baudrate=9600, timeout=5, write_termination="\n", read_termination="\n"
+        )
+        one = keysight.Keysight33250A(adapter)
+        assert one.id.startswith("Keysight Technologies,33250A,SG0042,")
+        one.shape = "SQU"
+        one.frequency = 60
+        one.square_dutycycle = 30
+        one.voltage_high = 4
+        one.voltage_low = 0
+        one.output_enabled = True
+        assert (one.shape, one.frequency, one.square_dutycycle) == ("SQU", 60.0, 30.0)
+        assert (one.voltage_high, one.voltage_low, one.amplitude, one.offset) == (4.0, 0.0, 4.0, 2.0)
+        assert one.output_enabled
+        assert one.check_errors() == []
+        adapter.close()
+    assert world.light(world.now_s()).output
+
+
 @pytest.mark.parametrize(
     ("command", "query", "answer"),
     [
