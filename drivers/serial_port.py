@@ -26,6 +26,8 @@ _LOST = (serial.SerialException, OSError, _termios_error)
 _SLICE_S = 0.05
 """One blocking read; setting another on an open port would write its line settings again."""
 _WRITE_S = 2.0
+_MOST_BYTES = 4096
+"""Of one read: a device that talks without pause is noticed by whoever reads."""
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -114,7 +116,8 @@ class SerialPort:
         data = b""
         if may_wait and not self._serial.in_waiting:
             data = bytes(self._serial.read(1))
-        if waiting := self._serial.in_waiting:
+        # A socket tells only whether something waits, not how much: 1.
+        while len(data) < _MOST_BYTES and (waiting := self._serial.in_waiting):
             data += self._serial.read(waiting)
         return data
 

@@ -61,7 +61,9 @@ def go_and_read(stage: Stage, goal: float) -> float:
 @contextmanager
 def spoiled(line: DirectLine, clock: VirtualClock, rng: np.random.Generator) -> Iterator[None]:
     """Spoil replies at one rate or another for a while; see that it ends in time; then clear the line."""
-    line.device.inject(LineFault("any", count=None, chance=float(rng.choice([0.002, 0.02, 0.2]))))
+    chance = float(rng.choice([0.002, 0.02, 0.2]))
+    line.device.inject(LineFault("any", count=None, chance=chance))
+    line.device.inject(LineFault("stale", count=None, chance=chance / 4))
     began_s = clock.now_s
     yield
     assert clock.now_s - began_s < LONGEST_S

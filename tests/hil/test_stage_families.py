@@ -36,6 +36,7 @@ from simulators.grbl_planner import GrblAxisModel
 from simulators.line_faults import FaultLine, LineFault
 from simulators.pseudo_terminal import PseudoTerminal
 from simulators.serial_device import SerialDevice
+from simulators.tcp_port import TcpPort
 from simulators.ximc import XimcController, XimcModel
 from simulators.zaber import ZaberChain
 from simulators.zaber_controller import ZaberController, ZaberModel
@@ -176,10 +177,14 @@ def rig(request, tmp_path: Path) -> Iterator[Rig]:
 
         def plug(dialect) -> tuple[SerialDevice, FaultLine]:
             line = FaultLine(dialect, time.monotonic, np.random.default_rng(1))
-            link = tmp_path / f"port{len(list(tmp_path.iterdir()))}"
-            return stack.enter_context(SerialDevice(PseudoTerminal(link), line)), line
+            if over_tcp:
+                terminal = TcpPort("stage")
+            else:
+                terminal = PseudoTerminal(tmp_path / f"port{len(list(tmp_path.iterdir()))}")
+            return stack.enter_context(SerialDevice(terminal, line)), line
 
-        yield MAKERS[request.param](plug)
+        family, _, over_tcp = request.param.partition(" over ")
+        yield MAKERS[family](plug)
 
 
 @pytest.fixture
@@ -206,7 +211,7 @@ each_in_turn = families(*FAMILIES)
 with_encoder = families("zaber", "ximc", "esp")
 
 
-@every_family
+@pytest.mark.parametrize("rig", [*FAMILIES, "zaber over TCP", "ximc over TCP"], indirect=True)
 def test_a_stage_is_identified_homed_moved_and_stopped(rig, stage) -> None:
     assert [axis.name for axis in stage.identify()] == ["pan", "tilt"]
     assert not stage.is_homed()
