@@ -57,6 +57,8 @@ MIN_STARS = 12
 MIN_FOR_LIKELIHOOD = 40
 #: Variance of centres by symmetry, in units of what residuals of independent pixels would promise, as usual.
 USUAL_EXCESS = 6.0
+#: 1-sigma of the shift, px, of a star across which the light changes by its own strength in a pitch.
+UNEVEN_PX = 0.035
 #: How far, in sigmas, symmetry and likelihood may put a star apart.
 MAX_APART_SIGMAS = 6.0
 
@@ -122,8 +124,7 @@ def detect(
     _enough(len(stars.nodes), name)
     stars, fine, shape = _refined(values, stars, target, sign, 1.0)
     _enough(len(stars.nodes), name)
-    promised = fine.residual[:, None, None] * np.linalg.inv(fine.information)
-    points, covariances = _best_placed(image, stars, promised, shape, target)
+    points, covariances = _best_placed(image, stars, fine, shape, target)
     kept = np.isfinite(points).all(axis=1)
     _enough(int(np.count_nonzero(kept)), name)
     ids = target.id_at(stars.nodes[kept, 0], stars.nodes[kept, 1])
@@ -180,7 +181,7 @@ def _without_tag(
 def _best_placed(
     image: NDArray[np.generic],
     stars: _Stars,
-    promised: NDArray[np.float64],
+    fine: RefinedStars,
     shape: LocalShape,
     target: StarTarget,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -189,19 +190,27 @@ def _best_placed(
     Symmetry is best where shades of grey are many and noise is little, likelihood where the image is nearly black
     and white. Stars on which the two contradict each other are nan.
     """
+    promised = fine.residual[:, None, None] * np.linalg.inv(fine.information)
     by_symmetry = promised * variance_factor(stars.nodes, stars.points, promised, usual=USUAL_EXCESS)
+    by_symmetry += _uneven(fine.steepness)
     if len(stars.nodes) < MIN_FOR_LIKELIHOOD:
         return stars.points, by_symmetry
     likely = likely_stars(quantise(image), stars.points, shape, target)
     by_likelihood = likely.covariances * variance_factor(
         stars.nodes, likely.centres, likely.covariances, usual=1.0
     )
+    by_likelihood += _uneven(likely.steepness)
     apart = likely.centres - stars.points
     sigmas = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(by_symmetry + by_likelihood), apart)
     agree = (sigmas <= MAX_APART_SIGMAS**2)[:, None]
     if _typical(by_likelihood) < _typical(by_symmetry):
         return np.where(agree, likely.centres, np.nan), by_likelihood
     return np.where(agree, stars.points, np.nan), by_symmetry
+
+
+def _uneven(steepness: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 2, 2) px^2: what light that falls off across a star, as at the disc's rim, may have moved it by."""
+    return np.asarray((UNEVEN_PX * steepness[:, None, None]) ** 2 * np.eye(2))
 
 
 def _typical(covariances: NDArray[np.float64]) -> float:

@@ -57,7 +57,7 @@ LEVELS = 64
 #: Centre x, y; shift of the threshold; its slopes.
 UNKNOWNS = 5
 #: Prior sigma of the shift, px, and of its slopes, px a pitch.
-SHIFT_SIGMA, SLOPE_SIGMA = 0.3, 0.05
+SHIFT_SIGMA, SLOPE_SIGMA = 0.3, 0.1
 #: Excess of an edge's scatter, in units of the median edge's, that is believed.
 EXCESS_RANGE = (0.5, 50.0)
 #: Round after which it is measured.
@@ -100,10 +100,21 @@ class _Pixels(NamedTuple):
 
 
 class LikelyStars(NamedTuple):
-    """Most likely centres, (N, 2) px, and their covariances, (N, 2, 2) px^2, as the likelihood promises them."""
+    """Most likely stars.
+
+    Attributes
+    ----------
+    centres
+        (N, 2) px.
+    covariances
+        (N, 2, 2) px^2, as the likelihood promises them.
+    steepness
+        (N,) length of b, px a pitch: how uneven the light is across the star.
+    """
 
     centres: NDArray[np.float64]
     covariances: NDArray[np.float64]
+    steepness: NDArray[np.float64]
 
 
 class _Tables(NamedTuple):
@@ -150,19 +161,21 @@ def likely_stars(
     drawn = _likely_print(levels, centres, shape, target, pitch)
     pixels = _pixels(levels, centres, shape.linear, shape.curved, drawn)
     unknowns = np.zeros((len(centres), UNKNOWNS))
-    prior = np.array([0.0, 0.0, SHIFT_SIGMA**-2, SLOPE_SIGMA**-2, SLOPE_SIGMA**-2])
     excess = np.ones(target.segments)
     for number, bandwidth in enumerate(BANDWIDTHS_PX):
         tables = _learn(_count(pixels, unknowns, drawn.limit_px), bandwidth / TAU_BIN_PX)
         for _ in range(MOVES):
             score, fisher = _scores(pixels, unknowns, tables, drawn.limit_px, target.segments)
-            normal = np.einsum("e,neij->nij", 1.0 / excess, fisher) + np.diag(prior + _RIDGE)
+            prior = _prior(unknowns)
+            normal = np.einsum("e,neij->nij", 1.0 / excess, fisher)
+            normal += (prior + _RIDGE)[:, :, None] * np.eye(UNKNOWNS)
             right = np.einsum("e,nei->ni", 1.0 / excess, score) - prior * unknowns
             step = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
             unknowns += np.clip(step, -MAX_MOVE_PX, MAX_MOVE_PX)
         if number == EXCESS_AFTER:
             excess = _excess(score, fisher)
-    return LikelyStars(centres + unknowns[:, :2], np.linalg.inv(normal)[:, :2, :2])
+    steepness = np.linalg.norm(unknowns[:, 3:], axis=1)
+    return LikelyStars(centres + unknowns[:, :2], np.linalg.inv(normal)[:, :2, :2], steepness)
 
 
 def draw_print(target: StarTarget, pitch_px: float, blur_px: float) -> Print:
@@ -184,6 +197,18 @@ def draw_print(target: StarTarget, pitch_px: float, blur_px: float) -> Print:
     tau = blur_px * ndtri(np.clip(blurred, 1e-4, 1.0 - 1e-4))
     edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * target.segments) % target.segments
     return Print(tau.astype(np.float32), edge.astype(np.uint8), half, scale, TAU_LIMIT_BLURS * blur_px)
+
+
+def _prior(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Precision of the unknowns beforehand, (N, 5).
+
+    Slopes are small nearly everywhere, and large at the rim of the disc: a Cauchy prior, by its weights.
+    """
+    prior = np.zeros_like(unknowns)
+    prior[:, 2] = SHIFT_SIGMA**-2
+    steepness = (unknowns[:, 3:] ** 2).sum(axis=1, keepdims=True)
+    prior[:, 3:] = 3.0 / (SLOPE_SIGMA**2 + steepness)
+    return prior
 
 
 def _likely_print(

@@ -87,6 +87,8 @@ class RefinedStars(NamedTuple):
         (N, 2, 2) what the residuals say of the centre, (brightness / px)^2: J^T J, less what the slopes take.
     residual
         (N,) mean square of the symmetry's residuals.
+    steepness
+        (N,) length of g, 1/pitch: how uneven the light is across the star.
     converged
         (N,) whether the last step was below a thousandth of a pixel.
     """
@@ -94,12 +96,17 @@ class RefinedStars(NamedTuple):
     centres: NDArray[np.float64]
     information: NDArray[np.float64]
     residual: NDArray[np.float64]
+    steepness: NDArray[np.float64]
     converged: NDArray[np.bool_]
 
     def kept(self, mask: NDArray[np.bool_]) -> RefinedStars:
         """Return those of the mask."""
         return RefinedStars(
-            self.centres[mask], self.information[mask], self.residual[mask], self.converged[mask]
+            self.centres[mask],
+            self.information[mask],
+            self.residual[mask],
+            self.steepness[mask],
+            self.converged[mask],
         )
 
 
@@ -341,7 +348,7 @@ def refine_stars(image: Any, guesses: Any, shape: LocalShape, samples: Any, reac
     """
     n = len(guesses)
     centres, information = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
-    residual, converged = np.full(n, np.nan), np.zeros(n, np.bool_)
+    residual, steepness, converged = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, np.bool_)
     normal, right = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     for k in range(n):
         x, y = guesses[k, 0], guesses[k, 1]
@@ -362,7 +369,7 @@ def refine_stars(image: Any, guesses: Any, shape: LocalShape, samples: Any, reac
             if length < 1e-3:
                 converged[k] = True
                 centres[k, 0], centres[k, 1] = x, y
-                residual[k] = squares
+                residual[k], steepness[k] = squares, np.hypot(slopes[0], slopes[1])
                 information[k] = np.linalg.inv(np.linalg.inv(normal)[:2, :2])
                 break
-    return RefinedStars(centres, information, residual, converged)
+    return RefinedStars(centres, information, residual, steepness, converged)
