@@ -33,7 +33,7 @@ from simulators.faults import Order, order, order_from_text
 from simulators.lamp import Lamp
 from simulators.lights import make_light
 from simulators.line_faults import FaultLine
-from simulators.orders import answer, take_orders
+from simulators.orders import allow_background, answer, take_orders
 from simulators.sensor_stream import CameraState, SensorStream
 from simulators.serial_device import Dialect, Port, SerialDevice
 from simulators.stages import make_stage
@@ -201,6 +201,7 @@ def main(words: Sequence[str] | None = None) -> int:
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda _number, _frame: ending.set())
+    allow_background()
     try:
         arguments.folder.mkdir(parents=True, exist_ok=True)
         with Bench(arguments.folder, _read_config(arguments.config), arguments.seed) as bench:

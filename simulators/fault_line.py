@@ -26,7 +26,7 @@ from simulators.errors import SimulatorError
 from simulators.fault_injection import line_action
 from simulators.faults import order_from_text
 from simulators.line_faults import FaultLine, SerialBridge
-from simulators.orders import answer, take_orders
+from simulators.orders import allow_background, answer, take_orders
 from simulators.pseudo_terminal import PseudoTerminal
 from simulators.serial_device import SerialDevice
 
@@ -55,6 +55,7 @@ def main(words: Sequence[str] | None = None) -> int:
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda _number, _frame: ending.set())
+    allow_background()
     try:
         bridge = SerialBridge(arguments.port, arguments.baud)
         line = FaultLine(bridge, time.monotonic, np.random.default_rng(arguments.seed))

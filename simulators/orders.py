@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -20,6 +21,15 @@ def answer(content: Mapping[str, Any]) -> None:
     sys.stdout.flush()
 
 
+def allow_background() -> None:
+    """Have a process in the background of a terminal go on without orders, instead of being stopped for reading.
+
+    To be called from the main thread, before orders are taken.
+    """
+    if hasattr(signal, "SIGTTIN"):
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+
+
 def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[], None]) -> None:
     """Take orders until standard input ends.
 
@@ -31,8 +41,7 @@ def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[
         Called at the end of standard input.
     """
     waiting = b""
-    # Not sys.stdin: its lock would be held by this thread while the interpreter shuts down.
-    while heard := os.read(0, 4096):
+    while heard := _read():
         *lines, waiting = (waiting + heard).split(b"\n")
         for line in lines:
             text = line.decode("utf-8", "replace").strip()
@@ -43,3 +52,12 @@ def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[
             except (SimulatorError, ValueError) as error:
                 answer({"ok": False, "error": str(error)})
     ended()
+
+
+def _read() -> bytes:
+    """Read standard input; nothing where there is none to be read."""
+    try:
+        # Not sys.stdin: its lock would be held by this thread while the interpreter shuts down.
+        return os.read(0, 4096)
+    except OSError:
+        return b""

@@ -67,6 +67,22 @@ def test_a_signal_ends_it_and_takes_the_ports_away(tmp_path, number):
     assert not os.path.lexists(said["endpoints"]["gimbal"])
 
 
+def test_it_lives_in_the_background_of_a_terminal(tmp_path):
+    master, slave = os.openpty()
+    # A session's leader that opens a terminal has it as its own: a shell with job control, as an operator types into.
+    script = (
+        f"exec 0<>{os.ttyname(slave)} 1>&0 2>&0; set -m; "
+        f"{sys.executable} -m simulators.bench --folder {tmp_path} > {tmp_path}/said & "
+        f"while [ ! -s {tmp_path}/said ]; do sleep 0.1; done; sleep 0.3; jobs; kill %1; wait"
+    )
+    subprocess.run(["/bin/bash", "-c", script], start_new_session=True, check=False, timeout=60)
+    said = os.read(master, 65_536)
+    os.close(slave)
+    os.close(master)
+    assert b"Running" in said
+    assert b"Stopped" not in said
+
+
 def test_ports_left_behind_by_a_killed_bench_are_taken_over(tmp_path):
     first = start(tmp_path)
     said = json.loads(first.stdout.readline())
