@@ -16,7 +16,8 @@ from contextlib import suppress
 from typing import Any, Final
 
 from simulators.biases import ALLOWED, FACTORY, PixelSettings
-from simulators.sensor_stream import FILTERS, CameraState, SensorStream
+from simulators.event_filters import FILTERS
+from simulators.sensor_stream import CameraState, SensorStream
 from simulators.world import World
 
 HEADER: Final = struct.Struct("<cI")

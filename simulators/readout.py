@@ -10,7 +10,7 @@ times of the pixels are relative.
 from __future__ import annotations
 
 from math import floor, log
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -74,7 +74,7 @@ def _uniform(s: NDArray) -> float:
 
 
 @njit(**JIT)
-def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray) -> float:
+def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray) -> Any:
     """Draw the next background and hot-pixel events; return a number that means nothing.
 
     They are drawn many at a time, and their pixels touched: memory then serves many at once, and has them
@@ -149,7 +149,7 @@ def _emit_row(px: Pixels, r: int, n: int, stamp: int, out: tuple, first: int) ->
 
 
 @njit(inline="always", **JIT)
-def _reset_error(ro: Readout, random: NDArray) -> np.float32:
+def _reset_error(ro: Readout, random: NDArray) -> Any:
     """Factor on u of a new reference: noise of the reset, in units of log intensity."""
     if ro.reset_noise == 0.0:
         return np.float32(1.0)

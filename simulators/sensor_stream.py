@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from simulators import optics
 from simulators.biases import FACTORY, PixelSettings
+from simulators.event_filters import FILTERS, EventFilters
 from simulators.evt3_writer import Evt3Writer
 from simulators.pixels import Sensor
 from simulators.world import LightState, World
 
-FILTERS: Final = ("afk", "stc", "trail", "erc")
-"""Filters on the chip: anti-flicker, spatio-temporal contrast, trail, event rate controller."""
 FRAME_US: Final = 2000
 """Sensor time of a frame."""
 MOVING_SUBSAMPLES: Final = 2
@@ -81,6 +80,7 @@ class SensorStream:
             camera_seed=world.camera_seed,
             seed=seeds.spawn(1)[0],
         )
+        self._filters = EventFilters(width, height, camera.filters)
         self._writer = Evt3Writer(width=width, height=height)
         self._sensor.begin(self._picture(moving=False), self._light, phase)
 
@@ -93,9 +93,11 @@ class SensorStream:
         """Words of the next 2 ms of sensor time."""
         end_us = self._now_us + FRAME_US
         self._follow_world()
-        events = self._sensor.run(end_us)
+        events, entered_t = self._filters.apply(self._sensor.run(end_us))
         edge_t, edge_value = self._edges(self._now_us, end_us)
-        words = self._writer.write(*events, until_us=end_us, trigger_t=edge_t, trigger_value=edge_value)
+        words = self._writer.write(
+            *events, until_us=end_us, trigger_t=edge_t, trigger_value=edge_value, entered_t=entered_t
+        )
         self._now_us = end_us
         return words.astype("<u2", copy=False).tobytes()
 
