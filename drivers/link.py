@@ -10,7 +10,7 @@ another question than the one asked.
 The wait for a reply is the wire's own time and is bounded by its deadline; it is not a safe point, because
 an exchange broken off in the middle would leave the line out of step. Drivers wait *between* exchanges
 through their clock. An urgent exchange (a stop) skips resynchronising, and so waits for one exchange of
-another thread at most.
+another thread at most (with its resynchronising, when the line was out of step).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import TypeVar
 from drivers.clock import Clock
 from drivers.errors import ReplyGarbled, ReplyTimeout
 from drivers.serial_port import Port
-from drivers.wire_log import WireLog
+from drivers.wire_log import Direction, WireLog
 
 LONGEST_LINE = 4096
 """A line longer than this is a device that babbles, or another protocol."""
@@ -258,6 +258,6 @@ class Link:
                 self._in_step = False
                 return
 
-    def _note(self, direction: str, data: bytes) -> None:
+    def _note(self, direction: Direction, data: bytes) -> None:
         if self._wire_log is not None:
-            self._wire_log.record(self._clock.monotonic(), self.name, ">" if direction == ">" else "<", data)
+            self._wire_log.record(self._clock.monotonic(), self.name, direction, data)

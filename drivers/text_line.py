@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 from collections.abc import Callable
 from typing import Final
 
@@ -93,6 +94,11 @@ class TextLine:
     def name(self) -> str:
         """The port's name."""
         return self._link.name
+
+    @property
+    def lock(self) -> threading.RLock:
+        """Held, nobody else can send."""
+        return self._link.lock
 
     def ask(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
         """Send a query and return its answer; asked again, three times in all, when the answer is none.

@@ -231,14 +231,16 @@ class EspStage(WatchedStage[EspAxis]):
     def _start(self, goals_deg: Mapping[str, float], go_on: GoOn) -> None:
         for name, angle_deg in goals_deg.items():
             axis = self._axes[name]
-            go_on()
-            self._tell(axis, f"PA{axis.own(angle_deg):.5f}")
+            with self._line.lock:
+                go_on()
+                self._tell(axis, f"PA{axis.own(angle_deg):.5f}")
 
     def _start_homing(self, go_on: GoOn) -> None:
         self._homed_at = None
         for axis in self._axes.values():
-            go_on()
-            self._tell(axis, f"OR{axis.home_mode}")
+            with self._line.lock:
+                go_on()
+                self._tell(axis, f"OR{axis.home_mode}")
 
     def _look(self, axis: EspAxis, *, homing: bool = False) -> Look:  # noqa: ARG002 - its troubles are the same
         """Whether it moves, then where it is: so that a position at rest is one of rest."""

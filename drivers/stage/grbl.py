@@ -194,14 +194,17 @@ class GrblStage(WatchedStage[GrblAxis]):
             times_s.append(abs(way_deg) / axis.limits.speed_deg_s)
             words.append(f"{axis.letter}{goal_deg - axis.zero_deg:.4f}")
         feed = 60.0 * math.hypot(*ways) / max(times_s) if max(times_s) > 0 else 60.0
-        go_on()
-        self._board.tell(f"$J=G21G53{''.join(words)}F{feed:.1f}")
+        with self._board.lock:
+            go_on()
+            self._board.tell(f"$J=G21G53{''.join(words)}F{feed:.1f}")
 
     def _start_homing(self, go_on: GoOn) -> None:
-        go_on()
         self._homed_at = None
-        self._homing = True
-        self._board.home()
+        with self._board.lock:
+            go_on()
+            self._homing = True
+            self._board.begin_homing()
+        self._board.await_homing()
         self._homing = False
 
     def _look(self, axis: GrblAxis, *, homing: bool = False) -> Look:

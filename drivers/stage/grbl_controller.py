@@ -5,6 +5,7 @@ Knows no degrees; see ``drivers.stage.grbl``.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 
 from drivers.clock import Clock
@@ -67,6 +68,11 @@ class GrblController:
         """The port's name."""
         return self._link.name
 
+    @property
+    def lock(self) -> threading.RLock:
+        """Held, nobody else can send."""
+        return self._link.lock
+
     def report(self) -> Report:
         """Ask for state and position, up to three times."""
         for _ in range(_TRIES - 1):
@@ -94,15 +100,18 @@ class GrblController:
             f"{line}\n".encode("ascii"), lambda incoming: self._answer(line, incoming), deadline_s=_REPLY_S
         )
 
-    def home(self) -> None:
-        """Start homing and wait for its ``ok``; the board answers nothing else meanwhile.
-
-        Raises DeviceRefused, MoveTimeout, PortLost; and what the clock raises.
-        """
+    def begin_homing(self) -> None:
+        """Start homing; the board answers nothing until it has ended. Raises ReplyError, PortLost."""
         with self._link.lock:
             self._link.come_into_step()
             self._link.send(b"$H\n")
             self._link.distrust()
+
+    def await_homing(self) -> None:
+        """Wait for the ``ok`` at the end of homing.
+
+        Raises DeviceRefused, MoveTimeout, PortLost; and what the clock raises.
+        """
         end_s = self._clock.monotonic() + motion.LONGEST_HOMING_S
         restarts = self.restarts
         while self._clock.monotonic() < end_s:

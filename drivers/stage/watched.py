@@ -22,7 +22,11 @@ _STOP_POLL_S = 0.02
 _CLEAR_AND_HOME = "Clear its cause, then home the stage and resume."
 
 GoOn = Callable[[], None]
-"""Raises MoveFailed when a stop came since the move began."""
+"""Raises MoveFailed when a stop came since the move began.
+
+Asked with the line's lock held until the command is out: a stop then goes before the command, which is not
+sent any more, or after it, and stops it.
+"""
 
 
 class Look(NamedTuple):
@@ -115,11 +119,11 @@ class WatchedStage(ABC, Generic[A]):
 
     @abstractmethod
     def _start(self, goals_deg: Mapping[str, float], go_on: GoOn) -> None:
-        """Send the axes on their way; call ``go_on`` before each command that moves something."""
+        """Send the axes on their way; with the line's lock held, call ``go_on`` before each such command."""
 
     @abstractmethod
     def _start_homing(self, go_on: GoOn) -> None:
-        """Send all axes to find their reference; call ``go_on`` before each command that moves something."""
+        """Send all axes to find their reference; ``go_on`` as for ``_start``."""
 
     @abstractmethod
     def _look(self, axis: A, *, homing: bool = False) -> Look:
@@ -188,7 +192,7 @@ class WatchedStage(ABC, Generic[A]):
             now_s = self._clock.monotonic()
             self._wait([(axis, _homing_watch(axis, now_s)) for axis in self._axes.values()], go_on)
             for axis in self._axes.values():
-                self._see_end(axis, homing=True)
+                self._see_end(axis, None)
                 self._finish_homing(axis)
             self._doubt = ""
         except DriverError as error:
@@ -217,7 +221,7 @@ class WatchedStage(ABC, Generic[A]):
                 [(axis, _watch(axis, goal_deg[axis.name], now_s, allowed_s)) for axis in moving], go_on
             )
             for axis in moving:
-                self._see_end(axis, homing=False)
+                self._see_end(axis, goal_deg[axis.name])
         except DriverError as error:
             raise self._stopped_after(error) from error
 
@@ -295,10 +299,21 @@ class WatchedStage(ABC, Generic[A]):
             self._doubt = look.trouble
         raise MoveFailed(f"{look.trouble}.", where=axis.name, remedy=_CLEAR_AND_HOME)
 
-    def _see_end(self, axis: A, *, homing: bool) -> None:
-        """Raise MoveFailed when the controller, or the encoder, knows something against the move."""
-        self._refuse_trouble(axis, self._look_at_rest(axis, homing=homing))
-        if homing or self._encoder(axis) is None:
+    def _see_end(self, axis: A, goal_deg: float | None) -> None:
+        """Raise MoveFailed when a last look, all the controller knows, or the encoder speak against the move."""
+        look = self._look_at_rest(axis, homing=goal_deg is None)
+        self._refuse_trouble(axis, look)
+        if goal_deg is None:
+            return
+        off_deg = look.position_deg - goal_deg
+        if look.busy or abs(off_deg) > axis.tolerance_deg:
+            self._doubt = "it did not stay where it had arrived"
+            raise MoveFailed(
+                f"did not stay where it had arrived: {off_deg:+.4f} deg from its target.",
+                where=axis.name,
+                remedy=_CLEAR_AND_HOME,
+            )
+        if self._encoder(axis) is None:
             return
         counter_deg = self._reading_deg(axis, self._look)
         encoder_deg = self._reading_deg(axis, self._encoder)

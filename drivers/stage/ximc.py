@@ -184,13 +184,16 @@ class XimcStage(WatchedStage[XimcAxis]):
 
     def _start(self, goals_deg: Mapping[str, float], go_on: GoOn) -> None:
         for name, angle_deg in goals_deg.items():
-            go_on()
-            self._controllers[name].move(self._count(self._axes[name], angle_deg))
+            controller = self._controllers[name]
+            with controller.lock:
+                go_on()
+                controller.move(self._count(self._axes[name], angle_deg))
 
     def _start_homing(self, go_on: GoOn) -> None:
         for controller in self._controllers.values():
-            go_on()
-            controller.command("home")
+            with controller.lock:
+                go_on()
+                controller.command("home")
 
     def _look(self, axis: XimcAxis, *, homing: bool = False) -> Look:
         """Position, whether busy, and what speaks against the move: all of one reply."""

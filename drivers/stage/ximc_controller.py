@@ -6,6 +6,7 @@ Knows no degrees; see ``drivers.stage.ximc``.
 from __future__ import annotations
 
 import struct
+import threading
 
 from drivers.clock import Clock
 from drivers.errors import ReplyError, ReplyGarbled
@@ -61,6 +62,11 @@ class XimcController:
     def name(self) -> str:
         """The port's name."""
         return self._link.name
+
+    @property
+    def lock(self) -> threading.RLock:
+        """Held, nobody else can send."""
+        return self._link.lock
 
     def read_serial(self) -> str:
         """Ask for the serial number."""

@@ -159,13 +159,15 @@ class ZaberStage(WatchedStage[ZaberAxis]):
     def _start(self, goals_deg: Mapping[str, float], go_on: GoOn) -> None:
         for name, angle_deg in goals_deg.items():
             axis = self._axes[name]
-            go_on()
-            self._chain.command(axis.device, axis.axis, f"move abs {axis.microsteps(angle_deg)}")
+            with self._chain.lock:
+                go_on()
+                self._chain.command(axis.device, axis.axis, f"move abs {axis.microsteps(angle_deg)}")
 
     def _start_homing(self, go_on: GoOn) -> None:
         for axis in self._axes.values():
-            go_on()
-            self._chain.command(axis.device, axis.axis, "home")
+            with self._chain.lock:
+                go_on()
+                self._chain.command(axis.device, axis.axis, "home")
 
     def _look(self, axis: ZaberAxis, *, homing: bool = False) -> Look:
         """Position, whether busy, and the most urgent flag: all of one reply."""

@@ -6,6 +6,7 @@ Knows no degrees and no axes' names; see ``drivers.stage.zaber``.
 from __future__ import annotations
 
 import itertools
+import threading
 from collections import deque
 from collections.abc import Collection
 
@@ -62,6 +63,11 @@ class ZaberChain:
     def name(self) -> str:
         """The port's name."""
         return self._link.name
+
+    @property
+    def lock(self) -> threading.RLock:
+        """Held, nobody else can send."""
+        return self._link.lock
 
     def command(self, device: int, axis: int, words: str) -> Reply:
         """Send one request, once: what makes something move is never sent twice.

@@ -7,6 +7,7 @@ each test breaks one thing about it.
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 
 import pytest
@@ -292,6 +293,21 @@ def test_a_slip_between_counter_and_encoder_is_noticed(peer, clock) -> None:
         stage.move_to({"pan": 6.0})
 
 
+def test_an_axis_that_does_not_stay_where_it_arrived_is_noticed(homed, peer) -> None:
+    idle_looks = []
+
+    def before(request: str) -> None:
+        if request.endswith("get pos") and peer.pan.goal == 9000.0 and not peer.pan.busy():
+            idle_looks.append(request)
+            if len(idle_looks) == 3:
+                peer.pan.start = peer.pan.goal = 9050.0
+
+    peer.before = before
+    with pytest.raises(MoveFailed, match=r"pan: did not stay where it had arrived: \+0\.0500 deg"):
+        homed.move_to({"pan": 9.0})
+    assert not homed.is_homed()
+
+
 def test_homing_that_leaves_no_reference_has_failed(stage, peer, clock) -> None:
     answer = peer.tilt.answer
     peer.tilt.answer = lambda words: "0" if words == ["home"] else answer(words)
@@ -330,6 +346,26 @@ def test_a_stop_between_two_axes_keeps_the_second_from_starting(homed, peer) -> 
     with pytest.raises(MoveFailed, match="stopped on request"):
         homed.move_to({"pan": 9.0, "tilt": 9.0})
     assert len(peer.motions()) == 1
+    assert not peer.pan.busy()
+
+
+def test_a_stop_that_comes_while_a_move_is_sent_goes_out_after_it(homed, peer) -> None:
+    command = homed._chain.command
+    stopper = threading.Thread(target=homed.stop)
+
+    def stop_meanwhile(device: int, axis: int, words: str):
+        if words.startswith("move"):
+            stopper.start()
+            stopper.join(0.2)
+        return command(device, axis, words)
+
+    homed._chain.command = stop_meanwhile
+    with pytest.raises(MoveFailed, match="stopped on request"):
+        homed.move_to({"pan": 9.0})
+    stopper.join()
+    kinds = [word for line in peer.sent for word in ("move", "stop") if f" {word}".encode() in line]
+    assert kinds[0] == "move"
+    assert "stop" in kinds
     assert not peer.pan.busy()
 
 
