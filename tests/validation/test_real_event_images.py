@@ -1,0 +1,57 @@
+"""A real IMX636 recording, counted and imaged: nothing lost, nothing found that is not there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.detect import detect
+from calib.errors import FlickerNotFound, TargetNotFound
+from calib.event_image import make_images
+from calib.flicker import Flicker, flicker_from_triggers
+from calib.target import StarTarget
+from drivers.camera.raw_file import RawFile
+
+RECORDING = "evk4_real/imx636_1280x720_two_triggers.raw"
+
+
+@pytest.fixture
+def recording(reference_data):
+    path = reference_data / RECORDING
+    if not path.is_file():
+        pytest.skip(f"{RECORDING} is not among the reference recordings")
+    raw = RawFile.open(path)
+    events, triggers = raw.read()
+    return raw, events, triggers
+
+
+def test_every_event_is_counted_in_its_pixel(recording):
+    raw, events, _ = recording
+    start, end = float(events.t[0]), float(events.t[-1]) + 1.0
+    whole = Flicker((end - start) / 50.0, start, 0.5, 0.0, 50, 0, 0, "events")
+    made = make_images(
+        events.t, events.x, events.y, events.p, (raw.width, raw.height), whole, window_us=(start, end)
+    )
+    on = np.zeros((raw.height, raw.width), int)
+    np.add.at(on, (events.y[events.p == 1], events.x[events.p == 1]), 1)
+    assert made.facts.events == len(events.t) == 82_469
+    assert made.facts.events_outside == 0
+    assert (made.on_count == on).all()
+    assert made.count.sum() == len(events.t)
+    assert (made.fired == (made.count > 0)).all()
+
+
+def test_a_steady_scene_is_no_target(recording):
+    raw, events, _ = recording
+    light = Flicker(16_667.0, float(events.t[0]), 0.5, 0.0, 70, 0, 0, "events")
+    made = make_images(events.t, events.x, events.y, events.p, (raw.width, raw.height), light)
+    for name in ("last-polarity", "count", "fired-per-edge", "lock-in"):
+        with pytest.raises(TargetNotFound):
+            detect(made.named(name), StarTarget())
+
+
+def test_two_lone_triggers_are_no_flicker(recording):
+    _, _, triggers = recording
+    assert triggers.value.tolist() == [0, 1]
+    with pytest.raises(FlickerNotFound, match="2 trigger edges"):
+        flicker_from_triggers(triggers.t, triggers.value)
