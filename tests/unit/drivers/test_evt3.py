@@ -323,6 +323,8 @@ def test_triples_of_vectors_are_the_same_wherever_they_stand(x, counting):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        ((row(0), event(1), row(HEIGHT)), "row 720 on a sensor of 1280 x 720"),
+        ((row(0), event(1), event(WIDTH)), "column 1280 on a sensor of 1280 x 720"),
         ((row(HEIGHT),), "row 720 on a sensor of 1280 x 720"),
         ((row(0), event(WIDTH)), "column 1280 on a sensor of 1280 x 720"),
         ((row(0), base(WIDTH - 4), vector12(0b10000)), "vector from column 1276 on with events beyond"),
