@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from bench import __version__
+from bench.cli_engine import ENGINE_COMMANDS
 from bench.errors import UsageError
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
@@ -56,71 +57,36 @@ def run(
 
 @cli.command()
 @click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.option("--dry-run", is_flag=True, help="Only say what would be done.")
 @_JSON
-def resume(run_folder: Path, as_json: bool) -> int:
-    """Go on with a RUN that was stopped, failed, killed or cut off."""
+def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
+    """Go on with a RUN that was stopped, failed, killed or cut off; first say what will be done."""
     from bench.clock import BenchClock
-    from bench.launch import Launch, resume_run
+    from bench.launch import Launch, read_intentions, resume_run
     from bench.output import ask_passphrase, show_run
+    from bench.run_output import show_intentions
 
-    return show_run(
-        resume_run(run_folder, Launch(BenchClock(), ask_passphrase=ask_passphrase)), as_json=as_json
-    )
+    if dry_run:
+        return show_intentions(read_intentions(run_folder), as_json=as_json)
+    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase)
+    return show_run(resume_run(run_folder, launch), as_json=as_json)
 
 
 @cli.command()
 @click.argument("sequence")
 @click.option("--station", "-s", required=True, help="Station file, or the name of a shipped one.")
+@click.option("--suggest", type=click.IntRange(0, 50), default=0, help="Suggest so many further poses.")
 @_JSON
-def plan(sequence: str, station: str, as_json: bool) -> int:
-    """Check a SEQUENCE against a station without touching anything: faults, poses, limits, time, disk."""
-    from bench.output import print_json
+def plan(sequence: str, station: str, suggest: int, as_json: bool) -> int:
+    """Check a SEQUENCE against a station without touching anything.
+
+    Shows every fault of both files, the poses, the time and disk a run will take, and what its poses will be worth.
+    """
+    from bench.engine_output import show_plan
     from bench.plan import load
     from bench.plan import plan as make_plan
-    from bench.plan_text import render_plan
 
-    planned = make_plan(*load(sequence, station))
-    if as_json:
-        print_json(planned.to_dict())
-    else:
-        click.echo(render_plan(planned))
-    return 2 if planned.faults else 0
-
-
-@cli.command()
-@click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=click.Path(path_type=Path))
-@click.option(
-    "--model", type=click.Choice(["spherical", "planar", "auto"]), default="spherical", show_default=True
-)
-@click.option(
-    "--distortion", default="k1k2", show_default=True, help="Coefficients to estimate, e.g. k1k2k3p1p2, none."
-)
-@click.option("--loss", type=click.Choice(["l2", "huber"]), default="huber", show_default=True)
-@click.option("--image-size", metavar="WxH", help="For point files, which do not know it.")
-@click.option("--views", metavar="1,5,9", help="Use these only, counted from 1 in the order listed.")
-@click.option("--image", default="auto", show_default=True, help="Kind of event image for RAW captures.")
-@click.option(
-    "--origin",
-    type=click.Choice(["corner", "centre"]),
-    default="corner",
-    show_default=True,
-    help="What (0, 0) is in point files: a pixel's corner or its centre.",
-)
-@click.option(
-    "--station", "-s", help="Station file that describes the target, where it is not the standard one."
-)
-@_JSON
-def calibrate(paths: tuple[Path, ...], as_json: bool, **options: Any) -> int:
-    """Calibrate again, without devices, from any PATH.
-
-    A PATH is a run folder, a RAW capture, a photograph of the target, a file of points (columns x, y, X, Y, id),
-    or a folder of such files.
-    """
-    from bench.offline import Choices, calibrate_paths
-    from bench.output import print_calibration
-
-    print_calibration(calibrate_paths(paths, Choices.from_words(**options)), as_json=as_json)
-    return 0
+    return show_plan(make_plan(*load(sequence, station)), suggest=suggest, as_json=as_json)
 
 
 @cli.command()
@@ -233,6 +199,12 @@ def schema(document: str) -> int:
     from bench.output import print_schema
 
     return print_schema(document)
+
+
+for engine_command in ENGINE_COMMANDS:
+    cli.add_command(engine_command)
+for run_command in RUN_COMMANDS:
+    cli.add_command(run_command)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -21,9 +21,11 @@ from bench.history import replay
 from bench.job import Job
 from bench.journal import read_journal
 from bench.measure import Measurement, measure
+from bench.passports import read_passport
 from bench.point_files import Origin, read_point_file
 from bench.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
 from bench.station import load_station
+from calib.baselines import Baseline, opencv_planar, ours, published_recipe
 from calib.calibrate import Calibration, CalibrationOptions, calibrate
 from calib.detect import detect
 from calib.errors import CalibrationError, TooFewStars
@@ -78,6 +80,8 @@ class Choices:
         image: str,
         origin: str,
         station: str | None,
+        passport: Path | None = None,
+        guard_band: float = 1.0,
     ) -> Self:
         """Read the command line's words.
 
@@ -87,7 +91,13 @@ class Choices:
             Naming the word that makes no sense.
         """
         try:
-            options = CalibrationOptions(model, distortion, loss)  # type: ignore[arg-type]
+            options = CalibrationOptions(
+                model,  # type: ignore[arg-type]
+                distortion,
+                loss,  # type: ignore[arg-type]
+                passport=read_passport(passport) if passport else None,
+                guard_band=guard_band,
+            )
         except CalibrationError as error:
             raise UsageError(error.what, remedy=error.remedy) from error
         if image not in get_args(ImageKind):
@@ -106,11 +116,12 @@ class Choices:
 
 @dataclass(frozen=True)
 class OfflineResult:
-    """A calibration, the planar one on the same points, and what was left out and why."""
+    """A calibration, the planar one on the same points, what was left out and why, and the views themselves."""
 
     calibration: Calibration
     planar: Calibration | None
     skipped: Sequence[str]
+    views: Sequence[View]
 
     def to_dict(self) -> dict[str, Any]:
         """Give it as ``--json`` prints it."""
@@ -152,8 +163,14 @@ def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
         )
     views = _distinct(_one_size(views))
     calibration = calibrate(views, choices.options)
-    planar = planar_beside(views, choices.options) if calibration.model == "spherical" else None
-    return OfflineResult(calibration, planar, skipped)
+    planar = planar_beside(views, choices.options) if calibration.model != "planar" else None
+    return OfflineResult(calibration, planar, skipped, views)
+
+
+def compared(result: OfflineResult, choices: Choices) -> list[Baseline]:
+    """Hold a calibration against the published recipe and OpenCV's planar method, on the same points."""
+    methods = (published_recipe, opencv_planar)
+    return [ours(result.calibration), *(method(result.views, choices.options) for method in methods)]
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from bench.offline import OfflineResult
     from bench.runner import RunEnd
     from bench.verify import Verification
+    from calib.baselines import Baseline
 
 STOPPED = 3
 
@@ -63,32 +64,40 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
     return status
 
 
-def print_calibration(result: OfflineResult, *, as_json: bool) -> None:
-    """Show a calibration made without devices."""
+def print_calibration(result: OfflineResult, baselines: list[Baseline] | None, *, as_json: bool) -> None:
+    """Show a calibration made without devices, and other methods on the same points where asked for."""
+    from bench.engine_output import baseline_dict, comparison_text
+
     if as_json:
-        print_json(result.to_dict())
+        told = result.to_dict()
+        if baselines is not None:
+            told["compared"] = [baseline_dict(row) for row in baselines]
+        print_json(told)
         return
     for line in result.skipped:
         click.echo(f"left out: {line}", err=True)
-    click.echo(_calibration_text(result.calibration.to_dict()))
-    if result.planar is not None:
+    click.echo(calibration_text(result.calibration.to_dict()))
+    if baselines is not None:
+        click.echo("\n" + comparison_text(baselines))
+    elif result.planar is not None:
         click.echo("\nThe planar model (Zhang) on the same points, for comparison:")
-        click.echo(_calibration_text(result.planar.to_dict()))
+        click.echo(calibration_text(result.planar.to_dict()))
 
 
 def _run_text(results: Mapping[str, Any]) -> str:
-    lines = [_calibration_text(results["calibration"])]
+    lines = [calibration_text(results["calibration"])]
     if results["comparison"]:
         lines += ["", "SIMULATED devices. Distance from the simulated truth:"]
         lines += [
-            f"  {row['name']:<3} {row['error']:+12.4f} {_unit(row['name']):<3} = {row['error_sigmas']:+.2f} sigma"
+            f"  {row['name']:<3} {row['error']:+12.4f} {unit_text(row['name']):<3} = {row['error_sigmas']:+.2f} sigma"
             for row in results["comparison"]
         ]
     lines += [f"Deviation: {what}" for what in results["deviations"]]
     return "\n".join([*lines, ""])
 
 
-def _calibration_text(calibration: Mapping[str, Any]) -> str:
+def calibration_text(calibration: Mapping[str, Any]) -> str:
+    """Lay out a calibration: values with uncertainties first, reprojection error second."""
     from bench.report.tables import coverage_factor
     from bench.report.text import exact, with_uncertainty
 
@@ -100,7 +109,7 @@ def _calibration_text(calibration: Mapping[str, Any]) -> str:
     lines = [f"{model} model, {len(views)} views, {stars} stars; U with k = {exact(round(k, 2))}:"]
     for name, sigma in calibration["sigma"].items():
         value, expanded = with_uncertainty(values[name], k * sigma)
-        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {_unit(name)}".rstrip())
+        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit_text(name)}".rstrip())
     lines.append(
         f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
         " (how well the model follows the stars; not how accurate it is)."
@@ -110,7 +119,8 @@ def _calibration_text(calibration: Mapping[str, Any]) -> str:
     return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
 
 
-def _unit(name: str) -> str:
+def unit_text(name: str) -> str:
+    """Give a parameter's unit as it is printed behind a number; nothing for a pure number."""
     from bench.report.text import unit_of
 
     unit = unit_of(name)

@@ -75,6 +75,18 @@ class Collimator(Words):
     certificate: Text | None = None
 
 
+class Expected(Words):
+    """What is expected of the bench, roughly: for plans and studies alone; no estimator reads it."""
+
+    focal_px: Positive
+    r_mm: Positive
+    half_angle_deg: Annotated[float, Field(gt=0, lt=60, description="Of the beam.")]
+    image_size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (1280, 720)
+    k1: float = 0.0
+    k2: float = 0.0
+    star_sigma_px: Annotated[Positive, Field(description="Uncertainty of a star, per axis.")] = 0.02
+
+
 class Disk(Words):
     """What must be free on the disk before a run, besides what the run itself needs."""
 
@@ -111,6 +123,7 @@ class Station(Words):
     camera: Camera
     target: Target = Target()
     collimator: Collimator = Collimator()
+    expected: Expected | None = None
     disk: Disk = Disk()
     simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
 

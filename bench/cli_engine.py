@@ -1,0 +1,168 @@
+"""Commands of the engine, which need no devices: calibrate again, passports of collimators, studies.
+
+Knows words and exits, like `bench.cli`; the work stands in the modules it calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+_MODELS = ["spherical", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
+_MODEL = click.option("--model", type=click.Choice(_MODELS), default="spherical", show_default=True)
+
+_OPTIONS = (
+    _MODEL,
+    click.option(
+        "--distortion", default="k1k2", show_default=True, help="Coefficients, e.g. k1k2k3p1p2, none."
+    ),
+    click.option("--loss", type=click.Choice(["l2", "huber", "cauchy"]), default="huber", show_default=True),
+    click.option(
+        "--guard-band",
+        type=click.FloatRange(0, 1, min_open=True),
+        default=1.0,
+        show_default=True,
+        help="Share of the beam's radius to use.",
+    ),
+    click.option(
+        "--passport", type=click.Path(path_type=Path), help="The collimator's, made by `passport make`."
+    ),
+    click.option("--image-size", metavar="WxH", help="For point files, which do not know it."),
+    click.option("--views", metavar="1,5,9", help="Use these only, counted from 1 in the order listed."),
+    click.option("--image", default="auto", show_default=True, help="Kind of event image for RAW captures."),
+    click.option(
+        "--origin",
+        type=click.Choice(["corner", "centre"]),
+        default="corner",
+        show_default=True,
+        help="What (0, 0) is in point files: a pixel's corner or its centre.",
+    ),
+    click.option(
+        "--station", "-s", help="Station file that describes the target, where not the standard one."
+    ),
+)
+
+
+def _views_and_options(command: _Command) -> _Command:
+    """Give a command the words that say which views, and how to calibrate from them."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    paths = click.argument(
+        "paths", nargs=-1, required=True, metavar="PATH...", type=click.Path(path_type=Path)
+    )
+    return paths(command)
+
+
+@click.command()
+@_views_and_options
+@click.option("--compare", is_flag=True, help="Beside OpenCV's planar method and the published recipe.")
+@_JSON
+def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: Any) -> int:
+    """Calibrate again, without devices, from any PATH.
+
+    A PATH is a run folder, a RAW capture, a photograph of the target, a file of points (columns x, y, X, Y, id),
+    or a folder of such files.
+    """
+    from bench.offline import Choices, calibrate_paths, compared
+    from bench.output import print_calibration
+
+    choices = Choices.from_words(**words)
+    result = calibrate_paths(paths, choices)
+    print_calibration(result, compared(result, choices) if compare else None, as_json=as_json)
+    return 0
+
+
+@click.group()
+def passport() -> None:
+    """Calibrate a collimator once, and any camera from it with one to three views."""
+
+
+@passport.command("make")
+@_views_and_options
+@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="The new passport file.")
+@click.option("--collimator", help="Its serial number or name.")
+@click.option("--temperature", "temperature_c", type=float, help="Degrees Celsius at the collimator.")
+def passport_make(
+    paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **words: Any
+) -> int:
+    """Make a collimator's passport from the views of any PATH."""
+    from datetime import UTC, datetime
+
+    from bench.offline import Choices, calibrate_paths
+    from bench.output import print_calibration
+    from bench.passports import passport_of_run, write_passport
+
+    result = calibrate_paths(paths, Choices.from_words(**words))
+    made = passport_of_run(
+        result.calibration,
+        collimator=collimator,
+        temperature_c=temperature_c,
+        now=datetime.now(UTC),
+        sources=[str(path) for path in paths],
+    )
+    write_passport(output, made)
+    print_calibration(result, None, as_json=False)
+    click.echo(f"Passport: {output}")
+    return 0
+
+
+@passport.command("certificate")
+@click.option("--radius", "r_mm", type=float, required=True, help="The collimator's focal length, mm.")
+@click.option("--sigma", "sigma_mm", type=float, required=True, help="Its standard uncertainty (k = 1), mm.")
+@click.option("--number", required=True, help="Number of the certificate.")
+@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="The new passport file.")
+def passport_certificate(r_mm: float, sigma_mm: float, number: str, output: Path) -> int:
+    """Make a passport from a certificate of the collimator's focal length alone."""
+    from bench.errors import UsageError
+    from bench.passports import write_passport
+    from calib.passport import Passport
+
+    if not (r_mm > 0 and sigma_mm > 0):
+        raise UsageError("A focal length and its uncertainty are positive.", where="--radius, --sigma")
+    write_passport(output, Passport.of_radius(r_mm, sigma_mm, {"certificate": number}))
+    click.echo(f"Passport: {output}")
+    return 0
+
+
+@passport.command("show")
+@click.argument("path", type=click.Path(path_type=Path))
+@_JSON
+def passport_show(path: Path, as_json: bool) -> int:
+    """Show what a passport says, and how sure it is."""
+    from bench.engine_output import show_passport
+    from bench.passports import read_passport
+
+    return show_passport(read_passport(path), as_json=as_json)
+
+
+@click.command()
+@click.argument("sequence", default="three_pose")
+@click.option(
+    "--station", "-s", default="simulated", show_default=True, help="Station with an expected section."
+)
+@click.option("--runs", type=click.IntRange(2, 100_000), default=200, show_default=True)
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True)
+@click.option("--noise-px", type=float, help="1-sigma of a star; by default the station's expectation.")
+@click.option(
+    "--drift-mm", type=click.FloatRange(0), default=0.0, show_default=True, help="Of a view's centre."
+)
+@_MODEL
+@click.option("--plot", type=click.Path(path_type=Path), help="Draw the errors, in sigmas, into an SVG file.")
+@_JSON
+def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words: Any) -> int:
+    """Calibrate an imagined camera again and again: see whether stated uncertainties hold."""
+    from bench.engine_output import show_study
+    from bench.studies import run_study, write_plot
+
+    studied = run_study(sequence, station, **words)
+    if plot is not None:
+        write_plot(studied, plot)
+    return show_study(studied, as_json=as_json)
+
+
+ENGINE_COMMANDS = (calibrate, passport, study)

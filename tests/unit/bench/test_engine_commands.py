@@ -1,0 +1,96 @@
+"""The engine at the command line: comparison, passports, forecasts, studies, on views made here."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bench.cli import main
+from bench.plan import load
+from bench.plan import plan as make_plan
+from bench.studies import expectation, expected_worth, suggested_poses
+from calib.imagined import imagined_view
+
+POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
+
+
+@pytest.fixture(scope="module")
+def points(tmp_path_factory):
+    """Point files of five imagined views with 0.03 px of noise, and the truth they were made of."""
+    folder = tmp_path_factory.mktemp("points")
+    bench = expectation(make_plan(*load("three_pose", "simulated")).station.value)
+    rng = np.random.default_rng(4)
+    for number, (pan, tilt) in enumerate(POSES, 1):
+        view, _ = imagined_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, str(number))
+        seen = view.points_px + rng.normal(0, 0.03, view.points_px.shape) + 0.5
+        rows = [
+            f"{u} {v} {x} {y} {i}" for (u, v), (x, y), i in zip(seen, view.target_mm, view.ids, strict=True)
+        ]
+        (folder / f"view{number}.txt").write_text("\n".join(rows))
+    return folder, bench
+
+
+def say(capsys, *words, status=0):
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    said = capsys.readouterr()
+    assert end.value.code == status, said.err
+    return said.out
+
+
+def test_other_methods_stand_beside_ours_on_the_same_points(capsys, points):
+    told = json.loads(say(capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare", "--json"))
+    names = [row["name"] for row in told["compared"]]
+    assert [name.split(",")[0] for name in names] == ["Starbench", "published recipe", "OpenCV"]
+    assert all(abs(row["camera"]["fx"] - 3300) < 10 for row in told["compared"])
+    assert "OpenCV, planar (Zhang)" in say(
+        capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare"
+    )
+
+
+def test_with_a_passport_one_view_is_enough_and_the_focal_length_far_surer(capsys, points, tmp_path):
+    folder, bench = points
+    file = tmp_path / "collimator.json"
+    say(capsys, "passport", "make", folder, "--image-size", "1280x720", "-o", file, "--collimator", "C7")
+    assert "collimator: C7" in say(capsys, "passport", "show", file)
+    sizes = ("--image-size", "1280x720", "--json")
+    alone = json.loads(say(capsys, "calibrate", folder / "view4.txt", "--passport", file, *sizes))
+    assert abs(alone["camera"]["fx"] - bench.camera.fx) < 3 * alone["sigma"]["fx"]
+    without = json.loads(say(capsys, "calibrate", folder, "--views", "1,2,3", *sizes))
+    with_it = json.loads(say(capsys, "calibrate", folder, "--views", "1,2,3", "--passport", file, *sizes))
+    assert with_it["sigma"]["fx"] < without["sigma"]["fx"]
+
+
+def test_a_passport_is_never_written_over_and_only_a_passport_is_read(capsys, points, tmp_path):
+    file = tmp_path / "c.json"
+    certificate = ("passport", "certificate", "--radius", 255, "--sigma", 0.05, "--number", "K-1", "-o", file)
+    say(capsys, *certificate)
+    assert json.loads(say(capsys, "passport", "show", file, "--json"))["conditions"] == {"certificate": "K-1"}
+    say(capsys, *certificate, status=2)
+    for name, text in (("a.json", "{}"), ("b.json", "no json"), ("d.json", "[1, 2]")):
+        (tmp_path / name).write_text(text)
+        say(capsys, "passport", "show", tmp_path / name, status=2)
+    say(capsys, "passport", "show", tmp_path / "none", status=2)
+
+
+def test_a_plan_says_what_its_poses_will_be_worth_and_suggests_better_ones(capsys):
+    told = json.loads(say(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
+    assert 0.1 < told["expected"]["sigma"]["fx"] < 10
+    assert len(told["suggested"]) == 2
+    planned = make_plan(*load("three_pose", "simulated"))
+    limits = planned.station.value.axes
+    for pose in suggested_poses(planned, 2):
+        for axis, words in limits.items():
+            assert words.limits_deg[0] <= pose[f"{axis}_deg"] <= words.limits_deg[1]
+    nine = expected_worth(make_plan(*load("nine_pose", "simulated")))
+    assert nine is not None
+    assert nine.map.worst_px < told["expected"]["worst_px"]
+
+
+def test_a_study_finds_sigmas_that_hold_and_draws_them(capsys, tmp_path):
+    plot = tmp_path / "z.svg"
+    told = json.loads(say(capsys, "study", "--runs", 40, "--plot", plot, "--json"))
+    assert told["held"]
+    assert told["failed"] == []
+    assert 0.7 < told["z_rms"]["fx"] < 1.4
+    assert plot.read_text().count("<svg") == 1
