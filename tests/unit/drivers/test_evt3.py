@@ -434,6 +434,7 @@ def test_where_a_stream_is_cut_does_not_matter(stream, cuts, max_events):
         found += piece
         edges += piece_edges
     assert (found, edges) == (events, triggers)
+    assert decoder.told() == decode(*words)[2]
 
 
 @given(streams(), st.integers(32, 70))
