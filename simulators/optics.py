@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from calib.target import StarTarget, TargetLayout, reflectance_at
+from simulators.collimator_errors import Bending, Disc, apparent, bending_of, disc_of, is_ideal, reticle_point
 from simulators.errors import ConfigError
 from simulators.truth import CameraTruth, CollimatorTruth, OpticsTruth, Truth
 
@@ -98,7 +99,8 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
 def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatArray:
     """Image points, (N, 2) px, of target points, (N, 2) mm; NaN behind the camera."""
     centre = _camera_centre(truth.collimator)
-    rays = np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre
+    seen_at = apparent(points_mm, bending_of(truth.collimator, rotation))
+    rays = np.column_stack([seen_at, np.zeros(len(points_mm))]) - centre
     in_camera = rays @ rotation.T
     depth = np.where(in_camera[:, 2] > 0.0, in_camera[:, 2], np.nan)
     xd, yd = distort(in_camera[:, 0] / depth, in_camera[:, 1] / depth, truth.camera)
@@ -145,16 +147,12 @@ def star_centres(
     positions = np.asarray(TARGET.positions_mm(ids), np.float64)
     points = project(positions, rotation, truth)
     collimator, camera = truth.collimator, truth.camera
-    offset = positions - np.array([collimator.x + collimator.disc_x, collimator.y + collimator.disc_y])
-    radius = disc_radius_mm(collimator) * (1.0 - collimator.rim) - clearance * TARGET.pitch_mm
+    disc = disc_of(collimator, rotation)
+    offset = positions - np.array([disc.x, disc.y])
+    radius = disc.radius * (1.0 - collimator.rim) - clearance * TARGET.pitch_mm
     low, high = border_px - 0.5, np.array([camera.width, camera.height]) - 0.5 - border_px
     seen = (np.hypot(offset[:, 0], offset[:, 1]) <= radius) & ((points >= low) & (points <= high)).all(axis=1)
     return ids[seen], points[seen]
-
-
-def disc_radius_mm(collimator: CollimatorTruth) -> float:
-    """Radius of the visible disc on the target plane."""
-    return collimator.r * math.tan(math.radians(collimator.half_angle_deg))
 
 
 def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArray[np.float32]:
@@ -172,53 +170,67 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     (height, width) float32, about 0 to 1: printed brightness x disc x illumination, after the point spread.
     """
     collimator, optics = truth.collimator, truth.optics
-    disc = np.array(
-        [
-            collimator.x + collimator.disc_x,
-            collimator.y + collimator.disc_y,
-            disc_radius_mm(collimator),
-            collimator.rim,
-            optics.gradient_x,
-            optics.gradient_y,
-            optics.black,
-        ]
-    )
-    image = _render(
+    disc = disc_of(collimator, rotation)
+    light = Light(disc, collimator.rim, optics.gradient_x, optics.gradient_y, optics.black)
+    image, rho = _render(
         _corner_rays(truth.camera),
         rotation.T.copy(),
         _camera_centre(collimator),
-        disc,
+        light,
+        bending_of(collimator, rotation),
         TARGET.layout,
         subsamples,
     )
-    if optics.psf_px > 0.0:
-        image = cv2.GaussianBlur(image, (0, 0), optics.psf_px, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(image, np.float32)
+    blurred = _blur(image, optics.psf_px)
+    if optics.psf_rim_px > 0.0:
+        share = np.minimum(rho, 1.0) ** 2
+        blurred = (1.0 - share) * blurred + share * _blur(image, optics.psf_rim_px)
+    return np.asarray(blurred + np.float32(optics.stray), np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _plane_row(rays: NDArray, r_t: NDArray, centre: NDArray, out: NDArray) -> None:
-    """Where a row of rays, (W + 1, 2), meets the target plane: (W + 1, 2) mm; NaN if it goes away from it."""
+class Light(NamedTuple):
+    """How the target is lit: the disc, its rim, its gradient, and what black segments let through."""
+
+    disc: Disc
+    rim: float
+    gradient_x: float
+    gradient_y: float
+    black: float
+
+
+def _blur(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    """Gaussian point spread."""
+    if sigma_px == 0.0:
+        return image
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _plane_row(rays: NDArray, r_t: NDArray, centre: NDArray, bending: Bending, out: NDArray) -> None:
+    """Reticle points that a row of rays, (W + 1, 2), sees: (W + 1, 2) mm; NaN if a ray goes away from it."""
+    ideal = is_ideal(bending)
     for j in range(rays.shape[0]):
         xn, yn = np.float64(rays[j, 0]), np.float64(rays[j, 1])
         dz = r_t[2, 0] * xn + r_t[2, 1] * yn + r_t[2, 2]
         scale = -centre[2] / dz if dz > 1e-6 else np.nan
         out[j, 0] = centre[0] + scale * (r_t[0, 0] * xn + r_t[0, 1] * yn + r_t[0, 2])
         out[j, 1] = centre[1] + scale * (r_t[1, 0] * xn + r_t[1, 1] * yn + r_t[1, 2])
+        if not ideal:
+            out[j, 0], out[j, 1] = reticle_point(out[j, 0], out[j, 1], bending)
 
 
 @njit(cache=True, nogil=True)
-def _disc_light(x_mm: float, y_mm: float, disc: NDArray) -> float:
-    """Brightness of the illuminated disc at a point of the target plane: soft rim and linear gradient."""
-    dx, dy = (x_mm - disc[0]) / disc[2], (y_mm - disc[1]) / disc[2]
+def _disc_light(x_mm: float, y_mm: float, light: Light) -> tuple[float, float]:
+    """Brightness of the disc at a point of the target, and the point's distance from its centre in radii."""
+    dx, dy = (x_mm - light.disc.x) / light.disc.radius, (y_mm - light.disc.y) / light.disc.radius
     rho = math.sqrt(dx * dx + dy * dy)
     if not rho < 1.0:
-        return 0.0
-    light = 1.0 + disc[4] * dx + disc[5] * dy
-    if rho > 1.0 - disc[3]:
-        c = math.cos(0.5 * math.pi * (rho - 1.0 + disc[3]) / disc[3])
-        light *= c * c
-    return light
+        return 0.0, rho
+    brightness = 1.0 + light.gradient_x * dx + light.gradient_y * dy
+    if rho > 1.0 - light.rim:
+        c = math.cos(0.5 * math.pi * (rho - 1.0 + light.rim) / light.rim)
+        brightness *= c * c
+    return brightness, rho
 
 
 @njit(cache=True, nogil=True)
@@ -238,21 +250,20 @@ def _cell_brightness(top: NDArray, bottom: NDArray, j: int, n: int, layout: Targ
 
 @njit(cache=True, nogil=True)
 def _render(
-    rays: NDArray, r_t: NDArray, centre: NDArray, disc: NDArray, layout: TargetLayout, n: int
-) -> NDArray:
-    """Loop of ``render``: (height, width) float32 before the point spread."""
+    rays: NDArray, r_t: NDArray, centre: NDArray, light: Light, bending: Bending, layout: TargetLayout, n: int
+) -> tuple[NDArray, NDArray]:
+    """Loop of ``render``: picture before the point spread, and distance from the disc's centre in radii."""
     height, width = rays.shape[0] - 1, rays.shape[1] - 1
-    image = np.zeros((height, width), np.float32)
+    image, distance = np.zeros((height, width), np.float32), np.ones((height, width), np.float32)
     top, bottom = np.empty((width + 1, 2)), np.empty((width + 1, 2))
-    _plane_row(rays[0], r_t, centre, top)
-    black = disc[6]
+    _plane_row(rays[0], r_t, centre, bending, top)
     for i in range(height):
-        _plane_row(rays[i + 1], r_t, centre, bottom)
+        _plane_row(rays[i + 1], r_t, centre, bending, bottom)
         for j in range(width):
-            light = _disc_light(
-                0.5 * (top[j, 0] + bottom[j + 1, 0]), 0.5 * (top[j, 1] + bottom[j + 1, 1]), disc
-            )
-            if light > 0.0:
-                image[i, j] = light * (black + (1.0 - black) * _cell_brightness(top, bottom, j, n, layout))
+            x, y = 0.5 * (top[j, 0] + bottom[j + 1, 0]), 0.5 * (top[j, 1] + bottom[j + 1, 1])
+            brightness, distance[i, j] = _disc_light(x, y, light)
+            if brightness > 0.0:
+                printed = _cell_brightness(top, bottom, j, n, layout)
+                image[i, j] = brightness * (light.black + (1.0 - light.black) * printed)
         top, bottom = bottom, top
-    return image
+    return image, distance

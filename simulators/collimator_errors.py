@@ -1,0 +1,153 @@
+"""How a real collimator departs from the ideal one: where a point of its reticle seems to lie.
+
+An ideal collimator sends the light of a reticle point P out in the direction P - c, whichever part of its pupil
+the camera looks through. A real one bends it, by an amount that depends on the place in the field,
+h = (P - (x, y)) / r, and on the place of the camera's pupil in the collimator's, which the disc of light shows:
+b = (disc's centre - (x, y)) / r. The apparent displacement of P is that of the third-order aberrations (Seidel;
+the gradient of the wave aberration along b), in units of r:
+
+    defocus b + spherical |b|^2 b + coma (|b|^2 h + 2 (h.b) b)
+    + astigmatism 2 (h.b) h + field_curvature 2 |h|^2 b + distortion |h|^2 h
+
+Defocus is finite collimation: all points move together, as if c moved with the disc. A bowed reticle acts as
+distortion. Besides, near the disc's edge the camera's pupil is only partly filled, and points roll outwards.
+Knows the target plane only: no camera, no image.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.truth import CollimatorTruth
+
+FloatArray = NDArray[np.float64]
+
+ROLL_FROM = 0.8
+"""Share of the disc's radius from which on points roll outwards."""
+
+
+class Disc(NamedTuple):
+    """The disc of light in a pose: centre and radius on the target plane, mm."""
+
+    x: float
+    y: float
+    radius: float
+
+
+class Bending(NamedTuple):
+    """The collimator's errors in a pose, as the compiled functions take them."""
+
+    x: float
+    y: float
+    r: float
+    b_x: float
+    b_y: float
+    defocus: float
+    spherical: float
+    coma: float
+    astigmatism: float
+    field_curvature: float
+    distortion: float
+    roll_mm: float
+    disc_x: float
+    disc_y: float
+    disc_radius: float
+
+
+def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
+    """Disc of light in a pose: it walks as the camera turns, unless its pupil stands on the turning point.
+
+    Parameters
+    ----------
+    rotation
+        (3, 3), camera <- target.
+    """
+    axis = rotation[2]  # the optical axis in the target's frame
+    return Disc(
+        collimator.x + collimator.disc_x + collimator.disc_walk * axis[0] / axis[2],
+        collimator.y + collimator.disc_y + collimator.disc_walk * axis[1] / axis[2],
+        collimator.r * math.tan(math.radians(collimator.half_angle_deg)),
+    )
+
+
+def bending_of(collimator: CollimatorTruth, rotation: FloatArray) -> Bending:
+    """Errors of the collimator in a pose."""
+    disc = disc_of(collimator, rotation)
+    return Bending(
+        collimator.x,
+        collimator.y,
+        collimator.r,
+        (disc.x - collimator.x) / collimator.r,
+        (disc.y - collimator.y) / collimator.r,
+        collimator.defocus,
+        collimator.spherical,
+        collimator.coma,
+        collimator.astigmatism,
+        collimator.field_curvature,
+        collimator.distortion,
+        collimator.rim_roll_mm,
+        disc.x,
+        disc.y,
+        disc.radius,
+    )
+
+
+def apparent(points_mm: FloatArray, bending: Bending) -> FloatArray:
+    """Where points of the reticle, (N, 2) mm, seem to lie, (N, 2) mm."""
+    return np.asarray(_apparent(np.ascontiguousarray(points_mm, np.float64), bending))
+
+
+@njit(cache=True, nogil=True)
+def displacement(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
+    """Apparent displacement of a reticle point, mm."""
+    h_x, h_y = (x_mm - e.x) / e.r, (y_mm - e.y) / e.r
+    hh, bb, hb = h_x * h_x + h_y * h_y, e.b_x * e.b_x + e.b_y * e.b_y, h_x * e.b_x + h_y * e.b_y
+    along_b = e.defocus + e.spherical * bb + 2.0 * e.coma * hb + 2.0 * e.field_curvature * hh
+    along_h = e.coma * bb + 2.0 * e.astigmatism * hb + e.distortion * hh
+    dx, dy = e.r * (along_b * e.b_x + along_h * h_x), e.r * (along_b * e.b_y + along_h * h_y)
+    from_x, from_y = x_mm - e.disc_x, y_mm - e.disc_y
+    rho = math.sqrt(from_x * from_x + from_y * from_y)
+    near = (rho / e.disc_radius - ROLL_FROM) / (1.0 - ROLL_FROM)
+    if near > 0.0:
+        roll = e.roll_mm * min(near, 1.5) ** 2 / rho
+        dx, dy = dx + roll * from_x, dy + roll * from_y
+    return dx, dy
+
+
+@njit(cache=True, nogil=True)
+def reticle_point(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
+    """Point of the reticle that seems to lie at (x, y): ``apparent`` turned round, to about 1e-6 mm."""
+    p_x, p_y = x_mm, y_mm
+    for _ in range(6):
+        dx, dy = displacement(p_x, p_y, e)
+        p_x, p_y = x_mm - dx, y_mm - dy
+    return p_x, p_y
+
+
+@njit(cache=True, nogil=True)
+def is_ideal(e: Bending) -> bool:
+    """Whether nothing is displaced."""
+    return (
+        e.defocus == 0.0
+        and e.spherical == 0.0
+        and e.coma == 0.0
+        and e.astigmatism == 0.0
+        and e.field_curvature == 0.0
+        and e.distortion == 0.0
+        and e.roll_mm == 0.0
+    )
+
+
+@njit(cache=True, nogil=True)
+def _apparent(points: NDArray, e: Bending) -> NDArray:
+    """Loop of ``apparent``."""
+    out = np.empty_like(points)
+    for i in range(points.shape[0]):
+        dx, dy = displacement(points[i, 0], points[i, 1], e)
+        out[i, 0], out[i, 1] = points[i, 0] + dx, points[i, 1] + dy
+    return out

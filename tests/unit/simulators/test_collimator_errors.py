@@ -1,0 +1,125 @@
+"""The collimator's errors: third-order aberrations, their inverse, and that picture and star positions agree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulators import optics
+from simulators.collimator_errors import ROLL_FROM, apparent, bending_of, disc_of, reticle_point
+from simulators.errors import ConfigError
+from simulators.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth, truth_from_config
+
+COEFFICIENT = st.floats(-0.3, 0.3)
+TURN = optics.pose_rotation({"pan": 6.0, "tilt": -4.0, "roll": 15.0}, OpticsTruth())
+
+
+def wave_aberration(h, b, c):
+    """Seidel's wave aberration over field h and pupil b, with coefficients by name."""
+    hh, bb, hb = h @ h, b @ b, h @ b
+    return (
+        c["spherical"] * bb**2 / 4
+        + c["coma"] * hb * bb
+        + c["astigmatism"] * hb**2
+        + c["field_curvature"] * hh * bb
+        + c["distortion"] * hh * hb
+        + c["defocus"] * bb / 2
+    )
+
+
+@given(
+    values=st.tuples(*[COEFFICIENT] * 6),
+    point=st.tuples(st.floats(-60, 60), st.floats(-60, 60)),
+    pupil=st.tuples(st.floats(-30, 30), st.floats(-30, 30)),
+)
+def test_displacement_is_the_gradient_of_the_wave_aberration(values, point, pupil):
+    names = ("defocus", "spherical", "coma", "astigmatism", "field_curvature", "distortion")
+    c = dict(zip(names, values, strict=True))
+    collimator = CollimatorTruth(disc_x=pupil[0], disc_y=pupil[1], **c)
+    p = np.array([collimator.x, collimator.y]) + point
+    moved = apparent(p[None], bending_of(collimator, np.eye(3)))[0] - p
+    h, b, step = np.array(point) / collimator.r, np.array(pupil) / collimator.r, 1e-4
+    gradient = [
+        (wave_aberration(h, b + step * e, c) - wave_aberration(h, b - step * e, c)) / (2 * step)
+        for e in np.eye(2)
+    ]
+    np.testing.assert_allclose(moved, collimator.r * np.array(gradient), atol=1e-5)
+
+
+@given(x=st.floats(40, 150), y=st.floats(80, 200))
+def test_the_reticle_point_seen_somewhere_appears_there(x, y):
+    bending = bending_of(COLLIMATORS["like-real"], TURN)
+    p = np.array(reticle_point(x, y, bending))
+    np.testing.assert_allclose(apparent(p[None], bending)[0], [x, y], atol=1e-5)
+    assert np.hypot(*(p - [x, y])) > 1e-4
+
+
+def test_the_disc_walks_with_the_turn_of_the_camera():
+    collimator = COLLIMATORS["like-real"]
+    still, turned = disc_of(collimator, np.eye(3)), disc_of(collimator, TURN)
+    assert (still.x, still.y) == (collimator.x, collimator.y)
+    axis = TURN.T @ [0.0, 0.0, 1.0]
+    assert turned.x - still.x == pytest.approx(collimator.disc_walk * axis[0] / axis[2])
+
+
+def test_points_roll_outwards_only_near_the_rim():
+    collimator = CollimatorTruth(rim_roll_mm=0.2)
+    bending = bending_of(collimator, np.eye(3))
+    radius = disc_of(collimator, np.eye(3)).radius
+    inside = np.array([[collimator.x + 0.99 * ROLL_FROM * radius, collimator.y]])
+    edge = np.array([[collimator.x + radius, collimator.y]])
+    np.testing.assert_array_equal(apparent(inside, bending), inside)
+    np.testing.assert_allclose(apparent(edge, bending) - edge, [[0.2, 0.0]], atol=1e-12)
+
+
+def test_picture_and_star_positions_agree_through_a_real_collimator():
+    truth = Truth(
+        camera=CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, width=128, height=72),
+        collimator=replace(COLLIMATORS["like-real"], half_angle_deg=30.0, defocus=0.4),
+        optics=OpticsTruth(psf_px=0.0, gradient_x=0.0, gradient_y=0.0, black=0.0),
+    )
+    image = optics.render(truth, TURN, subsamples=1)
+    x, y = np.meshgrid(np.arange(20.0, 180.0, 0.06), np.arange(60.0, 220.0, 0.06))
+    points = np.column_stack([x.ravel(), y.ravel()])
+    printed = optics.TARGET.reflectance(*points.T)
+
+    def agreement(seen):
+        nearest = np.round(seen)
+        inside = (np.abs(seen - nearest) < 0.02).all(axis=1)
+        inside &= (nearest >= 0).all(axis=1) & (nearest < [128, 72]).all(axis=1)
+        u, v = nearest[inside].astype(int).T
+        assert inside.sum() > 1000
+        return np.mean(image[v, u] == printed[inside])
+
+    assert agreement(optics.project(points, TURN, truth)) > 0.97
+    assert agreement(optics.project(points, TURN, replace(truth, collimator=CollimatorTruth()))) < 0.9
+
+
+def test_blur_can_grow_towards_the_rim():
+    camera = CameraTruth(fx=330.0, fy=331.0, cx=64.0, cy=36.0, width=128, height=72)
+    collimator = CollimatorTruth(half_angle_deg=14.0, rim=0.0)
+    level = optics.pose_rotation({}, OpticsTruth(mounting_deg=(0.0, 0.0, 0.0)))
+    sharp, soft = (
+        optics.render(Truth(camera, collimator, OpticsTruth(psf_px=0.4, psf_rim_px=rim)), level)
+        for rim in (0.4, 3.0)
+    )
+    centre, rim = np.s_[31:42, 59:70], np.s_[28:44, 2:12]
+    assert soft[centre].std() > 0.9 * sharp[centre].std()
+    assert soft[rim].std() < 0.8 * sharp[rim].std()
+
+
+def test_stray_light_lifts_every_pixel():
+    camera = CameraTruth(fx=330.0, fy=331.0, cx=64.0, cy=36.0, width=128, height=72)
+    without, lifted = (optics.render(Truth(camera, optics=OpticsTruth(stray=s)), TURN) for s in (0.0, 0.05))
+    np.testing.assert_allclose(lifted - without, 0.05, atol=1e-6)
+
+
+def test_a_profile_is_named_alone_or_beside_what_differs_from_it():
+    assert truth_from_config({"collimator": "like-real"}).collimator == COLLIMATORS["like-real"]
+    mixed = truth_from_config({"collimator": {"profile": "like-real", "r": 700}}).collimator
+    assert mixed == replace(COLLIMATORS["like-real"], r=700.0)
+    with pytest.raises(ConfigError) as error:
+        truth_from_config({"collimator": {"profile": "perfect"}})
+    assert error.value.where == "collimator.profile"
