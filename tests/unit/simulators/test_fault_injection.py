@@ -1,0 +1,192 @@
+"""An order reaches the part of the bench that it names, and no other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from simulators.config import BenchConfig
+from simulators.errors import ConfigError
+from simulators.fault_injection import Parts, prepare
+from simulators.faults import order, order_from_text
+from simulators.lamp import Lamp
+from simulators.lights import make_light
+from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
+from simulators.stages import make_stage
+from simulators.world import LightState
+
+
+class Port:
+    """A port that carries orders out at once, and remembers whether its cable is in."""
+
+    def __init__(self) -> None:
+        self.plugged = True
+
+    def between_exchanges(self, act: Callable[[], None]) -> None:
+        act()
+
+    def unplug(self) -> None:
+        self.plugged = False
+
+    def replug(self) -> None:
+        self.plugged = True
+
+
+class Camera:
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def unplug(self) -> None:
+        self.told.append("unplugged")
+
+    def fault(self, message: str) -> None:
+        self.told.append(message)
+
+
+class Bench:
+    """The parts of a bench without ports, on a clock that the test turns."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        config = BenchConfig()
+        self.shown: list[LightState] = []
+        lamp = Lamp(self.shown.append)
+        light = make_light(config.light, lambda: self.now_s, lamp.drive)
+        stage = make_stage("zaber", config.axes, lambda: self.now_s, lambda _name, _pointing: None)
+        self.dialects = {**stage.dialects, "light": light}
+        self.ports = {name: Port() for name in self.dialects}
+        self.camera = Camera()
+        lines = {
+            name: FaultLine(one, lambda: self.now_s, np.random.default_rng(1))
+            for name, one in self.dialects.items()
+        }
+        self.parts = Parts(
+            stage.controllers, self.ports, lines, stage.ports, light, lamp, self.camera, lambda: self.now_s
+        )
+
+    def order(self, text: str) -> None:
+        prepare(order_from_text(text), self.parts)()
+
+    def say(self, request: str) -> str:
+        self.now_s += 10.0
+        return self.parts.lines["gimbal"].receive(f"{request}\n".encode()).decode()
+
+
+@pytest.fixture
+def bench() -> Bench:
+    one = Bench()
+    one.say("/0 0 home")
+    assert one.say("/1 0").startswith("@01 0 OK IDLE --")
+    return one
+
+
+@pytest.mark.parametrize(
+    ("fault", "after_a_move", "after_mending"),
+    [
+        ("stuck_busy", "OK BUSY --", "OK IDLE --"),
+        ("stall", "OK IDLE FS", "OK IDLE FS"),
+        ("limit", "OK IDLE FE", "OK IDLE FE"),
+        ("restart", "OK IDLE WR", "OK IDLE WR"),
+        ("reboot", "OK IDLE WR", "OK IDLE WR"),
+        ("emergency_stop", "OK IDLE FH", "OK IDLE FH"),
+        ("exchange serial=5", "OK IDLE WR", "OK IDLE WR"),
+    ],
+)
+def test_a_fault_of_an_axis_befalls_that_axis_alone(bench: Bench, fault, after_a_move, after_mending):
+    bench.order(f"pan {fault}")
+    bench.say("/0 1 move abs 6400")
+    bench.say("/0 1")
+    assert after_a_move in bench.say("/1 1")
+    assert "OK IDLE --" in bench.say("/2 1")
+    bench.order("pan mend")
+    assert after_mending in bench.say("/1 1")
+
+
+def test_an_emergency_stop_is_released(bench: Bench):
+    bench.order("tilt emergency_stop")
+    assert "FH" in bench.say("/2 1")
+    bench.order("tilt release")
+    assert "FH" not in bench.say("/2 1")
+
+
+@pytest.mark.parametrize(
+    ("fault", "counter", "encoder"), [("slip", 6400, 3200), ("push deg=0.5", 6400, 9600)]
+)
+def test_a_fault_that_the_counter_does_not_see_shows_in_the_encoder(bench: Bench, fault, counter, encoder):
+    bench.order(f"pan {fault}")
+    bench.say("/1 1 move abs 6400")
+    assert f" {counter}:" in bench.say("/1 1 get pos")
+    assert f" {encoder}:" in bench.say("/1 1 get encoder.pos")
+
+
+def test_a_mended_axis_forgets_what_was_to_come(bench: Bench):
+    for fault in ("stop_short", "idle_flicker times=100"):
+        bench.order(f"pan {fault}")
+    bench.order("pan mend")
+    bench.parts.lines["gimbal"].receive(b"/1 1 move abs 6400\n")
+    assert b"BUSY" in bench.parts.lines["gimbal"].receive(b"/1 1\n")
+    assert " 6400:" in bench.say("/1 1 get pos")
+
+
+def test_faults_of_a_line_stay_on_it(bench: Bench):
+    bench.order("light lost count=0")
+    assert bench.parts.lines["light"].receive(b"*IDN?\n") == b""
+    assert bench.say("/1 0") != ""
+    bench.order("light mend")
+    assert bench.parts.lines["light"].receive(b"*IDN?\n") != b""
+    bench.order("gimbal unplug")
+    assert (bench.ports["gimbal"].plugged, bench.ports["light"].plugged) == (False, True)
+    bench.order("gimbal replug")
+    assert bench.ports["gimbal"].plugged
+
+
+def test_mending_the_light_mends_lamp_and_line(bench: Bench):
+    bench.parts.lines["light"].receive(b"OUTP ON\n")
+    bench.order("light lamp_open")
+    assert bench.shown[-1].high == 0.0
+    bench.order("light mend")
+    assert bench.shown[-1].high > 0.0
+    bench.order("light trip")
+    assert not bench.shown[-1].output
+
+
+def test_the_camera_hears_of_its_faults(bench: Bench):
+    bench.order("camera unplug")
+    bench.order("camera fault message='too hot'")
+    assert bench.camera.told == ["unplugged", "too hot"]
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("roll stall", "device"),
+        ("gimbal-pan lost", "device"),
+        ("light dim factor=0", "factor"),
+        ("gimbal replaced pattern=(", "pattern"),
+        ("gimbal say text='\\x'", "text"),
+        ("gimbal preceded replacement=☃", "replacement"),
+    ],
+)
+def test_an_order_that_makes_no_sense_here_names_its_key(bench: Bench, text, where):
+    with pytest.raises(ConfigError) as caught:
+        bench.order(text)
+    assert caught.value.where == where
+
+
+@pytest.mark.parametrize("kind", ["stall", "limit", "restart", "stop_short", "slip", "creep"])
+def test_a_fault_of_a_motion_waits_for_it(bench: Bench, kind):
+    prepare(order({"device": "tilt", "fault": kind, "skip": 2}), bench.parts)()
+    armed = bench.parts.axes["tilt"].axis._armed
+    assert armed is not None
+    assert (armed.kind, armed.skip) == (kind, 2)
+    assert bench.parts.axes["pan"].axis._armed is None
+
+
+@pytest.mark.parametrize("kind", [*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"])
+def test_a_fault_of_messages_waits_for_them(bench: Bench, kind):
+    prepare(order({"device": "gimbal", "fault": kind, "count": 3, "delay_s": 2}), bench.parts)()
+    (waiting,) = bench.parts.lines["gimbal"].faults
+    assert waiting == LineFault(kind, count=3, delay_s=2.0)
+    assert bench.parts.lines["light"].faults == ()

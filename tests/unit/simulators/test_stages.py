@@ -1,0 +1,98 @@
+"""Every kind of stage, built from one configuration, points where its own language says."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from simulators.config import bench_config
+from simulators.serial_device import Dialect
+from simulators.stages import Stage, make_stage
+from simulators.trajectory import Pointing
+from simulators.ximc import crc16
+
+
+class Built:
+    """A stage on a clock that the test turns, and where its axes point."""
+
+    def __init__(self, kind: str, **changes) -> None:
+        config = bench_config({"stage": {"kind": kind, "pan": {**changes}, "tilt": {}}})
+        self.now_s = 0.0
+        self.pointing: dict[str, Pointing] = {}
+        self.stage: Stage = make_stage(kind, config.axes, lambda: self.now_s, self.pointing.__setitem__)
+
+    def say(self, port: str, *messages: bytes) -> bytes:
+        """Say things one after the other, waiting long after each; the last answer."""
+        dialect: Dialect = self.stage.dialects[port]
+        said = b""
+        for message in messages:
+            said = dialect.receive(message)
+            for _ in range(100):
+                self.now_s += 0.2
+                said += dialect.unsolicited()
+        return said
+
+    def angles(self) -> dict[str, float]:
+        return {name: pointing.angle_deg(self.now_s) for name, pointing in self.pointing.items()}
+
+
+def ximc_move(counts: int) -> bytes:
+    data = struct.pack("<ih6x", counts // 256, counts % 256)
+    return b"move" + data + struct.pack("<H", crc16(data))
+
+
+def move_to_3_and_minus_2(kind: str, built: Built) -> None:
+    if kind == "zaber":
+        built.say("gimbal", b"/0 0 home\n", b"/1 1 move abs 19200\n/2 1 move abs -12800\n")
+    elif kind == "ximc":
+        built.say("gimbal-pan", b"home", b"zero", ximc_move(3 * 25_600))
+        built.say("gimbal-tilt", b"home", b"zero", ximc_move(-2 * 25_600))
+    elif kind == "grbl":
+        # Machine coordinates count from the switches, a degree above the upper limits.
+        built.say("gimbal", b"$H\n", b"G0 X-13 Y-13\n")
+    else:
+        built.say("gimbal", b"1MO;2MO;1OR;2OR\r", b"1PA3;2PA-2\r")
+
+
+@pytest.mark.parametrize("kind", ["zaber", "ximc", "grbl", "esp301"])
+def test_it_points_where_it_is_told(kind):
+    built = Built(kind)
+    assert built.angles() == pytest.approx({"pan": 2.4, "tilt": -1.7}, abs=1e-3)
+    move_to_3_and_minus_2(kind, built)
+    assert built.angles() == {"pan": 3.0, "tilt": -2.0}
+
+
+@pytest.mark.parametrize("kind", ["zaber", "ximc", "grbl", "esp301"])
+def test_its_controllers_turn_the_axes_they_are_named_for(kind):
+    built = Built(kind)
+    built.stage.controllers["tilt"].axis.push(
+        built.stage.controllers["tilt"].axis.mechanics.counts_per_deg, 0.0
+    )
+    built.now_s = 1.0
+    assert built.angles() == pytest.approx({"pan": 2.4, "tilt": -0.7}, abs=1e-3)
+    assert set(built.stage.ports.values()) == set(built.stage.dialects)
+
+
+@pytest.mark.parametrize(
+    ("kind", "home", "to_the_limit", "beyond", "limit_deg"),
+    [
+        ("zaber", b"/0 0 home\n", b"/1 1 move abs 64000\n", b"/1 1 move abs 64001\n", 10.0),
+        ("grbl", b"$H\n", b"G0 X-21\n", b"G0 X-21.01\n", -10.0),
+        ("esp301", b"1MO;1OR\r", b"1PA10\r", b"1PA10.001\r", 10.0),
+    ],
+)
+def test_its_soft_limits_are_those_of_the_configuration(kind, home, to_the_limit, beyond, limit_deg):
+    built = Built(kind, limit_deg=10)
+    built.say("gimbal", home, to_the_limit)
+    assert built.angles()["pan"] == limit_deg
+    built.say("gimbal", beyond)
+    assert built.angles()["pan"] == limit_deg
+
+
+@pytest.mark.parametrize(
+    ("kind", "notices"), [("zaber", True), ("ximc", True), ("grbl", False), ("esp301", True)]
+)
+def test_only_grbl_notices_no_stall(kind, notices):
+    built = Built(kind)
+    assert built.stage.controllers["pan"].axis.mechanics.stall_detection is notices
