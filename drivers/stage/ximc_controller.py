@@ -9,7 +9,7 @@ import struct
 import threading
 
 from drivers.clock import Clock
-from drivers.errors import ReplyError, ReplyGarbled
+from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled
 from drivers.link import Incoming, Link
 from drivers.serial_port import Port
 from drivers.stage import ximc_protocol
@@ -43,6 +43,8 @@ class XimcController:
 
     Raises
     ------
+    DeviceRefused
+        When it drives no stepper motor.
     ReplyError, PortLost
     """
 
@@ -50,6 +52,14 @@ class XimcController:
         self._link = Link(port, clock=clock, resynchronise=self._resynchronise, wire_log=wire_log)
         self._link.distrust()
         self.serial = self.read_serial()
+        layout = ximc_protocol.ENGINE_TYPE_LAYOUT
+        engine_type, _ = layout.unpack(self._get("gent", layout))
+        if engine_type != ximc_protocol.STEPPER:
+            raise DeviceRefused(
+                f"the controller drives no stepper motor (engine type {engine_type}); its units are others.",
+                where=self.name,
+                remedy="Use a stepper stage; this driver knows no other.",
+            )
         engine = ximc_protocol.ENGINE_LAYOUT.unpack(self._get("geng", ximc_protocol.ENGINE_LAYOUT))
         mode: int = engine[ximc_protocol.MICROSTEP_MODE]
         if not 1 <= mode <= 9:

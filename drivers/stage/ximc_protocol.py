@@ -208,6 +208,9 @@ class EdgeSettings:
 ENGINE_LAYOUT = struct.Struct("<HHIBHhBH12x")
 MICROSTEP_MODE = 6
 """Place of the step division mode in the data of ``geng``: n means 1/2^(n-1) step."""
+ENGINE_TYPE_LAYOUT = struct.Struct("<BB6x")
+STEPPER = 3
+"""Engine type of ``gent``; of other motors, positions are encoder counts and speeds revolutions a minute."""
 INFORMATION_LAYOUT = struct.Struct("<4s2s8sBBH12x")
 VERSION_LAYOUT = struct.Struct("<BBH")
 SERIAL_LAYOUT = struct.Struct("<I")

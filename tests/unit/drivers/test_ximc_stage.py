@@ -157,6 +157,12 @@ def test_a_speed_beyond_the_controller_is_refused(peers, clock) -> None:
         XimcStage(peers[:1], [fast], clock=clock)
 
 
+def test_a_motor_that_is_no_stepper_is_refused(peers, clock) -> None:
+    peers[1].engine_type = 1
+    with pytest.raises(DeviceRefused, match=r"no stepper motor \(engine type 1\)"):
+        XimcStage(peers, axes(), clock=clock)
+
+
 def test_a_setting_that_reads_back_otherwise_is_refused(peers, clock) -> None:
     answer = peers[0].answer
     peers[0].answer = lambda command, data: b"" if command == "smov" else answer(command, data)

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable
 
 WITH_DATA = {"move": 12, "smov": 24, "seds": 20}
-BARE = {"geti", "gser", "gfwv", "gets", "gmov", "geds", "geng", "home", "stop", "sstp", "zero"}
+BARE = {"geti", "gser", "gfwv", "gets", "gmov", "geds", "geng", "gent", "home", "stop", "sstp", "zero"}
 DIVISION = 256
 
 
@@ -28,6 +28,7 @@ class XimcPeer:
         self.name = name
         self.clock = clock
         self.serial = serial
+        self.engine_type = 3
         self.flags = 0
         self.command_state = 0
         self.start = self.goal = 700.0 * DIVISION
@@ -92,6 +93,8 @@ class XimcPeer:
                 return struct.pack("<4s2s8sBBH12x", b"XIMC", b"SM", b"8SMC5\0\0\0", 2, 3, 7)
             case "gfwv":
                 return struct.pack("<BBH", 4, 7, 1)
+            case "gent":
+                return struct.pack("<BB6x", self.engine_type, 2)
             case "geng":
                 return struct.pack("<HHIBHhBH12x", 0, 0, 5000, 0, 0, 0, 9, 200)
             case "gmov":
