@@ -41,8 +41,11 @@ AXIS_ERRORS = {
     10: "speed beyond its maximum",
     11: "acceleration beyond its maximum",
     13: "motor off",
-    17: "ESP stage error",
-    19: "homing aborted",
+    15: "jerk beyond its maximum",
+    17: "critical settings are protected",
+    18: "stage device error",
+    19: "the stage's data are invalid",
+    20: "homing aborted",
 }
 """The last two digits of an axis's error (the others are the axis number), in plain words."""
 

@@ -94,7 +94,7 @@ class EspPeer:
             case "OR", "1":
                 axis.go(0.0)
                 if not self.homes:
-                    self.errors.append((100 * number + 19, "HOMING ABORTED"))
+                    self.errors.append((100 * number + 20, "HOMING ABORTED"))
             case "PA", str():
                 self.move(number, float(value))
             case _, "?" if word in axis.values:
