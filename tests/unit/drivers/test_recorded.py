@@ -102,6 +102,18 @@ def test_one_long_file_is_taken_piece_after_piece(play, tmp_path):
         last_t = scan.last_t_us
 
 
+def test_a_file_exactly_as_long_as_asked_is_complete(play, tmp_path):
+    write(tmp_path / "long.raw", stream(40))
+    facts = play(tmp_path / "long.raw").record(tmp_path / "a.raw", 0.04)
+    assert (facts.complete, facts.duration_s) == (True, pytest.approx(0.04))
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_no_time_at_all_is_refused(play, folder, tmp_path, duration_s):
+    with pytest.raises(RecordingFailed, match="was asked for"):
+        play(folder).record(tmp_path / "a.raw", duration_s)
+
+
 def test_one_long_file_ends(play, tmp_path):
     write(tmp_path / "long.raw", stream(40))
     camera = play(tmp_path / "long.raw")
