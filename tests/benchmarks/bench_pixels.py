@@ -1,0 +1,110 @@
+"""Speed of the simulated sensor: CPU seconds for a simulated second, one thread, compilation excluded.
+
+The work: 1280 x 720, the star target in front of an f = 3345 px camera, contrast 10 : 1, thresholds of 25 %,
+60 Hz. Each figure is the best of some slices of one flicker period. Beside them stand those of published
+simulators on the same kind of work, measured once on a machine of the same class; they are not run here.
+
+    python tests/benchmarks/bench_pixels.py
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulators import optics
+from simulators.evt3_writer import Evt3Writer
+from simulators.pixels import Events, Sensor
+from simulators.truth import NOISE_LEVELS, NoiseTruth, Truth
+from simulators.world import LightState
+
+PERIOD_US = 1e6 / 60.0
+SLICES = 6
+BUSY = NoiseTruth(mismatch=0.12, background_hz=10.0, hot_share=2e-4, hot_hz=2000.0, reset_noise=0.01)
+
+PUBLISHED = (
+    ("ESIM, square, 10 000 frames/s", 56.0),
+    ("OpenEB simulator, square, 10 000 frames/s", 66.0),
+    ("v2e clean, square, 10 000 frames/s", 139.0),
+    ("IEBCS, square, 1000 and 10 000 frames/s", 120.0),
+    ("ESIM, sine, 5000 frames/s", 43.0),
+    ("OpenEB simulator, sine, 5000 frames/s", 32.0),
+    ("v2e noisy, sine, 10 000 frames/s", 417.0),
+    ("IEBCS, sine, 1000 frames/s", 224.0),
+)
+"""CPU seconds for a simulated second; none of them models the readout."""
+
+
+@dataclass
+class Figure:
+    name: str
+    cpu_s: float
+    events_s: float
+    events: Events
+
+    def __str__(self) -> str:
+        per_event = 1e9 * self.cpu_s / self.events_s
+        return (
+            f"{self.name:44s} {self.cpu_s:7.2f} s {self.events_s / 1e6:7.1f} Mev/s {per_event:6.1f} ns/event"
+        )
+
+
+def measure(name: str, picture: np.ndarray, waveform: str, noise: NoiseTruth) -> Figure:
+    """Best slice of one flicker period, scaled to a second."""
+    sensor = Sensor(noise=noise, camera_seed=1, seed=1)
+    light = LightState(waveform=waveform, output=True)
+    sensor.begin(picture, light, 0.3)
+    best, events = np.inf, None
+    for k in range(1, SLICES + 1):
+        begin = time.process_time()
+        events = sensor.run(k * PERIOD_US)
+        best = min(best, time.process_time() - begin)
+    return Figure(name, best * 60.0, len(events.t) * 60.0, events)
+
+
+def writing_speed(events: Events) -> float:
+    """Events written as EVT3 words in a CPU second."""
+    best = np.inf
+    for _ in range(5):
+        start = int(events.t[0]) // 16 * 16
+        writer = Evt3Writer(start)
+        begin = time.process_time()
+        writer.write(*events, until_us=int(events.t[-1]) + 1)
+        best = min(best, time.process_time() - begin)
+    return len(events.t) / best
+
+
+def main() -> None:
+    truth = Truth()
+    rotation = optics.pose_rotation({"pan": 1.0, "tilt": -1.0}, truth.optics)
+    optics.render(truth, rotation)
+    begin = time.process_time()
+    picture = optics.render(truth, rotation)
+    render_s = time.process_time() - begin
+    measure("", picture, "square", NOISE_LEVELS["none"]), measure("", picture, "sine", NOISE_LEVELS["none"])
+
+    print("CPU time for a simulated second, this simulator (readout, link and noise included)")
+    figures = [
+        measure("square, typical noise", picture, "square", NOISE_LEVELS["typical"]),
+        measure("square, 10 Hz background, 2e-4 hot pixels", picture, "square", BUSY),
+        measure("square, heavy noise (20 Hz, 5e-4)", picture, "square", NOISE_LEVELS["heavy"]),
+        measure("sine, typical noise, link full", picture, "sine", NOISE_LEVELS["typical"]),
+    ]
+    for figure in figures:
+        print(figure)
+    print("\npublished simulators, pixels only          CPU time   times this one's typical")
+    for name, cpu_s in PUBLISHED:
+        own = figures[3 if "sine" in name else 0].cpu_s
+        print(f"{name:44s} {cpu_s:7.1f} s {cpu_s / own:6.0f}")
+    writing_speed(figures[0].events)
+    square, sine = (writing_speed(figures[k].events) / 1e6 for k in (0, 3))
+    print(f"\nEVT3 writing: {square:.0f} Mev per CPU s (square), {sine:.0f} (sine)")
+    print(f"rendering a pose: {render_s:.2f} s")
+    print(f"peak memory of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()
