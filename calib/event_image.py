@@ -223,18 +223,9 @@ def make_images(
             remedy="Check light and aperture.",
         )
     inside = slice(first, last)
-    folded = fold(t[inside], p[inside], start, flicker.period_us)
-    on_gate, off_gate = (gate_of(h, start, flicker.period_us) for h in (folded[1], folded[0]))
-    maps = _Maps.blank(size)
-    wave = np.exp(2j * np.pi * (np.arange(FOLD_BINS) + 0.5) / FOLD_BINS)
-    answer = float(np.angle((folded[1] - folded[0]) @ wave)) / (2 * np.pi) * flicker.period_us
-    _accumulate(
-        t[inside], x[inside], y[inside], p[inside], flicker.period_us, start + answer, on_gate, off_gate, maps
-    )
+    maps, gates = _gather((t[inside], x[inside], y[inside], p[inside]), size, start, flicker.period_us)
     hot = _hot_pixels(maps.on_count + maps.off_count, 2 * whole)
-    facts = _facts(
-        maps, hot, (start, end, whole), (last - first, t.size - (last - first)), (on_gate, off_gate)
-    )
+    facts = _facts(maps, hot, (start, end, whole), (last - first, t.size - (last - first)), gates)
     return EventImages(
         last_polarity=maps.last_polarity,
         on_count=maps.on_count,
@@ -275,6 +266,20 @@ class _Maps(NamedTuple):
             np.zeros(shape, np.float32),
             np.zeros(shape, np.float32),
         )
+
+
+def _gather(
+    events: tuple[NDArray[Any], ...], size: tuple[int, int], start_us: float, period_us: float
+) -> tuple[_Maps, tuple[Gate, Gate]]:
+    """Find where in the period the bursts lie and when the image answers most, and fill the maps."""
+    t, x, y, p = events
+    off_rate, on_rate = fold(t, p, start_us, period_us)
+    gates = gate_of(on_rate, start_us, period_us), gate_of(off_rate, start_us, period_us)
+    wave = np.exp(2j * np.pi * (np.arange(FOLD_BINS) + 0.5) / FOLD_BINS)
+    answer_us = start_us + float(np.angle((on_rate - off_rate) @ wave)) / (2 * np.pi) * period_us
+    maps = _Maps.blank(size)
+    _accumulate(t, x, y, p, period_us, answer_us, *gates, maps)
+    return maps, gates
 
 
 @njit(cache=True, error_model="numpy")

@@ -66,6 +66,19 @@ class Flicker:
         """Frequency, Hz of the sensor's clock."""
         return 1e6 / self.period_us
 
+    def lag_us(self, other: Flicker) -> float:
+        """How much later this light rises than another, us, within half a period; for comparing two sources.
+
+        Examples
+        --------
+        >>> by_triggers = Flicker(1000.0, 250.0, 0.5, 0.0, 4, 0, 0, "triggers")
+        >>> by_events = Flicker(1001.0, 2240.0, 0.5, 0.0, 4, 0, 0, "events")
+        >>> by_events.lag_us(by_triggers)
+        -10.0
+        """
+        behind = self.phase_us - other.phase_us
+        return float(behind - other.period_us * np.round(behind / other.period_us))
+
     def rising_edges_us(self, start_us: float, end_us: float) -> NDArray[np.float64]:
         """Return the times of the rising edges in ``start_us <= t < end_us``, us.
 

@@ -41,6 +41,52 @@ class Numbering(NamedTuple):
         return np.asarray(nodes @ self.turn.T + self.shift, np.int64)
 
 
+def expected_grid(
+    matrix: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    centre_mm: NDArray[np.float64],
+    pitch_mm: float,
+) -> NDArray[np.float64]:
+    """Where a known collimator's grid of stars lies in the image of a known camera, for `number_by_pose`.
+
+    H = K [r1 r2 -R c] diag(p, p, 1); the lens's distortion is left out, a few pixels at most.
+
+    Parameters
+    ----------
+    matrix
+        (3, 3) K, px.
+    rotation
+        (3, 3) R, camera <- target.
+    centre_mm
+        (3,) c = (x, y, -r), mm.
+    pitch_mm
+        Distance of neighbouring stars, mm.
+
+    Returns
+    -------
+    (3, 3) from [column row 1] to [u v 1] px.
+    """
+    columns = np.column_stack([rotation[:, 0], rotation[:, 1], -rotation @ centre_mm])
+    return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)
+
+
+def turned_grid(
+    grid: NDArray[np.float64], matrix: NDArray[np.float64], turn: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Where the grid of stars lies after the camera has turned: H' = K dR K^-1 H.
+
+    Parameters
+    ----------
+    grid
+        (3, 3) homography of a view, from [column row 1] to [u v 1] px.
+    matrix
+        (3, 3) K, px; about right is enough for turns of some degrees.
+    turn
+        (3, 3) dR, new camera frame <- old camera frame.
+    """
+    return np.asarray(matrix @ turn @ np.linalg.inv(matrix) @ grid, np.float64)
+
+
 def number_by_pose(grown: Grown, expected: NDArray[np.float64], *, name: str) -> Numbering:
     """Number stars by where they should lie.
 

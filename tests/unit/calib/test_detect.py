@@ -10,6 +10,8 @@ import pytest
 
 from calib.detect import detect
 from calib.errors import InputMismatch, TargetNotFound, TooFewStars
+from calib.grid_map import apply_homography
+from calib.identity import expected_grid, turned_grid
 from calib.motion import half_windows, motion_between
 from calib.picture import to_uint8
 from calib.tag_seed import find_tag
@@ -207,6 +209,25 @@ def test_without_the_tag_the_expected_pose_names_the_stars(off, bright):
     scene, image = drawn(roll=61, shift=(390, 0))
     view = detect(image if bright else 1 - image, TARGET, expected=expected_homography(scene, off))
     check(view, scene, rms_px=0.008)
+
+
+def test_a_known_collimator_and_camera_tell_the_expected_grid():
+    scene = Scene(roll=61, shift=(390, 0), k=(0.0, 0.0))
+    centre = -scene.turn.T @ scene.shift
+    grid = expected_grid(scene.matrix, scene.turn, centre, TARGET.pitch_mm)
+    nodes = np.array([[20.0, 30.0], [25.0, 36.0], [28.0, 33.0]])
+    assert apply_homography(grid, nodes) == pytest.approx(scene.project(nodes * TARGET.pitch_mm), abs=1e-6)
+
+
+def test_a_view_and_a_turn_tell_the_expected_grid_of_another():
+    first, second = Scene(roll=10, k=(0, 0)), Scene(roll=35, tilts=(6, 1), k=(0, 0))
+    nodes = np.array([[20.0, 30.0], [25.0, 36.0], [28.0, 33.0]])
+    grid = expected_grid(first.matrix, first.turn, -first.turn.T @ first.shift, TARGET.pitch_mm)
+    turned = turned_grid(grid, first.matrix, second.turn @ first.turn.T)
+    # The camera turns about its own centre, which for this pair of scenes differs from the second one's.
+    at_first = np.column_stack([nodes * TARGET.pitch_mm, np.zeros(3)]) + first.turn.T @ first.shift
+    in_second = at_first @ second.turn.T @ second.matrix.T
+    assert apply_homography(turned, nodes) == pytest.approx(in_second[:, :2] / in_second[:, 2:], abs=1e-6)
 
 
 @pytest.mark.parametrize("off", [(0.5, 0.0), (0.1, -0.4)])
