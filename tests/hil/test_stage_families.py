@@ -83,7 +83,7 @@ def zaber(plug: Callable) -> Rig:
     }
     device, line = plug(ZaberChain(list(controllers.values()), time.monotonic))
 
-    def opened(serial: str = "100101") -> Stage:
+    def opened(serial: str = "100101", baudrate: int = 115200) -> Stage:
         axes = [
             ZaberAxis(
                 name=name,
@@ -94,7 +94,7 @@ def zaber(plug: Callable) -> Rig:
             )
             for number, name in ((1, "pan"), (2, "tilt"))
         ]
-        return ZaberStage.open(device.address, axes, clock=SystemClock())
+        return ZaberStage.open(device.address, axes, baudrate=baudrate, clock=SystemClock())
 
     return Rig(opened, [device], [line], {n: c.axis for n, c in controllers.items()}, controllers)
 
@@ -375,3 +375,9 @@ def test_an_unplugged_stage_is_lost_and_comes_back_without_moving(rig, homed) ->
     again.close()
     after = {name: axis.pointing.angle_deg(time.monotonic()) for name, axis in rig.axes.items()}
     assert after == pytest.approx(before, abs=1e-4)
+
+
+@pytest.mark.parametrize("rig", ["zaber"], indirect=True)
+def test_a_wrong_baud_rate_is_told_and_moves_nothing(rig) -> None:
+    assert isinstance(bounded(lambda: rig.open(baudrate=9600)), ReplyError)
+    assert rig.axes["pan"].pointing.angle_deg(time.monotonic()) == pytest.approx(STARTS["pan"], abs=1e-6)

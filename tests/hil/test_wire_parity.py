@@ -1,0 +1,169 @@
+"""What our drivers send is what the makers' own clients send, on the same simulated controllers."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.stage import AxisLimits, Stage
+from drivers.stage.esp import EspAxis, EspStage
+from drivers.stage.ximc import XimcAxis, XimcStage
+from drivers.stage.zaber import ZaberAxis, ZaberStage
+from simulators.axis_motion import Mechanics
+from simulators.esp301 import EspAxisModel, EspController
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+from simulators.ximc import XimcController, XimcModel
+from simulators.zaber import ZaberChain
+from simulators.zaber_controller import ZaberController, ZaberModel
+
+LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
+
+
+class Tap:
+    """A device on whose line somebody listens."""
+
+    def __init__(self, device) -> None:
+        self.device = device
+        self.heard: list[bytes] = []
+
+    @property
+    def baud(self) -> int:
+        return self.device.baud
+
+    def receive(self, data: bytes) -> bytes:
+        self.heard.append(data)
+        return self.device.receive(data)
+
+    def unsolicited(self) -> bytes:
+        return self.device.unsolicited()
+
+    def take(self) -> bytes:
+        heard, self.heard = b"".join(self.heard), []
+        return heard
+
+
+@contextmanager
+def line(device, folder: Path) -> Iterator[tuple[str, Tap]]:
+    tap = Tap(device)
+    with SerialDevice(PseudoTerminal(folder / "stage"), tap) as terminal:
+        yield terminal.address, tap
+
+
+def mechanics(counts_per_deg: float) -> Mechanics:
+    return Mechanics(counts_per_deg, -17.0, 17.0, start_deg=2.4)
+
+
+def ours(stage: Stage, tap: Tap, split: Callable[[bytes], set]) -> dict[str, set]:
+    """Return what each of our operations sends."""
+    told = {}
+    with closing(stage):
+        for name, act in {
+            "home": stage.home,
+            "move": lambda: stage.move_to({"pan": 5.0}),
+            "position": stage.position_deg,
+            "stop": stage.stop,
+        }.items():
+            tap.take()
+            act()
+            told[name] = split(tap.take())
+    return told
+
+
+def zaber_requests(data: bytes) -> set[bytes]:
+    """Requests without ids and checksums."""
+    return {re.sub(rb"^(/\d \d) \d\d", rb"\1", text)[:-3] for text in data.split(b"\n") if text}
+
+
+def test_zaber_requests_are_those_of_zaber_motion(tmp_path) -> None:
+    ascii_ = pytest.importorskip("zaber_motion.ascii", reason="the maker's client is not installed")
+    from zaber_motion import Library
+
+    Library.enable_device_db_store(str(tmp_path))
+    controller = ZaberController(ZaberModel(mechanics(6400), "100101", -96000, 96000), time.monotonic())
+    with line(ZaberChain([controller], time.monotonic), tmp_path) as (address, tap):
+        axis = ZaberAxis(name="pan", device=1, serial="", microsteps_per_deg=6400, limits=LIMITS)
+        told = ours(ZaberStage.open(address, [axis], clock=SystemClock()), tap, zaber_requests)
+        with ascii_.Connection.open_serial_port(address) as connection:
+            theirs = connection.get_device(1).get_axis(1)
+            for name, act, request in (
+                ("home", theirs.home, b"/1 1 home"),
+                ("move", lambda: theirs.move_absolute(32000), b"/1 1 move abs 32000"),
+                ("position", theirs.get_position, b"/1 1 get pos"),
+                ("stop", connection.stop_all, b"/0 0 stop"),
+            ):
+                tap.take()
+                act()
+                assert request in zaber_requests(tap.take())
+                assert request in told[name]
+
+
+def ximc_requests(data: bytes) -> set[bytes]:
+    """Motion commands and questions, with their data and checksums."""
+    return set(re.findall(rb"move.{14}|home|sstp|gets|gpos|zero", data, re.DOTALL))
+
+
+def test_ximc_requests_are_those_of_libximc(tmp_path) -> None:
+    ximc = pytest.importorskip("libximc.highlevel", reason="the maker's library is not installed")
+    controller = XimcController(XimcModel(mechanics(25600), 4242, -15.0, 15.0), time.monotonic)
+    with line(controller, tmp_path) as (address, tap):
+        axis = XimcAxis(name="pan", port=address, serial="", steps_per_deg=100.0, limits=LIMITS)
+        told = ours(XimcStage.open([axis], clock=SystemClock()), tap, ximc_requests)
+        theirs = ximc.Axis(f"xi-com://{address}")
+        theirs.open_device()
+        for name, act in {
+            "home": lambda: (theirs.command_home(), theirs.command_wait_for_stop(10), theirs.command_zero()),
+            "move": lambda: (theirs.command_move(500, 0), theirs.command_wait_for_stop(10)),
+            "position": theirs.get_status,
+            "stop": theirs.command_sstp,
+        }.items():
+            tap.take()
+            act()
+            sent = ximc_requests(tap.take())
+            assert sent
+            assert sent <= told[name]
+        theirs.close_device()
+
+
+def esp_requests(data: bytes) -> set[tuple[bytes, float | None]]:
+    """Commands and questions, numbers by their value."""
+    found = set()
+    for text in re.split(rb"[\r;]", data):
+        match = re.fullmatch(rb"(\d?[A-Z]{2}\??)(-?\d*\.?\d+)?", text.strip())
+        if match:
+            found.add((match[1].removesuffix(b"?"), float(match[2]) if match[2] else None))
+    return found
+
+
+@pytest.mark.filterwarnings("ignore:It is not known whether:FutureWarning")
+def test_esp_requests_are_those_of_pymeasure(tmp_path) -> None:
+    newport = pytest.importorskip("pymeasure.instruments.newport", reason="pymeasure is not installed")
+    from pymeasure.adapters import SerialAdapter
+
+    controller = EspController([EspAxisModel(mechanics(10_000.0), "1263", -15.0, 15.0)], time.monotonic)
+    with line(controller, tmp_path) as (address, tap):
+        axis = EspAxis(name="pan", number=1, serial="", limits=LIMITS)
+        told = ours(EspStage.open(address, [axis], clock=SystemClock()), tap, esp_requests)
+        adapter = SerialAdapter(
+            address, baudrate=19200, timeout=2.0, write_termination="\r", read_termination="\r\n"
+        )
+        theirs = newport.ESP300(adapter)
+        theirs.x.enable()
+        for name, act, request in (
+            ("home", lambda: theirs.x.home(1), (b"1OR", 1.0)),
+            ("move", lambda: theirs.x.write("PA5"), (b"1PA", 5.0)),
+            ("position", lambda: theirs.x.position, (b"1TP", None)),
+            ("position", lambda: theirs.x.motion_done, (b"1MD", None)),
+        ):
+            tap.take()
+            act()
+            time.sleep(0.3)
+            assert request in esp_requests(tap.take())
+            assert request in told[name]
+        adapter.close()
