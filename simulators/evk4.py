@@ -18,6 +18,7 @@ from typing import Any, Final
 from simulators.biases import ALLOWED, FACTORY, PixelSettings
 from simulators.event_filters import FILTERS
 from simulators.sensor_stream import CameraState, SensorStream
+from simulators.stream_faults import StreamFaults
 from simulators.world import World
 
 HEADER: Final = struct.Struct("<cI")
@@ -68,6 +69,7 @@ class SimulatedEvk4:
         self._serial = serial
         self._paced = paced
         self._repeats: dict[str, int] = {}
+        self.stream_faults = StreamFaults()
         self._closing = threading.Event()
         self._listener = socket.create_server((host, port))
         self._thread = threading.Thread(target=self._listen, name="simulated-evk4", daemon=True)
@@ -116,19 +118,31 @@ class SimulatedEvk4:
                     _send(link, b"N", _json({"event": "fault", "message": "Another host holds the camera."}))
                 link.close()
                 continue
-            self._connection = _Connection(link, self._world, self._serial, self._repeats, paced=self._paced)
+            self._connection = _Connection(
+                link, self._world, self._serial, self._repeats, self.stream_faults, paced=self._paced
+            )
+            # Only now: a host that has been answered must find the connection in its place.
+            self._connection.start()
 
 
 class _Connection:
     """One host's connection: a thread that answers, and one that streams between start and stop."""
 
     def __init__(
-        self, link: socket.socket, world: World, serial: str, repeats: dict[str, int], *, paced: bool
+        self,
+        link: socket.socket,
+        world: World,
+        serial: str,
+        repeats: dict[str, int],
+        faults: StreamFaults,
+        *,
+        paced: bool,
     ) -> None:
         self._link = link
         self._world = world
         self._serial = serial
         self._repeats = repeats
+        self._faults = faults
         self._paced = paced
         self._sending = threading.Lock()
         self._biases = dict(FACTORY)
@@ -137,6 +151,9 @@ class _Connection:
         self._stop = threading.Event()
         self._streamer: threading.Thread | None = None
         self._thread = threading.Thread(target=self._serve, name="simulated-evk4-host", daemon=True)
+
+    def start(self) -> None:
+        """Begin to answer."""
         self._thread.start()
 
     def is_open(self) -> bool:
@@ -151,7 +168,8 @@ class _Connection:
 
     def join(self) -> None:
         """Wait until the connection has ended."""
-        self._thread.join()
+        if self._thread.is_alive():
+            self._thread.join()
 
     def notify(self, message: str) -> None:
         """Send a fault notification; a host that has gone does not hear it."""
@@ -307,11 +325,12 @@ class _Connection:
         """Send frames of words until told to stop, each when the sensor has seen it."""
         stream = SensorStream(self._world, camera, self._repeats)
         while not self._stop.is_set():
-            frame = stream.next_frame()
+            frame = self._faults.carry(stream.next_frame())
             if self._paced and self._stop.wait(max(0.0, stream.covered_s - self._world.now_s())):
                 return
             try:
-                self._send(b"D", frame)
+                if frame:
+                    self._send(b"D", frame)
             except _HostGone:
                 return
 

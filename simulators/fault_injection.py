@@ -17,6 +17,7 @@ from simulators.faults import LIGHT_FAULTS, Order, Parameter
 from simulators.lamp import Lamp
 from simulators.line_faults import FaultLine, LineFault
 from simulators.serial_device import SerialDevice
+from simulators.stream_faults import StreamFault, StreamFaults
 
 
 class AxisController(Protocol):
@@ -54,6 +55,11 @@ class Light(Protocol):
 
 class Camera(Protocol):
     """What a fault needs of the camera."""
+
+    @property
+    def stream_faults(self) -> StreamFaults:
+        """The way its frames take."""
+        ...
 
     def unplug(self) -> None:
         """Break the connection."""
@@ -105,12 +111,22 @@ def prepare(one: Order, parts: Parts) -> Callable[[], None]:
     if one.device in parts.ports:
         return _on_port(one, parts)
     if one.device == "camera":
-        message = str(one.parameters.get("message", ""))
-        return parts.camera.unplug if one.fault == "unplug" else lambda: parts.camera.fault(message)
+        return _on_camera(one, parts.camera)
     if one.device in parts.axes:
         controller, port = parts.axes[one.device], parts.ports[parts.axis_ports[one.device]]
         return lambda: port.between_exchanges(lambda: _on_axis(one, controller, parts.clock()))
     raise ConfigError(f"This bench has no {one.device}.", where="device")
+
+
+def _on_camera(one: Order, camera: Camera) -> Callable[[], None]:
+    if one.fault == "unplug":
+        return camera.unplug
+    if one.fault == "fault":
+        return lambda: camera.fault(str(one.parameters["message"]))
+    if one.fault == "mend":
+        return camera.stream_faults.clear
+    fault = StreamFault(one.fault, int(one.parameters["skip"]), int(one.parameters["count"]))
+    return lambda: camera.stream_faults.inject(fault)
 
 
 def _on_port(one: Order, parts: Parts) -> Callable[[], None]:

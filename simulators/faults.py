@@ -16,6 +16,7 @@ from typing import Any, Final
 from simulators.errors import ConfigError
 from simulators.lamp import LAMP_FAULTS
 from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS
+from simulators.stream_faults import STREAM_FAULTS
 
 Parameter = float | int | str
 
@@ -96,6 +97,8 @@ LIGHT_FAULTS: Final[Mapping[str, Fault]] = {
 CAMERA_FAULTS: Final[Mapping[str, Fault]] = {
     "unplug": Fault("the camera goes away; it may be connected again", {}),
     "fault": Fault("the camera tells of a fault", {"message": "sensor fault"}),
+    **{name: Fault(what, {"skip": 0, "count": 1}) for name, what in STREAM_FAULTS.items()},
+    "mend": Fault("nothing more goes wrong with the camera's stream", {}),
 }
 
 

@@ -15,6 +15,7 @@ from simulators.lamp import Lamp
 from simulators.lights import make_light
 from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
 from simulators.stages import make_stage
+from simulators.stream_faults import StreamFaults
 from simulators.world import LightState
 
 
@@ -37,6 +38,7 @@ class Port:
 class Camera:
     def __init__(self) -> None:
         self.told: list[str] = []
+        self.stream_faults = StreamFaults()
 
     def unplug(self) -> None:
         self.told.append("unplugged")
@@ -156,6 +158,12 @@ def test_the_camera_hears_of_its_faults(bench: Bench):
     bench.order("camera unplug")
     bench.order("camera fault message='too hot'")
     assert bench.camera.told == ["unplugged", "too hot"]
+    bench.order("camera frames_lost skip=1 count=2")
+    assert [bench.camera.stream_faults.carry(b"ab") for _ in range(4)] == [b"ab", b"", b"", b"ab"]
+    bench.order("camera silence")
+    assert bench.camera.stream_faults.carry(b"ab") == b""
+    bench.order("camera mend")
+    assert bench.camera.stream_faults.carry(b"ab") == b"ab"
 
 
 @pytest.mark.parametrize(

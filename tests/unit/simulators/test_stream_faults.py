@@ -1,0 +1,55 @@
+"""What becomes of the camera's frames on their way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from simulators.errors import SimulatorError
+from simulators.stream_faults import StreamFault, StreamFaults
+
+FRAME = np.array([0x8123, 0x6001, 0x0010, 0x2005, 0x8005, 0x6002], "<u2")
+
+
+def carried(*faults: StreamFault, frames: int = 1) -> list[list[int]]:
+    way = StreamFaults()
+    for fault in faults:
+        way.inject(fault)
+    return [np.frombuffer(way.carry(FRAME.tobytes()), "<u2").tolist() for _ in range(frames)]
+
+
+WHOLE = FRAME.tolist()
+
+
+@pytest.mark.parametrize(
+    ("fault", "arrives"),
+    [
+        (StreamFault("frames_lost"), []),
+        (StreamFault("frame_cut"), WHOLE[:3]),
+        (StreamFault("frame_doubled"), WHOLE + WHOLE),
+        (StreamFault("frame_garbled"), [*WHOLE[:3], 0x9000, *WHOLE[4:]]),
+        (StreamFault("clock_back"), [0x8119, 0x6001, 0x0010, 0x2005, 0x8FFB, 0x6002]),
+    ],
+)
+def test_a_frame_is_spoilt_as_ordered(fault, arrives):
+    assert carried(fault) == [arrives]
+
+
+def test_frames_are_skipped_and_counted():
+    assert carried(StreamFault("frames_lost", skip=1, count=2), frames=4) == [WHOLE, [], [], WHOLE]
+
+
+@pytest.mark.parametrize("kind", ["clock_back", "silence"])
+def test_a_jump_of_the_clock_and_silence_last(kind):
+    first, *later = carried(StreamFault(kind), frames=5)
+    assert first != WHOLE
+    assert later == [first] * 4
+
+
+def test_a_good_way_changes_nothing():
+    assert carried(frames=2) == [WHOLE, WHOLE]
+
+
+def test_an_unknown_fault_is_refused():
+    with pytest.raises(SimulatorError, match="frames_lost"):
+        carried(StreamFault("hiccup"))
