@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
 from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit, summary
+from calib.imperfections import rung_of
 from calib.selection import choose
 from calib.view import View
 
@@ -47,7 +48,7 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     options = options or CalibrationOptions()
     _check(views, 1 if options.passport else 2)
     if options.passport:
-        return summary(fit(views, options, "spherical"))
+        return summary(fit(views, options, rung_of(options.passport.terms)))
     if options.model == "auto":
         return choose(views, options)
     return summary(fit(views, options, options.model))

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from calib import uncertainty
-from calib.bundle import Bundle, Prior
+from calib.bundle import Bundle
 from calib.collimator import CENTRE
 from calib.errors import DegenerateViews, PassportContradicted
 from calib.passport import Passport
@@ -33,7 +33,10 @@ def require_agreement(bundle: Bundle, state: State, loss: Loss, passport: Passpo
     PassportContradicted
         With both values, their uncertainties, and chi-square.
     """
-    free = replace(bundle, prior=_of_terms(passport))
+    spread = float((bundle.residuals(state) ** 2).mean())
+    names = (*state.camera.parameter_names, *state.collimator.parameter_names)
+    terms = passport.prior_of(passport.terms)
+    free = replace(bundle, names=names, prior=terms, noise_variance=spread)
     refined = refine(free, state, loss)
     if len(state.rotations) < 2 or not refined.converged:
         return
@@ -41,29 +44,19 @@ def require_agreement(bundle: Bundle, state: State, loss: Loss, passport: Passpo
         known = uncertainty.at_optimum(free, refined.state, loss)
     except DegenerateViews:
         return
-    names = [name for name in passport.names if name in CENTRE]
-    ours = [bundle.names.index(name) for name in names]
-    theirs = [passport.names.index(name) for name in names]
+    asked = [name for name in passport.names if name in CENTRE]
+    ours = [names.index(name) for name in asked]
     growth = max(known.disagreement if known.disagree else 1.0, passport.disagreement)
-    found, covariance = refined.state.values(names), growth**2 * known.covariance[np.ix_(ours, ours)]
-    stated, own = passport.values[theirs], passport.covariance[np.ix_(theirs, theirs)]
+    found, covariance = refined.state.values(asked), growth**2 * known.covariance[np.ix_(ours, ours)]
+    stated, own = np.array([passport.known[name] for name in asked]), passport.covariance_of(asked)
     off, together = found - stated, covariance + own
     chi_square = float(off @ np.linalg.solve(together, off))
-    if chi_square > stats.chi2.ppf(1.0 - _FALSE_ALARMS, len(names)):
+    if chi_square > stats.chi2.ppf(1.0 - _FALSE_ALARMS, len(asked)):
         worst = int(np.argmax(np.abs(off) / np.sqrt(np.diag(together))))
         raise PassportContradicted(
-            f"{names[worst]} is {stated[worst]:.2f} +- {np.sqrt(own[worst, worst]):.2f} mm there, but "
+            f"{asked[worst]} is {stated[worst]:.2f} +- {np.sqrt(own[worst, worst]):.2f} mm there, but "
             f"{found[worst]:.2f} +- {np.sqrt(covariance[worst, worst]):.2f} mm by these views "
-            f"(chi-square {chi_square:.0f} on {len(names)}).",
+            f"(chi-square {chi_square:.0f} on {len(asked)}).",
             where="collimator passport",
             remedy="Check that it is this collimator's, and that nothing was moved; or calibrate without it.",
         )
-
-
-def _of_terms(passport: Passport) -> Prior | None:
-    """Return what the passport knows of the imperfections alone."""
-    at = [passport.names.index(name) for name in passport.terms]
-    if not at:
-        return None
-    whole = np.linalg.inv(passport.prior().information)
-    return Prior(passport.terms, passport.values[at], np.asarray(np.linalg.inv(whole[np.ix_(at, at)])))

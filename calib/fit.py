@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calib import degeneracy, imperfections, uncertainty
 from calib.beam import Disc, visible_disc, within
-from calib.bundle import Bundle, Prior
+from calib.bundle import Bundle
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.camera import PINHOLE
 from calib.collimator import CENTRE
@@ -111,11 +111,11 @@ def begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tup
     """Return what the ideal model estimates, and where to begin."""
     h = np.array([fit_homography(view) for view in views])
     size, distortion = views[0].image_size, tuple(options.distortion)
-    centre = () if model == "planar" else CENTRE
+    held = options.passport.names if options.passport else ()
+    centre = [] if model == "planar" else [name for name in CENTRE if name not in held]
     observations = Observations.from_views(views)
     bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
     if options.passport:
-        bundle = replace(bundle, prior=options.passport.centre_prior())
         states = list(passport_states(h, size, distortion, options.passport))
     elif model == "planar":
         states = list(planar_states(h, size, distortion))
@@ -132,23 +132,22 @@ def _with_terms(
     options: CalibrationOptions,
     terms: tuple[str, ...],
 ) -> tuple[Bundle, State]:
-    """Add a collimator's imperfections, expressed about the ideal model's optimum or the passport's reference."""
+    """Add a collimator's imperfections, expressed about the ideal model's optimum; or those of the passport."""
     if options.passport:
         collimator = options.passport.collimator(start.collimator)
-        prior: Prior | None = options.passport.prior()
     else:
         ideal = refine(bundle, start, Loss("l2"), options.max_iterations).state.collimator
         collimator = replace(
             ideal, imperfections=dict.fromkeys(terms, 0.0), reference=(ideal.x, ideal.y, ideal.r)
         )
-        prior = imperfections.expected(terms)
+        names = (*bundle.names, *terms)
+        bundle = replace(bundle, names=names, prior=imperfections.expected(terms))
     assert collimator.reference is not None
     shifts = [
         displacements(view.target_mm, disc, collimator.reference, terms)
         for view, disc in zip(views, discs, strict=True)
     ]
-    bundle = replace(bundle, names=(*bundle.names, *terms), displacements=np.concatenate(shifts), prior=prior)
-    return bundle, replace(start, collimator=collimator)
+    return replace(bundle, displacements=np.concatenate(shifts)), replace(start, collimator=collimator)
 
 
 def refine_robustly(
@@ -164,34 +163,16 @@ def refine_robustly(
     refined = refine(bundle, start, loss, options.max_iterations)
     iterations = refined.iterations
     robust = options.loss != "l2" and given is None
-    for _ in range(_LIMIT_ROUNDS if robust or _has_priors(bundle) else 0):
+    for _ in range(_LIMIT_ROUNDS if robust or bundle.prior or bundle.drifts else 0):
         residuals = bundle.residuals(refined.state)
         spread = float(np.median(np.linalg.norm(residuals, axis=1)) / _RAYLEIGH_MEDIAN)
         if not spread > 0:
             break
         loss = Loss(options.loss, _LIMIT_SIGMAS * spread) if robust else loss
-        bundle = replace(bundle, noise_variance=_noise(bundle, refined.state, loss, options, spread))
+        bundle = replace(bundle, noise_variance=spread**2)
         refined = refine(bundle, refined.state, loss, options.max_iterations)
         iterations += refined.iterations
     return bundle, replace(refined, iterations=iterations), loss
-
-
-def _has_priors(bundle: Bundle) -> bool:
-    """Tell whether anything is weighed against the stars."""
-    return bundle.prior is not None or bundle.drifts
-
-
-def _noise(bundle: Bundle, state: State, loss: Loss, options: CalibrationOptions, spread: float) -> float:
-    """Return the variance that stars are weighed by against priors.
-
-    Against a passport, stars count by what views disagree on, here or when it was made: their noise alone would
-    let a model's small faults outweigh it.
-    """
-    if options.passport is None:
-        return spread**2
-    known = uncertainty.at_optimum(bundle, state, loss)
-    ratio = known.disagreement if known.disagree else 1.0
-    return known.variance_factor * max(ratio, options.passport.disagreement) ** 2
 
 
 def _checked(
@@ -222,7 +203,9 @@ def _checked(
     left_out = None
     if len(views) >= MIN_VIEWS and (leave_out or known.disagree):
         left_out = leave_one_out(bundle, state, loss)
-    if options.passport is None:
+    if options.passport:
+        known = uncertainty.with_passport(bundle, state, known, options.passport)
+    else:
         known = uncertainty.inflated(known, left_out)
     return Fit(model, views, bundle, refined, loss, known, left_out)
 
@@ -240,8 +223,8 @@ def summary(fitted: Fit) -> Calibration:
         collimator=None if fitted.model == "planar" else state.collimator,
         rotations=state.rotations,
         centres=state.centres,
-        parameter_names=bundle.names,
-        values=state.values(bundle.names),
+        parameter_names=fitted.known.names,
+        values=state.values(fitted.known.names),
         covariance=fitted.known.covariance,
         residuals_px=[misses[r] for r in rows],
         weights=[weights[r] for r in rows],
@@ -260,7 +243,7 @@ def summary(fitted: Fit) -> Calibration:
         iterations=fitted.refined.iterations,
         rotation_covariance=uncertainty.of_rotations(bundle, state, fitted.known),
         budget={
-            source: dict(zip(bundle.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
+            source: dict(zip(fitted.known.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
             for source, variances in fitted.known.budget.items()
         },
         notes=_notes(fitted),

@@ -58,6 +58,11 @@ LADDER: Mapping[str, tuple[str, ...]] = {
 }
 
 
+def rung_of(terms: Sequence[str]) -> str:
+    """Return the lowest rung of the ladder that has all the terms; the highest, if none has."""
+    return next((name for name, own in LADDER.items() if set(terms) <= set(own)), list(LADDER)[-1])
+
+
 def expected(terms: Sequence[str]) -> Prior | None:
     """Return what is assumed of coefficients beforehand; None when there are none."""
     if not terms:

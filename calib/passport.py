@@ -1,14 +1,15 @@
 """The collimator's passport: what is known of a collimator, to calibrate cameras with one to three views.
 
 Knows a Gaussian over the collimator's parameters and where it came from. Focal length and radius are nearly one
-parameter (correlation .998), so a radius known beforehand settles the focal length. Files are written and read
-elsewhere; here are plain numbers in and out.
+parameter (correlation .998), so a radius known beforehand settles the focal length. The passport's values are taken as
+they are, not estimated anew by one to three views that know less; their uncertainty enters that of the camera.
+Files are written and read elsewhere; here are plain numbers in and out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -94,17 +95,24 @@ class Passport:
         )
         return start.with_values(self.known)
 
-    def prior(self) -> Prior:
-        """Return it as a prior of the refinement."""
-        floor = np.diag((_FLOOR * np.maximum(np.abs(self.values), 1e-3)) ** 2)
-        return Prior(self.names, self.values, np.asarray(np.linalg.inv(self.covariance + floor)))
+    def only(self, names: Sequence[str]) -> Passport:
+        """Return what it knows of some of the parameters; those it does not know are passed over."""
+        kept = tuple(name for name in self.names if name in names)
+        values = np.array([self.known[name] for name in kept])
+        return replace(self, names=kept, values=values, covariance=self.covariance_of(kept))
 
-    def centre_prior(self) -> Prior:
-        """Return what it knows of x, y and r alone."""
-        at = [i for i, name in enumerate(self.names) if name in CENTRE]
-        whole = np.linalg.inv(self.prior().information)
-        names = tuple(self.names[i] for i in at)
-        return Prior(names, self.values[at], np.linalg.inv(whole[np.ix_(at, at)]))
+    def covariance_of(self, names: Sequence[str]) -> Array:
+        """Return the joint covariance of some of the parameters, in the order asked for."""
+        at = [self.names.index(name) for name in names]
+        return self.covariance[np.ix_(at, at)]
+
+    def prior_of(self, names: Sequence[str]) -> Prior | None:
+        """Return what it knows of some of the parameters as a prior of the refinement; None for no names."""
+        if not names:
+            return None
+        mean = np.array([self.known[name] for name in names])
+        floor = np.diag((_FLOOR * np.maximum(np.abs(mean), 1e-3)) ** 2)
+        return Prior(tuple(names), mean, np.asarray(np.linalg.inv(self.covariance_of(names) + floor)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, lists and names, ready for JSON."""

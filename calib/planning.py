@@ -20,11 +20,10 @@ from calib.imagined import Expectation, imagined_view
 from calib.infinity import ProjectionMap, uncertainty_map
 from calib.observations import Observations
 from calib.state import State
+from calib.uncertainty import considered, inverse_information
 from calib.view import View
 
 Array = NDArray[np.float64]
-
-_SINGULAR = 1e-13
 
 
 @dataclass(frozen=True)
@@ -67,8 +66,8 @@ def forecast(bench: Expectation, poses_deg: Sequence[Mapping[str, float]]) -> Fo
         When the poses will not constrain the camera.
     """
     views = [imagined_view(bench, pose, f"pose {i}") for i, pose in enumerate(poses_deg, start=1)]
-    information = _known_beforehand(bench) + sum(_information(bench, *view) for view in views)
-    covariance = _inverse(np.asarray(information))
+    information = sum((_information(bench, *view) for view in views), start=_nothing(bench))
+    covariance = _covariance(bench, information)
     names = _names(bench)
     sigma = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     return Forecast(sigma, covariance, _map(bench, covariance), tuple(len(view) for view, _ in views))
@@ -98,7 +97,7 @@ def next_poses(
     DegenerateViews
         When the candidates show too little to choose from.
     """
-    known = _known_beforehand(bench)
+    known = _nothing(bench)
     for pose in taken_deg:
         known = known + _information(bench, *imagined_view(bench, pose, "taken"))
     offered = []
@@ -132,27 +131,16 @@ def _information(bench: Expectation, view: View, rotation: Array) -> Array:
     return information
 
 
-def _known_beforehand(bench: Expectation) -> Array:
-    """Return what a passport tells of the shared parameters."""
-    names = _names(bench)
-    information = np.zeros((len(names), len(names)))
-    if bench.passport:
-        prior = bench.passport.centre_prior()
-        at = [names.index(name) for name in prior.names]
-        information[np.ix_(at, at)] = prior.information
-    return information
+def _nothing(bench: Expectation) -> Array:
+    """Return the information before any view."""
+    return np.zeros((len(_names(bench)), len(_names(bench))))
 
 
-def _inverse(information: Array) -> Array:
-    """Invert an information matrix of parameters of many magnitudes."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    scaled = information * np.outer(scale, scale)
-    eigenvalues = np.linalg.eigvalsh(scaled)
-    if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
-        raise DegenerateViews(
-            "These poses will not constrain the camera.", remedy="Add poses turned about other axes."
-        )
-    return np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale))
+def _covariance(bench: Expectation, information: Array) -> Array:
+    """Return the covariance of the shared parameters that information leaves, a passport's held."""
+    if bench.passport is None:
+        return inverse_information(information, _names(bench))
+    return considered(information, _names(bench), bench.passport.only(CENTRE))
 
 
 def _map(bench: Expectation, covariance: Array) -> ProjectionMap:
@@ -164,7 +152,7 @@ def _map(bench: Expectation, covariance: Array) -> ProjectionMap:
 def _worst(bench: Expectation, information: Array) -> float:
     """Return the worst projection uncertainty left; with too little told, how much is missing."""
     try:
-        return _map(bench, _inverse(information)).worst_px
+        return _map(bench, _covariance(bench, information)).worst_px
     except DegenerateViews:
         # Not solvable yet: the pose that tells the most directions is best, and any solvable one is better.
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))

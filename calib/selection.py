@@ -3,7 +3,8 @@
 Knows fits and what leaving views out shows of them. The reprojection error cannot choose: a richer model always has
 the smaller one. A camera is asked for directions, so the test is: with camera and centre held, how well does a
 rotation alone explain a view that had no part in the calibration? The simplest model wins that does about as well as
-the best.
+the best. Few views cannot spare one: left-out errors of two or three views extrapolate, and choosing by them scatters
+more than any model does. There, the Bayesian information criterion chooses a rung of the ladder.
 """
 
 from __future__ import annotations
@@ -18,19 +19,20 @@ from calib.calibration import Calibration, CalibrationOptions, Candidate
 from calib.errors import CalibrationError
 from calib.fit import Fit, fit, summary
 from calib.imperfections import LADDER
-from calib.resample import MIN_VIEWS
 from calib.view import View
 
 #: From the simplest; what all share comes first.
 MODELS = (*LADDER, "drift", "planar")
 #: A richer model must predict views better by this share to be worth its parameters.
 _WORTH = 0.03
+#: From this number of views on, leaving one out leaves enough to judge by.
+_ENOUGH_VIEWS = 6
 
 
 def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
     """Fit every model and return the simplest that predicts views left out about as well as the best.
 
-    With two views nothing can be left out; the spherical model is taken.
+    With fewer than 6 views: the rung of the ladder with the smallest information criterion.
 
     Raises
     ------
@@ -47,10 +49,11 @@ def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
             errors.append(error)
     if not fits:
         raise errors[0]
-    chosen = fits[0] if len(views) < MIN_VIEWS else _simplest_of_the_best(fits)
     candidates = tuple(candidate(one) for one in fits)
-    result = summary(chosen)
-    return replace(result, candidates=candidates, notes=(*result.notes, _reason(chosen, fits)))
+    few = len(views) < _ENOUGH_VIEWS
+    place = _by_criterion(candidates) if few else _by_prediction(candidates)
+    result, reason = summary(fits[place]), _reason(place, candidates, few=few)
+    return replace(result, candidates=candidates, notes=(*result.notes, reason))
 
 
 def candidate(fitted: Fit) -> Candidate:
@@ -61,29 +64,42 @@ def candidate(fitted: Fit) -> Candidate:
     mean_square = float((misses**2).mean())
     bic = misses.size * np.log(mean_square) + (shared + local) * np.log(misses.size)
     rms = float(np.sqrt(2.0 * mean_square))
-    return Candidate(fitted.model, shared + local, rms, _left_out(fitted), float(bic))
+    unseen = None if fitted.left_out is None else fitted.left_out.total_rms_px
+    return Candidate(fitted.model, shared + local, rms, unseen, float(bic))
 
 
-def _simplest_of_the_best(fits: Sequence[Fit]) -> Fit:
-    """Return the first that predicts within a few per cent of the best."""
-    predicted = [np.inf if one.left_out is None else one.left_out.total_rms_px for one in fits]
-    return next(one for one, rms in zip(fits, predicted, strict=True) if rms <= (1 + _WORTH) * min(predicted))
+def _by_prediction(candidates: Sequence[Candidate]) -> int:
+    """Return the first that predicts views left out within a few per cent of the best."""
+    predicted = [_predicted(one) for one in candidates]
+    return next(i for i, rms in enumerate(predicted) if rms <= (1 + _WORTH) * min(predicted))
 
 
-def _left_out(fitted: Fit) -> float | None:
-    """Return the rms residual of views left out, px."""
-    return None if fitted.left_out is None else fitted.left_out.total_rms_px
+def _by_criterion(candidates: Sequence[Candidate]) -> int:
+    """Return the rung of the ladder with the smallest information criterion; else the first model at hand."""
+    rungs = [i for i, one in enumerate(candidates) if one.model in LADDER]
+    return min(rungs or [0], key=lambda i: candidates[i].bic)
 
 
-def _reason(chosen: Fit, fits: Sequence[Fit]) -> str:
+def _predicted(one: Candidate) -> float:
+    """Return the rms residual of views left out, px; what was not measured loses every comparison."""
+    return np.inf if one.left_out_rms_px is None else one.left_out_rms_px
+
+
+def _reason(place: int, candidates: Sequence[Candidate], *, few: bool) -> str:
     """Say why a model was chosen, and what came next."""
-    if chosen.left_out is None:
-        return f"Two views cannot choose between models; the {chosen.model} one was taken."
-    others = [one for one in fits if one is not chosen and one.left_out is not None]
+    chosen = candidates[place]
+    others = [one for i, one in enumerate(candidates) if i != place]
+    if few:
+        text = f"The {chosen.model} model was chosen by its information criterion ({chosen.bic:.0f})"
+        rivals = [one for one in others if one.model in LADDER]
+        second = min(rivals, key=lambda one: one.bic, default=None)
+        return f"{text}; next is the {second.model} model ({second.bic:.0f})." if second else f"{text}."
     text = (
-        f"The {chosen.model} model was chosen: it predicts a view left out to {_left_out(chosen):.3f} px rms"
+        f"The {chosen.model} model was chosen: it predicts a view left out to {_predicted(chosen):.3f} px rms"
     )
-    if not others:
-        return f"{text}."
-    second = min(others, key=lambda one: _left_out(one) or np.inf)
-    return f"{text}; next is the {second.model} model with {_left_out(second):.3f} px."
+    second = min(others, key=_predicted, default=None)
+    return (
+        f"{text}; next is the {second.model} model with {_predicted(second):.3f} px."
+        if second
+        else f"{text}."
+    )

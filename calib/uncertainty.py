@@ -9,7 +9,7 @@ inflated - by the jackknife, and where there are few views by the Birge ratio at
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy import stats
 
 from calib.bundle import Bundle
 from calib.errors import DegenerateViews
+from calib.passport import Passport
 from calib.refine import Loss
 from calib.resample import LeftOut
 from calib.state import State
@@ -42,8 +43,10 @@ class Uncertainty:
 
     Attributes
     ----------
+    names
+        The parameters.
     covariance
-        (G, G), in the order of the bundle's names.
+        (G, G), in their order.
     variance_factor
         Estimated variance of a weighted residual component.
     degrees_of_freedom
@@ -58,6 +61,7 @@ class Uncertainty:
         (G,) variance of each parameter by source; the sources add up to the covariance's diagonal.
     """
 
+    names: tuple[str, ...]
     covariance: Array
     variance_factor: float
     degrees_of_freedom: int
@@ -99,10 +103,11 @@ def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
     factor = variance / float(slope) ** 2
     # Priors weigh noise_variance in these equations, so that is what the inverse is to be scaled by.
     scale = bundle.noise_variance if known else factor
-    covariance = scale * _inverse(equations.reduced(), bundle.names)
+    covariance = scale * inverse_information(equations.reduced(), bundle.names)
     ratio, views_freedom = _birge(bundle, state, loss, variance)
     limit = stats.f.ppf(1.0 - _FALSE_ALARMS, views_freedom, freedom) if views_freedom > 0 else np.inf
     return Uncertainty(
+        bundle.names,
         covariance,
         factor,
         freedom,
@@ -113,16 +118,74 @@ def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
     )
 
 
+def with_passport(bundle: Bundle, state: State, known: Uncertainty, passport: Passport) -> Uncertainty:
+    """Return the uncertainty of all parameters where a passport held some of them.
+
+    The stars count by what views disagree on, here or when the passport was made: their noise alone would let a
+    model's small faults pass for knowledge.
+    """
+    names = (*state.camera.parameter_names, *state.collimator.parameter_names)
+    whole = replace(bundle, names=names)
+    information = whole.normal_equations(state, whole.residuals(state)).reduced()
+    growth = max(known.disagreement if known.disagree else 1.0, passport.disagreement)
+    noise = known.variance_factor
+    stars, total = (considered(information / v, names, passport) for v in (noise, growth**2 * noise))
+    alone = considered(information / noise, names, replace(passport, covariance=0.0 * passport.covariance))
+    own = np.diag(alone)
+    return replace(
+        known,
+        names=names,
+        covariance=total,
+        budget={
+            "stars": own,
+            "disagreement of the views": np.diag(total) - np.diag(stars),
+            "passport of the collimator": np.diag(stars) - own,
+        },
+    )
+
+
+def considered(information: Array, names: Sequence[str], passport: Passport) -> Array:
+    """Return the covariance of all parameters, those of a passport held at its values.
+
+    With S the information, f the free and p the held parameters: a change of p moves f by -S_ff^-1 S_fp, so
+    cov_ff = S_ff^-1 + (S_ff^-1 S_fp) cov_p (S_ff^-1 S_fp)^T.
+
+    Parameters
+    ----------
+    information
+        (G, G) what the views tell of all parameters.
+    names
+        The parameters.
+    passport
+        Its names are the held ones.
+
+    Raises
+    ------
+    DegenerateViews
+        When the views leave a free parameter free.
+    """
+    held = [list(names).index(name) for name in passport.names]
+    free = [i for i in range(len(names)) if i not in held]
+    own = inverse_information(information[np.ix_(free, free)], [names[i] for i in free])
+    answer = -own @ information[np.ix_(free, held)]
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(free, free)] = own + answer @ passport.covariance @ answer.T
+    covariance[np.ix_(free, held)] = answer @ passport.covariance
+    covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
+    covariance[np.ix_(held, held)] = passport.covariance
+    return covariance
+
+
 def of_rotations(bundle: Bundle, state: State, known: Uncertainty) -> Array:
     """Return (3 n, 3 n) the joint covariance of all views' rotations, rad^2, turns on the camera's side.
 
     What the stars of each view leave, and what all share through the camera and the collimator.
     """
-    residuals = bundle.residuals(state)
-    equations = bundle.normal_equations(state, residuals)
+    whole = replace(bundle, names=known.names)
+    equations = whole.normal_equations(state, whole.residuals(state))
     growth = known.disagreement if known.disagree else 1.0
     inverse = np.linalg.inv(equations.local)
-    answer = -(inverse @ np.swapaxes(equations.coupling, 1, 2))[:, :3].reshape(-1, len(bundle.names))
+    answer = -(inverse @ np.swapaxes(equations.coupling, 1, 2))[:, :3].reshape(-1, len(known.names))
     joint = answer @ known.covariance @ answer.T
     for i, own in enumerate(inverse[:, :3, :3]):
         joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += growth**2 * known.variance_factor * own
@@ -181,8 +244,14 @@ def _birge(bundle: Bundle, state: State, loss: Loss, variance: float) -> tuple[f
     return (total / freedom / variance, freedom) if freedom > 0 and variance > 0 else (1.0, 0)
 
 
-def _inverse(information: Array, names: tuple[str, ...]) -> Array:
-    """Invert the reduced information; name the parameter that it leaves free, if it does."""
+def inverse_information(information: Array, names: Sequence[str]) -> Array:
+    """Return the covariance that information on named parameters leaves.
+
+    Raises
+    ------
+    DegenerateViews
+        When it leaves a parameter free; names it.
+    """
     diagonal = np.diag(information)
     if not (diagonal > 0).all():
         free = names[int(np.argmin(diagonal))]

@@ -7,7 +7,7 @@ from calib.calibrate import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
 
 AUTO = CalibrationOptions(model="auto", loss="l2")
-POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130))
+POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130), (0, 1, 75))
 
 
 def by_model(result):
@@ -22,7 +22,7 @@ def test_an_ideal_collimator_is_spherical(bench):
     assert spherical.left_out_rms_px == result.left_out_rms_px
     assert spherical.left_out_rms_px < planar.left_out_rms_px
     assert spherical.bic < planar.bic
-    assert (spherical.parameters, planar.parameters) == (9 + 15, 6 + 30)
+    assert (spherical.parameters, planar.parameters) == (9 + 18, 6 + 36)
     assert any("spherical model was chosen" in note for note in result.notes)
 
 
@@ -39,7 +39,7 @@ def test_a_collimator_out_of_focus_is_recognised_and_its_camera_found(defocused)
 
 def test_a_wandering_centre_is_worse_for_the_spherical_model(bench):
     rng = np.random.default_rng(42)
-    centres = np.array(bench.centre) + rng.normal(scale=[4.0, 4.0, 8.0], size=(5, 3))
+    centres = np.array(bench.centre) + rng.normal(scale=[4.0, 4.0, 8.0], size=(6, 3))
     result = calibrate(bench.views(rng, 0.05, poses=POSES, centres=centres), AUTO)
     spherical, planar = by_model(result)["spherical"], by_model(result)["planar"]
     assert planar.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
@@ -47,11 +47,18 @@ def test_a_wandering_centre_is_worse_for_the_spherical_model(bench):
     assert planar.bic < spherical.bic
 
 
-def test_two_views_take_the_spherical_model_and_say_so(bench):
-    result = calibrate(bench.views(np.random.default_rng(43), 0.05)[:2], AUTO)
+@pytest.mark.parametrize("count", [2, 3])
+def test_few_views_of_an_ideal_collimator_are_spherical_by_their_information_criterion(bench, count):
+    result = calibrate(bench.views(np.random.default_rng(43), 0.05)[:count], AUTO)
     assert result.model == "spherical"
-    assert "Two views cannot choose" in result.notes[-1]
-    assert all(candidate.left_out_rms_px is None for candidate in result.candidates)
+    assert "information criterion" in result.notes[-1]
+
+
+def test_few_views_of_a_collimator_out_of_focus_tell_it_too(defocused):
+    bench, views = defocused
+    result = calibrate(views[:4], AUTO)
+    assert result.model == "pupil"
+    assert result.camera.fx == pytest.approx(bench.fx, abs=4 * result.sigma["fx"])
 
 
 def test_when_no_model_fits_the_first_reason_is_given(bench):
