@@ -6,6 +6,7 @@ One recording of the simulated bench, from light to stars, passes through all of
 from __future__ import annotations
 
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -15,7 +16,11 @@ from bench.devices import Devices
 from bench.measure import measure
 from bench.station import load_station
 from drivers.camera import CameraSettings
+from drivers.errors import RecordingFailed
 from drivers.light import LightSettings
+
+_DURATION_S = 0.051
+_ATTEMPTS = 5
 
 
 def warm_up() -> int:
@@ -33,8 +38,7 @@ def warm_up() -> int:
         devices.light.apply(LightSettings())
         devices.light.on()
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "warm-up.raw"
-            devices.camera.record(path, 0.051)
+            path = _recorded(devices, Path(folder))
             found = measure(
                 path,
                 name="warm-up",
@@ -47,6 +51,17 @@ def warm_up() -> int:
         devices.make_safe()
         devices.close()
     return found.stars
+
+
+def _recorded(devices: Devices, folder: Path) -> Path:
+    """Record, however long the kernels take to be compiled: a slow machine outlasts the driver's patience."""
+    *tries, last = (folder / f"warm-up-{number}.raw" for number in range(_ATTEMPTS))
+    for path in tries:
+        with suppress(RecordingFailed):
+            devices.camera.record(path, _DURATION_S)
+            return path
+    devices.camera.record(last, _DURATION_S)
+    return last
 
 
 if __name__ == "__main__":
