@@ -15,6 +15,7 @@ import click
 
 from bench import __version__
 from bench.cli_engine import ENGINE_COMMANDS
+from bench.cli_runs import RUN_COMMANDS
 from bench.errors import UsageError
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")

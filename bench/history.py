@@ -5,7 +5,9 @@ Names every event a run writes and what each carries; knows no devices and no fi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -21,7 +23,7 @@ class Event(StrEnum):
     RUN_STARTED = "run_started"
     """First line: id, seed, sequence and station names with the SHA-256 of their files, software, operator."""
     RUN_RESUMED = "run_resumed"
-    """A process took the run up again; carries what the run folder looked like (RecoveryNotes)."""
+    """A process took the run up again; with ``crash`` where the one before had crashed by itself."""
     DEVICES = "devices"
     """Who the devices said they are."""
     ENTERING = "entering"
@@ -44,10 +46,18 @@ class Event(StrEnum):
     """What a crash had left of the run folder (RecoveryNotes)."""
     ANSWERED = "answered"
     """An operator's (or the default) answer to a prompt."""
+    COMMANDED = "commanded"
+    """An operator's command (`bench.control`): its id and word, by whom, and whether and why not it was taken."""
+    POSE_SKIPPED = "pose_skipped"
+    """A pose that will not be recorded any more, and why; a deviation."""
     DEVIATION = "deviation"
     """Something went otherwise than the script says; printed in the report."""
     RUN_ENDED = "run_ended"
-    """Last line: finished, aborted or failed, and why."""
+    """Last line: finished, aborted or failed, and why; ``crashed`` where nobody had foreseen it."""
+
+
+_POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
+"""States in which a pose is at work."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +91,17 @@ class History:
     deviations: list[str] = field(default_factory=list)
     resumed: int = 0
     ended: str = ""
+    why: str = ""
+    at_pose: int | None = None
+    """The pose at work, if any; its number stays while the camera settles there."""
+    crashes: dict[int, int] = field(default_factory=dict)
+    """How often the process crashed by itself while a pose was at work, by pose index."""
+    to_skip: dict[int, str] = field(default_factory=dict)
+    """Poses that an operator wants skipped, and who."""
+    skipped: dict[int, str] = field(default_factory=dict)
+    """Poses that are skipped, and why."""
+    holder: str = ""
+    """Who holds the run; empty while nobody does."""
 
     def accepted(self) -> dict[int, Attempt]:
         """The accepted recording of each pose that has one, by pose index."""
@@ -106,10 +127,18 @@ class RunLog:
     def __init__(self, journal: Journal) -> None:
         self.journal = journal
         self.history = replay(journal.entries)
+        self._lock = threading.RLock()
+
+    @contextmanager
+    def held(self) -> Iterator[History]:
+        """Keep other threads from telling anything meanwhile: to decide on what has happened, and tell it."""
+        with self._lock:
+            yield self.history
 
     def tell(self, event: Event, **data: Any) -> None:
         """Write one line; when this returns it lasts, and ``history`` knows it. Raises StorageError."""
-        _take(self.history, self.journal.append(event, **data))
+        with self._lock:
+            _take(self.history, self.journal.append(event, **data))
 
 
 def replay(entries: Iterable[Entry]) -> History:
@@ -139,25 +168,52 @@ def _take(history: History, entry: Entry) -> None:
             history.started, history.started_utc = data, entry.utc
         case Event.RUN_RESUMED:
             history.resumed += 1
-            history.ended = ""
+            history.ended = history.why = history.holder = ""
+            count_crash(history, data.get("crash"))
         case Event.DEVICES:
             history.devices = data
         case Event.ENTERING:
             history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
+            history.at_pose = data.get("pose", history.at_pose) if data["state"] in _POSE_STATES else None
         case Event.STEP_DONE:
             history.done_steps.add(int(data["step"]))
         case Event.DEVIATION:
             history.deviations.append(str(data["what"]))
+        case Event.COMMANDED:
+            _obey(history, data)
+        case Event.POSE_SKIPPED:
+            history.skipped[int(data["pose"])] = str(data["what"])
+            history.deviations.append(str(data["what"]))
         case Event.ATTEMPT_LOST:
             history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
         case Event.RUN_ENDED:
-            history.ended = str(data["how"])
+            history.ended, history.why, history.holder = str(data["how"]), str(data["why"]), ""
+            count_crash(history, data.get("crashed"))
         case Event.ATTEMPT_CHECKED:
             _check(history, data)
         case Event.CAPTURE_STORED:
             history.attempts.append(
                 Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), data)
             )
+
+
+def count_crash(history: History, crash: object) -> None:
+    """Count a crash against the pose that was at work, and forget that pose: this process is not at it."""
+    if crash and history.at_pose is not None:
+        history.crashes[history.at_pose] = history.crashes.get(history.at_pose, 0) + 1
+    history.at_pose = None
+
+
+def _obey(history: History, data: Mapping[str, Any]) -> None:
+    if not data["taken"]:
+        return
+    match data["word"]:
+        case "hold":
+            history.holder = str(data["by"])
+        case "release":
+            history.holder = ""
+        case "skip":
+            history.to_skip[int(data["pose"])] = str(data["by"])
 
 
 def _check(history: History, data: Mapping[str, Any]) -> None:

@@ -9,29 +9,40 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, TextIO
 
 from bench.clock import BenchClock
+from bench.control import remove_inbox
+from bench.crash_log import crash_log, put_away, read_crash
 from bench.devices import Devices
 from bench.errors import BenchError, RunFolderError
-from bench.history import Event, replay
+from bench.history import Event, History, replay
 from bench.job import Job
-from bench.journal import Journal
+from bench.journal import Entry, Journal, read_journal
 from bench.keys import ensure_key, home_folder
 from bench.plan import Plan
 from bench.progress import Progress
 from bench.result import Outcome, software
-from bench.run_folder import REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY, RunFolder
+from bench.resumption import intentions
+from bench.run_folder import (
+    JOURNAL,
+    PLAN,
+    REPORT,
+    RESULTS,
+    SEQUENCE_COPY,
+    STATION_COPY,
+    RunFolder,
+    refuse_unresumable,
+)
 from bench.runner import RunEnd, Runner
 from bench.seal import seal
 from bench.signals import stop_on_signals
 from drivers.wire_log import WireLogFile
 
-PLAN = "plan.json"
 WIRE_LOG = "wire.jsonl"
 
 AskPassphrase = Callable[[Path], bytes]
@@ -115,7 +126,7 @@ def start_run(
 
 
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
-    """Take up a run that was aborted, failed, killed or cut off.
+    """Take up a run that was aborted, failed, killed or cut off; say first what will be done.
 
     What is stored stays; the step at which it stopped is done again, after the move it stands on.
 
@@ -134,22 +145,44 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
         ) as journal,
     ):
-        history = replay(journal.entries)
-        if not history.started:
-            raise RunFolderError(
-                "This run was cut off before it began.", where=str(folder.path), remedy="Start it anew."
-            )
-        _refuse_changed(folder.path, history.started["sha256"])
-        job = Job.from_files(
-            str(folder.path / SEQUENCE_COPY),
-            str(folder.path / STATION_COPY),
-            seed=history.started["seed"],
-            operator=history.started["operator"],
-        )
+        job, history = _job_of(folder.path, journal.entries)
+        crash = read_crash(folder.path)
+        put_away(folder)
         if history.ended == "finished":
             return _seal_finished(folder, journal, launch)
-        journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software())
-        return _run_and_seal(job, folder, journal, launch)
+        said = {"crash": crash} if crash else {}
+        journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **said)
+        return _run_and_seal(job, folder, journal, launch, say_first=intentions(job, history, crash))
+
+
+def read_intentions(folder_path: Path) -> list[str]:
+    """Say what resuming a run would do, a line each; nothing is changed.
+
+    Raises
+    ------
+    RunFolderError, JournalBroken, ScriptError
+        As ``resume_run``.
+    """
+    refuse_unresumable(folder_path)
+    job, history = _job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
+    return intentions(job, history, read_crash(folder_path))
+
+
+def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
+    """Make the task of a run again from the files it was begun with, and what has happened so far."""
+    history = replay(entries)
+    if not history.started:
+        raise RunFolderError(
+            "This run was cut off before it began.", where=str(folder), remedy="Start it anew."
+        )
+    _refuse_changed(folder, history.started["sha256"])
+    job = Job.from_files(
+        str(folder / SEQUENCE_COPY),
+        str(folder / STATION_COPY),
+        seed=history.started["seed"],
+        operator=history.started["operator"],
+    )
+    return job, history
 
 
 def default_folder(plan: Plan, now: datetime) -> Path:
@@ -159,7 +192,9 @@ def default_folder(plan: Plan, now: datetime) -> Path:
     return Path("runs") / f"{now:%Y%m%d-%H%M%S}-{name}"
 
 
-def _run_and_seal(job: Job, folder: RunFolder, journal: Journal, launch: Launch) -> RunEnd:
+def _run_and_seal(
+    job: Job, folder: RunFolder, journal: Journal, launch: Launch, *, say_first: Iterable[str] = ()
+) -> RunEnd:
     clock = launch.clock
     key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
     wire_log = WireLogFile(folder.path / WIRE_LOG)
@@ -171,7 +206,10 @@ def _run_and_seal(job: Job, folder: RunFolder, journal: Journal, launch: Launch)
     with progress, stop_on_signals(clock.request_stop):
         if key.created:
             progress.say(f"A signing key for this bench was made: {key.fingerprint}; see `starbench keys`.")
-        end = Runner(job, folder, journal, open_devices, clock, progress).run()
+        for line in say_first:
+            progress.say(line)
+        with crash_log(folder.path):
+            end = Runner(job, folder, journal, open_devices, clock, progress).run()
         wire_log.close()
         if end.how == "finished":
             journal.close()
@@ -183,6 +221,7 @@ def _seal_finished(folder: RunFolder, journal: Journal, launch: Launch) -> RunEn
     """Seal a run that was cut off between its last line and its seal."""
     key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
     journal.close()
+    remove_inbox(folder.path)
     results: dict[str, Any] = json.loads((folder.path / RESULTS).read_text(encoding="utf-8"))
     seal(folder, key)
     return RunEnd("finished", "", folder.path, Outcome(results, folder.path / REPORT))

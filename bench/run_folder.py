@@ -13,6 +13,7 @@ import fcntl
 import os
 import re
 import shutil
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -35,12 +36,14 @@ JOURNAL = "journal.jsonl"
 SEQUENCE_COPY = "sequence.yaml"
 STATION_COPY = "station.yaml"
 """The files a run was begun with, byte for byte."""
+PLAN = "plan.json"
 RESULTS = "results.json"
 REPORT = "report.html"
 QUARANTINE = "quarantine"
 SIGNATURE = "SHA256SUMS.sig"
 _RESERVE = ".reserve"
 _RESERVE_BYTES = 256 * 1024
+_LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
 _PART = ".part"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _DEVICE_NAMES = {"con", "prn", "aux", "nul"} | {f"{d}{n}" for d in ("com", "lpt") for n in range(1, 10)}
@@ -84,6 +87,25 @@ class RecoveryNotes:
 def is_sealed(path: Path) -> bool:
     """Whether a run folder carries a signature."""
     return (path / SIGNATURE).exists()
+
+
+def is_worked_on(path: Path) -> bool:
+    """Whether a process holds a run folder at this moment. Leaves no trace there.
+
+    Raises
+    ------
+    StorageError
+        When the folder cannot be read.
+    """
+    with storing(path):
+        probe = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(probe, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        finally:
+            os.close(probe)
+    return False
 
 
 class RunFolder:
@@ -136,20 +158,7 @@ class RunFolder:
             No permission, or no space.
         """
         path = path.absolute()
-        if not path.is_dir():
-            raise RunFolderError("There is no such run folder.", where=str(path), remedy="Check the path.")
-        if not (path / JOURNAL).is_file():
-            raise RunFolderError(
-                f"This is not a run folder: it has no {JOURNAL}.",
-                where=str(path),
-                remedy="Name the folder a run was written to.",
-            )
-        if is_sealed(path):
-            raise RunFolderError(
-                "This run is finished and sealed.",
-                where=str(path),
-                remedy="A sealed run is never changed; start a new one, or check it with `starbench verify`.",
-            )
+        refuse_unresumable(path)
         lock = _hold(path)
         try:
             if not (path / _RESERVE).exists():  # given back when the disk was full
@@ -244,7 +253,7 @@ class RunFolder:
         if not part.exists():
             return None
         with storing(part):
-            return str(self._set_aside(part).relative_to(self.path))
+            return str(self.set_aside(part).relative_to(self.path))
 
     def recover(self, journal: Journal) -> RecoveryNotes:
         """Put a folder in order after a crash: what is whole and told stays, all else is set aside.
@@ -268,7 +277,7 @@ class RunFolder:
                 state = _state_of(path, told.get(name))
                 found[state].append(name)
                 if state != "intact":
-                    self._set_aside(path)
+                    self.set_aside(path)
         return RecoveryNotes(
             intact=tuple(told[name] for name in found["intact"]),
             missing=tuple(sorted(set(told) - set(found["intact"]) - set(found["changed"]))),
@@ -306,7 +315,8 @@ class RunFolder:
                 )
         return self.path.joinpath(*parts)
 
-    def _set_aside(self, path: Path) -> Path:
+    def set_aside(self, path: Path) -> Path:
+        """Move what cannot be vouched for to ``quarantine/``, never over another; return its place. Raises OSError."""
         aside = self.path / QUARANTINE
         make_folder(aside)
         number = 1
@@ -328,11 +338,29 @@ def _state_of(path: Path, capture: Capture | None) -> str:
     return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
 
 
+def refuse_unresumable(path: Path) -> None:
+    """Refuse a folder with no run in it that could go on. Raises RunFolderError."""
+    if not path.is_dir():
+        raise RunFolderError("There is no such run folder.", where=str(path), remedy="Check the path.")
+    if not (path / JOURNAL).is_file():
+        raise RunFolderError(
+            f"This is not a run folder: it has no {JOURNAL}.",
+            where=str(path),
+            remedy="Name the folder a run was written to.",
+        )
+    if is_sealed(path):
+        raise RunFolderError(
+            "This run is finished and sealed.",
+            where=str(path),
+            remedy="A sealed run is never changed; start a new one, or check it with `starbench verify`.",
+        )
+
+
 def _hold(path: Path) -> int:
     with storing(path):
         lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _lock_exclusively(lock)
     except OSError as error:
         os.close(lock)
         if error.errno not in {errno.EWOULDBLOCK, errno.EACCES}:
@@ -343,6 +371,16 @@ def _hold(path: Path) -> int:
             remedy="Wait for it to end, or stop it.",
         ) from error
     return lock
+
+
+def _lock_exclusively(descriptor: int) -> None:
+    """Take the lock; tried again for a moment, since whoever asks whether it is held touches it (is_worked_on)."""
+    for _ in range(_LOCK_TRIES - 1):
+        with suppress(BlockingIOError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        time.sleep(_LOCK_PAUSE_S)
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _refuse_occupied(path: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.clock import Aborted, BenchClock
+from bench.control import Inbox
 from bench.devices import Devices
 from bench.errors import BenchError, PoseFailed, StorageError
 from bench.history import Event, RunLog
@@ -20,6 +21,7 @@ from bench.journal import Journal
 from bench.machine import RunMachine
 from bench.progress import Progress
 from bench.result import Outcome
+from bench.resumption import crash_looped, ground, remaining, steps_of_pose
 from bench.run_folder import RunFolder
 from bench.state_work import StateWork
 from calib.errors import CalibrationError
@@ -106,6 +108,8 @@ class Runner:
         self._progress = progress
         self._work = StateWork(job, folder, self._log, open_devices, clock, progress.say)
         self._machine = RunMachine(self._work.table(), self._tell)
+        names = {pose.index: pose.name for pose in job.plan.poses}
+        self._inbox = Inbox(folder.path, self._log, names, clock)
 
     def run(self) -> RunEnd:
         """Do every step not yet done.
@@ -121,14 +125,15 @@ class Runner:
             Only what nobody foresaw; the bench is safe even then.
         """
         try:
-            self._work_through()
+            with self._inbox:
+                self._work_through()
             self._log.tell(Event.RUN_ENDED, how="finished", why="")
         except Aborted as stop:
             return self._end_early("aborted", stop.reason, "abort_done")
         except _FORESEEN as error:
             return self._end_early("failed", str(error), "fail")
         except BaseException as error:
-            self._end_early("failed", f"unforeseen: {type(error).__name__}: {error}", "fail")
+            self._end_early("failed", f"unforeseen: {type(error).__name__}: {error}", "fail", crashed=True)
             raise
         finally:
             with self._clock.shielded():
@@ -137,27 +142,33 @@ class Runner:
         return RunEnd("finished", "", self._folder.path, self._work.results.outcome, self._work.unsafe)
 
     def _work_through(self) -> None:
-        if self._log.history.resumed:
+        history = self._log.history
+        if history.resumed:
             self._machine.fire("recover")
             self._check_what_was_stored()
-        steps = self._remaining()
+            for pose_index, why in crash_looped(history).items():
+                self._skip(pose_index, why)
+        steps = remaining(self._job.steps, history.done_steps)
         if any(isinstance(step, DEVICE_STEPS) for step in steps):
             self._machine.fire("preflight")
             self._machine.fire("home")
             self._rearm(steps)
         for step in steps:
-            self._clock.check()
-            self._do(step)
+            self._safe_point(step)
+            if step.number in self._skipped_steps():
+                self._leave_out(step)
+            else:
+                self._do(step)
         self._machine.fire("finish")
 
-    def _end_early(self, how: str, why: str, last_edge: str) -> RunEnd:
+    def _end_early(self, how: str, why: str, last_edge: str, *, crashed: bool = False) -> RunEnd:
         """Make the bench safe and tell the journal, which may be what failed."""
         with self._clock.shielded():
             try:
                 self._folder.release_reserve()
                 self._machine.fire("abort")
                 self._machine.fire(last_edge)
-                self._log.tell(Event.RUN_ENDED, how=how, why=why)
+                self._log.tell(Event.RUN_ENDED, how=how, why=why, **({"crashed": True} if crashed else {}))
             except StorageError as error:
                 why = f"{why} Besides, the journal could not be told: {error}"
             finally:
@@ -166,32 +177,17 @@ class Runner:
 
     # ------------------------------------------------------------------ which steps
 
-    def _remaining(self) -> list[ScriptStep]:
-        """Steps to do: those not done, and those done that the first of them stands on.
-
-        A recording (or settling) stands on the move before it, a report on the solution before it.
-        """
-        done, steps = self._log.history.done_steps, self._job.steps
-        todo = [i for i, step in enumerate(steps) if step.number not in done]
-        again: set[int] = set()
-        for wanted, ground, kept in (
-            ((MoveStep, SettleStep, RecordStep), MoveStep, (MoveStep, SettleStep)),
-            ((SolveStep, ReportStep), SolveStep, (SolveStep,)),
-        ):
-            first = next((i for i in todo if isinstance(steps[i], wanted)), None)
-            if first is not None and not isinstance(steps[first], ground):
-                begin = max((i for i in range(first) if isinstance(steps[i], ground)), default=first)
-                again |= {i for i in range(begin, first) if isinstance(steps[i], kept)}
-        return [steps[i] for i in sorted({*again, *todo})]
-
     def _rearm(self, steps: list[ScriptStep]) -> None:
         """Set the light as the script last set it, where a resumed run goes on with recordings."""
-        if not self._log.history.resumed:
-            return
-        light = self._job.light_before(next((s for s in steps if isinstance(s, RecordStep)), None))
-        if light is not None and light not in steps:
-            self._work.step = light
-            self._machine.fire("set_light", step=light.number)
+        if self._log.history.resumed:
+            first = next((step for step in steps if isinstance(step, RecordStep)), None)
+            light = self._job.light_before(first)
+            if light is not None and light not in steps:
+                self._set_light_again(light)
+
+    def _set_light_again(self, light: LightStep) -> None:
+        self._work.step = light
+        self._machine.fire("set_light", step=light.number)
 
     def _check_what_was_stored(self) -> None:
         """Look at recordings that were stored, but not looked at when the process died."""
@@ -203,21 +199,77 @@ class Runner:
                 if step.pose.index in history.accepted():
                     self._log.tell(Event.STEP_DONE, step=step.number)
 
+    # ------------------------------------------------------------------ what operators ask for
+
+    def _safe_point(self, step: ScriptStep) -> None:
+        """Between two pieces of work, before ``step``: stop, hold, or skip poses, as asked."""
+        self._clock.check()
+        holder = self._log.history.holder
+        if holder and self._machine.can("hold"):
+            self._hold(step, holder)
+        history = self._log.history
+        accepted = history.accepted()
+        for pose_index, by in list(history.to_skip.items()):
+            if pose_index not in history.skipped and pose_index not in accepted:
+                self._skip(pose_index, f"{by} asked for it")
+        if holder and step.number not in self._skipped_steps():
+            self._prepare_again(step)
+
+    def _hold(self, step: ScriptStep, by: str) -> None:
+        begin_s = self._clock.monotonic()
+        self._work.step = step
+        self._progress.say(f"Held by {by}; `starbench release` lets the run go on.")
+        self._machine.fire("hold", step=step.number, by=by)
+        held_s = self._clock.monotonic() - begin_s
+        before = "parking" if isinstance(step, ParkStep) else f"step {step.number}"
+        self._log.tell(Event.DEVIATION, what=f"Held by {by} for {held_s:.0f} s before {before}.")
+
+    def _prepare_again(self, step: ScriptStep) -> None:
+        """After a hold, where recordings follow: the light as it was, and the move they stand on, repeated."""
+        here = self._job.steps.index(step)
+        if not any(isinstance(coming, RecordStep) for coming in self._job.steps[here:]):
+            return
+        light = self._job.light_before(step)
+        if light is not None and not isinstance(step, LightStep):
+            self._set_light_again(light)
+        for stood_on in ground(self._job.steps, step):
+            self._work.step = stood_on
+            self._take(stood_on)
+
+    def _skip(self, pose_index: int, why: str) -> None:
+        name = self._job.record_step(pose_index).pose.name
+        what = f"Pose {pose_index} ({name}) was skipped: {why}."
+        self._log.tell(Event.POSE_SKIPPED, pose=pose_index, pose_name=name, what=what)
+        self._progress.say(what)
+
+    def _skipped_steps(self) -> set[int]:
+        steps = self._job.steps
+        return {s.number for pose in self._log.history.skipped for s in steps_of_pose(steps, pose)}
+
+    def _leave_out(self, step: ScriptStep) -> None:
+        if step.number not in self._log.history.done_steps:
+            self._log.tell(Event.STEP_DONE, step=step.number, skipped=True)
+
     # ------------------------------------------------------------------ one step
 
     def _do(self, step: ScriptStep) -> None:
         self._work.step = step
         if isinstance(step, RecordStep):
             self._record_until_accepted(step)
-        elif isinstance(step, MoveStep):
-            self._fire("slew", step, target_deg=dict(step.pose.angles_deg))
         else:
-            self._machine.fire(_TRIGGERS[type(step)], step=step.number)
+            self._take(step)
         if step.number not in self._log.history.done_steps:
             self._log.tell(Event.STEP_DONE, step=step.number)
         done_s = self._job.done_after_s(step)
         if done_s is not None:
             self._progress.done(done_s)
+
+    def _take(self, step: ScriptStep) -> None:
+        """Take the one edge of a step that records nothing."""
+        if isinstance(step, MoveStep):
+            self._fire("slew", step, target_deg=dict(step.pose.angles_deg))
+        else:
+            self._machine.fire(_TRIGGERS[type(step)], step=step.number)
 
     def _record_until_accepted(self, step: RecordStep) -> None:
         """Record until accepted; once the attempts are used up, do as the sequence says."""
@@ -240,7 +292,7 @@ class Runner:
             self._work.step = step
 
     def _attempts(self, step: RecordStep) -> list[str] | None:
-        """Record up to so many times; return why the last one did not count, or None when one did."""
+        """Record up to so many times; return why the last one did not count; None when one did, or none is wanted."""
         history, pose = self._log.history, step.pose
         reasons: list[str] = []
         if pose.index in history.accepted():  # the process died between accepting it and saying so
@@ -248,6 +300,10 @@ class Runner:
         for i in range(step.attempts):
             if i:
                 self._fire("back_off", step, wait_s=step.backoff_s * 2 ** (i - 1))
+                self._safe_point(step)
+                self._work.step = step
+                if pose.index in history.skipped:
+                    return None
             attempt = history.next_attempt(pose.index)
             try:
                 self._fire("record", step, attempt=attempt)

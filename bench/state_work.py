@@ -32,6 +32,10 @@ from sequences.script import (
     WaitStep,
 )
 
+MOST_HOLD_S = 8 * 3600.0
+"""An operator who holds a run for longer has gone home: the run is then aborted, safely."""
+HOLD_POLL_S = 0.1
+
 
 class StateWork:
     """The work of the states, for the step at hand (``step``)."""
@@ -177,8 +181,11 @@ class StateWork:
         """Let time pass after a recording that does not count, so that its cause may pass too."""
         self._clock.sleep(wait_s)
 
-    def hold(self, **_: Any) -> None:
-        """Ask the operator, and go on or abort as answered."""
+    def hold(self, *, by: str = "", **_: Any) -> None:
+        """Hold for an operator who asked for it (``by``); else ask the step's question, and do as answered."""
+        if by:
+            self._hold_until_released()
+            return
         assert isinstance(self.step, PromptStep)
         answer = ask(
             self.step.text,
@@ -190,6 +197,16 @@ class StateWork:
         self._log.tell(Event.ANSWERED, step=self.step.number, answer=answer.word, by=answer.by)
         if answer.word == "abort":
             raise Aborted(f"{self.step.text} was answered with abort ({answer.by})")
+
+    def _hold_until_released(self) -> None:
+        """Light off, stage at rest, until the owner releases the run; not longer than ``MOST_HOLD_S``."""
+        if self._devices is not None:
+            self._devices.light.off()
+        history, begin_s = self._log.history, self._clock.monotonic()
+        while history.holder:
+            if self._clock.monotonic() - begin_s > MOST_HOLD_S:
+                raise Aborted(f"held by {history.holder} for more than {MOST_HOLD_S / 3600:g} h")
+            self._clock.sleep(HOLD_POLL_S)
 
     def park(self, **_: Any) -> None:
         """Light off, stage back to zero: nothing more is needed of them."""

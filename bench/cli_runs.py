@@ -1,0 +1,77 @@
+"""Commands about runs, from another terminal: how one stands, hold and go on, abort, skip.
+
+Knows words and exits, like `bench.cli`; the work stands in the modules it calls.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+_RUN = click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+_BY = click.option("--operator", "by", help="Who you are; by default user@machine.")
+_TAKE_OVER = click.option("--take-over", is_flag=True, help="Even where somebody else holds the run.")
+
+
+@click.command()
+@_RUN
+@click.option("--follow", is_flag=True, help="Go on until the run ends; exit as the run does.")
+@_JSON
+def status(run_folder: Path, follow: bool, as_json: bool) -> int:
+    """Say how a RUN stands; read-only, also while it runs."""
+    from bench.run_output import show_status
+
+    return show_status(run_folder, follow=follow, as_json=as_json)
+
+
+@click.command()
+@_RUN
+@_BY
+@_TAKE_OVER
+@_JSON
+def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
+    """Hold a RUN at its next safe point, light off; you own it until `release`."""
+    from bench.run_output import give_command
+
+    return give_command(run_folder, "hold", by=by, take_over=take_over, as_json=as_json)
+
+
+@click.command()
+@_RUN
+@_BY
+@_TAKE_OVER
+@_JSON
+def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
+    """Let a held RUN go on."""
+    from bench.run_output import give_command
+
+    return give_command(run_folder, "release", by=by, take_over=take_over, as_json=as_json)
+
+
+@click.command()
+@_RUN
+@_BY
+@_JSON
+def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
+    """End a RUN now, safely; nobody is refused. It can be resumed."""
+    from bench.run_output import give_command
+
+    return give_command(run_folder, "abort", by=by, as_json=as_json)
+
+
+@click.command()
+@_RUN
+@click.option("--pose", type=click.IntRange(1), help="Number of the pose; by default the one at work.")
+@_BY
+@_TAKE_OVER
+@_JSON
+def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as_json: bool) -> int:
+    """Skip a pose of a RUN; what was recorded there stays, and the report says so."""
+    from bench.run_output import give_command
+
+    return give_command(run_folder, "skip", by=by, pose=pose, take_over=take_over, as_json=as_json)
+
+
+RUN_COMMANDS = (status, hold, release, abort, skip)

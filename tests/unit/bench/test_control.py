@@ -1,0 +1,209 @@
+"""Commands of operators: who may, what is refused and why, and that none is taken twice or left lying."""
+
+import json
+import os
+import threading
+from datetime import UTC, datetime
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from bench.clock import Aborted, BenchClock
+from bench.control import CONTROL, Command, Inbox, command_text, refusal, send
+from bench.errors import RunFolderError
+from bench.history import Attempt, Event, History, RunLog, replay
+from bench.journal import Journal, read_journal
+from bench.run_folder import RunFolder, is_worked_on
+
+POSES = {1: "left", 2: "right", 3: "below"}
+CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+
+
+def command(word, by="ada", **more):
+    return Command(word=word, by=by, **more)
+
+
+def accepted(pose):
+    return Attempt(pose, POSES[pose], 1, {}, {"accepted": True})
+
+
+# ---------------------------------------------------------------- who may
+
+
+def test_who_holds_a_run_owns_it_and_others_are_told_who():
+    history = History(holder="ada")
+    for word in ("hold", "release", "skip"):
+        assert "held by ada" in refusal(command(word, by="ben", pose=1), history, POSES)
+        assert refusal(command(word, by="ada", pose=1), history, POSES) == ""
+        assert refusal(command(word, by="ben", pose=1, take_over=True), history, POSES) == ""
+
+
+def test_nobody_is_refused_an_abort():
+    assert refusal(command("abort", by="ben"), History(holder="ada"), POSES) == ""
+
+
+def test_what_is_not_held_is_not_released():
+    assert refusal(command("release"), History(), POSES) == "nobody holds the run"
+
+
+@pytest.mark.parametrize(
+    ("pose", "why"),
+    [
+        (None, "no pose is at work"),
+        (4, "no pose 4; they are 1 to 3"),
+        (1, "recorded already"),
+        (2, "skipped already"),
+    ],
+)
+def test_a_pose_that_cannot_be_skipped_is_named(pose, why):
+    history = History(attempts=[accepted(1)], to_skip={2: "ada"})
+    assert why in refusal(command("skip", pose=pose), history, POSES)
+
+
+def test_every_answer_has_words():
+    for word in ("hold", "release", "abort", "skip"):
+        assert command_text({"word": word, "taken": True, "pose": 2}).startswith("Taken: ")
+    assert command_text({"word": "hold", "taken": False, "why": "so"}) == "Not taken: so."
+
+
+# ---------------------------------------------------------------- what a journal of commands amounts to
+
+
+def told(journal, word, taken=True, **more):
+    journal.append(Event.COMMANDED, id="x", word=word, by="ada", taken=taken, why="", **more)
+
+
+def test_holds_last_from_hold_to_release_and_not_beyond_the_process(tmp_path):
+    with Journal.create(tmp_path / "j", **CLOCKS) as journal:
+        told(journal, "hold", taken=False)
+        assert replay(journal.entries).holder == ""
+        told(journal, "hold")
+        assert replay(journal.entries).holder == "ada"
+        told(journal, "release")
+        assert replay(journal.entries).holder == ""
+        told(journal, "hold")
+        told(journal, "skip", pose=2)
+        journal.append(Event.RUN_RESUMED)
+        assert replay(journal.entries).holder == ""
+        assert replay(journal.entries).to_skip == {2: "ada"}
+
+
+# ---------------------------------------------------------------- the inbox
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run folder held by this process, its log, and its clock."""
+    folder = RunFolder.create(tmp_path / "run")
+    with folder, Journal.create(folder.journal_path, **CLOCKS) as journal:
+        yield folder.path, RunLog(journal), BenchClock()
+
+
+def answers(folder):
+    return [dict(e.data) for e in read_journal(folder / "journal.jsonl")[0] if e.event == "commanded"]
+
+
+def test_a_command_is_answered_by_the_journal_and_its_file_is_gone(run):
+    folder, log, clock = run
+    with Inbox(folder, log, POSES, clock):
+        answer = send(folder, command("hold"))
+        assert (answer["taken"], answer["by"]) == (True, "ada")
+        with log.held() as history:
+            assert history.holder == "ada"
+        refused = send(folder, command("release", by="ben"))
+        assert not refused["taken"]
+        assert "held by ada" in refused["why"]
+        assert send(folder, command("release", by="ben", take_over=True))["taken"]
+    assert not (folder / CONTROL).exists()
+    assert [a["word"] for a in answers(folder)] == ["hold", "release", "release"]
+
+
+def test_an_abort_ends_the_wait_of_the_run_at_once(run):
+    folder, log, clock = run
+    with Inbox(folder, log, POSES, clock):
+        sender = threading.Thread(target=send, args=(folder, command("abort")))
+        sender.start()
+        with pytest.raises(Aborted, match="abort by ada"):
+            clock.sleep(60)
+        sender.join()
+
+
+def test_skip_means_the_pose_at_work_unless_another_is_named(run):
+    folder, log, clock = run
+    with Inbox(folder, log, POSES, clock):
+        log.tell(Event.ENTERING, state="recording", pose=2)
+        assert send(folder, command("skip"))["pose"] == 2
+        assert send(folder, command("skip", pose=3))["pose"] == 3
+    assert set(log.history.to_skip) == {2, 3}
+
+
+def test_what_was_meant_for_a_dead_process_is_answered_and_not_done(run):
+    folder, log, clock = run
+    (folder / CONTROL).mkdir()
+    (folder / CONTROL / "1.json").write_text(command("abort").model_dump_json())
+    with Inbox(folder, log, POSES, clock):
+        clock.check()
+    (answer,) = answers(folder)
+    assert not answer["taken"]
+    assert "has died" in answer["why"]
+
+
+@pytest.mark.timeout(60)
+def test_what_is_no_command_is_said_to_be_none_and_removed(run):
+    folder, log, clock = run
+    with Inbox(folder, log, POSES, clock):
+        inbox = folder / CONTROL
+        (inbox / "a.json").write_text('{"word": "explode", "by": "ada"}')
+        (inbox / "b.json").write_bytes(b"\xff" * 10_000)
+        (inbox / "c").mkdir()
+        os.mkfifo(inbox / "d.json")
+        (inbox / "e.json").symlink_to("/dev/zero")
+        while list(inbox.iterdir()):
+            clock.sleep(0.02)
+    assert [a["why"] for a in answers(folder)] == ["it is no command"] * 5
+
+
+def test_a_journal_that_takes_no_answer_stops_the_run(run):
+    folder, log, clock = run
+    inbox = Inbox(folder, log, POSES, clock).open()
+    log.journal.close()
+    with pytest.raises(RunFolderError, match="did not answer"):
+        send(folder, command("hold"), patience_s=0.5)
+    with pytest.raises(Aborted, match="commands cannot be taken"):
+        clock.check()
+    inbox.close()
+
+
+def test_a_run_that_nobody_works_on_takes_no_command(tmp_path):
+    with RunFolder.create(tmp_path / "run") as folder:
+        Journal.create(folder.journal_path, **CLOCKS).close()
+        assert is_worked_on(folder.path)
+    assert not is_worked_on(tmp_path / "run")
+    with pytest.raises(RunFolderError, match="No process works on this run"):
+        send(tmp_path / "run", command("hold"))
+
+
+def test_to_ask_whether_a_run_is_worked_on_does_not_keep_others_from_it(tmp_path):
+    RunFolder.create(tmp_path / "run").close()
+    stop = threading.Event()
+
+    def ask():
+        while not stop.is_set():
+            is_worked_on(tmp_path / "run")
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    try:
+        for _ in range(20):
+            RunFolder.create(tmp_path / "run").close()
+    finally:
+        stop.set()
+        asking.join()
+
+
+@given(st.binary(max_size=200) | st.dictionaries(st.text(), st.text()).map(lambda v: json.dumps(v).encode()))
+def test_no_bytes_at_all_break_the_reading_of_a_command(data):
+    with pytest.raises(ValidationError):
+        Command.model_validate_json(data)

@@ -1,0 +1,138 @@
+"""Which steps a run still has to do, what they stand on, and which poses are left alone."""
+
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.history import Event, History, replay
+from bench.job import Job
+from bench.journal import Journal
+from bench.resumption import crash_looped, ground, intentions, remaining, steps_of_pose
+from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
+
+
+@pytest.fixture(scope="module")
+def job():
+    return Job.from_files("three_pose", "simulated", seed=1, operator=None)
+
+
+@pytest.fixture(scope="module")
+def steps(job):
+    """1 light, then move, settle, record (2-4, 5-7, 8-10), 11 light off, park, 12 solve, 13 report."""
+    return job.steps
+
+
+def numbers(found):
+    return [step.number for step in found]
+
+
+def test_a_run_from_the_begin_has_every_step_to_do(steps):
+    assert numbers(remaining(steps, [])) == numbers(steps)
+
+
+@pytest.mark.parametrize(
+    ("done", "first"),
+    [(6, [5, 6, 7]), (5, [5, 6]), (7, [8]), (4, [5])],
+    ids=["recording", "settling", "moving", "moved"],
+)
+def test_what_a_step_stands_on_is_done_again(steps, done, first):
+    assert numbers(remaining(steps, range(1, done + 1)))[: len(first)] == first
+
+
+def test_a_report_stands_on_the_solution(steps):
+    done = {0, *range(1, 13)}
+    assert [type(s) for s in remaining(steps, done)] == [SolveStep, ReportStep]
+
+
+def test_a_recording_stands_on_its_move_and_a_move_on_nothing(steps):
+    by_number = {step.number: step for step in steps}
+    assert [type(s) for s in ground(steps, by_number[7])] == [MoveStep, SettleStep]
+    assert [type(s) for s in ground(steps, by_number[6])] == [MoveStep]
+    assert ground(steps, by_number[5]) == []
+    assert ground(steps, by_number[11]) == []
+
+
+def test_a_pose_is_its_move_its_settling_and_its_recording(steps):
+    assert numbers(steps_of_pose(steps, 2)) == [5, 6, 7]
+
+
+def test_a_move_on_which_two_recordings_stand_is_not_left_out_with_one(steps):
+    twice = (*steps[:4], RecordStep(**{**vars(steps[3]), "number": 99, "pose": steps[6].pose}), *steps[4:6])
+    assert numbers(steps_of_pose(twice, 1)) == [4]
+
+
+# ---------------------------------------------------------------- a pose that crashes the process
+
+
+def lived(tmp_path, *lines):
+    now = datetime(2026, 3, 1, tzinfo=UTC)
+    with Journal.create(tmp_path / "j", utc_now=lambda: now, monotonic=lambda: 0.0) as journal:
+        for event, data in lines:
+            journal.append(event, **data)
+        return replay(journal.entries)
+
+
+RECORDING = (Event.ENTERING, {"state": "recording", "pose": 2})
+SETTLING = (Event.ENTERING, {"state": "settling"})
+LIGHTING = (Event.ENTERING, {"state": "lighting"})
+KILLED = (Event.RUN_RESUMED, {})
+CRASHED = (Event.RUN_RESUMED, {"crash": "Fatal Python error: Segmentation fault"})
+UNFORESEEN = (Event.RUN_ENDED, {"how": "failed", "why": "x", "crashed": True})
+FAILED = (Event.RUN_ENDED, {"how": "failed", "why": "x"})
+
+
+@pytest.mark.parametrize(
+    ("lines", "crashes"),
+    [
+        ([RECORDING, CRASHED, RECORDING, CRASHED], {2: 2}),
+        ([RECORDING, SETTLING, CRASHED], {2: 1}),
+        ([RECORDING, UNFORESEEN, KILLED, RECORDING, CRASHED], {2: 2}),
+        ([RECORDING, KILLED, RECORDING, KILLED, RECORDING, KILLED], {}),
+        ([RECORDING, FAILED, KILLED], {}),
+        ([RECORDING, LIGHTING, CRASHED], {}),
+        ([RECORDING, CRASHED, CRASHED], {2: 1}),
+    ],
+    ids=[
+        "twice",
+        "while settling",
+        "unforeseen",
+        "killed from outside",
+        "failed",
+        "elsewhere",
+        "before any pose",
+    ],
+)
+def test_crashes_count_against_the_pose_at_work_and_kills_do_not(tmp_path, lines, crashes):
+    assert lived(tmp_path, *lines).crashes == crashes
+
+
+def test_one_crash_is_allowed_and_the_second_is_one_too_many(tmp_path):
+    assert crash_looped(History(crashes={2: 1})) == {}
+    assert "crashed 2 times" in crash_looped(History(crashes={2: 2}))[2]
+    assert crash_looped(History(crashes={2: 2}, skipped={2: "so"})) == {}
+
+
+# ---------------------------------------------------------------- what resuming says first
+
+
+def test_resuming_says_what_stays_what_is_recorded_and_what_is_skipped(job):
+    history = History(done_steps={1, 2, 3, 4, 5}, at_pose=2, crashes={2: 1}, to_skip={3: "ada"})
+    said = "\n".join(intentions(job, history, "Fatal Python error: Aborted"))
+    assert "Fatal Python error: Aborted" in said
+    assert "Skipped: pose 2 (right), for the process crashed 2 times" in said
+    assert "Skipped: pose 3 (below), as ada asked." in said
+    assert "To record" not in said
+    assert said.endswith("Then: solve, report, seal.")
+    assert history.crashes == {2: 1}
+
+
+def test_resuming_names_each_pose_to_record_and_the_move_done_again(job):
+    said = intentions(job, History(done_steps={1, 2, 3, 4, 5}), None)
+    assert "killed or cut off" in said[0]
+    assert "To record: pose 2 (right)." in said
+    assert "To record: pose 3 (below)." in said
+    assert "Moved to again: right." in said
+
+
+def test_a_finished_run_is_only_sealed(job):
+    assert "Only its seal is missing".lower() in intentions(job, History(ended="finished"), None)[0].lower()

@@ -1,0 +1,135 @@
+"""How a run stands, told from its folder alone."""
+
+import json
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from bench.errors import RunFolderError
+from bench.history import Event
+from bench.journal import Journal
+from bench.plan import load, plan
+from bench.run_folder import RunFolder
+from bench.status import follow, read_status, status_text
+
+BEGUN = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def planned():
+    return plan(*load("three_pose", "simulated")).to_dict()
+
+
+class Run:
+    """A run folder and its journal, of a process that goes on or has died."""
+
+    def __init__(self, path, planned):
+        self.folder = RunFolder.create(path)
+        self.path = path
+        self.now = BEGUN
+        self.folder.write_atomic("plan.json", json.dumps(planned).encode())
+        self.journal = Journal.create(
+            self.folder.journal_path, utc_now=lambda: self.now, monotonic=lambda: 0.0
+        )
+        self.tell(Event.RUN_STARTED, id="run-7", simulated=True)
+
+    def tell(self, event, **data):
+        self.journal.append(event, **data)
+
+    def status(self, after_s=0.0):
+        return read_status(self.path, lambda: self.now + timedelta(seconds=after_s))
+
+    def die(self):
+        self.journal.close()
+        self.folder.close()
+
+
+@pytest.fixture
+def run(tmp_path, planned):
+    run = Run(tmp_path / "run", planned)
+    yield run
+    run.die()
+
+
+def test_a_run_under_way_tells_state_pose_and_time_left(run, planned):
+    run.tell(Event.ENTERING, state="recording", pose=2)
+    status = run.status(after_s=3.0)
+    assert status.running
+    assert (status.state, status.pose, status.pose_name, status.poses) == ("recording", 2, "right", 3)
+    assert status.left_s == pytest.approx(planned["duration_s"] - 3.0, abs=0.1)
+    assert "running: recording, pose 2 of 3 (right)" in status_text(status)
+    assert "SIMULATED" in status_text(status)
+    assert "starbench abort" in status.advice
+
+
+def test_what_is_done_is_no_longer_expected_to_take_time(run, planned):
+    run.tell(Event.STEP_DONE, step=4)
+    done = next(s["done_after_s"] for s in planned["steps"] if s["number"] == 4)
+    assert run.status().left_s == pytest.approx(planned["duration_s"] - done, abs=0.1)
+
+
+def test_a_held_run_says_by_whom_and_its_time_stands_still(run, planned):
+    run.tell(Event.COMMANDED, id="x", word="hold", by="ada@lab", taken=True, why="")
+    status = run.status(after_s=1000.0)
+    assert status.held_by == "ada@lab"
+    assert status.left_s == pytest.approx(planned["duration_s"], abs=0.1)
+    assert "HELD by ada@lab" in status_text(status)
+    assert "starbench release" in status.advice
+
+
+def test_a_run_that_was_killed_is_not_running_and_nobody_holds_it(run):
+    run.tell(Event.COMMANDED, id="x", word="hold", by="ada@lab", taken=True, why="")
+    run.tell(Event.ENTERING, state="slewing", pose=1)
+    run.die()
+    status = run.status()
+    assert (status.running, status.held_by, status.left_s) == (False, "", None)
+    assert "killed or cut off: slewing, pose 1 of 3 (left)" in status_text(status)
+    assert "starbench resume" in status.advice
+
+
+def test_a_run_that_failed_says_why(run):
+    run.tell(Event.RUN_ENDED, how="failed", why="the lamp is broken")
+    run.die()
+    assert "failed: the lamp is broken" in status_text(run.status())
+
+
+def test_the_last_lines_are_told_in_words(run):
+    run.tell(Event.ENTERING, state="checking", pose=1)
+    run.tell(Event.LEFT_OFF, state="checking")
+    run.tell(Event.CAPTURE_STORED, pose=1, pose_name="left", attempt=1, capture="captures/a.raw")
+    run.tell(Event.ATTEMPT_CHECKED, pose=1, attempt=1, accepted=False, reasons=["dark", "shaky"])
+    run.tell(Event.LEFT_OFF, state="recording", error="PortLost: gone")
+    run.tell(Event.POSE_SKIPPED, pose=1, pose_name="left", what="Pose 1 was skipped: so.")
+    assert [line[10:] for line in run.status().last] == [
+        "checking at pose 1",
+        "stored captures/a.raw",
+        "attempt 1 at pose 1: dark; shaky",
+        "recording failed: PortLost: gone",
+        "deviation: Pose 1 was skipped: so.",
+    ]
+    assert run.status().deviations == ("Pose 1 was skipped: so.",)
+
+
+def test_following_shows_each_change_and_ends_with_the_run(run):
+    def sleep(_):
+        run.tell(Event.RUN_ENDED, how="finished", why="")
+        run.die()
+
+    shown = list(follow(run.path, sleep))
+    assert [(s.running, s.ended) for s in shown] == [(True, ""), (False, "finished")]
+
+
+def test_a_status_is_plain_json(run):
+    told = json.loads(json.dumps(run.status().to_dict(), allow_nan=False))
+    assert told["schema"] == "starbench/status/1"
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    with pytest.raises(RunFolderError, match="not a run folder"):
+        read_status(tmp_path)
+
+
+def test_a_plan_of_another_program_is_refused(run):
+    (run.path / "plan.json").write_text("[]")
+    with pytest.raises(RunFolderError, match=r"plan\.json cannot be read"):
+        run.status()
