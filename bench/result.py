@@ -16,6 +16,7 @@ from typing import Any
 
 from bench import __version__
 from bench.comparison import compare, planar_beside
+from bench.cross_checks import gimbal, halves
 from bench.errors import BenchError
 from bench.exports import exports
 from bench.gates import Gate, solution_gates
@@ -48,6 +49,8 @@ class Solution:
     planar: Calibration | None
     measurements: Sequence[Measurement]
     judged: Sequence[Gate]
+    checks: Mapping[str, Any]
+    """`halves` and `gimbal` of the results, where they could be told."""
 
 
 class ResultWriter:
@@ -100,7 +103,16 @@ class ResultWriter:
         planar = planar_beside(views, options) if calibration.model == "spherical" else None
         found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
         found |= {f"sigma_{name}": sigma for name, sigma in calibration.sigma.items()}
-        self._solution = Solution(calibration, planar, measurements, solution_gates(step.limits, found))
+        readings = [attempt.stored["measured_deg"] for _, attempt in sorted(history.accepted().items())]
+        checks = {"halves": halves(views, options), "gimbal": gimbal(calibration, readings)}
+        check()
+        self._solution = Solution(
+            calibration,
+            planar,
+            measurements,
+            solution_gates(step.limits, found),
+            {name: found for name, found in checks.items() if found is not None},
+        )
         return {
             "model": calibration.model,
             "converged": calibration.converged,
@@ -175,12 +187,14 @@ class ResultWriter:
                 "laboratory": self._job.laboratory,
                 "simulated": self._job.simulated,
                 "resumed": history.resumed,
+                **({"ledger": dict(history.ledger)} if history.ledger else {}),
                 "software": software(),
             },
             "devices": dict(history.devices),
             "conditions": _conditions(history),
             "calibration": calibration.to_dict(),
             "planar": solution.planar.to_dict() if solution.planar else None,
+            **solution.checks,
             "poses": _poses(history, solution),
             "gates": [*(gate.as_data() for gate in solution.judged), *_gates(history)],
             "deviations": list(history.deviations),

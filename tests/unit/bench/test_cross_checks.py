@@ -1,0 +1,50 @@
+"""Checks beside a result: halves of the poses, and the gimbal's readings."""
+
+import numpy as np
+import pytest
+
+from bench.cross_checks import gimbal, halves
+from bench.plan import load
+from bench.plan import plan as make_plan
+from bench.studies import expectation
+from calib.calibrate import CalibrationOptions, calibrate
+from calib.imagined import imagined_view
+
+POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
+
+
+@pytest.fixture(scope="module")
+def views():
+    bench = expectation(make_plan(*load("nine_pose", "simulated")).station.value)
+    rng = np.random.default_rng(3)
+    seen = []
+    for pan, tilt in POSES:
+        view, _ = imagined_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, f"{pan} {tilt}")
+        view.points_px[:] += rng.normal(0, 0.02, view.points_px.shape)
+        seen.append(view)
+    return seen
+
+
+def test_halves_differ_by_about_what_their_uncertainties_say(views):
+    told = halves(views, CalibrationOptions())
+    assert told is not None
+    assert 0.1 < told["ratio"] < 2.5
+    assert told["worst_px"] >= told["rms_px"] > 0
+
+
+def test_three_poses_have_no_halves(views):
+    assert halves(views[:3], CalibrationOptions()) is None
+
+
+def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
+    calibration = calibrate(views, CalibrationOptions())
+    readings = [
+        {"pan": pan + 1.0, "tilt": tilt, "pan_encoder": pan / 0.998, "tilt_encoder": tilt}
+        for pan, tilt in POSES
+    ]
+    told = gimbal(calibration, readings)
+    assert told is not None
+    assert told["scale"]["pan_deg"] == pytest.approx(0.998, abs=4 * told["scale_sigma"]["pan_deg"])
+    assert told["scale"]["tilt_deg"] == pytest.approx(1.0, abs=4 * told["scale_sigma"]["tilt_deg"])
+    assert told["agrees"]
+    assert gimbal(calibration, [{"pan": 0.0}] * len(POSES)) is None
