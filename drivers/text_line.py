@@ -24,6 +24,7 @@ PROMPT_S: Final = 0.75
 """For what a device answers at once, or never."""
 TRIES: Final = 3
 _RESYNC_TRIES = 2
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _QUIET_S = 0.1
 _LOUD_S = 2.0
 
@@ -116,13 +117,9 @@ class TextLine:
     def number(self, query: str) -> float:
         """Send a query whose answer is one finite number. Raises as ``ask``."""
         text = self.ask(query)
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
             raise self.garbled(f"{query} answered {text!r}, not a number.")
-        return value
+        return float(text)
 
     def switch(self, query: str) -> bool:
         """Send a query whose answer is on or off. Raises as ``ask``."""

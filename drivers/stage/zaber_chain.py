@@ -6,6 +6,7 @@ Knows no degrees and no axes' names; see ``drivers.stage.zaber``.
 from __future__ import annotations
 
 import itertools
+import re
 import threading
 from collections import deque
 from collections.abc import Collection
@@ -103,13 +104,12 @@ class ZaberChain:
 
     def whole(self, data: str) -> int:
         """Understand data as one whole number. Raises ReplyGarbled."""
-        try:
-            return int(data)
-        except ValueError as error:
+        if not re.fullmatch(r"-?\d{1,18}", data, re.ASCII):
             self._link.distrust()
             raise ReplyGarbled(
                 f"{data!r} where a whole number belongs.", where=self.name, remedy="See the wire log."
-            ) from error
+            )
+        return int(data)
 
     def flags(self, device: int, axis: int) -> tuple[str, ...]:
         """Return all warning flags of an axis. Raises as ``command``."""

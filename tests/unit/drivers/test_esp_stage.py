@@ -116,6 +116,44 @@ def test_a_speed_the_controller_does_not_take_is_refused(peer, clock) -> None:
         EspStage(peer, axes(), clock=clock)
 
 
+def test_a_setting_that_reads_back_otherwise_is_refused(peer, clock) -> None:
+    class Deaf(dict):
+        def __setitem__(self, key, value) -> None:
+            """Take nothing."""
+
+    peer.axes[1].values = Deaf(peer.axes[1].values)
+    with pytest.raises(DeviceRefused, match="SL was set to -15, but reads -20"):
+        EspStage(peer, axes(), clock=clock)
+
+
+def test_a_motor_that_does_not_go_on_is_not_homed(stage, peer) -> None:
+    serve = peer.serve
+    peer.serve = lambda text: None if text == "1MO" else serve(text)
+    with pytest.raises(MoveFailed, match="the motor does not go on"):
+        stage.home()
+    assert peer.motions() == []
+
+
+@pytest.mark.parametrize("answer", ["no error", "0", "0, x, NO ERROR DETECTED", "204, 1, POSITIVE LIMIT"])
+def test_an_error_buffer_of_another_form_or_without_end_is_refused(stage, peer, answer) -> None:
+    serve = peer.serve
+    peer.serve = lambda text: answer if text == "TB?" else serve(text)
+    with pytest.raises(ReplyError):
+        stage.faults()
+
+
+def test_the_controllers_errors_are_told_once_in_plain_words(homed, peer) -> None:
+    peer.errors.append((209, "FEEDBACK SIGNAL FAULT DETECTED"))
+    peer.errors.append((7, "PARAMETER OUT OF RANGE"))
+    assert homed.faults() == ["feedback signal lost (error 209)", "parameter out of range (error 7)"]
+    assert homed.faults() == []
+
+
+def test_closing_gives_the_port_back(stage, peer) -> None:
+    stage.close()
+    assert peer.closed
+
+
 def test_without_reference_nothing_is_moved(stage, peer) -> None:
     with pytest.raises(NotHomed):
         stage.move_to({"pan": 1.0})

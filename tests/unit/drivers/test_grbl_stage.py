@@ -308,6 +308,30 @@ def test_a_board_with_one_thing_wrong_is_refused(peer, clock, name) -> None:
     assert peer.motions() == []
 
 
+def test_a_board_that_tells_no_version_is_refused(peer, clock) -> None:
+    peer.spoil = lambda line: line.replace(b"[VER:", b"[NOT:")
+    with pytest.raises(ReplyGarbled, match="tells no version"):
+        GrblStage(peer, axes(), clock=clock)
+
+
+def test_an_answer_without_end_is_refused(stage, peer) -> None:
+    serve = peer.serve
+    peer.serve = lambda line: [peer.say("$0=1") for _ in range(200)] if line == "$I" else serve(line)
+    with pytest.raises(ReplyGarbled, match="without end"):
+        stage.identify()
+
+
+def test_an_axis_the_board_does_not_have_is_refused(peer, clock) -> None:
+    roll = GrblAxis(name="roll", letter="A", steps_per_deg=100.0, zero_deg=18.0, limits=LIMITS)
+    with pytest.raises(DriverError):
+        GrblStage(peer, [roll], clock=clock)
+
+
+def test_closing_gives_the_port_back(stage, peer) -> None:
+    stage.close()
+    assert peer.closed
+
+
 def test_half_a_line_from_before_us_is_never_completed_into_a_motion(peer, clock) -> None:
     peer.state = "Idle"
     peer.pending = b"$J=G21G53X-5.0F100.0"

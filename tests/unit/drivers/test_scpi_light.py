@@ -230,7 +230,9 @@ def test_a_digit_changed_on_the_line_is_not_believed(light, generator) -> None:
     assert hit
 
 
-@pytest.mark.parametrize("garbage", [b"\xff\xfe\r\n", b"\r\n", b"six\r\n", b"nan\r\n", b"1,2\r\n"])
+@pytest.mark.parametrize(
+    "garbage", [b"\xff\xfe\r\n", b"\r\n", b"six\r\n", b"nan\r\n", b"6_0\r\n", b"1E999\r\n", b"1,2\r\n"]
+)
 def test_what_is_no_number_is_refused(light, generator, garbage) -> None:
     generator.spoil = lambda line: garbage if b"E+" in line else line
     with pytest.raises(ReplyError):

@@ -127,6 +127,30 @@ def test_a_move_arrives_where_it_was_sent(homed, peers) -> None:
     assert sent[:10] == b"move" + struct.pack("<ih", -408, 0)
 
 
+def test_closing_gives_all_ports_back(stage, peers) -> None:
+    stage.close()
+    assert all(peer.closed for peer in peers)
+
+
+def test_an_alarm_is_cleared_by_homing_when_its_cause_is_gone(homed, peers) -> None:
+    peers[0].flags |= 0x40
+
+    def cleared(command: str) -> None:
+        if command == "stop":
+            peers[0].flags &= ~0x40
+
+    peers[0].before = cleared
+    homed.home()
+    homed.move_to({"pan": 1.0})
+
+
+def test_homing_that_leaves_no_reference_has_failed(stage, peers) -> None:
+    answer = peers[1].answer
+    peers[1].answer = lambda command, data: b"" if command == "home" else answer(command, data)
+    with pytest.raises(MoveFailed, match="tilt: homing ended without a reference"):
+        stage.home()
+
+
 # ---------------------------------------------------------------- refused before anything moves
 def test_another_controller_is_refused_and_nothing_is_set(peers, clock) -> None:
     peers[1].serial = 999

@@ -472,6 +472,26 @@ def test_a_port_lost_in_mid_move_is_told_as_such(homed, peer, clock) -> None:
         homed.move_to({"pan": 9.0})
 
 
+@pytest.mark.parametrize(
+    ("words", "data"), [(["get", "pos"], "12.5"), (["get", "pos"], "1_0"), (["warnings"], "02 WR")]
+)
+def test_well_formed_nonsense_is_refused(homed, peer, words, data) -> None:
+    answer = peer.pan.answer
+    peer.pan.answer = lambda asked: data if asked == words else answer(asked)
+    with pytest.raises(ReplyError):
+        homed.move_to({"pan": 1.0})
+    assert peer.motions() == []
+
+
+def test_a_stop_among_the_ruins_of_a_reply_is_heard(homed, peer) -> None:
+    peer.spoil = lambda line: b"@01 1 4" + line if line.startswith(b"@01 0") else line
+    peer.pan.go(9000.0)
+    with pytest.raises(ReplyError):
+        homed.stop()
+    assert not peer.pan.busy()
+    assert sum(b" stop:" in line for line in peer.sent) == 3
+
+
 MUTATIONS = {
     "wrong checksum": lambda line: line.replace(line[-4:-2], b"%02X" % (int(line[-4:-2], 16) ^ 1)),
     "missing checksum": lambda line: line[:-5] + b"\r\n",
