@@ -81,9 +81,9 @@ def visible_disc(view: View) -> Disc:
 
 def within(view: View, disc: Disc, share: float) -> View:
     """Return the view's stars within a share of the disc's radius: the guard band taken off."""
-    kept = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1) <= share * disc.radius_mm
     if share >= 1.0:
         return view
+    kept = inside(view, disc, share)
     return View(
         view.name,
         view.image_size,
@@ -92,6 +92,12 @@ def within(view: View, disc: Disc, share: float) -> View:
         view.target_mm[kept],
         view.covariances_px2[kept],
     )
+
+
+def inside(view: View, disc: Disc, share: float) -> NDArray[np.bool_]:
+    """Tell, star by star, which lie within a share of the disc's radius; all do within a share of 1."""
+    away = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
+    return np.asarray((away <= share * disc.radius_mm) | (share >= 1.0))
 
 
 def _pitch(view: View) -> float | None:

@@ -91,7 +91,7 @@ class ViewSummary:
     name
         The view's name.
     n
-        Number of stars.
+        Number of stars used.
     rms_px, mean_px
         Root mean square and mean of the lengths of its residual vectors, px.
     """
@@ -150,7 +150,7 @@ class Calibration:
     residuals_px
         For each view (N, 2): star found minus star projected, px.
     weights
-        For each view (N,): weight the robust loss gave to each star, 0 to 1.
+        For each view (N,): weight the robust loss gave to each star, 0 to 1; 0 in the guard band.
     rms_px, mean_px
         Root mean square and mean of the lengths of all residual vectors, px. They say how well the model
         follows the data, not how accurate it is.

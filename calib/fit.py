@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib import degeneracy, imperfections, uncertainty
-from calib.beam import Disc, visible_disc, within
+from calib.beam import Disc, inside, visible_disc, within
 from calib.bundle import Bundle
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.camera import PINHOLE
-from calib.collimator import CENTRE
+from calib.collimator import CENTRE, Collimator
 from calib.contradiction import require_agreement
 from calib.drift import WORRYING, centre_drift
 from calib.errors import DegenerateViews, NotConverged
@@ -47,9 +47,11 @@ class Fit:
     model
         Its name.
     views
-        The views it was fitted to, the guard band already taken off.
+        The views, with all their stars.
     bundle, refined, loss
         What was minimised, where it ended, and the loss it ended with.
+    whole, used
+        The same with the stars of the guard band too, and which of its stars were used.
     known
         Covariance of the shared parameters.
     left_out
@@ -61,6 +63,8 @@ class Fit:
     bundle: Bundle
     refined: Refined
     loss: Loss
+    whole: Bundle
+    used: NDArray[np.bool_]
     known: uncertainty.Uncertainty
     left_out: LeftOut | None
 
@@ -92,19 +96,28 @@ def fit(
         The views' visible discs, when they are known already.
     """
     terms = options.passport.terms if options.passport else LADDER.get(model, ())
+    kept = views
     if terms or options.guard_band < 1:
         discs = discs or [visible_disc(view) for view in views]
         degeneracy.require_rims(views, discs)
-        views = [within(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
-    bundle, start = begin(views, options, model)
+        kept = [within(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
+    bundle, start = begin(kept, options, model)
     if terms and discs:
-        bundle, start = _with_terms(views, discs, bundle, start, options, terms)
+        bundle, start = _with_terms(kept, discs, bundle, start, options, terms)
     if model == "drift":
         bundle = replace(bundle, free_centres=True, drift_mm=options.drift_mm)
     bundle, refined, loss = refine_robustly(bundle, start, options)
     if options.passport:
         require_agreement(bundle, refined.state, loss, options.passport)
-    return _checked(views, options, model, bundle, refined, loss, leave_out=leave_out)
+    known, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
+    whole, used = bundle, np.ones(len(bundle.observations.view), np.bool_)
+    if options.guard_band < 1 and discs:
+        used = np.concatenate(
+            [inside(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
+        )
+        shifts = _shifts(views, discs, refined.state.collimator, terms) if terms else None
+        whole = replace(bundle, observations=Observations.from_views(views), displacements=shifts)
+    return Fit(model, views, bundle, refined, loss, whole, used, known, left_out)
 
 
 def begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tuple[Bundle, State]:
@@ -142,12 +155,22 @@ def _with_terms(
         )
         names = (*bundle.names, *terms)
         bundle = replace(bundle, names=names, prior=imperfections.expected(terms))
+    bundle = replace(bundle, displacements=_shifts(views, discs, collimator, terms))
+    return bundle, replace(start, collimator=collimator)
+
+
+def _shifts(
+    views: Sequence[View], discs: Sequence[Disc], collimator: Collimator, terms: tuple[str, ...]
+) -> Array:
+    """Return (N, 2, T) what a unit of each imperfection does to each star, view below view."""
     assert collimator.reference is not None
-    shifts = [
-        displacements(view.target_mm, disc, collimator.reference, terms)
-        for view, disc in zip(views, discs, strict=True)
-    ]
-    return replace(bundle, displacements=np.concatenate(shifts)), replace(start, collimator=collimator)
+    reference = collimator.reference
+    return np.concatenate(
+        [
+            displacements(view.target_mm, disc, reference, terms)
+            for view, disc in zip(views, discs, strict=True)
+        ]
+    )
 
 
 def refine_robustly(
@@ -175,17 +198,16 @@ def refine_robustly(
     return bundle, replace(refined, iterations=iterations), loss
 
 
-def _checked(
+def _uncertainty(
     views: Sequence[View],
     options: CalibrationOptions,
-    model: str,
     bundle: Bundle,
     refined: Refined,
     loss: Loss,
     *,
     leave_out: bool,
-) -> Fit:
-    """Refuse what is no calibration; else add its uncertainty."""
+) -> tuple[uncertainty.Uncertainty, LeftOut | None]:
+    """Refuse what is no calibration; else say how sure it is."""
     state = refined.state
     if options.passport is None:
         degeneracy.require_turned(state)
@@ -203,20 +225,21 @@ def _checked(
     left_out = None
     if len(views) >= MIN_VIEWS and (leave_out or known.disagree):
         left_out = leave_one_out(bundle, state, loss)
-    if options.passport:
-        known = uncertainty.with_passport(bundle, state, known, options.passport)
-    else:
-        known = uncertainty.inflated(known, left_out)
-    return Fit(model, views, bundle, refined, loss, known, left_out)
+    if options.passport is None:
+        return uncertainty.inflated(known, left_out), left_out
+    known = uncertainty.with_passport(bundle, state, known, options.passport)
+    degeneracy.require_constrained(state, known.names, known.covariance, "The passport knows no better.")
+    return known, left_out
 
 
 def summary(fitted: Fit) -> Calibration:
     """Put a fit into its final shape."""
-    state, bundle = fitted.state, fitted.bundle
-    misses = bundle.misses_px(state)
-    weights = fitted.loss.weights(np.linalg.norm(bundle.residuals(state), axis=1))
+    state, whole, used = fitted.state, fitted.whole, fitted.used
+    misses = whole.misses_px(state)
+    weights = used * fitted.loss.weights(np.linalg.norm(whole.residuals(state), axis=1))
     lengths = np.linalg.norm(misses, axis=1)
-    rows = bundle.observations.slices
+    rows = whole.observations.slices
+    counted = [lengths[r][used[r]] for r in rows]
     return Calibration(
         model=fitted.model,
         camera=state.camera,
@@ -228,20 +251,20 @@ def summary(fitted: Fit) -> Calibration:
         covariance=fitted.known.covariance,
         residuals_px=[misses[r] for r in rows],
         weights=[weights[r] for r in rows],
-        rms_px=_rms(lengths),
-        mean_px=float(lengths.mean()),
+        rms_px=_rms(lengths[used]),
+        mean_px=float(lengths[used].mean()),
         variance_factor=fitted.known.variance_factor,
         degrees_of_freedom=fitted.known.degrees_of_freedom,
         disagreement=fitted.known.disagreement,
         coverage_factor=fitted.known.coverage_factor,
         left_out_rms_px=fitted.left_out.total_rms_px if fitted.left_out else None,
         views=tuple(
-            ViewSummary(view.name, len(view), _rms(lengths[r]), float(lengths[r].mean()))
-            for view, r in zip(fitted.views, rows, strict=True)
+            ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
+            for view, own in zip(fitted.views, counted, strict=True)
         ),
         converged=fitted.refined.converged,
         iterations=fitted.refined.iterations,
-        rotation_covariance=uncertainty.of_rotations(bundle, state, fitted.known),
+        rotation_covariance=uncertainty.of_rotations(fitted.bundle, state, fitted.known),
         budget={
             source: dict(zip(fitted.known.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
             for source, variances in fitted.known.budget.items()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calib.beam import visible_disc, within
+from calib.calibrate import CalibrationOptions, calibrate
 
 
 def test_centre_and_radius_are_found_within_the_stated_uncertainty(make_bench):
@@ -55,3 +56,16 @@ def test_stars_on_no_grid_leave_the_centre_unknown(make_bench):
     moved = view.target_mm + np.random.default_rng(53).uniform(-1, 1, view.target_mm.shape)
     scattered = type(view)(view.name, view.image_size, view.ids, view.points_px, moved, view.covariances_px2)
     assert visible_disc(scattered).sigma_mm == np.inf
+
+
+def test_stars_of_the_guard_band_are_shown_but_not_used(defocused):
+    _, views = defocused
+    views[0].points_px[
+        np.linalg.norm(views[0].target_mm - visible_disc(views[0]).centre_mm, axis=1) > 19
+    ] += 2
+    guarded = calibrate(views, CalibrationOptions(model="pupil", guard_band=0.8))
+    assert [len(r) for r in guarded.residuals_px] == [len(view) for view in views]
+    assert all(view.n < len(r) for view, r in zip(guarded.views, guarded.residuals_px, strict=True))
+    assert guarded.rms_px < 0.05
+    outside = guarded.weights[0] == 0
+    assert np.linalg.norm(guarded.residuals_px[0][outside], axis=1).max() > 1
