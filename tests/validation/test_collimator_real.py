@@ -98,6 +98,7 @@ def test_baselines_stand_beside(views):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_the_data_choose_the_richest_collimator(views):
     result = calibrate(views, CalibrationOptions(model="auto"))
     assert result.model == "coma"
@@ -106,6 +107,7 @@ def test_the_data_choose_the_richest_collimator(views):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("size", [2, 3])
 def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
     from calib.fit import begin

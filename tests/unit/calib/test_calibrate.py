@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -37,6 +38,25 @@ def test_five_distortion_coefficients_can_be_asked_for(bench):
     assert result.parameter_names[4:9] == ("k1", "k2", "p1", "p2", "k3")
     assert result.camera.distortion["k2"] == pytest.approx(-0.9, rel=1e-5)
     assert result.camera.distortion["p1"] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_a_fisheye_lens_can_be_asked_for(make_bench):
+    bent = np.array([-0.03, 0.02, 0.0, 0.0])
+
+    class Fisheye(make_bench):
+        def project(self, target_mm, turn, centre):
+            matrix = np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+            points = (np.column_stack([target_mm, np.zeros(len(target_mm))]) - centre)[:, None]
+            vector = cv2.Rodrigues(turn)[0]
+            return cv2.fisheye.projectPoints(points, vector, np.zeros(3), matrix, bent)[0][:, 0]
+
+    bench = Fisheye(
+        fx=700.0, fy=701.0, half_angle_deg=20.0, poses=((-25, 10), (10, -15, 60), (30, 5, 20), (0, 0))
+    )
+    result = calibrate(bench.views(), CalibrationOptions(distortion="fisheye", loss="l2"))
+    assert result.camera.fx == pytest.approx(700.0, rel=1e-5)
+    assert result.camera.distortion["kb1"] == pytest.approx(-0.03, abs=1e-4)
+    assert result.to_dict()["camera"]["kb2"] == pytest.approx(0.02, abs=1e-3)
 
 
 def test_residuals_are_found_minus_projected(bench):

@@ -46,6 +46,7 @@ def test_runs_without_a_calibration_are_kept_with_their_reason():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("loss", ["l2", "huber"])
 def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
     study = repeat(NARROW, POSES, CalibrationOptions(loss=loss), 500, 17)
@@ -59,6 +60,7 @@ def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_the_spherical_model_is_twice_as_sure_as_the_planar_one():
     spherical = repeat(NARROW, POSES, L2, 150, 18).scatter["fx"]
     planar = repeat(NARROW, POSES, CalibrationOptions(model="planar", loss="l2"), 150, 18).scatter["fx"]
@@ -67,6 +69,7 @@ def test_the_spherical_model_is_twice_as_sure_as_the_planar_one():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("count", "limit"), [(1, 0.5), (3, 0.12)])
 def test_a_passport_makes_the_focal_length_a_hundred_times_surer(count, limit):
     study = repeat(NARROW, POSES[:count], CalibrationOptions(passport=EXACT), 100, 19)
@@ -74,6 +77,7 @@ def test_a_passport_makes_the_focal_length_a_hundred_times_surer(count, limit):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_a_drift_prior_keeps_what_a_wandering_centre_would_spoil():
     free = CalibrationOptions(model="drift", drift_mm=0.1, loss="l2")
     assert repeat(NARROW, POSES, free, 150, 20, drift_mm=0.1).scatter["fx"] < 12.5

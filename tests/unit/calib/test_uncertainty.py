@@ -36,6 +36,7 @@ def test_sigmas_are_those_of_repeated_calibrations(bench, options):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("loss", ["l2", "huber", "cauchy"])
 def test_sigmas_hold_over_many_runs(bench, loss):
     z = z_scores(bench, CalibrationOptions(loss=loss), 400, 13)
@@ -46,6 +47,7 @@ def test_sigmas_hold_over_many_runs(bench, loss):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_sigmas_hold_when_some_stars_are_bad(bench):
     def spoil(views, rng):
         for view in views:
