@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calib import star_likelihood
 from calib.star_likelihood import LEVELS, draw_print, likely_stars, quantise
 from calib.star_refine import LocalShape, refine_stars, smooth, symmetry_samples
 from calib.target import StarTarget
@@ -14,7 +15,7 @@ TARGET = StarTarget()
 PITCH = 44.0
 
 
-def stars(roll_deg, *, columns=11, rows=8, seed=0):
+def stars(roll_deg, *, columns=11, rows=8, seed=0, fall_off=False):
     """Black and white image of a patch of stars, their centres and the map around them."""
     angle = np.deg2rad(roll_deg)
     turn = PITCH * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -27,6 +28,8 @@ def stars(roll_deg, *, columns=11, rows=8, seed=0):
     mm = (on_grid + np.array([[10.0], [12.0]])) * TARGET.pitch_mm
     value = TARGET.reflectance(mm[0], mm[1]).reshape(size[1], fine, size[0], fine).mean(axis=(1, 3))
     value = cv2.GaussianBlur(value, (0, 0), 0.7)
+    if fall_off:  # to a fifth over the last three pitches
+        value = value * np.interp(np.arange(size[0]), [580, 720], [1.0, 0.2])
     rng = np.random.default_rng(seed)
     fired = (value > 0.05 * np.exp(0.12 * rng.standard_normal(value.shape))).astype(np.float32)
     grid = np.stack(np.meshgrid(np.arange(columns) - columns // 2, np.arange(rows) - rows // 2)).reshape(
@@ -49,6 +52,23 @@ def test_likelihood_beats_symmetry_in_black_and_white_images(roll):
     likely = likely_stars(quantise(image), by_symmetry, shape, TARGET)
     assert rms(likely.centres, centres) < 0.85 * rms(by_symmetry, centres)
     assert rms(likely.centres, centres) < 0.03
+
+
+def test_edges_along_the_pixel_grid_are_trusted_less(monkeypatch):
+    image, centres, shape = stars(0.4)
+    start = centres + 0.03 * np.random.default_rng(5).standard_normal(centres.shape)
+    weighted = likely_stars(quantise(image), start, shape, TARGET)
+    monkeypatch.setattr(star_likelihood, "_excess", lambda score, fisher: np.ones(TARGET.segments))
+    alike = likely_stars(quantise(image), start, shape, TARGET)
+    assert rms(weighted.centres, centres) < 0.92 * rms(alike.centres, centres)
+
+
+def test_light_that_falls_off_across_a_star_is_told_and_shifts_it_little():
+    image, centres, shape = stars(17.0, fall_off=True)
+    likely = likely_stars(quantise(image), centres, shape, TARGET)
+    steep = centres[:, 0] > 600
+    assert np.median(likely.steepness[steep]) > 2 * np.median(likely.steepness[~steep])
+    assert np.abs(np.mean(likely.centres[steep] - centres[steep], axis=0)).max() < 0.02
 
 
 def test_promised_covariances_are_about_right_where_edges_cross_the_pixels_freely():
