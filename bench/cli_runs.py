@@ -1,10 +1,11 @@
-"""Commands about runs, from another terminal: how one stands, hold and go on, abort, skip.
+"""Commands about runs, from another terminal: how one stands, hold and go on, abort, skip; and all there were.
 
 Knows words and exits, like `bench.cli`; the work stands in the modules it calls.
 """
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import click
@@ -74,4 +75,26 @@ def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as
     return give_command(run_folder, "skip", by=by, pose=pose, take_over=take_over, as_json=as_json)
 
 
-RUN_COMMANDS = (status, hold, release, abort, skip)
+@click.command()
+@click.argument("folder", required=False, type=click.Path(path_type=Path))
+@click.option("--serial", help="Only runs of the camera with this serial number.")
+@click.option("--since", type=click.DateTime(), help="Only runs begun at or after this time (UTC).")
+@click.option("--how", type=click.Choice(["finished", "aborted", "failed", "running", "cut off"]))
+@click.option("--compare", is_flag=True, help="Compare the parameters of the runs that have a result.")
+@_JSON
+def runs(
+    folder: Path | None,
+    serial: str | None,
+    since: datetime | None,
+    how: str | None,
+    compare: bool,
+    as_json: bool,
+) -> int:
+    """List, filter and compare runs: those in FOLDER, else all in the laboratory's ledger."""
+    from bench.run_output import show_runs
+
+    moment = since.replace(tzinfo=UTC) if since else None
+    return show_runs(folder, camera=serial, since=moment, how=how, compare=compare, as_json=as_json)
+
+
+RUN_COMMANDS = (status, hold, release, abort, skip, runs)

@@ -100,6 +100,10 @@ class History:
     """Poses that an operator wants skipped, and who."""
     skipped: dict[int, str] = field(default_factory=dict)
     """Poses that are skipped, and why."""
+    ledger: Mapping[str, Any] = field(default_factory=dict)
+    """Its place in the laboratory's ledger (`bench.ledger`)."""
+    solved: Mapping[str, Any] = field(default_factory=dict)
+    """Main numbers of its calibration; empty while it has none."""
     holder: str = ""
     """Who holds the run; empty while nobody does."""
 
@@ -166,8 +170,10 @@ def _take(history: History, entry: Entry) -> None:
     match entry.event:
         case Event.RUN_STARTED:
             history.started, history.started_utc = data, entry.utc
+            history.ledger = data.get("ledger", {})
         case Event.RUN_RESUMED:
             history.resumed += 1
+            history.ledger = data.get("ledger", history.ledger)
             history.ended = history.why = history.holder = ""
             count_crash(history, data.get("crash"))
         case Event.DEVICES:
@@ -179,16 +185,25 @@ def _take(history: History, entry: Entry) -> None:
             history.done_steps.add(int(data["step"]))
         case Event.DEVIATION:
             history.deviations.append(str(data["what"]))
+        case Event.SOLVED:
+            history.solved = data
         case Event.COMMANDED:
             _obey(history, data)
+        case Event.RUN_ENDED:
+            history.ended, history.why, history.holder = str(data["how"]), str(data["why"]), ""
+            count_crash(history, data.get("crashed"))
+        case _:
+            _take_of_pose(history, entry)
+
+
+def _take_of_pose(history: History, entry: Entry) -> None:
+    data = entry.data
+    match entry.event:
         case Event.POSE_SKIPPED:
             history.skipped[int(data["pose"])] = str(data["what"])
             history.deviations.append(str(data["what"]))
         case Event.ATTEMPT_LOST:
             history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
-        case Event.RUN_ENDED:
-            history.ended, history.why, history.holder = str(data["how"]), str(data["why"]), ""
-            count_crash(history, data.get("crashed"))
         case Event.ATTEMPT_CHECKED:
             _check(history, data)
         case Event.CAPTURE_STORED:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -24,6 +25,7 @@ from bench.history import Event, History, replay
 from bench.job import Job
 from bench.journal import Entry, Journal, read_journal
 from bench.keys import ensure_key, home_folder
+from bench.ledger import Ledger
 from bench.plan import Plan
 from bench.progress import Progress
 from bench.result import Outcome, software
@@ -108,9 +110,14 @@ def start_run(
         for name, text in documents.items():
             folder.write_atomic(name, text)
         folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
-        with Journal.create(
-            folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
-        ) as journal:
+        ledger = _ledger(launch)
+        place = _begin(ledger, job, folder.path)
+        with (
+            _ending(ledger, place, folder.path) as ending,
+            Journal.create(
+                folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
+            ) as journal,
+        ):
             journal.append(
                 Event.RUN_STARTED,
                 id=folder_path.resolve().name,
@@ -121,8 +128,9 @@ def start_run(
                 operator=job.operator,
                 simulated=job.simulated,
                 software=software(),
+                ledger=place,
             )
-            return _run_and_seal(job, folder, journal, launch)
+            return ending(_run_and_seal(job, folder, journal, launch))
 
 
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
@@ -148,11 +156,20 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         job, history = _job_of(folder.path, journal.entries)
         crash = read_crash(folder.path)
         put_away(folder)
-        if history.ended == "finished":
-            return _seal_finished(folder, journal, launch)
-        said = {"crash": crash} if crash else {}
-        journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **said)
-        return _run_and_seal(job, folder, journal, launch, say_first=intentions(job, history, crash))
+        ledger = _ledger(launch)
+        place = history.ledger
+        if not ledger.knows(
+            place.get("number"), folder.path.name
+        ):  # begun on another bench, or without a ledger
+            place = _begin(ledger, job, folder.path)
+        with _ending(ledger, place, folder.path) as ending:
+            if history.ended == "finished":
+                return ending(_seal_finished(folder, journal, launch))
+            said: dict[str, Any] = {"crash": crash} if crash else {}
+            said |= {"ledger": place} if place is not history.ledger else {}
+            journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **said)
+            words = intentions(job, history, crash)
+            return ending(_run_and_seal(job, folder, journal, launch, say_first=words))
 
 
 def read_intentions(folder_path: Path) -> list[str]:
@@ -183,6 +200,31 @@ def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
         operator=history.started["operator"],
     )
     return job, history
+
+
+def _ledger(launch: Launch) -> Ledger:
+    return Ledger(home_folder(), utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic)
+
+
+def _begin(ledger: Ledger, job: Job, folder: Path) -> Mapping[str, Any]:
+    camera = job.station.camera.serial
+    return ledger.begin(run_id=folder.name, folder=folder, camera=camera, simulated=job.simulated)
+
+
+@contextmanager
+def _ending(ledger: Ledger, place: Mapping[str, Any], folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
+    """Enter into the ledger how the run of the block ended: as it tells by what it is given; else it failed."""
+    how = "failed"
+
+    def ending(end: RunEnd) -> RunEnd:
+        nonlocal how
+        how = end.how
+        return end
+
+    try:
+        yield ending
+    finally:
+        ledger.end(place["number"], how=how, folder=folder)
 
 
 def default_folder(plan: Plan, now: datetime) -> Path:

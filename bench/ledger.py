@@ -129,6 +129,10 @@ class Ledger:
         with self._held() as journal:
             journal.append(ENDED, number=number, how=how, seal=seal)
 
+    def knows(self, number: object, run_id: str) -> bool:
+        """Whether a run stands in this ledger under that number. Raises JournalBroken, StorageError."""
+        return any((run.number, run.run_id) == (number, run_id) for run in self.runs())
+
     def runs(self) -> list[LedgerRun]:
         """List all runs, first to last; none when there is no ledger yet.
 

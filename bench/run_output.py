@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import click
 from pydantic import ValidationError
 
+from bench.agreement import Agreement, agreements
+from bench.clock import BenchClock
 from bench.errors import UsageError
+from bench.keys import home_folder
+from bench.ledger import Ledger
 from bench.output import STOPPED, print_json
+from bench.report.text import with_uncertainty
+from bench.run_folder import JOURNAL
+from bench.run_index import IndexedRun, RunIndex, run_folders
 
 
 def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
@@ -53,3 +61,75 @@ def give_command(folder: Path, word: str, *, by: str | None, as_json: bool, **wo
     else:
         click.echo(command_text(answer), err=not answer["taken"])
     return 0 if answer["taken"] else 1
+
+
+# ---------------------------------------------------------------- all runs
+
+
+def show_runs(
+    folder: Path | None,
+    *,
+    camera: str | None,
+    since: datetime | None,
+    how: str | None,
+    compare: bool,
+    as_json: bool,
+) -> int:
+    """List runs, or compare their parameters; status 1 where the ledger and the folders do not agree."""
+    folders, missing = (run_folders(folder), []) if folder else _ledger_folders()
+    found, faults = RunIndex(home_folder()).runs(folders, camera=camera, since=since, how=how)
+    faults += missing
+    solved = [run for run in found if run.parameters]
+    compared = agreements(solved) if compare else None
+    if as_json:
+        told: dict[str, Any] = {"schema": "starbench/runs/1", "runs": [run.to_dict() for run in found]}
+        if compared is not None:
+            told |= {"compared": [a.to_dict() for a in compared], "of": [run.folder for run in solved]}
+        print_json({**told, "faults": faults})
+        return 1 if faults else 0
+    click.echo(_agreement_text(solved, compared) if compared is not None else _runs_text(found))
+    for fault in faults:
+        click.echo(f"FAULT: {fault}", err=True)
+    return 1 if faults else 0
+
+
+def _ledger_folders() -> tuple[list[Path], list[str]]:
+    """Folders of all runs in the ledger that are still where they were, and what is wrong with the others."""
+    clock = BenchClock()
+    ledger = Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
+    entered = ledger.runs()
+    there = [Path(run.folder) for run in entered if (Path(run.folder) / JOURNAL).is_file()]
+    gone = [
+        f"run {run.number} ({run.run_id}, {run.how}): its folder is gone from {run.folder}"
+        for run in entered
+        if run.seal is None and not (Path(run.folder) / JOURNAL).is_file()
+    ]
+    return there, [*ledger.faults(), *gone]
+
+
+def _runs_text(runs: Sequence[IndexedRun]) -> str:
+    if not runs:
+        return "No runs."
+    lines = [f"{'begun (UTC)':<17} {'camera':<10} {'how':<9} {'poses':>5}  {'rms px':>7}  run"]
+    for run in runs:
+        rms = "" if run.rms_px is None else f"{run.rms_px:.4f}"
+        marks = ("  SIMULATED" if run.simulated else "") + ("" if run.sealed else "  not sealed")
+        marks += f"  {run.deviations} deviations" if run.deviations else ""
+        begun = run.begun_utc[:16].replace("T", " ")
+        lines.append(
+            f"{begun:<17} {run.camera:<10} {run.how:<9} {run.accepted:>5}  {rms:>7}  {run.folder}{marks}"
+        )
+    return "\n".join(lines)
+
+
+def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> str:
+    lines = [f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model; ± is 1 sigma."]
+    for parameter in compared:
+        mean, sigma = with_uncertainty(parameter.mean, parameter.sigma)
+        lines.append(f"{parameter.name}: mean {mean} ± {sigma}, Birge ratio {parameter.birge:.2f}")
+        for run, deviation in zip(runs, parameter.deviations, strict=True):
+            value, own = with_uncertainty(*run.parameters[parameter.name])
+            lines.append(
+                f"  {run.begun_utc[:16].replace('T', ' ')}  {value:>12} ± {own:<8} {deviation:+6.2f} sigma  {run.id}"
+            )
+    return "\n".join(lines)

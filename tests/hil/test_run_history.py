@@ -1,0 +1,59 @@
+"""Every run of a bench is in its ledger, however it ended; runs are listed and compared."""
+
+import json
+
+from running import end_when, entering, journal, results, starbench, start
+
+from bench.journal import read_journal
+from bench.ledger import Ledger
+
+SEED = 7
+CLOCKS = {"utc_now": lambda: None, "monotonic": lambda: 0.0}
+
+
+def listed(home, *words):
+    said = starbench("runs", *words, "--json", home=home)
+    return said.returncode, json.loads(said.stdout)
+
+
+def test_every_run_is_entered_listed_and_compared(tmp_path):
+    home, killed, whole = tmp_path / "home", tmp_path / "runs" / "killed", tmp_path / "runs" / "whole"
+    process = start("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", killed, home=home)
+    end_when(process, killed, entering("slewing", 1))
+    assert [run.how for run in Ledger(home, **CLOCKS).runs()] == ["open"]
+    said = starbench("run", "three_pose", "-s", "simulated", "--seed", SEED + 1, "-o", whole, home=home)
+    assert said.returncode == 0, said.stderr
+    assert results(whole)["run"]["ledger"]["number"] == 2
+    assert results(whole)["run"]["ledger"]["of_camera"] == {"open": 2}
+    assert "run 2; of this camera 2 open, this one included" in (whole / "report.html").read_text()
+    assert starbench("resume", killed, home=home).returncode == 0
+    first, second = Ledger(home, **CLOCKS).runs()
+    assert (first.how, second.how) == ("finished", "finished")
+    assert first.seal is not None
+    assert first.seal != second.seal
+    assert journal(killed)[0]["ledger"]["head"] == read_journal(home / "ledger.jsonl")[0][0].hash
+
+    status, told = listed(home)
+    assert status == 0
+    assert [run["id"] for run in told["runs"]] == ["killed", "whole"]
+    assert told["runs"][1]["parameters"]["fx"]["value"] == results(whole)["calibration"]["camera"]["fx"]
+    compared = starbench("runs", tmp_path / "runs", "--compare", home=home)
+    assert "2 runs of camera 00050423" in compared.stdout
+    assert "Birge ratio" in compared.stdout
+    assert listed(home, "--serial", "other") == (0, {"schema": "starbench/runs/1", "runs": [], "faults": []})
+
+    whole.rename(tmp_path / "hidden")
+    status, told = listed(home)
+    assert status == 1
+    assert "run 2 (whole): its folder is gone" in told["faults"][0]
+
+
+def test_a_run_resumed_on_another_bench_is_entered_there_as_well(tmp_path):
+    folder = tmp_path / "run"
+    process = start("run", "three_pose", "-s", "simulated", "-o", folder, home=tmp_path / "one")
+    end_when(process, folder, entering("slewing", 1))
+    said = starbench("resume", folder, home=tmp_path / "other")
+    assert said.returncode == 0, said.stderr
+    (run,) = Ledger(tmp_path / "other", **CLOCKS).runs()
+    assert (run.run_id, run.how) == ("run", "finished")
+    assert [run.how for run in Ledger(tmp_path / "one", **CLOCKS).runs()] == ["open"]

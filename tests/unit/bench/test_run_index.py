@@ -1,0 +1,166 @@
+"""The index of runs: nothing but what the journals say, however old or broken the index itself is."""
+
+import sqlite3
+from contextlib import closing
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.agreement import agreement, agreements
+from bench.errors import StorageError, UsageError
+from bench.history import Event
+from bench.journal import Journal
+from bench.run_folder import RunFolder
+from bench.run_index import INDEX, RunIndex, run_folders
+
+DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
+
+
+def make(
+    path, begun=DAYS[0], *, camera="00050423", ended="finished", fx=3345.0, sigma=0.5, model="spherical"
+):
+    with (
+        RunFolder.create(path) as folder,
+        Journal.create(folder.journal_path, utc_now=lambda: begun, monotonic=lambda: 0.0) as journal,
+    ):
+        journal.append(Event.RUN_STARTED, id=path.name, sequence="Three", station="Bench", simulated=True)
+        journal.append(Event.DEVICES, camera={"serial": camera})
+        for pose, temperature in ((1, 40.0), (2, 41.0)):
+            facts = {"temperature_c": temperature}
+            journal.append(
+                Event.CAPTURE_STORED, pose=pose, pose_name="p", attempt=1, capture="c", facts=facts
+            )
+            journal.append(Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=True, reasons=[])
+        journal.append(Event.DEVIATION, what="so")
+        if fx:
+            values = {"fx": fx, "r": 255.0}
+            sigmas = {"fx": sigma, "r": 0.1}
+            journal.append(Event.SOLVED, model=model, rms_px=0.1, values=values, sigma=sigmas)
+        if ended:
+            journal.append(Event.RUN_ENDED, how=ended, why="")
+    return path
+
+
+@pytest.fixture
+def index(tmp_path):
+    return RunIndex(tmp_path / "home")
+
+
+@pytest.fixture
+def three(tmp_path):
+    return [
+        make(tmp_path / "runs" / "c", DAYS[2], camera="00050999"),
+        make(tmp_path / "runs" / "a", DAYS[0]),
+        make(tmp_path / "runs" / "night" / "b", DAYS[1], ended="failed", fx=None),
+    ]
+
+
+def test_a_row_is_what_the_journal_says(index, three):
+    (run,), faults = index.runs(three[1:2])
+    assert faults == []
+    assert (run.id, run.sequence, run.station, run.camera) == ("a", "Three", "Bench", "00050423")
+    assert (run.how, run.sealed, run.accepted, run.deviations, run.simulated) == (
+        "finished",
+        False,
+        2,
+        1,
+        True,
+    )
+    assert (run.temperature_c, run.model, run.rms_px) == (40.5, "spherical", 0.1)
+    assert run.parameters == {"fx": (3345.0, 0.5), "r": (255.0, 0.1)}
+    assert run.to_dict()["parameters"]["fx"] == {"value": 3345.0, "sigma": 0.5}
+
+
+def test_runs_come_oldest_first_and_as_chosen(index, three):
+    def ids(**words):
+        return [run.id for run in index.runs(three, **words)[0]]
+
+    assert ids() == ["a", "b", "c"]
+    assert ids(camera="00050999") == ["c"]
+    assert ids(since=DAYS[1]) == ["b", "c"]
+    assert ids(how="failed") == ["b"]
+    assert ids(how="failed", camera="00050999") == []
+
+
+def test_the_folders_of_runs_are_found_two_deep(tmp_path, three):
+    assert run_folders(tmp_path / "runs") == sorted(three)
+    assert run_folders(three[0]) == [three[0]]
+    with pytest.raises(StorageError, match="no such folder"):
+        run_folders(tmp_path / "none")
+
+
+def test_a_journal_that_went_on_is_read_again(index, tmp_path):
+    path = make(tmp_path / "run", ended=None)
+    assert index.runs([path])[0][0].how == "cut off"
+    with RunFolder.open(path):
+        assert index.runs([path])[0][0].how == "running"
+    with Journal.open(path / "journal.jsonl", utc_now=lambda: DAYS[1], monotonic=lambda: 0.0) as journal:
+        journal.append(Event.RUN_ENDED, how="aborted", why="")
+    assert index.runs([path])[0][0].how == "aborted"
+
+
+def test_an_unchanged_journal_is_not_read_again(index, three, monkeypatch):
+    index.runs(three)
+    monkeypatch.setattr("bench.run_index.read_journal", lambda _: pytest.fail("it was read again"))
+    assert len(index.runs(three)[0]) == 3
+
+
+@pytest.mark.parametrize("harm", ["garbage", "older", "deleted"])
+def test_an_index_that_does_not_hold_is_made_anew(index, three, harm):
+    before = index.runs(three)
+    if harm == "older":
+        with closing(sqlite3.connect(index.path)) as database, database:
+            database.execute("ALTER TABLE runs DROP COLUMN camera")
+            database.execute("PRAGMA user_version = 0")
+    else:
+        for path in index.path.parent.iterdir():
+            path.unlink()
+        if harm == "garbage":
+            index.path.write_bytes(b"this is no database" * 100)
+    assert index.runs(three) == before
+
+
+def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
+    journal = three[0] / "journal.jsonl"
+    journal.write_bytes(journal.read_bytes().replace(b"Three", b"Seven"))
+    runs, faults = index.runs(three)
+    assert [run.id for run in runs] == ["a", "b"]
+    assert len(faults) == 1
+    assert str(journal) in faults[0]
+
+
+def test_an_index_that_cannot_be_written_says_so(tmp_path, three):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / INDEX).mkdir()
+    with pytest.raises(StorageError):
+        RunIndex(tmp_path / "home").runs(three)
+
+
+# ---------------------------------------------------------------- comparing
+
+
+def test_runs_that_scatter_as_they_say_have_a_birge_ratio_near_one():
+    found = agreement("fx", [(100.0 + d, 1.0) for d in (-1.0, 1.0, -1.0, 1.0)])
+    assert found.mean == 100.0
+    assert found.sigma == 0.5
+    assert found.birge == pytest.approx((4 / 3) ** 0.5)
+    assert found.deviations[0] == pytest.approx(-1 / 0.75**0.5)
+
+
+def test_the_better_known_value_weighs_more():
+    found = agreement("r", [(255.0, 0.1), (256.0, 1.0)])
+    assert found.mean == pytest.approx(255.0 + 1 / 101)
+    assert found.deviations == pytest.approx([-1 / 1.01**0.5, 1 / 1.01**0.5])
+
+
+def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, three):
+    other = make(tmp_path / "runs" / "d", DAYS[2], fx=3346.0)
+    planar = make(tmp_path / "runs" / "e", DAYS[2], model="planar")
+    runs = {run.id: run for run in index.runs([*three, other, planar])[0]}
+    assert [a.name for a in agreements([runs["a"], runs["d"]])] == ["fx", "r"]
+    with pytest.raises(UsageError, match="different cameras: 00050423, 00050999"):
+        agreements([runs["a"], runs["c"]])
+    with pytest.raises(UsageError, match="different models: planar, spherical"):
+        agreements([runs["a"], runs["e"]])
+    with pytest.raises(UsageError, match="two or more"):
+        agreements([runs["a"]])
