@@ -20,6 +20,7 @@ from simulators.axis_motion import Axis, Mechanics
 from simulators.trajectory import Pointing
 
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10
 _LONGEST: Final = 256
 
@@ -391,7 +392,6 @@ class EspController:
 def _number(text: str) -> float:
     if not text:
         raise _EspError(38)
-    try:
-        return float(text)
-    except ValueError:
-        raise _EspError(1) from None
+    if not _NUMBER.fullmatch(text):
+        raise _EspError(1)
+    return float(text)

@@ -15,7 +15,17 @@ from typing import Final, Literal
 
 from simulators.axis_motion import Axis
 from simulators.gcode import Block, GcodeError, parse_block
-from simulators.grbl_planner import ACCELERATION, MAX_RATE, MAX_TRAVEL, STEPS, GrblAxisModel, Motion, Planner
+from simulators.grbl_planner import (
+    ACCELERATION,
+    HOMING_FEED,
+    HOMING_SEEK,
+    MAX_RATE,
+    MAX_TRAVEL,
+    STEPS,
+    GrblAxisModel,
+    Motion,
+    Planner,
+)
 from simulators.trajectory import Pointing
 
 State = Literal["Idle", "Run", "Jog", "Home", "Alarm"]
@@ -181,7 +191,8 @@ class GrblController:
             raise GcodeError(3 if command[:1].isdigit() and "=" not in command else 2)
         self._need_rest()
         number, value = int(setting[1]), float(setting[2])
-        if value < 0.0:
+        # The firmware takes a scale, speed or acceleration of zero, and is of no use afterwards.
+        if value < 0.0 or (value == 0.0 and (number >= STEPS or number in {HOMING_FEED, HOMING_SEEK})):
             raise GcodeError(4)
         if number not in self.settings:
             raise GcodeError(3)
@@ -339,12 +350,7 @@ class GrblAxis:
     """One axis of a controller, as faults see it."""
 
     controller: GrblController
-    letter: str
-
-    @property
-    def axis(self) -> Axis:
-        """The axis."""
-        return self.controller.axes[self.letter]
+    axis: Axis
 
     def restart(self, t_s: float) -> None:
         """Restart the controller, and with it all axes."""

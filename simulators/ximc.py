@@ -288,6 +288,8 @@ class XimcController:
         values = _LAYOUTS[name][0].unpack(content)
         if name == "mov" and (values[:2] == (0, 0) or not values[2] or not values[3]):
             raise _ErrorReply(b"errv")
+        if name == "hom" and (values[:2] == (0, 0) or values[2:4] == (0, 0)):
+            raise _ErrorReply(b"errv")
         self._settings[name] = values
         return b""
 

@@ -1,0 +1,171 @@
+"""Whatever a client says, a simulated device answers or is silent; it never falls over."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulators.config import LIGHT_KINDS, STAGE_KINDS, BenchConfig, LightConfig, bench_config
+from simulators.lights import make_light
+from simulators.serial_device import Dialect
+from simulators.stages import make_stage
+from simulators.ximc import crc16
+
+
+def with_crc(letters: bytes, data: bytes) -> bytes:
+    return letters + data + struct.pack("<H", crc16(data))
+
+
+NUMBERS = [
+    b"0",
+    b"-1",
+    b"1e999",
+    b"nan",
+    b"inf",
+    b"1_0",
+    b"99999999999999999999",
+    b".",
+    b"-",
+    b"0x10",
+    b"5",
+    b"-3.5",
+]
+
+#: What each kind is told, apart from noise: words that mean something to it, to be strung together.
+WORDS: dict[str, list[bytes]] = {
+    "zaber": [
+        b"/1 1 ",
+        b"/0 0 7 ",
+        b"home",
+        b"move abs ",
+        b"move vel ",
+        b"set maxspeed ",
+        b"set limit.max ",
+        b"get pos",
+        b"tools parking park",
+        b"stop",
+        b"warnings clear",
+        b"system reset",
+        b"set pos ",
+        b"\n",
+        b":00",
+        b" ",
+    ],
+    "ximc": [
+        b"gets",
+        b"home",
+        b"zero",
+        b"stop",
+        b"sstp",
+        b"left",
+        b"rigt",
+        b"gmov",
+        b"\0",
+        with_crc(b"move", struct.pack("<ih6x", 2**31 - 1, 32767)),
+        with_crc(b"movr", struct.pack("<ih6x", -(2**31), 0)),
+        with_crc(b"shom", struct.pack("<IBIBihH9x", 0, 0, 0, 0, 0, 0, 0)),
+        with_crc(b"smov", struct.pack("<IBHHIBB9x", 2**32 - 1, 255, 65535, 1, 0, 0, 0)),
+        with_crc(b"seds", struct.pack("<BBihih6x", 0, 0, 5, 0, -5, 0)),
+    ],
+    "grbl": [
+        b"$H",
+        b"$X",
+        b"$$",
+        b"$J=",
+        b"G0 ",
+        b"G1 ",
+        b"G4 P",
+        b"X",
+        b"Y",
+        b"F",
+        b"G91 ",
+        b"$110=",
+        b"$120=",
+        b"$100=",
+        b"\n",
+        b"?",
+        b"!",
+        b"~",
+        b"\x18",
+        b"\x85",
+    ],
+    "esp301": [
+        b"1MO",
+        b"1OR",
+        b"1PA",
+        b"1PR",
+        b"2PA",
+        b"1VA",
+        b"1AC",
+        b"1DH",
+        b"1WS",
+        b"TB?",
+        b"1TP",
+        b"RS",
+        b"AB",
+        b";",
+        b"\r",
+    ],
+    "keysight": [
+        b"FREQ ",
+        b"VOLT:HIGH ",
+        b"VOLT ",
+        b"FUNC:SQU:DCYC ",
+        b"OUTP ",
+        b"OUTP:LOAD ",
+        b"SYST:ERR?",
+        b"*RST",
+        b";",
+        b":",
+        b",",
+        b"\n",
+        b"?",
+    ],
+    "siglent": [
+        b"C1:BSWV ",
+        b"FRQ,",
+        b"HLEV,",
+        b"LLEV,",
+        b"DUTY,",
+        b"C1:OUTP LOAD,",
+        b"C1:BSWV?",
+        b",",
+        b";",
+        b"\n",
+    ],
+    "gardasoft": [b"RT1,", b"RS1,", b"TT1,", b"ST1", b"TR", b"GR", b",", b"us", b";", b"\r"],
+}
+WORDS["rigol"] = [word.replace(b"FREQ", b":SOUR1:FREQ") for word in WORDS["keysight"]]
+
+
+def build(kind: str, clock: Callable[[], float]) -> Dialect:
+    if kind in LIGHT_KINDS:
+        return make_light(LightConfig(kind=kind), clock, lambda _state: None)
+    config: BenchConfig = bench_config({"stage": {"kind": kind}})
+    stage = make_stage(kind, config.axes, clock, lambda _name, _pointing: None)
+    return next(iter(stage.dialects.values()))
+
+
+@pytest.mark.parametrize("kind", [*STAGE_KINDS, *LIGHT_KINDS])
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_a_device_survives_everything(kind, data):
+    now_s = 0.0
+    device = build(kind, lambda: now_s)
+    word, number = st.sampled_from(WORDS[kind]), st.sampled_from(NUMBERS)
+    piece = st.one_of(
+        word,
+        number,
+        st.binary(max_size=8),
+        st.tuples(word, number, st.sampled_from([b"\r", b"\n"])).map(b"".join),
+    )
+    for said, wait_s in data.draw(
+        st.lists(st.tuples(st.lists(piece, max_size=8), st.floats(0.0, 2.0)), max_size=8)
+    ):
+        assert isinstance(device.receive(b"".join(said)), bytes)
+        now_s += wait_s
+        assert isinstance(device.unsolicited(), bytes)
