@@ -20,7 +20,7 @@ from calib.view import View
 #: 0.03 px outwards, all together, which is worth 2 sigma of f; with this, they no longer decide anything.
 RIM_SIGMA_PX = 0.2
 #: A neighbour this near the frame's border, in pitches, is absent for that reason.
-_BORDER_PITCHES = 0.75
+_BORDER_PITCHES = 0.55
 _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
