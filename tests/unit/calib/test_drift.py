@@ -1,5 +1,7 @@
 """The wander of the centre is measured, and warned of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -23,6 +25,16 @@ def test_the_wander_is_measured_in_shares_of_the_radius(bench):
         for one in (fit(wandering(bench, 0.5, seed), L2, "spherical") for seed in range(5))
     ]
     assert np.sqrt(np.mean(np.square(found), axis=0))[:2] == pytest.approx(0.5 / 255, rel=0.4)
+
+
+def test_it_does_not_matter_in_which_unit_the_stars_covariances_are(bench):
+    views = wandering(bench, 0.5, 7)
+    scaled = [replace(view, covariances_px2=1e-4 * view.covariances_px2) for view in views]
+    found = [
+        centre_drift(one.bundle, one.state, one.loss)
+        for one in (fit(views, L2, "spherical"), fit(scaled, L2, "spherical"))
+    ]
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
 
 
 def test_a_wander_that_biases_is_warned_of(bench):
