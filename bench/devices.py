@@ -23,6 +23,7 @@ from drivers.camera.recorded import RecordedCamera
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.errors import DriverError
 from drivers.light import Light
+from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from drivers.stage import Stage
 from drivers.stage.esp import EspAxis, EspStage
@@ -133,7 +134,7 @@ def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: W
             return GrblStage.open(
                 port(said.port),
                 grbl,
-                serial=said.serial,
+                serial=said.serial or "",
                 baudrate=said.baudrate,
                 clock=clock,
                 wire_log=wire_log,
@@ -144,16 +145,29 @@ def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: W
 
 
 def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
-    said = station.light
-    return ScpiLight.open(
-        port(said.port),
-        serial=said.serial,
-        baudrate=said.baudrate,
-        load=said.load,
-        dialect=said.dialect,
-        clock=clock,
-        wire_log=wire_log,
-    )
+    match station.light:
+        case words.ScpiLight() as said:
+            return ScpiLight.open(
+                port(said.port),
+                serial=said.serial,
+                baudrate=said.baudrate,
+                load=said.load,
+                dialect=said.dialect,
+                clock=clock,
+                wire_log=wire_log,
+            )
+        case words.GardasoftLight() as said:
+            return GardasoftLight.open(
+                port(said.port),
+                model=said.model,
+                channel=said.channel,
+                sync_channel=said.sync_channel,
+                full_percent=said.full_percent,
+                sync_percent=said.sync_percent,
+                baudrate=said.baudrate,
+                clock=clock,
+                wire_log=wire_log,
+            )
 
 
 def _open_camera(station: Station, port: PortName, clock: BenchClock) -> EventCamera:

@@ -19,7 +19,14 @@ from sequences.schema import Angle, Axis, Words
 from sequences.script import Flicker
 
 SIMULATED = "sim:"
-SIMULATED_PORTS = ("sim:gimbal", "sim:light", "sim:camera")
+SIMULATED_PORTS = (
+    "sim:gimbal",
+    "sim:gimbal-pan",
+    "sim:gimbal-tilt",
+    "sim:gimbal-roll",
+    "sim:light",
+    "sim:camera",
+)
 
 
 def _simulated_or_real(port: str, info: ValidationInfo) -> str:
@@ -174,7 +181,10 @@ class GrblStage(Words):
     driver: Literal["grbl"]
     port: Port
     baudrate: Annotated[int, Field(gt=0)] = 115_200
-    serial: Annotated[Serial, Field(description="The name given to the board with $I=...")]
+    serial: Annotated[
+        Serial | None,
+        Field(description="The name given to the board with $I=...; without it, any board will do."),
+    ] = None
     axes: Annotated[dict[Axis, GrblAxis], Field(min_length=1), _differing("letter")]
 
     @property
@@ -188,12 +198,15 @@ class EspAxis(AxisWords):
 
     number: Annotated[int, Field(ge=1, le=3)]
     serial: Annotated[Serial, Field(description="Of the stage, as the controller's 1ID? says it.")]
+    home_mode: Annotated[
+        Literal[1, 2, 3, 4, 5, 6], Field(description="How it searches its reference: the number behind OR.")
+    ] = 1
     direction: Literal[1, -1] = 1
 
-    @field_validator("direction", mode="before")
+    @field_validator("direction", "home_mode", mode="before")
     @classmethod
     def _whole(cls, value: Any) -> Any:
-        return int(value) if value in {"1", "-1", "+1"} else value
+        return int(value) if isinstance(value, str) and value in {"-1", "+1", *"123456"} else value
 
 
 class EspStage(Words):
@@ -256,7 +269,45 @@ class ScpiLight(Words):
         )
 
 
-Light = ScpiLight
+class GardasoftLight(Words):
+    """A Gardasoft RT strobe controller; one of its channels is the lamp, another the sync to the camera."""
+
+    driver: Literal["gardasoft"]
+    port: Port
+    baudrate: Annotated[int, Field(gt=0)] = 115_200
+    model: Annotated[
+        Text | None, Field(description="As it says itself (RT420F-20); without it, any will do.")
+    ] = None
+    channel: Annotated[int, Field(ge=1, le=8)] = 1
+    sync_channel: Annotated[int, Field(ge=1, le=8)] | None = 2
+    full_percent: Annotated[
+        float, Field(gt=0, le=1000, description="Brightness of the lamp at its fullest.")
+    ] = 100.0
+    sync_percent: Annotated[float, Field(gt=0, le=1000)] = 100.0
+    frequency_range_hz: tuple[Positive, Positive] = (1.0, 1_000.0)
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Its port."""
+        return (self.port,)
+
+    @property
+    def sync_output(self) -> bool:
+        """Whether one of its channels gives the camera its sync."""
+        return self.sync_channel is not None
+
+    def settings(self, flicker: Flicker) -> LightSettings:
+        """Turn a sequence's flicker into this light's settings: its brightest is 5 V's worth."""
+        return LightSettings(
+            waveform=flicker.waveform,
+            frequency_hz=flicker.frequency_hz,
+            duty_percent=flicker.duty_percent,
+            high_v=LightSettings.high_v * flicker.level_percent / 100,
+            sync_output=self.sync_output,
+        )
+
+
+Light = Annotated[ScpiLight | GardasoftLight, Field(discriminator="driver")]
 
 # ---------------------------------------------------------------- cameras
 

@@ -10,6 +10,7 @@ from bench.clock import BenchClock
 from bench.station import SHIPPED, Station
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
+from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
@@ -18,6 +19,7 @@ from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberStage
 from drivers.stage.zaber_axis import ZaberAxis
 from sequences.reader import check_document
+from sequences.script import Flicker
 
 EXAMPLE = (SHIPPED / "example_evk4.yaml").read_text(encoding="utf-8")
 MOTION = "limits_deg: [-9, 8], speed_deg_s: 5, acceleration_deg_s2: 20, tolerance_deg: 0.01"
@@ -91,6 +93,25 @@ def test_the_light_s_driver_is_told_dialect_and_load(opened):
     double.assert_called_once_with(
         "/dev/e", serial="09", baudrate=9600, clock=clock, wire_log=None, load="50-ohm", dialect="siglent"
     )
+
+
+def test_a_strobe_controller_is_told_its_channels(opened):
+    double, clock = opened(GardasoftLight), BenchClock()
+    light = "light: {driver: gardasoft, port: /dev/f, model: RT420F-20, channel: 3, sync_channel: 4, full_percent: 50}"
+    station = station_with(light=light)
+    devices._open_light(station, str, clock, None)
+    double.assert_called_once_with(
+        "/dev/f",
+        model="RT420F-20",
+        channel=3,
+        sync_channel=4,
+        full_percent=50,
+        sync_percent=100,
+        baudrate=115_200,
+        clock=clock,
+        wire_log=None,
+    )
+    assert station.light.settings(Flicker("square", 60.0, 50.0, 40.0)).high_v == 2.0
 
 
 def test_an_evk4_may_be_reached_through_neuromorphic_drivers(opened):

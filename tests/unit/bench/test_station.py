@@ -63,7 +63,7 @@ def test_serial_numbers_stay_text_zeros_included():
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("driver: scpi", "driver: scpy", "light.driver: must be 'scpi' (got 'scpy'). Did you mean 'scpi'?"),
+        ("driver: scpi", "driver: scpy", "light.driver: must be one of 'scpi', 'gardasoft' (got 'scpy')."),
         (
             "driver: simulated_evk4",
             "driver: evk5",
@@ -72,7 +72,7 @@ def test_serial_numbers_stay_text_zeros_included():
         (
             "sim:light",
             "sim:lamp",
-            "light.port: no such simulated device; known: sim:gimbal, sim:light, sim:camera.",
+            "light.port: no such simulated device; known: sim:gimbal, sim:gimbal-pan,",
         ),
         ("    pan:", "    yaw:", "stage.axes.yaw: must be 'pan', 'tilt' or 'roll' (got 'yaw')."),
         ("[-15, 15]", "[15, -15]", "stage.axes.pan.limits_deg: the lower limit must be below the upper one."),
