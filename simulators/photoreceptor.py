@@ -16,16 +16,24 @@ is in microseconds after the start of a period of the light.
 from __future__ import annotations
 
 from math import exp, floor, log
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simulators.drive import (
+    LN_BRIGHT,
+    LN_STEPS,
+    SMOOTH,
+    SQUARE,
+    U_BRIGHT,
+    U_DARK,
+    X_BRIGHT,
+    X_DARK,
+    Drive,
+)
 from simulators.fast_math import JIT, exp32, log32
-
-SQUARE: Final = 0
-SMOOTH: Final = 1
 
 # Rows of a batch.
 LIGHT: Final = 0  # share of the drive that reaches the pixel
@@ -40,41 +48,14 @@ T: Final = 6  # phase of the next crossing; may exceed a period; inf = none
 IS_ON: Final = 7  # its polarity
 N_BATCH: Final = 8
 
-# Columns of Drive.turns.
-X_DARK: Final = 0  # bin of the largest u, and of the smallest, up to one period later
-X_BRIGHT: Final = 1
-LN_DARK: Final = 2  # ln u there
-LN_BRIGHT: Final = 3
-N_TURNS: Final = 4
-
 STRAIGHT: Final = np.float32(1.0)
 """Half the number of bins over which the atlas may be taken for straight."""
-TRIES: Final = 3
 
 _ZERO: Final = np.float32(0.0)
 _ONE: Final = np.float32(1.0)
 _NEVER: Final = np.float32(np.inf)
 _HUGE: Final = np.float32(1e30)
 _TINY: Final = np.float32(1e-30)
-
-
-class Drive(NamedTuple):
-    """The light and the photoreceptor."""
-
-    kind: int
-    period_us: float
-    high_us: float  # square: length of the high part
-    w_high: float
-    w_low: float
-    ambient: float
-    q_us: float
-    start_us: float  # sensor time at which a period begins
-    atlas: NDArray[np.float32]  # smooth: (levels, bins + 1) ln u over a period, light rising from row to row
-    by_bin: NDArray[np.float32]  # the same, transposed
-    turns: NDArray[np.float32]  # (levels, N_TURNS) where each row turns
-    when: NDArray[np.float32]  # (2, levels, steps) bin at which ln u crosses a value, falling and rising
-    lowest: float  # light of the first row; below, nothing ever crosses
-    log_step: float  # ln of the ratio of light from one row to the next
 
 
 @njit(**JIT)
@@ -136,7 +117,11 @@ def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     if drive.kind == SMOOTH:
         for k in range(n):
             on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
-            batch[T, k], batch[IS_ON, k] = _smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase)
+            batch[T, k], batch[IS_ON, k] = _smooth_guess(drive, batch[U_RISE, k], on_at, off_at, phase)
+        for k in range(n):
+            if batch[T, k] == -_ONE:
+                on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
+                batch[T, k] = _smooth_sought(drive, batch[U_RISE, k], on_at, off_at, phase)
     else:
         for k in range(n):
             light, u_rise, u_fall = batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k]
@@ -224,48 +209,81 @@ def _between(table: NDArray, j: int, f: float, column: int) -> float:
 
 
 @njit(inline="always", **JIT)
-def _smooth_crossing(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> Any:
-    """The present branch of the atlas is searched, then the one after it, as under a square light.
+def _smooth_target(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> Any:
+    """Decide which threshold is crossed next: the present branch of the atlas is searched, then the one after it.
 
-    Errors would add up from event to event, each taking its reference where the last one left it: that is why
-    ln u is interpolated between levels, which bends less than u.
+    Returns ln u at the crossing, whether it is OFF, the bin before which it cannot lie, bins to add to its
+    place on the branch for its place after the phase's period start, and whether it never comes.
     """
     bins = np.float32(d.atlas.shape[1] - 1)
-    j = int(max(level, _ZERO))
+    j = np.int32(max(level, _ZERO))
     f = level - np.float32(j)
     dark, bright = _between(d.turns, j, f, X_DARK), _between(d.turns, j, f, X_BRIGHT)
-    ln_dark, ln_bright = _between(d.turns, j, f, LN_DARK), _between(d.turns, j, f, LN_BRIGHT)
-    ln_on, ln_off = log32(on_at), log32(off_at)
     x = np.float32(phase / d.period_us) * bins
     turn = bins if x < dark else _ZERO  # into the period that begins in the dark: dark <= x < dark + bins
-    x += turn
-    rising = x >= bright
-    in_now = ln_dark >= ln_off if rising else ln_bright <= ln_on
-    in_next = ln_bright <= ln_on if rising else ln_dark >= ln_off
+    rising = x + turn >= bright
+    can_on = _between(d.turns, j, f, U_BRIGHT) <= on_at
+    can_off = _between(d.turns, j, f, U_DARK) >= off_at
+    in_now = can_off if rising else can_on
     off = rising == in_now
-    target = ln_off if off else ln_on
+    never = not (can_on or can_off) or level < _ZERO
+    earliest = x + turn if in_now else _ZERO
+    add = (bins if rising and not in_now else _ZERO) - turn
+    return log32(off_at if off else on_at), off, earliest, add, never
+
+
+@njit(inline="always", **JIT)
+def _along_slope(d: Drive, j: Any, f: Any, target: Any, at: Any) -> tuple[Any, Any]:
+    """Bin at which a straight line through the atlas near ``at`` meets the target, and how far that is."""
+    bins = np.int32(d.atlas.shape[1] - 1)
+    i = min(max(np.int32(at), np.int32(0)), 2 * bins - 1)
+    c = i - bins if i >= bins else i
+    here, there = _between(d.atlas, j, f, c), _between(d.atlas, j, f, c + 1)
+    slope = there - here
+    step = (target - here) / (slope if slope != _ZERO else _TINY)
+    return np.float32(i) + step, step
+
+
+@njit(inline="always", **JIT)
+def _smooth_guess(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> tuple[Any, Any]:
+    """Phase and polarity of a pixel's next crossing; -1 where the curve turns too close by to tell.
+
+    Errors would add up from event to event, each taking its reference where the last one left it: references
+    and crossings are taken from the very same curve, interpolated on the atlas. A table says about where; from
+    there it goes along the slope, twice.
+    """
+    bins = np.float32(d.atlas.shape[1] - 1)
+    j = np.int32(max(level, _ZERO))
+    f = level - np.float32(j)
+    target, off, earliest, add, never = _smooth_target(d, level, on_at, off_at, phase)
     steps = np.float32(d.when.shape[2] - 1)
-    s = min(max((target - ln_bright) / (ln_dark - ln_bright) * steps, _ZERO), steps)
-    # A table says about where; from there along the slope of the atlas, unless it turns nearby.
-    at = np.float32(d.when[1 if off else 0, j, np.int32(s + np.float32(0.5))])
-    cross = _NEVER
-    if _ONE < s < steps - _ONE:
-        for _ in range(TRIES):
-            i = np.int32(at)
-            c = i - np.int32(bins) if i >= np.int32(bins) else i
-            here, there = _between(d.atlas, j, f, c), _between(d.atlas, j, f, c + 1)
-            step = (target - here) / (there - here)
-            at = np.float32(i) + step
-            if abs(step - np.float32(0.5)) <= STRAIGHT:
-                cross = at
-                break
-            if not bins > abs(step):
-                break
-    if not dark <= cross <= dark + bins:
-        cross = _crossing_bin(d, j, f, target, off)
-    cross = max(cross, x) if in_now else cross + (bins if rising else _ZERO)
-    never = not (in_now or in_next) or level < _ZERO
-    return _NEVER if never else (cross - turn) * np.float32(d.period_us) / bins, _ZERO if off else _ONE
+    s = (target - _between(d.turns, j, f, LN_BRIGHT)) * _between(d.turns, j, f, LN_STEPS)
+    s = min(max(s, _ZERO), steps)
+    at = d.when[1 if off else 0, j, np.int32(s + np.float32(0.5))]
+    first, _ = _along_slope(d, j, f, target, at)
+    cross, step = _along_slope(d, j, f, target, first)
+    straight = abs(step - np.float32(0.5)) <= STRAIGHT and s > _ONE and s < steps - _ONE
+    t = (max(cross, earliest) + add) * np.float32(d.period_us) / bins
+    return _NEVER if never else t if straight else -_ONE, _ZERO if off else _ONE
+
+
+@njit(**JIT)
+def _smooth_sought(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> Any:
+    """Phase of a pixel's next crossing near a turn: sought by halving."""
+    j = np.int32(level)
+    f = level - np.float32(j)
+    target, off, earliest, add, _ = _smooth_target(d, level, on_at, off_at, phase)
+    cross = max(_crossing_bin(d, j, f, target, off), earliest)
+    return (cross + add) * np.float32(d.period_us / (d.atlas.shape[1] - 1))
+
+
+@njit(inline="always", **JIT)
+def _smooth_crossing(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> tuple[Any, Any]:
+    """Phase and polarity of a pixel's next crossing on the atlas."""
+    t, on = _smooth_guess(d, level, on_at, off_at, phase)
+    if t == -_ONE:
+        t = _smooth_sought(d, level, on_at, off_at, phase)
+    return t, on
 
 
 @njit(**JIT)
@@ -284,79 +302,3 @@ def _crossing_bin(drive: Drive, j: int, f: float, target: float, off: bool) -> f
     here, there = _between(drive.atlas, j, f, low % bins), _between(drive.atlas, j, f, high % bins)
     share = (target - here) / (there - here) if there != here else _ZERO
     return min(max(low + min(max(share, _ZERO), _ONE), first), last)
-
-
-@njit(**JIT)
-def fill_atlas(
-    atlas: NDArray,
-    turns: NDArray,
-    when: NDArray,
-    lights: NDArray,
-    wave: NDArray,
-    ambient: float,
-    bin_q: float,
-) -> None:
-    """Tabulate the periodic steady state of ln u for each light, its turns, and where it crosses values.
-
-    Parameters
-    ----------
-    atlas, turns, when
-        As in ``Drive``; filled in.
-    lights
-        (levels,) light of each row.
-    wave
-        (bins,) w in the middle of each bin: within a bin I is taken as constant, which is exact for steps and
-        of second order in the bin's length for smooth waves.
-    ambient
-        Constant part of I.
-    bin_q
-        Length of a bin in units of q.
-    """
-    bins = wave.size
-    for j in range(lights.size):
-        scale, offset = 1.0, 0.0  # u after a period = scale * u + offset
-        for i in range(bins):
-            intensity = ambient + lights[j] * wave[i]
-            decay = exp(-intensity * bin_q)
-            scale *= decay
-            offset = offset * decay + (1.0 - decay) / intensity
-        u = offset / (1.0 - scale)
-        for i in range(bins + 1):
-            atlas[j, i] = log(u)
-            intensity = ambient + lights[j] * wave[i % bins]
-            u = 1.0 / intensity + (u - 1.0 / intensity) * exp(-intensity * bin_q)
-        _fill_turns(atlas, turns, j)
-        for branch in range(2):
-            _fill_when(atlas, turns, when, j, branch)
-
-
-@njit(**JIT)
-def _fill_turns(atlas: NDArray, turns: NDArray, j: int) -> None:
-    """Where a row of the atlas has its largest u, and after that its smallest."""
-    bins = atlas.shape[1] - 1
-    dark = bright = 0
-    for i in range(bins):
-        if atlas[j, i] > atlas[j, dark]:
-            dark = i
-        if atlas[j, i] < atlas[j, bright]:
-            bright = i
-    turns[j, LN_DARK], turns[j, LN_BRIGHT] = atlas[j, dark], atlas[j, bright]
-    turns[j, X_DARK], turns[j, X_BRIGHT] = dark, bright if bright > dark else bright + bins
-
-
-@njit(**JIT)
-def _fill_when(atlas: NDArray, turns: NDArray, when: NDArray, j: int, branch: int) -> None:
-    """Bins at which a row crosses values evenly spaced in ln u, from bright to dark."""
-    bins, steps = atlas.shape[1] - 1, when.shape[2]
-    dark, bright = int(turns[j, X_DARK]), int(turns[j, X_BRIGHT])
-    for a in range(steps):
-        target = turns[j, LN_BRIGHT] + a / (steps - 1) * (turns[j, LN_DARK] - turns[j, LN_BRIGHT])
-        low, high = (dark, bright) if branch == 0 else (bright, dark + bins)
-        while high - low > 1:
-            middle = (low + high) // 2
-            if (atlas[j, middle % bins] >= target) == (branch == 1):
-                high = middle
-            else:
-                low = middle
-        here, there = atlas[j, low % bins], atlas[j, high % bins]
-        when[branch, j, a] = low + ((target - here) / (there - here) if there != here else 0.0)

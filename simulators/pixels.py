@@ -19,22 +19,15 @@ from scipy.special import ndtri
 
 from simulators import readout, sensor_state
 from simulators.biases import PixelSettings
+from simulators.drive import Drive, make_drive
 from simulators.errors import SimulationMisuse
-from simulators.photoreceptor import N_BATCH, N_TURNS, SMOOTH, SQUARE, Drive, fill_atlas
+from simulators.photoreceptor import N_BATCH
 from simulators.sensor_state import BLOCK, GROUP, Pixels, Readout
 from simulators.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world import LightState
 
 EPOCH_US: Final = 16384.0
 """The pixels' times are counted from a multiple of this: float32 then resolves 4 ns."""
-ATLAS_LEVELS: Final = 128
-ATLAS_BINS: Final = 4096
-WHEN_STEPS: Final = 128
-BRIGHTEST: Final = 1.5
-"""Highest light of a pixel that the atlas covers."""
-LOWEST_CONTRAST: Final = 0.02
-"""Relative change of brightness below which no pixel is ever near its threshold."""
-
 BUFFER_EVENTS: Final = 1 << 20
 
 PEAK_EVENTS_US: Final = 1066.0
@@ -74,50 +67,6 @@ class Link:
     def ideal(cls) -> Link:
         """Neither the arbiter nor the link costs any time."""
         return cls(row_us=0.0, event_us=0.0, words_us=1e12, fifo_words=1e15)
-
-
-def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
-    """The light as the pixels feel it, a period beginning at ``start_us`` of the sensor's clock."""
-    period = light.period_us
-    steady = light.waveform == "square" or light.high == light.low
-    tables = _no_atlas() if steady else _atlas(light, settings)
-    return Drive(
-        SQUARE if steady else SMOOTH,
-        period,
-        period * light.high_share,
-        light.high,
-        light.low,
-        settings.ambient,
-        settings.q_us,
-        start_us,
-        *tables,
-    )
-
-
-_Atlas = tuple[
-    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float, float
-]
-
-
-def _no_atlas() -> _Atlas:
-    """Placeholders where u is closed form."""
-    one = np.zeros((1, 1), np.float32)
-    return one, one, one, np.zeros((1, 1, 1), np.float32), 1.0, 1.0
-
-
-def _atlas(light: LightState, settings: PixelSettings) -> _Atlas:
-    """Atlas of a sine's periodic steady states, as ``Drive`` has it."""
-    lowest = LOWEST_CONTRAST * settings.ambient / light.high
-    log_step = math.log(BRIGHTEST / lowest) / (ATLAS_LEVELS - 1)
-    lights = lowest * np.exp(log_step * np.arange(ATLAS_LEVELS))
-    phase = (np.arange(ATLAS_BINS) + 0.5) / ATLAS_BINS
-    wave = 0.5 * (light.high + light.low) + 0.5 * (light.high - light.low) * np.sin(2.0 * np.pi * phase)
-    atlas = np.empty((ATLAS_LEVELS, ATLAS_BINS + 1), np.float32)
-    turns = np.empty((ATLAS_LEVELS, N_TURNS), np.float32)
-    when = np.empty((2, ATLAS_LEVELS, WHEN_STEPS), np.float32)
-    bin_q = light.period_us / ATLAS_BINS / settings.q_us
-    fill_atlas(atlas, turns, when, lights, wave, settings.ambient, bin_q)
-    return atlas, np.ascontiguousarray(atlas.T), turns, when, lowest, log_step
 
 
 class Sensor:

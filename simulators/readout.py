@@ -17,8 +17,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators import photoreceptor as pr
+from simulators.drive import Drive
 from simulators.fast_math import JIT
-from simulators.photoreceptor import Drive, crossings, levels_at, period_start
+from simulators.photoreceptor import crossings, levels_at, period_start
 from simulators.sensor_state import (
     AHEAD,
     BLOCK,
