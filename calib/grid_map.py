@@ -167,7 +167,9 @@ def fit_view(grid: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[Gr
         off = points - apply_homography(h, grid)
         coefficients = np.zeros((1, 2))
         if degree:
-            coefficients = np.asarray(np.linalg.lstsq(design[kept], off[kept], rcond=None)[0], np.float64)
+            # Scaled grid positions keep the normal equations well conditioned, and they are quicker than an SVD.
+            some = design[kept]
+            coefficients = np.asarray(np.linalg.solve(some.T @ some, some.T @ off[kept]), np.float64)
         residuals = off - design @ coefficients
         lengths = np.linalg.norm(residuals, axis=1)
         # The median length of a two-dimensional normal vector is 1.1774 sigma.

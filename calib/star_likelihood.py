@@ -135,10 +135,13 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     sample = image.ravel()[:: max(1, image.size // 200_000)]
     values = np.unique(sample)
     if values.size > LEVELS:
-        values = np.unique(np.quantile(sample, np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]))
-        return np.searchsorted(values, image, side="right").astype(np.uint8)
-    middles = (values[1:].astype(float) + values[:-1].astype(float)) / 2.0
-    return np.searchsorted(middles, image).astype(np.uint8)
+        borders = np.unique(np.quantile(sample, np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]))
+    else:
+        borders = (values[1:].astype(float) + values[:-1].astype(float)) / 2.0
+    if image.dtype.kind == "u" and image.dtype.itemsize <= 2:
+        every = np.arange(int(image.max()) + 1)
+        return np.searchsorted(borders, every, side="right").astype(np.uint8)[image]
+    return np.searchsorted(borders, image, side="right").astype(np.uint8)
 
 
 def likely_stars(
