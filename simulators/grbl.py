@@ -17,14 +17,13 @@ from simulators.axis_motion import Axis
 from simulators.gcode import Block, GcodeError, parse_block
 from simulators.grbl_planner import (
     ACCELERATION,
-    HOMING_FEED,
-    HOMING_SEEK,
     MAX_RATE,
     MAX_TRAVEL,
     STEPS,
     GrblAxisModel,
     Motion,
     Planner,
+    divides,
 )
 from simulators.trajectory import Pointing
 
@@ -192,7 +191,7 @@ class GrblController:
         self._need_rest()
         number, value = int(setting[1]), float(setting[2])
         # The firmware takes a scale, speed or acceleration of zero, and is of no use afterwards.
-        if value < 0.0 or (value == 0.0 and (number >= STEPS or number in {HOMING_FEED, HOMING_SEEK})):
+        if value < 0.0 or (value == 0.0 and divides(number)):
             raise GcodeError(4)
         if number not in self.settings:
             raise GcodeError(3)
@@ -350,7 +349,12 @@ class GrblAxis:
     """One axis of a controller, as faults see it."""
 
     controller: GrblController
-    axis: Axis
+    letter: str
+
+    @property
+    def axis(self) -> Axis:
+        """The axis."""
+        return self.controller.axes[self.letter]
 
     def restart(self, t_s: float) -> None:
         """Restart the controller, and with it all axes."""

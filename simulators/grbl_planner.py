@@ -22,6 +22,11 @@ STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130
 _RUN_ON_S: Final = 0.005
 
 
+def divides(number: int) -> bool:
+    """Tell whether a setting is a scale, a speed or an acceleration, with which nothing moves at zero."""
+    return STEPS <= number < MAX_TRAVEL or number in {HOMING_FEED, HOMING_SEEK}
+
+
 @dataclass(frozen=True)
 class GrblAxisModel:
     """One axis.

@@ -147,7 +147,7 @@ def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     board = GrblController(
         models, clock, lambda letter, pointing: publish(names[letter], pointing), _PULL_OFF_DEG
     )
-    controllers = {name: GrblAxis(board, board.axes[letter]) for letter, name in names.items()}
+    controllers = {name: GrblAxis(board, letter) for letter, name in names.items()}
     return Stage({"gimbal": board}, {**controllers}, dict.fromkeys(axes, "gimbal"))
 
 

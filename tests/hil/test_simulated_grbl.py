@@ -274,7 +274,7 @@ def test_a_restart_in_motion_shows_its_banner_and_has_lost_its_position(homed: B
 def test_a_stop_button_holds_the_board_in_reset(homed: Board):
     homed.say("G0 X-21")
     homed.wait(0.3)
-    handle = GrblAxis(homed.device, homed.device.axes["X"])
+    handle = GrblAxis(homed.device, "X")
     handle.emergency_stop(homed.now_s)
     assert homed.press(b"?") == ""
     handle.emergency_stop(homed.now_s, released=True)
