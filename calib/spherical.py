@@ -29,15 +29,12 @@ class Start:
 
     Attributes
     ----------
-    name
-        How it was found.
     matrix
         (3, 3) camera matrix K.
     collimator
         The shared centre.
     """
 
-    name: str
     matrix: Array
     collimator: Collimator
 
@@ -71,8 +68,7 @@ def linear_start(
     scale = np.linalg.norm(left, axis=0)
     solution = np.linalg.lstsq(left / scale, right, rcond=None)[0] / scale
     image = dict(zip(unknown, solution, strict=False))
-    name = "linear, principal point " + ("free" if free_principal_point else "at the image's centre")
-    return _read_out(name, image, solution[len(unknown) :], to_unit, plane)
+    return _read_out(image, solution[len(unknown) :], to_unit, plane)
 
 
 def two_view_starts(homographies: Array, image_size: tuple[int, int]) -> list[Start]:
@@ -99,13 +95,13 @@ def two_view_starts(homographies: Array, image_size: tuple[int, int]) -> list[St
         mixed = u + root * v
         if abs(mixed[w33]) > np.finfo(float).tiny:
             image = dict(zip(_IMAGE, mixed / mixed[w33], strict=False))
-            start = _read_out("two views", image, mixed[len(_IMAGE) :] / mixed[w33], to_unit, plane)
+            start = _read_out(image, mixed[len(_IMAGE) :] / mixed[w33], to_unit, plane)
             starts += [start] if start is not None else []
     return starts
 
 
 def _read_out(
-    name: str, image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
+    image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
 ) -> Start | None:
     """Return the camera and the centre that entries of K K^T (the last one 1) and of the right side mean."""
     cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
@@ -122,7 +118,7 @@ def _read_out(
     matrix = np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     x_mm, y_mm, _ = plane @ [x, y, 1.0]
     collimator = Collimator(float(x_mm), float(y_mm), float(np.sqrt(r_squared) * plane[0, 0]))
-    return Start(name, matrix, collimator)
+    return Start(matrix, collimator)
 
 
 def rotations_about(homographies: Array, matrix: Array, collimator: Collimator) -> Array:
