@@ -97,4 +97,14 @@ def runs(
     return show_runs(folder, camera=serial, since=moment, how=how, compare=compare, as_json=as_json)
 
 
-RUN_COMMANDS = (status, hold, release, abort, skip, runs)
+@click.command()
+@click.option("--send", "send_now", is_flag=True, help="Try now to send what is waiting.")
+@_JSON
+def messages(send_now: bool, as_json: bool) -> int:
+    """List the messages of this bench, sent and waiting."""
+    from bench.run_output import show_messages
+
+    return show_messages(send_now=send_now, as_json=as_json)
+
+
+RUN_COMMANDS = (status, hold, release, abort, skip, runs, messages)

@@ -26,6 +26,8 @@ from bench.job import Job
 from bench.journal import Entry, Journal, read_journal
 from bench.keys import ensure_key, home_folder
 from bench.ledger import Ledger
+from bench.messages import Courier
+from bench.outbox import Outbox
 from bench.plan import Plan
 from bench.progress import Progress
 from bench.result import Outcome, software
@@ -250,12 +252,25 @@ def _run_and_seal(
             progress.say(f"A signing key for this bench was made: {key.fingerprint}; see `starbench keys`.")
         for line in say_first:
             progress.say(line)
-        with crash_log(folder.path):
-            end = Runner(job, folder, journal, open_devices, clock, progress).run()
-        wire_log.close()
-        if end.how == "finished":
-            journal.close()
-            seal(folder, key)
+        courier = Courier(job.station.messages, Outbox(home_folder()), clock, progress.say)
+
+        def on_hold(what: str, line: str) -> None:
+            courier.tell("hold", what, folder.path, line)
+
+        try:
+            with crash_log(folder.path):
+                end = Runner(job, folder, journal, open_devices, clock, progress, on_hold).run()
+            wire_log.close()
+            if end.how == "finished":
+                journal.close()
+                seal(folder, key)
+            what = f"{end.how}{': ' if end.why else ''}{end.why}"
+            courier.tell("failure" if end.how == "failed" else "end", what, folder.path, journal.head)
+        except BaseException as error:
+            courier.tell("failure", f"failed: {type(error).__name__}: {error}", folder.path, journal.head)
+            raise
+        finally:
+            courier.close()
     return end
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -133,3 +134,26 @@ def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -
                 f"  {run.begun_utc[:16].replace('T', ' ')}  {value:>12} ± {own:<8} {deviation:+6.2f} sigma  {run.id}"
             )
     return "\n".join(lines)
+
+
+def show_messages(*, send_now: bool, as_json: bool) -> int:
+    """List messages, after trying to send what is waiting where asked for; status 1 where some still wait then."""
+    from bench.messages import send
+    from bench.outbox import Outbox
+
+    outbox = Outbox(home_folder())
+    waiting = outbox.deliver(send, BenchClock().utc_now(), all_waiting=True) if send_now else 0
+    found = outbox.deliveries()
+    if as_json:
+        print_json({"schema": "starbench/messages/1", "messages": [asdict(delivery) for delivery in found]})
+        return 1 if waiting else 0
+    for delivery in found:
+        marks = f", {delivery.tries} tries" if delivery.tries > 1 else ""
+        marks += ", perhaps sent twice" if delivery.perhaps_twice else ""
+        marks += f"; {delivery.last_error}" if delivery.last_error else ""
+        kind = next(iter(json.loads(delivery.channel)))
+        written, subject = delivery.message.utc[:16].replace("T", " "), delivery.message.subject
+        click.echo(f"{written}  {kind:<7} {delivery.state:<7}  {subject}{marks}")
+    if not found:
+        click.echo("No messages.")
+    return 1 if waiting else 0

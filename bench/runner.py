@@ -90,6 +90,8 @@ class Runner:
         The run's clock; a stop requested of it ends the run safely.
     progress
         Where to tell the operator.
+    on_hold
+        Called with a few words and the hash of the journal's line, whenever the run waits for an operator.
     """
 
     def __init__(
@@ -100,7 +102,9 @@ class Runner:
         open_devices: Callable[[], Devices],
         clock: BenchClock,
         progress: Progress,
+        on_hold: Callable[[str, str], None] = lambda _what, _key: None,
     ) -> None:
+        self._on_hold = on_hold
         self._job = job
         self._folder = folder
         self._log = RunLog(journal)
@@ -340,3 +344,6 @@ class Runner:
             self._progress.show(
                 facts["state"], pose=facts.get("pose"), detail=str(facts.get("pose_name", ""))
             )
+            if facts["state"] == "holding":
+                waits = f"is held by {facts['by']}" if "by" in facts else "asks the operator"
+                self._on_hold(waits, self._log.journal.head)

@@ -26,6 +26,7 @@ from bench.station_devices import (
     Stage,
     Text,
 )
+from bench.station_messages import Messages
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from sequences.reader import Located, find_document, read_document
@@ -125,6 +126,7 @@ class Station(Words):
     collimator: Collimator = Collimator()
     expected: Expected | None = None
     disk: Disk = Disk()
+    messages: Messages = Messages()
     simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
 
     @property

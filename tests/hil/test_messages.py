@@ -1,0 +1,101 @@
+"""Messages about runs: by mail and webhook, to servers on loopback, over a dead network and back."""
+
+import json
+
+import pytest
+from running import results, starbench
+from servers import MailServer, WebServer, serving
+
+from bench.messages import channels_of, send
+from bench.outbox import DeliveryFailed, Message
+from bench.station import SHIPPED
+from bench.station_messages import Mail, Messages, Webhook
+
+MESSAGE = Message(
+    "k" * 64,
+    "end",
+    "Starbench: run ü finished",
+    "all is well ü\n",
+    "ü",
+    "/runs/ü",
+    "2026-03-01T20:00:00+00:00",
+)
+
+
+def mail_to(server, *to):
+    mail = Mail(
+        host="127.0.0.1", port=server.server_address[1], security="none", sender="b@lab.example", to=to
+    )
+    (channel,) = channels_of(Messages(mail=mail))
+    return channel
+
+
+def hook_to(**words):
+    (channel,) = channels_of(Messages(webhooks=[Webhook(**words)]))
+    return channel
+
+
+def test_a_mail_arrives_with_subject_text_and_key():
+    with serving(MailServer()) as server:
+        send(MESSAGE, mail_to(server, "a@lab.example", "c@lab.example"))
+    (letter,) = server.letters
+    assert letter["Subject"] == MESSAGE.subject
+    assert letter["Message-ID"] == f"<{MESSAGE.key[:40]}@starbench>"
+    assert letter["To"] == "a@lab.example, c@lab.example"
+    assert letter.get_content().splitlines() == MESSAGE.text.splitlines()
+
+
+@pytest.mark.parametrize("to", [("nobody@lab.example",), ("a@lab.example", "nobody@lab.example")])
+def test_a_recipient_that_the_server_refuses_is_named(to):
+    with serving(MailServer()) as server, pytest.raises(DeliveryFailed, match="nobody"):
+        send(MESSAGE, mail_to(server, *to))
+
+
+def test_a_webhook_gets_one_object_with_its_key():
+    with serving(WebServer()) as server:
+        send(MESSAGE, hook_to(url_env="SECRET"), {"SECRET": server.url})
+    ((key, told),) = server.posts
+    assert key == told["id"] == MESSAGE.key
+    assert set(told) == {"schema", "id", "occasion", "subject", "text", "run", "folder", "utc"}
+
+
+@pytest.mark.parametrize(
+    ("environ", "why"),
+    [
+        ({}, "SECRET is not set"),
+        ({"SECRET": "file:///etc/passwd"}, "no http"),
+        ({"SECRET": "http://127.0.0.1:1/"}, "refused"),
+    ],
+)
+def test_an_address_that_leads_nowhere_is_a_failed_delivery(environ, why):
+    with pytest.raises(DeliveryFailed, match=why):
+        send(MESSAGE, hook_to(url_env="SECRET"), environ)
+
+
+def test_a_server_that_is_ill_is_a_failed_delivery():
+    with serving(WebServer()) as server:
+        server.status = 503
+        with pytest.raises(DeliveryFailed, match="503"):
+            send(MESSAGE, hook_to(url=server.url))
+
+
+def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path):
+    home, folder, station = tmp_path / "home", tmp_path / "run", tmp_path / "station.yaml"
+    with serving(WebServer()) as server:
+        port, url = server.server_port, server.url
+    station.write_text(
+        (SHIPPED / "simulated.yaml").read_text() + f"\nmessages: {{webhooks: [{{url: '{url}'}}]}}\n"
+    )
+    said = starbench("run", "three_pose", "-s", station, "--seed", 7, "-o", folder, home=home)
+    assert said.returncode == 0, said.stderr
+    assert "1 messages did not go out yet" in said.stderr
+    assert results(folder)["run"]["simulated"]
+    with serving(WebServer(port)) as server:
+        for _ in range(2):
+            assert starbench("messages", "--send", home=home).returncode == 0
+    ((_, told),) = server.posts
+    assert told["occasion"] == "end"
+    assert told["subject"] == "Starbench: run run (SIMULATED) finished"
+    assert "Finished and sealed" in told["text"]
+    (kept,) = json.loads(starbench("messages", "--json", home=home).stdout)["messages"]
+    assert (kept["state"], kept["perhaps_twice"]) == ("sent", False)

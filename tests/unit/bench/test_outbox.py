@@ -1,0 +1,178 @@
+"""The outbox: nothing lost, nothing made twice, whatever the network does and whenever the process dies."""
+
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.errors import StorageError
+from bench.outbox import LONGEST_PAUSE_S, DeliveryFailed, Message, Outbox
+
+NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
+
+
+def message(key="k1", utc=NOW):
+    return Message(key, "end", f"run {key}", "text", "run", "/runs/run", utc.isoformat())
+
+
+@pytest.fixture
+def outbox(tmp_path):
+    return Outbox(tmp_path / "home")
+
+
+class Receiver:
+    """Takes messages, but for those tries that are told to fail."""
+
+    def __init__(self, failures=0, error=None):
+        self.taken, self.failures, self.error = [], failures, error or DeliveryFailed("no network")
+
+    def __call__(self, message, channel):
+        if self.failures:
+            self.failures -= 1
+            raise self.error
+        self.taken.append((message.key, channel))
+
+
+def test_a_message_goes_once_to_each_channel(outbox):
+    outbox.put(message(), ["mail", "hook"])
+    receiver = Receiver()
+    assert outbox.deliver(receiver, NOW) == 0
+    assert outbox.deliver(receiver, NOW) == 0
+    assert sorted(receiver.taken) == [("k1", "hook"), ("k1", "mail")]
+    assert [d.state for d in outbox.deliveries()] == ["sent", "sent"]
+
+
+def test_what_is_put_in_twice_goes_out_once_also_after_it_was_sent(outbox):
+    receiver = Receiver()
+    for _ in range(2):
+        outbox.put(message(), ["mail"])
+        outbox.put(message(), ["mail"])
+        outbox.deliver(receiver, NOW)
+    assert receiver.taken == [("k1", "mail")]
+
+
+def test_an_empty_outbox_leaves_no_file(outbox):
+    assert outbox.deliver(Receiver(), NOW) == 0
+    assert outbox.deliveries() == []
+    assert not outbox.path.exists()
+
+
+def test_what_does_not_go_through_is_tried_again_ever_more_seldom(outbox):
+    outbox.put(message(), ["mail"])
+    receiver, at = Receiver(failures=100), NOW
+    outbox.deliver(receiver, at)
+    for pause_s in (5.0, 10.0, 20.0, *[None] * 8, LONGEST_PAUSE_S):
+        if pause_s is None:
+            outbox.deliver(receiver, at, all_waiting=True)
+            continue
+        failures = receiver.failures
+        assert outbox.deliver(receiver, at + timedelta(seconds=pause_s - 0.1)) == 1
+        assert receiver.failures == failures
+        at += timedelta(seconds=pause_s)
+        assert outbox.deliver(receiver, at) == 1
+        assert receiver.failures == failures - 1
+    assert outbox.deliveries()[0].last_error == "no network"
+    receiver.failures = 0
+    assert outbox.deliver(receiver, at, all_waiting=True) == 0
+    assert outbox.deliveries()[0].last_error == ""
+
+
+def test_one_channel_that_is_down_holds_up_no_other(outbox):
+    outbox.put(message(), ["down", "up"])
+    receiver = Receiver()
+
+    def send(message, channel):
+        if channel == "down":
+            raise DeliveryFailed("down")
+        receiver(message, channel)
+
+    assert outbox.deliver(send, NOW) == 1
+    assert receiver.taken == [("k1", "up")]
+
+
+def test_where_the_process_died_while_sending_it_is_sent_again_and_said_to_be(outbox):
+    outbox.put(message(), ["mail"])
+    with pytest.raises(KeyboardInterrupt):
+        outbox.deliver(Receiver(failures=1, error=KeyboardInterrupt()), NOW)
+    assert outbox.deliveries()[0].state == "sending"
+    receiver = Receiver()
+    assert outbox.deliver(receiver, NOW) == 0
+    assert receiver.taken == [("k1", "mail")]
+    assert outbox.deliveries()[0].perhaps_twice
+
+
+def test_a_process_killed_while_sending_loses_nothing(outbox):
+    outbox.put(message(), ["mail"])
+    code = (
+        "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.outbox import Outbox\n"
+        "Outbox(Path(sys.argv[1])).deliver(lambda *_: os.kill(os.getpid(), 9), datetime.now(UTC), all_waiting=True)"
+    )
+    assert subprocess.run([sys.executable, "-c", code, outbox.path.parent], check=False).returncode == -9
+    receiver = Receiver()
+    assert outbox.deliver(receiver, NOW) == 0
+    assert receiver.taken == [("k1", "mail")]
+    assert outbox.deliveries()[0].perhaps_twice
+
+
+def test_of_two_processes_that_deliver_at_once_one_stands_back(outbox):
+    outbox.put(message(), ["mail"])
+    other = Receiver()
+    inner = []
+
+    def send(*_):
+        inner.append(outbox.deliver(other, NOW))
+
+    assert outbox.deliver(send, NOW) == 0
+    assert inner == [1]
+    assert other.taken == []
+    assert not outbox.deliveries()[0].perhaps_twice
+
+
+def test_an_outbox_that_cannot_be_written_says_so(outbox):
+    outbox.path.mkdir(parents=True)
+    with pytest.raises(StorageError, match="outbox"):
+        outbox.put(message(), ["mail"])
+
+
+@settings(max_examples=25)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["put", "deliver"]),
+            st.sampled_from(["a", "b"]),
+            st.sampled_from(["ok", "down", "die"]),
+        ),
+        max_size=12,
+    )
+)
+def test_in_any_order_of_events_each_message_arrives_and_twice_only_where_it_says_so(
+    tmp_path_factory, events
+):
+    outbox, arrived, known = Outbox(tmp_path_factory.mktemp("home")), [], set()
+
+    def send(how):
+        def hand_over(message, _channel):
+            if how == "down":
+                raise DeliveryFailed("down")
+            arrived.append(message.key)
+            if how == "die":
+                raise KeyboardInterrupt
+
+        return hand_over
+
+    for what, key, how in [*events, ("deliver", "", "ok")]:
+        if what == "put":
+            outbox.put(message(key), ["mail"])
+            known.add(key)
+            continue
+        try:
+            outbox.deliver(send(how), NOW, all_waiting=True)
+        except KeyboardInterrupt:
+            continue
+    assert set(arrived) == known
+    doubled = {key for key in known if arrived.count(key) > 1}
+    assert doubled <= {d.message.key for d in outbox.deliveries() if d.perhaps_twice}
+    assert all(d.state == "sent" for d in outbox.deliveries())
