@@ -114,7 +114,7 @@ def _camera_centre(collimator: CollimatorTruth) -> FloatArray:
 
 
 @lru_cache(maxsize=4)
-def _corner_rays(camera: CameraTruth) -> NDArray[np.float32]:
+def corner_rays(camera: CameraTruth) -> NDArray[np.float32]:
     """(height + 1, width + 1, 2) undistorted normalised coordinates of all pixel corners."""
     u, v = np.meshgrid(np.arange(camera.width + 1) - 0.5, np.arange(camera.height + 1) - 0.5)
     xn, yn = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
@@ -173,7 +173,7 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     disc = disc_of(collimator, rotation)
     light = Light(disc, collimator.rim, optics.gradient_x, optics.gradient_y, optics.black)
     image, rho = _render(
-        _corner_rays(truth.camera),
+        corner_rays(truth.camera),
         rotation.T.copy(),
         _camera_centre(collimator),
         light,
@@ -181,10 +181,10 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
         TARGET.layout,
         subsamples,
     )
-    blurred = _blur(image, optics.psf_px)
+    blurred = blur(image, optics.psf_px)
     if optics.psf_rim_px > 0.0:
         share = np.minimum(rho, 1.0) ** 2
-        blurred = (1.0 - share) * blurred + share * _blur(image, optics.psf_rim_px)
+        blurred = (1.0 - share) * blurred + share * blur(image, optics.psf_rim_px)
     return np.asarray(blurred + np.float32(optics.stray), np.float32)
 
 
@@ -198,7 +198,7 @@ class Light(NamedTuple):
     black: float
 
 
-def _blur(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+def blur(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
     """Gaussian point spread."""
     if sigma_px == 0.0:
         return image

@@ -245,19 +245,27 @@ def test_the_light_stays_one_clock_over_recordings():
 
 
 def test_a_moving_axis_smears_the_stars():
-    def picture(motion):
+    def fired(motion):
+        """Correlation of the stream's first and second period, pixel by pixel, and the stream."""
         world = World(SMALL, clock=lambda: 10.0)
         world.set_light(FLICKER, since_s=0.0)
         world.set_axis("pan", motion, since_s=0.0)
         stream = SensorStream(world, CameraState(), {})
-        writer_words = np.frombuffer(b"".join(stream.next_frame() for _ in range(17)), "<u2")
-        assert len(writer_words) > 1000
-        return stream
+        stream._filters.apply = lambda events: (taken.append(events), (events, events.t))[1]
+        taken = []
+        for _ in range(17):
+            stream.next_frame()
+        counts = np.zeros((2, 180, 320))
+        for k, events in enumerate(taken[1:]):
+            np.add.at(counts[k // 8], (events.y, events.x), 1.0)
+        return np.corrcoef(counts.reshape(2, -1))[0, 1], stream
 
-    still = picture(AxisMotion.resting(0.1, 640))
-    moving = picture(AxisMotion(lambda t: 0.1 + 4.0 * (t - 10.0), math.inf, 640))
-    assert still._angles["pan"] == 0.1
-    assert moving._angles["pan"] == pytest.approx(0.1 + 4.0 * (moving.covered_s - 2e-3 - 10.0), abs=1e-9)
+    resting, _ = fired(AxisMotion.resting(0.1, 640))
+    again, _ = fired(AxisMotion(lambda _t: 0.1, math.inf, 640))
+    slewing, stream = fired(AxisMotion(lambda t: 0.1 + 20.0 * (t - 10.0), math.inf, 640))
+    assert stream._angles["pan"] == pytest.approx(0.1 + 20.0 * (stream.covered_s - 2e-3 - 10.0), abs=1e-9)
+    assert again == pytest.approx(resting, abs=0.06)
+    assert slewing < resting - 0.3  # the stars are elsewhere by then
 
 
 def test_switching_the_light_off_ends_events_and_triggers():

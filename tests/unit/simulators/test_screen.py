@@ -1,0 +1,48 @@
+"""The checkerboard on a screen: its corners where OpenCV projects and finds them."""
+
+import cv2
+import numpy as np
+import pytest
+
+from simulators.errors import SimulationMisuse
+from simulators.screen import Checkerboard, project_board, render_board
+from simulators.truth import CameraTruth
+
+CAMERA = CameraTruth(fx=420.0, fy=421.0, cx=159.0, cy=91.0, k1=-0.1, k2=0.05, width=320, height=180)
+BOARD = Checkerboard(columns=7, rows=4, square_mm=20.0)
+TILTED = cv2.Rodrigues(np.array([0.2, -0.3, 0.1]))[0]
+PLACE = np.array([-55.0, -30.0, 300.0])
+
+
+def test_corners_lie_where_opencv_projects_them():
+    points = np.column_stack([BOARD.corners_mm, np.zeros(28)])
+    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1.0]])
+    distortion = np.array([CAMERA.k1, CAMERA.k2, 0.0, 0.0])
+    expected, _ = cv2.projectPoints(points, cv2.Rodrigues(TILTED)[0], PLACE, matrix, distortion)
+    np.testing.assert_allclose(
+        project_board(BOARD, CAMERA, TILTED, PLACE), expected.reshape(-1, 2), atol=1e-9
+    )
+
+
+def test_opencv_refines_the_rendered_corners_to_their_true_places():
+    picture = render_board(BOARD, CAMERA, TILTED, PLACE)
+    true = project_board(BOARD, CAMERA, TILTED, PLACE)
+    eight_bit = np.uint8(np.round(255 * picture))
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    start = (true + 0.4).astype(np.float32).reshape(-1, 1, 2)
+    found = cv2.cornerSubPix(eight_bit, start, (5, 5), (-1, -1), criteria).reshape(-1, 2)
+    assert np.abs(found - true).max() < 0.12  # the refinement's own, of either sign
+    assert np.abs((found - true).mean(axis=0)).max() < 0.02
+    assert picture.min() >= 0.0
+    assert picture.max() <= 1.0 + 1e-6
+
+
+def test_the_screen_is_dark_around_the_board():
+    picture = render_board(BOARD, CAMERA, TILTED, PLACE)
+    corners = project_board(BOARD, CAMERA, TILTED, PLACE)
+    assert picture[:, : int(corners[:, 0].min()) - 40].max() == 0.0
+
+
+def test_a_board_behind_the_camera_is_a_mistake():
+    with pytest.raises(SimulationMisuse):
+        render_board(BOARD, CAMERA, TILTED, -PLACE)
