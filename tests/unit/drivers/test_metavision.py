@@ -445,6 +445,12 @@ def test_a_bias_out_of_range_is_refused_with_the_range(device, camera):
     assert device.facilities["ll_biases"].values["bias_fo"] != 60
 
 
+@pytest.mark.parametrize("value", [-35, 55])
+def test_biases_reach_the_ends_of_their_range(device, camera, value):
+    camera.apply(CameraSettings({"bias_fo": value}))
+    assert device.facilities["ll_biases"].values["bias_fo"] == value
+
+
 def test_a_bias_that_does_not_stick_is_noticed(device, camera):
     device.facilities["ll_biases"].deaf_to.add("bias_hpf")
     with pytest.raises(CameraSettingRefused, match="bias_hpf was set to 7, but reads back 0"):
@@ -526,6 +532,12 @@ def test_the_stream_and_the_log_are_stopped_after_a_recording(device, camera, tm
 def test_a_clock_that_starts_anew_between_recordings_does_not_end_one_early(device, camera, tmp_path):
     camera.record(tmp_path / "a.raw", 0.5)
     device.facilities["events_stream"].step = 0
+    assert camera.record(tmp_path / "b.raw", 0.02).duration_s >= 0.02
+
+
+def test_a_clock_that_has_gone_on_between_recordings_does_not_end_one_early(device, camera, tmp_path):
+    camera.record(tmp_path / "a.raw", 0.02)
+    device.facilities["events_stream"].step += 1000
     assert camera.record(tmp_path / "b.raw", 0.02).duration_s >= 0.02
 
 
