@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from simulators.biases import ALLOWED, FACTORY, PixelSettings
+from simulators.errors import SimulatorError
 from simulators.event_filters import FILTERS
 from simulators.sensor_stream import CameraState, SensorStream
 from simulators.stream_faults import StreamFaults
@@ -25,6 +26,11 @@ HEADER: Final = struct.Struct("<cI")
 """Frame header: type and payload length."""
 LONGEST_REQUEST: Final = 65536
 FIRMWARE: Final = "4.2.0-simulated"
+TEMPERATURE_C: Final = 41.5
+NOMINAL_LUX: Final = 250.0
+"""Illumination of the sensor at nominal brightness."""
+MEAN_COVERAGE: Final = 0.5
+"""Half of a star is black."""
 WAIT_S: Final = 0.1
 """How often waiting threads look whether they are to end."""
 
@@ -286,10 +292,11 @@ class _Connection:
         """Temperature, mean illumination, and the refractory time that the biases give."""
         settings = PixelSettings.from_biases(self._biases)
         light = self._world.light(self._world.now_s())
-        mean = settings.ambient + 0.5 * (light.low + (light.high - light.low) * 2.0 * light.high_share * 0.5)
+        driven = light.low + (light.high - light.low) * light.high_share
+        mean = settings.ambient + MEAN_COVERAGE * driven
         return {
-            "temperature_c": 41.5,
-            "illumination_lux": round(250.0 * mean, 3),
+            "temperature_c": TEMPERATURE_C,
+            "illumination_lux": round(NOMINAL_LUX * mean, 3),
             "pixel_dead_time_us": round(settings.dead_us, 3),
         }
 
@@ -323,16 +330,18 @@ class _Connection:
 
     def _stream(self, camera: CameraState) -> None:
         """Send frames of words until told to stop, each when the sensor has seen it."""
-        stream = SensorStream(self._world, camera, self._repeats)
-        while not self._stop.is_set():
-            frame = self._faults.carry(stream.next_frame())
-            if self._paced and self._stop.wait(max(0.0, stream.covered_s - self._world.now_s())):
-                return
-            try:
+        try:
+            stream = SensorStream(self._world, camera, self._repeats)
+            while not self._stop.is_set():
+                frame = self._faults.carry(stream.next_frame())
+                if self._paced and self._stop.wait(max(0.0, stream.covered_s - self._world.now_s())):
+                    return
                 if frame:
                     self._send(b"D", frame)
-            except _HostGone:
-                return
+        except SimulatorError as error:
+            self.notify(f"The stream broke off: {error}")
+        except _HostGone:
+            return  # the thread that answers sees it too, and cleans up
 
 
 def _send(link: socket.socket, kind: bytes, payload: bytes) -> None:

@@ -300,3 +300,15 @@ def test_a_fault_reaches_the_host(camera):
         kind, payload = host.frame()
     assert kind == b"N"
     assert json.loads(payload) == {"event": "fault", "message": "over temperature"}
+
+
+def test_a_world_that_cannot_be_drawn_is_told_to_the_host():
+    camera = SimulatedEvk4(World(truth_from_config({"camera": {"k1": -50.0}})), paced=False)
+    camera.start()
+    with Host(camera) as host:
+        assert host.ask("start")["ok"]
+        kind, payload = host.frame()
+        assert kind == b"N"
+        assert "camera" in json.loads(payload)["message"]
+        assert host.ask("stop")["ok"]
+    camera.close()
