@@ -87,7 +87,7 @@ def _mechanics(axis: AxisConfig, *, home_deg: float = 0.0, notices_stalls: bool 
 def _zaber(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Chain X-RST controllers on one line."""
     controllers = {
-        name: ZaberController(
+        str(name): ZaberController(
             ZaberModel(
                 _mechanics(axis),
                 axis.serial,
@@ -103,14 +103,14 @@ def _zaber(axes: Axes, clock: Clock, publish: Publish) -> Stage:
         for name, axis in axes.items()
     }
     return Stage(
-        {"gimbal": ZaberChain([*controllers.values()], clock)}, {**controllers}, dict.fromkeys(axes, "gimbal")
+        {"gimbal": ZaberChain([*controllers.values()], clock)}, controllers, dict.fromkeys(axes, "gimbal")
     )
 
 
 def _ximc(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Give each axis its own controller and port."""
     controllers = {
-        name: XimcController(
+        str(name): XimcController(
             XimcModel(
                 _mechanics(axis),
                 int(axis.serial),
@@ -127,7 +127,7 @@ def _ximc(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     }
     return Stage(
         {f"gimbal-{name}": one for name, one in controllers.items()},
-        {**controllers},
+        controllers,
         {name: f"gimbal-{name}" for name in axes},
     )
 
@@ -147,8 +147,8 @@ def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     board = GrblController(
         models, clock, lambda letter, pointing: publish(names[letter], pointing), _PULL_OFF_DEG
     )
-    controllers = {name: GrblAxis(board, letter) for letter, name in names.items()}
-    return Stage({"gimbal": board}, {**controllers}, dict.fromkeys(axes, "gimbal"))
+    controllers = {str(name): GrblAxis(board, letter) for letter, name in names.items()}
+    return Stage({"gimbal": board}, controllers, dict.fromkeys(axes, "gimbal"))
 
 
 def _esp301(axes: Axes, clock: Clock, publish: Publish) -> Stage:
@@ -166,8 +166,8 @@ def _esp301(axes: Axes, clock: Clock, publish: Publish) -> Stage:
         for axis in axes.values()
     ]
     controller = EspController(models, clock, lambda number, pointing: publish(names[number], pointing))
-    controllers = {name: controller.axes[number] for number, name in names.items()}
-    return Stage({"gimbal": controller}, {**controllers}, dict.fromkeys(axes, "gimbal"))
+    controllers = {str(name): controller.axes[number] for number, name in names.items()}
+    return Stage({"gimbal": controller}, controllers, dict.fromkeys(axes, "gimbal"))
 
 
 _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {

@@ -55,19 +55,22 @@ def ramp(position: float, velocity: float, target: float, speed: float, accelera
         legs.append(Leg(abs(velocity) / acceleration, -math.copysign(acceleration, velocity)))
         distance -= stopping
         velocity = 0.0
-    if distance == 0.0:
-        return legs
+    if distance != 0.0:
+        legs += _trapezoid(distance, abs(velocity), speed, acceleration)
+    return [leg for leg in legs if leg.duration_s > 0.0]
+
+
+def _trapezoid(distance: float, entry: float, speed: float, acceleration: float) -> list[Leg]:
+    """Change to the highest speed, keep it, and brake; enters with a speed towards the target."""
     side = math.copysign(1.0, distance)
-    entry = abs(velocity)
     peak = min(speed, math.sqrt(acceleration * abs(distance) + entry * entry / 2.0))
     change = peak - entry
     cruise = abs(distance) - (abs(peak * peak - entry * entry) + peak * peak) / (2.0 * acceleration)
-    legs += [
+    return [
         Leg(abs(change) / acceleration, side * math.copysign(acceleration, change)),
         Leg(max(0.0, cruise) / peak, 0.0),
         Leg(peak / acceleration, -side * acceleration),
     ]
-    return [leg for leg in legs if leg.duration_s > 0.0]
 
 
 class Piece(NamedTuple):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from simulators.axis_motion import Axis, Mechanics, MotionEvent, MotionFault
@@ -33,6 +33,7 @@ numbers = st.floats(-1e5, 1e5, allow_nan=False)
 
 
 @given(numbers, numbers, numbers, st.floats(1.0, 1e5), st.floats(1.0, 1e6))
+@example(5e-324, 5e-324, 5e-324, 1.0, 2.0)
 def test_a_ramp_ends_at_rest_on_its_target(position, velocity, target, speed, acceleration):
     p, v, scale = position, velocity, abs(position) + abs(target) + velocity**2 / acceleration + 1.0
     for leg in ramp(position, velocity, target, speed, acceleration):
