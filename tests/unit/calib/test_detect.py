@@ -256,6 +256,19 @@ def test_a_target_without_room_for_the_stars_seen_is_refused():
         detect(image, small, expected=expected_homography(scene))
 
 
+def test_a_star_of_which_a_part_is_covered_is_left_out():
+    scene, clean = drawn(roll=143)
+    whole, points = scene.whole_stars()
+    star, centre = next(
+        (i, p) for i, p in zip(whole, points, strict=True) if np.linalg.norm(p - [150, 130]) < 30
+    )
+    image = clean.copy()
+    spot = centre + 16 * np.array([np.cos(0.3), np.sin(0.3)])
+    cv2.circle(image, tuple(spot.round().astype(int).tolist()), 8, 0.4, -1)
+    assert star in detect(clean, TARGET).ids
+    assert star not in detect(image, TARGET).ids
+
+
 def test_the_same_image_gives_the_same_view():
     image = as_events_show_it(drawn(roll=143)[1], np.random.default_rng(3))
     first, second = detect(image, TARGET), detect(image.copy(), TARGET)
