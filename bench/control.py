@@ -35,6 +35,7 @@ POLL_S = 0.1
 _MOST_BYTES = 4096
 _PATIENCE_S = 10.0
 _SUFFIX = ".json"
+_HEARTBEAT = ".heartbeat"
 
 Word = Literal["hold", "release", "abort", "skip"]
 Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
@@ -134,6 +135,7 @@ class Inbox:
         """Begin to take commands. What was meant for a process that has died is answered, and not done."""
         make_folder(self._path)
         self._drain("it was meant for a process that has died")
+        self._beat()
         self._watcher.start()
         return self
 
@@ -157,17 +159,23 @@ class Inbox:
         try:
             while not self._closing.wait(POLL_S):
                 self._drain("")
+                self._beat()
         except (
             BenchError
         ) as error:  # a run that cannot be commanded, or whose journal is full, must not go on
             self._clock.request_stop(f"commands cannot be taken any more: {error}")
+
+    def _beat(self) -> None:
+        """Show a supervisor that this process is alive."""
+        with storing(self._path), suppress(FileNotFoundError):
+            (self._path / _HEARTBEAT).write_bytes(b"%d" % time.monotonic_ns())
 
     def _drain(self, why_not: str) -> None:
         """Answer every command that lies there, oldest first; not taken where ``why_not`` says so."""
         with storing(self._path):
             if not self._path.is_dir():  # an operator tidied up
                 return
-            names = sorted(p for p in self._path.iterdir() if not is_temporary(p))
+            names = sorted(p for p in self._path.iterdir() if not is_temporary(p) and p.name != _HEARTBEAT)
         for path in names:
             with storing(path), suppress(FileNotFoundError):  # taken back by its sender at this moment
                 self._answer(path, why_not)
@@ -196,6 +204,14 @@ def _read(path: Path) -> Command | None:
     try:
         return Command.model_validate_json(path.read_bytes())
     except ValidationError:
+        return None
+
+
+def heartbeat(folder: Path) -> bytes | None:
+    """Give the last sign of life of the process that works on a run; None while it takes no commands."""
+    try:
+        return (folder / CONTROL / _HEARTBEAT).read_bytes()
+    except OSError:
         return None
 
 

@@ -113,6 +113,45 @@ class Devices:
         return endpoint
 
 
+def make_orphans_safe(station: Station, clock: BenchClock) -> list[str]:
+    """Stop the stage and switch the light off where the process that held them is gone.
+
+    Each is opened anew, whatever becomes of the other; those of the simulated bench ended with their process.
+
+    Returns
+    -------
+    list of str
+        What could not be made safe, and why; empty when all is safe.
+    """
+    faults = []
+    for name, ports, make_safe in (
+        ("stage", station.stage.ports, _stop_stage),
+        ("light", station.light.ports, _switch_off),
+    ):
+        if not any(port.startswith(SIMULATED) for port in ports):
+            try:
+                make_safe(station, clock)
+            except DriverError as error:
+                faults.append(f"the {name} of a dead process could not be made safe: {error}")
+    return faults
+
+
+def _stop_stage(station: Station, clock: BenchClock) -> None:
+    stage = _open_stage(station, str, clock, None)
+    try:
+        stage.stop()
+    finally:
+        stage.close()
+
+
+def _switch_off(station: Station, clock: BenchClock) -> None:
+    light = _open_light(station, str, clock, None)
+    try:
+        light.off()
+    finally:
+        light.close()
+
+
 PortName = Callable[[str], str]
 
 

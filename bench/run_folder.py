@@ -135,7 +135,7 @@ class RunFolder:
         """
         path = path.absolute()
         make_folder(path)
-        lock = _hold(path)
+        lock = hold_folder(path)
         try:
             _refuse_occupied(path)
             _refuse_full(path, bytes_needed + _RESERVE_BYTES)
@@ -159,7 +159,7 @@ class RunFolder:
         """
         path = path.absolute()
         refuse_unresumable(path)
-        lock = _hold(path)
+        lock = hold_folder(path)
         try:
             if not (path / _RESERVE).exists():  # given back when the disk was full
                 _keep_reserve(path)
@@ -356,7 +356,16 @@ def refuse_unresumable(path: Path) -> None:
         )
 
 
-def _hold(path: Path) -> int:
+def hold_folder(path: Path) -> int:
+    """Hold a folder against other processes, for as long as the descriptor returned is open.
+
+    Raises
+    ------
+    RunFolderError
+        When another process holds it.
+    StorageError
+        When it cannot be locked.
+    """
     with storing(path):
         lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:

@@ -157,3 +157,31 @@ def show_messages(*, send_now: bool, as_json: bool) -> int:
     if not found:
         click.echo("No messages.")
     return 1 if waiting else 0
+
+
+# ---------------------------------------------------------------- batches
+
+
+def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
+    """Do a batch, and tell how it ended: every run, and each camera's parameters over it."""
+    from bench.batch import Batch, read_queue
+    from bench.signals import stop_on_signals
+
+    clock = BenchClock()
+    batch = Batch(folder, read_queue(queue), clock, lambda line: click.echo(line, err=True))
+    with stop_on_signals(clock.request_stop):
+        summary = batch.run()
+    status = {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)
+    if as_json:
+        print_json(summary)
+        return status
+    click.echo(f"Batch {summary['queue']}: {summary['how']}{': ' if summary['why'] else ''}{summary['why']}")
+    for item in summary["items"]:
+        why = f": {item['why']}" if item["why"] else ""
+        click.echo(f"  {item['item']:<30} {item['how']:<10} {item['attempts']} attempts{why}")
+    found, _ = RunIndex(home_folder()).runs(run_folders(folder), how="finished")
+    for camera in sorted({run.camera for run in found}):
+        of_camera = [run for run in found if run.camera == camera and run.parameters]
+        if len(of_camera) > 1 and len({run.model for run in of_camera}) == 1:
+            click.echo(_agreement_text(of_camera, agreements(of_camera)))
+    return status

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from bench.clock import Aborted, BenchClock
-from bench.control import CONTROL, Command, Inbox, command_text, refusal, send
+from bench.control import CONTROL, Command, Inbox, command_text, heartbeat, refusal, send
 from bench.errors import RunFolderError
 from bench.history import Attempt, Event, History, RunLog, replay
 from bench.journal import Journal, read_journal
@@ -160,7 +160,7 @@ def test_what_is_no_command_is_said_to_be_none_and_removed(run):
         (inbox / "c").mkdir()
         os.mkfifo(inbox / "d.json")
         (inbox / "e.json").symlink_to("/dev/zero")
-        while list(inbox.iterdir()):
+        while any(not path.name.startswith(".") for path in inbox.iterdir()):
             clock.sleep(0.02)
     assert [a["why"] for a in answers(folder)] == ["it is no command"] * 5
 
@@ -174,6 +174,18 @@ def test_a_journal_that_takes_no_answer_stops_the_run(run):
     with pytest.raises(Aborted, match="commands cannot be taken"):
         clock.check()
     inbox.close()
+
+
+def test_the_heart_beats_while_commands_are_taken(run):
+    folder, log, clock = run
+    assert heartbeat(folder) is None
+    with Inbox(folder, log, POSES, clock):
+        beats = {heartbeat(folder)}
+        while len(beats) < 3:
+            clock.sleep(0.02)
+            beats.add(heartbeat(folder))
+    assert None not in beats
+    assert heartbeat(folder) is None
 
 
 def test_a_run_that_nobody_works_on_takes_no_command(tmp_path):

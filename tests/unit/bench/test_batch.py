@@ -1,0 +1,163 @@
+"""A batch: order, repetition, what follows a failure, and that nothing is done twice or taken for done."""
+
+import json
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from bench.batch import Batch, items_of, read_queue
+from bench.clock import Aborted
+from bench.errors import RunFolderError, ScriptError
+from bench.history import Event
+from bench.journal import Journal, read_journal
+from bench.run_folder import RunFolder
+from bench.supervisor import WorkerEnd
+from sequences.queue import Queue
+from sequences.reader import check_document
+
+JOB = "  - {{name: {}, sequence: three_pose, station: simulated{}}}\n"
+
+
+def queue(*jobs, top=""):
+    text = f"format: starbench/queue/1\nname: Night\n{top}jobs:\n" + "".join(JOB.format(*job) for job in jobs)
+    return check_document(text.encode(), "queue.yaml", Queue)
+
+
+class NightClock:
+    """Time that passes only where somebody waits."""
+
+    def __init__(self):
+        self.now_s = 0.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def utc_now(self):
+        return datetime(2026, 3, 1, 20, 0, tzinfo=UTC) + timedelta(seconds=self.now_s)
+
+    def sleep(self, seconds):
+        self.now_s += seconds
+
+
+class Workers:
+    """Stands for the processes: ends as told, and leaves the folder a run would leave."""
+
+    def __init__(self, clock, *ends, run_s=600.0):
+        self.clock, self.ends, self.run_s, self.begun = clock, list(ends), run_s, []
+
+    def __call__(self, words, run, _log):
+        self.begun.append((words[0], run.name, self.clock.now_s))
+        if words[0] == "run":
+            clocks = {"utc_now": self.clock.utc_now, "monotonic": self.clock.monotonic}
+            with RunFolder.create(run) as folder, Journal.create(folder.journal_path, **clocks) as journal:
+                journal.append(Event.RUN_STARTED, id=run.name)
+        self.clock.sleep(self.run_s)
+        end = self.ends.pop(0) if self.ends else "finished"
+        if isinstance(end, BaseException):
+            raise end
+        return WorkerEnd(end, "")
+
+
+def night(folder, queue, *ends, clock=None):
+    clock = clock or NightClock()
+    workers = Workers(clock, *ends)
+    return Batch(folder, queue, clock, lambda _: None, workers), workers
+
+
+def begun(workers):
+    return [f"{word} {name}" for word, name, _ in workers.begun]
+
+
+def hows(summary):
+    return {item["item"]: item["how"] for item in summary["items"]}
+
+
+def test_higher_priorities_come_first_and_repetitions_follow_one_another(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", times: 2"), ("b", ", priority: 1")))
+    summary = batch.run()
+    assert begun(workers) == ["run b-001", "run a-001", "run a-002"]
+    assert summary["how"] == "finished"
+    assert json.loads((tmp_path / "summary.json").read_text()) == summary
+
+
+def test_repetitions_wait_for_their_time_and_others_fill_it(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", times: 3, every_min: 60"), ("b", "")))
+    batch.run()
+    assert begun(workers) == ["run a-001", "run b-001", "run a-002", "run a-003"]
+    assert [round(at_s) for _, _, at_s in workers.begun] == [0, 600, 3600, 7200]
+
+
+def test_seeds_of_repetitions_differ(tmp_path):
+    items = items_of(queue(("a", ", times: 2, seed: 7, operator: Ada")).value)
+    words = [item.words(tmp_path / item.key) for item in items]
+    assert [w[w.index("--seed") + 1] for w in words] == ["7", "8"]
+    assert words[0][-2:] == ["--operator", "Ada"]
+
+
+@pytest.mark.parametrize("how", ["failed", "died", "hung", "aborted"])
+def test_a_run_without_a_result_is_taken_up_again_and_then_given_up(tmp_path, how):
+    batch, workers = night(tmp_path, queue(("a", ""), ("b", "")), how, how)
+    summary = batch.run()
+    assert begun(workers) == ["run a-001", "resume a-001", "run b-001"]
+    assert hows(summary) == {"a-001": how, "b-001": "finished"}
+    assert (summary["how"], summary["why"]) == ("failed", "without a result: a-001")
+
+
+def test_a_failure_ends_the_batch_where_the_queue_says_so(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", attempts: 1, on_failure: stop"), ("b", "")), "failed")
+    summary = batch.run()
+    assert begun(workers) == ["run a-001"]
+    assert (summary["how"], hows(summary)["b-001"]) == ("stopped", "not begun")
+
+
+def test_no_run_is_begun_after_the_time_is_over(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", times: 100"), top="stop_after_h: 1\n"))
+    assert batch.run()["how"] == "stopped"
+    assert len(workers.begun) == 7
+
+
+def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
+    jobs = queue(("a", ""), ("b", ""), ("c", ""))
+    with pytest.raises(KeyboardInterrupt):
+        night(tmp_path, jobs, "finished", KeyboardInterrupt())[0].run()
+    batch, workers = night(tmp_path, jobs)
+    summary = batch.run()
+    assert begun(workers) == ["resume b-001", "run c-001"]
+    assert summary["how"] == "finished"
+    assert [item["attempts"] for item in summary["items"]] == [1, 2, 1]
+    ended = [e.data["item"] for e in read_journal(tmp_path / "journal.jsonl")[0] if e.event == "item_ended"]
+    assert ended == ["a-001", "b-001", "c-001"]
+
+
+def test_a_stop_ends_the_batch_and_it_goes_on_later(tmp_path):
+    jobs = queue(("a", ""), ("b", ""))
+    assert night(tmp_path, jobs, Aborted("SIGTERM received"))[0].run()["how"] == "aborted"
+    batch, workers = night(tmp_path, jobs)
+    assert batch.run()["how"] == "finished"
+    assert begun(workers) == ["resume a-001", "run b-001"]
+
+
+def test_what_was_cut_off_before_it_began_is_kept_aside_and_begun_anew(tmp_path):
+    (tmp_path / "runs" / "a-001").mkdir(parents=True)
+    (tmp_path / "runs" / "a-001" / "sequence.yaml").write_text("x")
+    batch, workers = night(tmp_path, queue(("a", "")))
+    assert batch.run()["how"] == "finished"
+    assert begun(workers) == ["run a-001"]
+    assert (tmp_path / "runs" / "a-001.unbegun-1" / "sequence.yaml").exists()
+
+
+def test_another_queue_is_refused_in_a_folder_that_has_one(tmp_path):
+    night(tmp_path, queue(("a", "")))[0].run()
+    with pytest.raises(RunFolderError, match="another queue"):
+        night(tmp_path, queue(("b", "")))[0].run()
+
+
+def test_a_queue_is_checked_with_all_it_names_before_anything_runs(tmp_path):
+    path = tmp_path / "queue.yaml"
+    text = "format: starbench/queue/1\nname: Night\njobs:\n" + JOB.format("a", "") + JOB.format("a", "")
+    path.write_text(text)
+    with pytest.raises(ScriptError, match="same name: a"):
+        read_queue(path)
+    path.write_text(text.replace("name: a, sequence: three_pose", "name: b, sequence: four_pose", 1))
+    with pytest.raises(ScriptError, match="four_pose"):
+        read_queue(path)
