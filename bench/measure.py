@@ -6,6 +6,7 @@ recording is made here, from the file alone, so that it can be made again from t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,8 +103,17 @@ def measure(
         facts.update(_image_facts(images, chosen))
         view = mistrust_rim(detect(chosen.image, target, name=name), target)
     except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, picture, facts, str(error))
-    return Measurement(view, picture, facts)
+        return Measurement(None, picture, _plain(facts), str(error))
+    return Measurement(view, picture, _plain(facts))
+
+
+def _plain(facts: Any) -> Any:
+    """Put None where a number could not be told: what was not measured is not a number, in JSON either."""
+    if isinstance(facts, dict):
+        return {name: _plain(fact) for name, fact in facts.items()}
+    if isinstance(facts, list):
+        return [_plain(fact) for fact in facts]
+    return None if isinstance(facts, float) and not math.isfinite(facts) else facts
 
 
 def _flicker(
@@ -132,12 +142,12 @@ def _flicker_facts(flicker: Flicker, triggers: Triggers, span_us: tuple[float, f
     facts: dict[str, Any] = {
         "flicker_hz": flicker.frequency_hz,
         "flicker_source": flicker.source,
-        "flicker_duty": flicker.duty if np.isfinite(flicker.duty) else None,
+        "flicker_duty": flicker.duty,
         "triggers_found": int((triggers.value == 1).sum()),
     }
     if flicker.source == "triggers":
         facts["triggers_expected"] = len(flicker.rising_edges_us(*span_us))
-        facts["trigger_jitter_us"] = flicker.jitter_us if np.isfinite(flicker.jitter_us) else None
+        facts["trigger_jitter_us"] = flicker.jitter_us
     return facts
 
 

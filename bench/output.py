@@ -295,7 +295,7 @@ def print_schema(document: str) -> int:
 
 
 def serve_simulated_bench(station_name: str, seed: int) -> int:
-    """Keep a simulated bench running until somebody stops it."""
+    """Keep a simulated bench running until somebody stops it; lines on standard input order faults."""
     from bench.simulated import SimulatedBench
     from bench.station import load_station
 
@@ -312,7 +312,17 @@ def serve_simulated_bench(station_name: str, seed: int) -> int:
     with SimulatedBench(station.simulation, seed) as bench:
         for name, port in bench.endpoints.items():
             click.echo(f"{name:<8} {port}")
-        click.echo("Ports of the simulated bench, as a station file names them. Ctrl-C ends it.", err=True)
+        click.echo(
+            "Ports of the simulated bench, as a station file names them. A line here orders a fault"
+            " (pan stall share=0.3); Ctrl-C ends it.",
+            err=True,
+        )
+
+        def obey() -> None:
+            for line in sys.stdin:
+                click.echo(bench.order(line))
+
+        threading.Thread(target=obey, daemon=True).start()
         while bench.alive and not stop.wait(0.5):
             pass
         if not bench.alive:

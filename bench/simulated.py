@@ -99,6 +99,24 @@ class SimulatedBench:
         """Whether the process is still there."""
         return self._process.poll() is None
 
+    def order(self, line: str) -> str:
+        """Give an order for a fault (see docs/simulated-bench.md), and return the answer: a line of JSON.
+
+        Raises
+        ------
+        SimulationError
+            When the process is gone.
+        """
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin is not None
+        assert stdout is not None
+        try:
+            stdin.write(line.rstrip("\n") + "\n")
+            stdin.flush()
+        except BrokenPipeError as error:
+            raise SimulationError("The simulated bench has ended by itself.") from error
+        return stdout.readline().rstrip("\n")
+
     def truth(self) -> dict[str, Any]:
         """What the simulated world is made of: for the final comparison, never for an estimator."""
         truth: dict[str, Any] = json.loads(self._truth_path.read_text(encoding="utf-8"))

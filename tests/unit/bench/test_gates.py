@@ -7,7 +7,7 @@ from drivers.camera import RecordingFacts
 from sequences.script import Gates
 
 GATES = Gates(min_stars=40, max_event_rate_mev_s=100.0, require_triggers=True)
-MEASURED = {"flicker_hz": 60.0, "triggers_expected": 3, "triggers_found": 3}
+MEASURED = {"flicker_hz": 60.0, "flicker_source": "triggers", "triggers_expected": 3, "triggers_found": 3}
 
 
 def facts(**changes):
@@ -34,6 +34,7 @@ def test_a_good_recording_is_not_refused():
         ({"events": 9_000_000}, "event rate 180 Mev/s, wanted <= 100"),
         ({"measured": MEASURED | {"triggers_found": 1}}, "triggers missed 2, wanted <= 1"),
         ({"measured": MEASURED | {"flicker_hz": 50.0}}, "flicker off nominal 16.6667 %"),
+        ({"measured": MEASURED | {"flicker_hz": 59.9}}, "flicker off nominal 0.166667 %"),
         ({"gaps": ("words are missing",)}, "data lost: words are missing"),
         ({"filters": {"afk": True}}, "on-chip filters were on: afk"),
         ({"triggers": 0}, "no sync triggers"),
@@ -46,7 +47,7 @@ def test_each_fault_is_refused_in_words_that_name_it(given, words):
 
 def test_triggers_are_not_demanded_where_the_sequence_says_so():
     free = Gates(40, 100.0, require_triggers=False)
-    assert reasons(gates=free, triggers=0, measured={"flicker_hz": 60.0}) == []
+    assert reasons(gates=free, triggers=0, measured={"flicker_hz": 60.0, "flicker_source": "events"}) == []
 
 
 def test_an_empty_recording_has_no_rate_and_does_not_divide_by_zero():
