@@ -203,6 +203,16 @@ def test_hot_pixels_stay_where_they_are_over_seeds_and_move_with_the_camera():
     assert hot(1, 1) != hot(2, 1)
 
 
+@pytest.mark.parametrize("refr", [-20, 0, 60])
+def test_a_hot_pixel_fires_as_soon_as_its_dead_time_ends_and_never_before(refr):
+    noise = NoiseTruth(mismatch=0.0, background_hz=0.0, hot_share=4e-3, hot_hz=2e5, reset_noise=0.0)
+    setting = PixelSettings.from_biases({"bias_refr": refr})
+    events = simulate(picture(48, 64), LightState(output=False), 5e4, noise=noise, settings=setting)
+    where = events.y.astype(int) * 64 + events.x
+    waits = np.concatenate([np.diff(events.t[where == w]) for w in np.unique(where)])
+    assert setting.dead_us - 1.01 <= waits.min() <= setting.dead_us + 2.0
+
+
 def test_a_new_picture_fires_where_it_changed():
     sensor = Sensor(64, 48, noise=NOISE_LEVELS["none"])
     steady = LightState(low_v=5.0, high_v=5.0, output=True)
