@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from calib import uncertainty
 from calib.bundle import Bundle
@@ -51,7 +51,7 @@ def require_agreement(bundle: Bundle, state: State, loss: Loss, passport: Passpo
     stated, own = np.array([passport.known[name] for name in asked]), passport.covariance_of(asked)
     off, together = found - stated, covariance + own
     chi_square = float(off @ np.linalg.solve(together, off))
-    if chi_square > stats.chi2.ppf(1.0 - _FALSE_ALARMS, len(asked)):
+    if chi_square > special.chdtri(len(asked), _FALSE_ALARMS):
         worst = int(np.argmax(np.abs(off) / np.sqrt(np.diag(together))))
         raise PassportContradicted(
             f"{asked[worst]} is {stated[worst]:.2f} +- {np.sqrt(own[worst, worst]):.2f} mm there, but "

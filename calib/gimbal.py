@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from calib.errors import DegenerateViews, InputMismatch
 from calib.infinity import ARCSEC
@@ -64,7 +64,7 @@ class GimbalWitness:
     @property
     def agrees(self) -> bool:
         """Whether the disagreement is within what chance allows in 999 of 1000 cases."""
-        return bool(self.chi_square < stats.chi2.ppf(0.999, max(self.degrees_of_freedom, 1)))
+        return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
 
 
 def witness(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from calib.calibration import Calibration
 from calib.errors import DegenerateViews
@@ -53,7 +53,7 @@ class RelativeRotation:
     @property
     def rigid(self) -> bool:
         """Whether the poses agree within what chance allows in 999 of 1000 cases."""
-        return bool(self.chi_square <= stats.chi2.ppf(0.999, max(self.degrees_of_freedom, 1)))
+        return bool(self.chi_square <= special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
 
 
 def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotation:

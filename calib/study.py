@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from calib.calibrate import calibrate
 from calib.calibration import CalibrationOptions
@@ -70,6 +69,8 @@ class Study:
     @property
     def coverage_band(self) -> tuple[float, float]:
         """Band that the coverage of true sigmas keeps in 999 of 1000 studies (binomial)."""
+        from scipy import stats
+
         low, high = stats.binom.interval(_BAND, len(self.values), COVERAGE)
         return float(low) / len(self.values), float(high) / len(self.values)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from calib.bundle import Bundle
 from calib.errors import DegenerateViews
@@ -73,7 +73,10 @@ class Uncertainty:
     @property
     def coverage_factor(self) -> float:
         """The k for which value +- k sigma covers 95.45 % (Student)."""
-        return float(stats.t.ppf(0.5 + 0.5 * _COVERAGE, self.effective_freedom))
+        tail = 0.5 + 0.5 * _COVERAGE
+        if np.isinf(self.effective_freedom):
+            return float(special.ndtri(tail))
+        return float(special.stdtrit(self.effective_freedom, tail))
 
 
 def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
@@ -105,7 +108,7 @@ def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
     scale = bundle.noise_variance if known else factor
     covariance = scale * inverse_information(equations.reduced(), bundle.names)
     ratio, views_freedom = _birge(bundle, state, loss, variance)
-    limit = stats.f.ppf(1.0 - _FALSE_ALARMS, views_freedom, freedom) if views_freedom > 0 else np.inf
+    limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
         covariance,
