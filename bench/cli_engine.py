@@ -165,4 +165,30 @@ def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words
     return show_study(studied, as_json=as_json)
 
 
-ENGINE_COMMANDS = (calibrate, passport, study)
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.argument("output", type=click.Path(path_type=Path))
+@click.option(
+    "--as",
+    "kind",
+    type=click.Choice(["metavision", "hdf5", "numpy"]),
+    default="metavision",
+    show_default=True,
+    help="Metavision's HDF5 (ECF), plain HDF5, or NumPy's .npz.",
+)
+def export(recording: Path, output: Path, kind: str) -> int:
+    """Write the events of a RAW RECORDING to a new file for other programs. The RAW stays the evidence."""
+    from drivers.camera import event_files
+    from drivers.camera.raw_file import RawFile
+
+    ways = {
+        "metavision": event_files.export_metavision,
+        "hdf5": event_files.export_hdf5,
+        "numpy": event_files.export_numpy,
+    }
+    written = ways[kind](RawFile.open(recording), output)
+    click.echo(f"{output}: {written.events} events, {written.triggers} triggers")
+    return 0
+
+
+ENGINE_COMMANDS = (calibrate, passport, study, export)
