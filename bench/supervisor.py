@@ -24,7 +24,7 @@ from sequences.errors import DocumentFaults
 SILENCE_S = 4.0
 """Longer without a heartbeat is hung; it is looked at every ``POLL_S``, so that 5 s are not exceeded."""
 QUIET_S = 600.0
-"""So long may it begin, or seal, without a heartbeat; neither holds a device."""
+"""So long may it begin, end or seal without a heartbeat: what it does with devices then has deadlines of its own."""
 POLL_S = 0.2
 _LAST_WORDS_S = 2.0
 _SAFE_END_S = 60.0

@@ -1,11 +1,15 @@
 """An operator at another terminal: hold and go on, skip, abort, take over; and a pose that crashes the process."""
 
 import json
+import re
 import signal
 import time
 
 import pytest
 from running import PATIENCE_S, end_when, entering, journal, numbers, results, starbench, start
+
+from bench.control import Command, send
+from bench.plan import SHIPPED_SEQUENCES
 
 SEED = 7
 
@@ -17,8 +21,11 @@ def home(tmp_path_factory):
 
 @pytest.fixture
 def process(home, tmp_path):
-    """A run under way, which a test commands."""
-    process = start("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", tmp_path / "run", home=home)
+    """A run under way, which a test commands; it stands still long enough before each recording to be met there."""
+    sequence = tmp_path / "sequence.yaml"
+    text = (SHIPPED_SEQUENCES / "three_pose.yaml").read_text()
+    sequence.write_text(text.replace("settle: {duration_s: 0.3}", "settle: {duration_s: 2}"))
+    process = start("run", sequence, "-s", "simulated", "--seed", SEED, "-o", tmp_path / "run", home=home)
     yield process
     process.kill()
     process.communicate()
@@ -36,22 +43,30 @@ def states(folder):
     return [line["state"] for line in journal(folder) if line["event"] == "entering"]
 
 
+def light_outputs(folder):
+    """What the light's output was switched to, in order."""
+    sent = [json.loads(line) for line in (folder / "wire.jsonl").read_text().splitlines()]
+    switched = [re.search(r"OUTP\S* (ON|OFF|0|1)", line["bytes"]) for line in sent if line["dir"] == ">"]
+    return [found[1] in {"ON", "1"} for found in switched if found]
+
+
 def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tmp_path, process):
     folder = tmp_path / "run"
-    wait_for(process, folder, entering("slewing", 2))
-    assert starbench("hold", folder, "--operator", "ada", home=home).returncode == 0
+    wait_for(process, folder, entering("settling"))
+    assert send(folder, Command(word="hold", by="ada"))["taken"]
     wait_for(process, folder, entering("holding"))
     refused = starbench("release", folder, "--operator", "ben", home=home)
     assert refused.returncode == 1
     assert "held by ada" in refused.stderr
+    assert light_outputs(folder)[-1] is False
     status = json.loads(starbench("status", folder, "--json", home=home).stdout)
     assert (status["running"], status["state"], status["held_by"]) == (True, "holding", "ada")
     taken = starbench("release", folder, "--operator", "ben", "--take-over", "--json", home=home)
     assert json.loads(taken.stdout)["taken"]
     assert process.wait(PATIENCE_S) == 0
-    after = states(folder)[states(folder).index("holding") + 1 :]
-    assert after[0] == "lighting"
-    assert "slewing" in after[1:2] or after[1] == "settling"
+    held = states(folder).index("holding")
+    assert states(folder)[held - 2 : held] == ["slewing", "settling"]
+    assert states(folder)[held + 1 : held + 5] == ["lighting", "slewing", "settling", "recording"]
     assert any("Held by ada" in what for what in results(folder)["deviations"])
     assert not (folder / "control").exists()
     undisturbed = tmp_path / "undisturbed"
@@ -61,26 +76,11 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     assert starbench("verify", folder, home=home).returncode == 0
 
 
-def test_the_light_is_off_while_a_run_is_held_and_the_move_is_repeated_after(home, tmp_path, process):
-    folder = tmp_path / "run"
-    wait_for(process, folder, entering("settling"))
-    assert starbench("hold", folder, home=home).returncode == 0
-    wait_for(process, folder, entering("holding"))
-    wire = (folder / "wire.jsonl").read_text().splitlines()
-    outputs = [line for line in wire if "OUTP" in line.upper() and "?" not in line]
-    assert "OFF" in outputs[-1].upper() or "OUTP 0" in outputs[-1].upper() or "OUTP1 0" in outputs[-1].upper()
-    assert starbench("release", folder, home=home).returncode == 0
-    assert process.wait(PATIENCE_S) == 0
-    after = states(folder)[states(folder).index("holding") + 1 :]
-    assert after[:4] == ["lighting", "slewing", "settling", "recording"]
-
-
 def test_a_skipped_pose_is_left_out_and_the_report_says_who_asked(home, tmp_path, process):
     folder = tmp_path / "run"
     wait_for(process, folder, entering("preflight"))
-    assert starbench("skip", folder, "--pose", 2, "--operator", "ada", home=home).returncode == 0
-    again = starbench("skip", folder, "--pose", 2, home=home)
-    assert "skipped already" in again.stderr
+    assert send(folder, Command(word="skip", by="ada", pose=2))["taken"]
+    assert "skipped already" in starbench("skip", folder, "--pose", 2, home=home).stderr
     assert process.wait(PATIENCE_S) == 0
     told = results(folder)
     assert [pose["index"] for pose in told["poses"]] == [1, 3]

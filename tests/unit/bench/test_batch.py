@@ -1,7 +1,9 @@
 """A batch: order, repetition, what follows a failure, and that nothing is done twice or taken for done."""
 
 import json
+import re
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 
@@ -12,7 +14,7 @@ from bench.history import Event
 from bench.journal import Journal, read_journal
 from bench.run_folder import RunFolder
 from bench.supervisor import WorkerEnd
-from sequences.queue import Queue
+from sequences.queue import JobWords, Queue
 from sequences.reader import check_document
 
 JOB = "  - {{name: {}, sequence: three_pose, station: simulated{}}}\n"
@@ -150,6 +152,15 @@ def test_another_queue_is_refused_in_a_folder_that_has_one(tmp_path):
     night(tmp_path, queue(("a", "")))[0].run()
     with pytest.raises(RunFolderError, match="another queue"):
         night(tmp_path, queue(("b", "")))[0].run()
+
+
+def test_the_queue_in_the_documents_is_one_and_names_every_key():
+    document = (Path(__file__).parents[3] / "docs" / "batches.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```yaml\n(.*?)```", document, re.DOTALL)
+    shown = check_document(example.encode(), "example", Queue).value
+    assert [item.key for item in items_of(shown)][:2] == ["first-001", "cam7-001"]
+    keys = {*Queue.model_fields, *JobWords.model_fields}
+    assert sorted(key for key in keys if key not in document) == []
 
 
 def test_a_queue_is_checked_with_all_it_names_before_anything_runs(tmp_path):
