@@ -100,7 +100,7 @@ class ResultWriter:
         options = calibration_options(step)
         calibration = calibrate(views, options)
         check()
-        planar = planar_beside(views, options) if calibration.model == "spherical" else None
+        planar = planar_beside(views, options) if calibration.model != "planar" else None
         found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
         found |= {f"sigma_{name}": sigma for name, sigma in calibration.sigma.items()}
         readings = [attempt.stored["measured_deg"] for _, attempt in sorted(history.accepted().items())]
