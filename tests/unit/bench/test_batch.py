@@ -131,6 +131,16 @@ def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
     assert ended == ["a-001", "b-001", "c-001"]
 
 
+def test_a_run_that_was_sealed_as_the_batch_was_cut_off_is_done(tmp_path):
+    jobs = queue(("a", ""), ("b", ""))
+    with pytest.raises(KeyboardInterrupt):
+        night(tmp_path, jobs, KeyboardInterrupt())[0].run()
+    (tmp_path / "runs" / "a-001" / "SHA256SUMS.sig").write_bytes(b"")
+    batch, workers = night(tmp_path, jobs)
+    assert hows(batch.run()) == {"a-001": "finished", "b-001": "finished"}
+    assert begun(workers) == ["run b-001"]
+
+
 def test_a_stop_ends_the_batch_and_it_goes_on_later(tmp_path):
     jobs = queue(("a", ""), ("b", ""))
     assert night(tmp_path, jobs, Aborted("SIGTERM received"))[0].run()["how"] == "aborted"
