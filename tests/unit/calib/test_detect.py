@@ -263,9 +263,22 @@ def test_a_star_of_which_a_part_is_covered_is_left_out():
         (i, p) for i, p in zip(whole, points, strict=True) if np.linalg.norm(p - [150, 130]) < 30
     )
     image = clean.copy()
-    spot = centre + 16 * np.array([np.cos(0.3), np.sin(0.3)])
-    cv2.circle(image, tuple(spot.round().astype(int).tolist()), 8, 0.4, -1)
+    for side in (16, -16):  # evenly, so that nothing but the missing contrast tells
+        spot = centre + side * np.array([np.cos(0.3), np.sin(0.3)])
+        cv2.circle(image, tuple(spot.round().astype(int).tolist()), 8, 0.55, -1)
     assert star in detect(clean, TARGET).ids
+    assert star not in detect(image, TARGET).ids
+
+
+def test_a_star_out_of_line_is_left_out():
+    scene, clean = drawn(roll=143)
+    whole, points = scene.whole_stars()
+    star, centre = next(
+        (i, p) for i, p in zip(whole, points, strict=True) if np.linalg.norm(p - [150, 130]) < 30
+    )
+    x, y = centre.round().astype(int)
+    image = clean.copy()
+    image[y - 19 : y + 20, x - 18 : x + 21] = clean[y - 19 : y + 20, x - 19 : x + 20]
     assert star not in detect(image, TARGET).ids
 
 
