@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 from running import end_when, entering, journal, results, starbench, start
 
 from bench.journal import read_journal
@@ -48,6 +49,7 @@ def test_every_run_is_entered_listed_and_compared(tmp_path):
     assert "run 2 (whole): its folder is gone" in told["faults"][0]
 
 
+@pytest.mark.slow
 def test_a_run_resumed_on_another_bench_is_entered_there_as_well(tmp_path):
     folder = tmp_path / "run"
     process = start("run", "three_pose", "-s", "simulated", "-o", folder, home=tmp_path / "one")
