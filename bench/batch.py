@@ -17,9 +17,10 @@ from typing import Any
 
 from bench.clock import Aborted, BenchClock
 from bench.errors import RunFolderError, ScriptError
+from bench.folder_lock import hold_folder, is_worked_on
 from bench.journal import Entry, Journal, read_journal
 from bench.plan import load, plan
-from bench.run_folder import JOURNAL, hold_folder, is_sealed, is_worked_on
+from bench.run_folder import JOURNAL, is_sealed
 from bench.storage import make_folder, storing, sync_folder, write_whole
 from bench.supervisor import WorkerEnd, make_safe_after, supervise
 from sequences.errors import DocumentFaults

@@ -25,9 +25,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bench.clock import BenchClock
 from bench.errors import BenchError, RunFolderError
+from bench.folder_lock import is_worked_on
 from bench.history import Event, History, RunLog
 from bench.journal import read_journal
-from bench.run_folder import JOURNAL, is_worked_on
+from bench.run_folder import JOURNAL
 from bench.storage import is_temporary, make_folder, storing, sync_folder, write_whole
 
 CONTROL = "control"

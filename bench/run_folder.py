@@ -8,12 +8,9 @@ so that a dead process leaves none behind. A sealed folder is never opened for w
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import os
 import re
 import shutil
-import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -21,6 +18,7 @@ from typing import Any, Self
 
 from bench.captures import CAPTURES, Capture, capture_name, stored_captures
 from bench.errors import RunFolderError, StorageError
+from bench.folder_lock import hold_folder
 from bench.journal import Journal
 from bench.storage import (
     is_temporary,
@@ -43,7 +41,6 @@ QUARANTINE = "quarantine"
 SIGNATURE = "SHA256SUMS.sig"
 _RESERVE = ".reserve"
 _RESERVE_BYTES = 256 * 1024
-_LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
 _PART = ".part"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _DEVICE_NAMES = {"con", "prn", "aux", "nul"} | {f"{d}{n}" for d in ("com", "lpt") for n in range(1, 10)}
@@ -87,25 +84,6 @@ class RecoveryNotes:
 def is_sealed(path: Path) -> bool:
     """Whether a run folder carries a signature."""
     return (path / SIGNATURE).exists()
-
-
-def is_worked_on(path: Path) -> bool:
-    """Whether a process holds a run folder at this moment. Leaves no trace there.
-
-    Raises
-    ------
-    StorageError
-        When the folder cannot be read.
-    """
-    with storing(path):
-        probe = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            fcntl.flock(probe, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        finally:
-            os.close(probe)
-    return False
 
 
 class RunFolder:
@@ -354,42 +332,6 @@ def refuse_unresumable(path: Path) -> None:
             where=str(path),
             remedy="A sealed run is never changed; start a new one, or check it with `starbench verify`.",
         )
-
-
-def hold_folder(path: Path) -> int:
-    """Hold a folder against other processes, for as long as the descriptor returned is open.
-
-    Raises
-    ------
-    RunFolderError
-        When another process holds it.
-    StorageError
-        When it cannot be locked.
-    """
-    with storing(path):
-        lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        _lock_exclusively(lock)
-    except OSError as error:
-        os.close(lock)
-        if error.errno not in {errno.EWOULDBLOCK, errno.EACCES}:
-            raise StorageError(f"It cannot be locked: {error.strerror}.", where=str(path)) from error
-        raise RunFolderError(
-            "Another process is working on this run.",
-            where=str(path),
-            remedy="Wait for it to end, or stop it.",
-        ) from error
-    return lock
-
-
-def _lock_exclusively(descriptor: int) -> None:
-    """Take the lock; tried again for a moment, since whoever asks whether it is held touches it (is_worked_on)."""
-    for _ in range(_LOCK_TRIES - 1):
-        with suppress(BlockingIOError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        time.sleep(_LOCK_PAUSE_S)
-    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _refuse_occupied(path: Path) -> None:

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError, StorageError
+from bench.folder_lock import is_worked_on
 from bench.history import History, replay
 from bench.journal import read_journal
-from bench.run_folder import JOURNAL, is_sealed, is_worked_on
+from bench.run_folder import JOURNAL, is_sealed
 from bench.storage import make_folder, storing
 
 INDEX = "runs.sqlite3"

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import RunFolderError, StorageError
+from bench.folder_lock import is_worked_on
 from bench.history import Event, History, replay
 from bench.journal import Entry, read_journal
 from bench.progress import clock_text
-from bench.run_folder import JOURNAL, PLAN, is_sealed, is_worked_on
+from bench.run_folder import JOURNAL, PLAN, is_sealed
 from bench.storage import storing
 
 LAST_LINES = 5

@@ -13,9 +13,10 @@ from pydantic import ValidationError
 from bench.clock import Aborted, BenchClock
 from bench.control import CONTROL, Command, Inbox, command_text, heartbeat, refusal, send
 from bench.errors import RunFolderError
+from bench.folder_lock import is_worked_on
 from bench.history import Attempt, Event, History, RunLog, replay
 from bench.journal import Journal, read_journal
-from bench.run_folder import RunFolder, is_worked_on
+from bench.run_folder import RunFolder
 
 POSES = {1: "left", 2: "right", 3: "below"}
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
