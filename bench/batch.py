@@ -194,13 +194,13 @@ class Batch:
     def _work(self, journal: Journal, begun_s: float) -> tuple[str, str]:
         stop_s = (self._queue.value.stop_after_h or float("inf")) * 3600.0
         try:
-            while todo := [item for item in items_of(self._queue.value) if not self._is_done(item)]:
+            while undone := [item for item in items_of(self._queue.value) if not self._is_done(item)]:
                 at_s = self._clock.monotonic() - begun_s
                 if at_s > stop_s:
                     return "stopped", f"{self._queue.value.stop_after_h:g} h are over"
-                item = next((i for i in todo if i.due_s <= at_s), None)
+                item = next((i for i in undone if i.due_s <= at_s), None)
                 if item is None:
-                    self._clock.sleep(min(*(i.due_s for i in todo), stop_s) - at_s + 0.01)
+                    self._clock.sleep(min(*(i.due_s for i in undone), stop_s) - at_s + 0.01)
                     continue
                 self._one(item, journal)
                 if (

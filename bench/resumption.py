@@ -20,13 +20,13 @@ CRASHES_ALLOWED = 1
 def remaining(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptStep]:
     """Find the steps to do: those not done, and those done that the first of them stands on."""
     done = set(done)
-    todo = [i for i, step in enumerate(steps) if step.number not in done]
+    undone = [i for i, step in enumerate(steps) if step.number not in done]
     again: set[int] = set()
     for wanted in ((MoveStep, SettleStep, RecordStep), (SolveStep, ReportStep)):
-        first = next((i for i in todo if isinstance(steps[i], wanted)), None)
+        first = next((i for i in undone if isinstance(steps[i], wanted)), None)
         if first is not None:
             again |= set(_ground(steps, first))
-    return [steps[i] for i in sorted({*again, *todo})]
+    return [steps[i] for i in sorted({*again, *undone})]
 
 
 def ground(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
