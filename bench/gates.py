@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from calib.motion import MOVING_PX
 from drivers.camera import RecordingFacts
 from sequences.script import Gates
 
@@ -77,8 +78,8 @@ def recording_gates(
     frequency_hz
         What the light was set to.
     measured
-        ``flicker_hz``, ``triggers_expected``, ``triggers_found`` as the recording itself tells (absent where it
-        cannot).
+        ``flicker_hz``, ``triggers_expected``, ``triggers_found``, ``motion_px`` as the recording itself tells
+        (absent where it cannot).
     stars
         Stars found.
     """
@@ -95,6 +96,8 @@ def recording_gates(
         most = FREQUENCY_TOLERANCE[measured["flicker_source"]]
         verdict: Verdict = "fail" if off > most else "pass"
         judged.append(Gate("flicker off nominal", 100 * off, "%", f"<= {100 * most:g}", verdict))
+    if measured.get("motion_px") is not None:
+        judged.append(at_most("stars moved", float(measured["motion_px"]), MOVING_PX, "px"))
     return judged
 
 

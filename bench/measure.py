@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.detect import detect
-from calib.errors import CalibrationError, FlickerNotFound
-from calib.event_image import BestImage, EventImages, make_images
+from calib.errors import CalibrationError, FlickerNotFound, TargetNotFound, TooFewEvents, TooFewStars
+from calib.event_image import BestImage, EventImages, SliceFacts, make_images
 from calib.flicker import Flicker, flicker_from_events, flicker_from_triggers
+from calib.motion import half_windows, motion_between
 from calib.rim import mistrust_rim
 from calib.target import StarTarget
 from calib.view import View
-from drivers.camera.evt3 import Triggers
+from drivers.camera.evt3 import Events, Triggers
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 
@@ -39,7 +40,7 @@ class Measurement:
         (H, W) float32, the event image the stars were looked for in; None where it could not be made.
     facts
         Plain numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
-        share, hot pixels, flicker frequency and where it comes from, triggers expected and found.
+        share, hot pixels, flicker frequency and where it comes from, triggers expected and found, motion.
     fault
         Why there is no view; empty when there is one.
     """
@@ -102,9 +103,37 @@ def measure(
         picture = chosen.image
         facts.update(_image_facts(images, chosen))
         view = mistrust_rim(detect(chosen.image, target, name=name), target)
+        facts["motion_px"] = _motion_px(
+            events, (raw.width, raw.height), flicker, images.facts, chosen.name, target
+        )
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, picture, _plain(facts), str(error))
     return Measurement(view, picture, _plain(facts))
+
+
+def _motion_px(
+    events: Events,
+    size: tuple[int, int],
+    flicker: Flicker,
+    whole: SliceFacts,
+    kind: str,
+    target: StarTarget,
+) -> float | None:
+    """Length of the stars' shift from the first half of a window to the second; None where halves cannot tell."""
+    try:
+        first, second = (
+            detect(
+                make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=half).named(
+                    kind
+                ),
+                target,
+                name="half",
+            )
+            for half in half_windows(whole)
+        )
+        return motion_between(first, second).length_px
+    except (TooFewEvents, TooFewStars, TargetNotFound):
+        return None
 
 
 def _plain(facts: Any) -> Any:

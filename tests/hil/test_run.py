@@ -8,6 +8,8 @@ import subprocess
 import pytest
 from running import end_when, entering, journal, numbers, results, starbench, start
 
+from bench.station import SHIPPED
+
 SEED = 7
 
 
@@ -133,3 +135,21 @@ def test_a_signal_stops_the_run_safely_and_it_can_be_resumed(home, tmp_path, num
     assert lines[-1]["event"] == "run_ended"
     assert number.name in lines[-1]["why"]
     assert not list((folder / "captures").glob("*.part"))
+
+
+CREEPING = """\
+simulation:
+  stage: {pan: {serial: "100101", limit_deg: 15, encoder: false}, tilt: {serial: "100102", limit_deg: 10}}
+  faults: [{device: pan, fault: creep, creep_deg_s: 0.1, skip: 2}]
+"""
+
+
+def test_a_camera_that_creeps_where_no_encoder_sees_it_is_refused_by_its_own_stars(home, tmp_path):
+    station = tmp_path / "creeping.yaml"
+    station.write_text((SHIPPED / "simulated.yaml").read_text().replace("simulation: {}\n", CREEPING))
+    folder = tmp_path / "run"
+    said = starbench("run", "three_pose", "-s", station, "--seed", SEED, "-o", folder, home=home)
+    assert said.returncode == 1
+    assert "Pose 2 (right) failed 2 attempts: stars moved" in said.stderr
+    checked = [line for line in journal(folder) if line["event"] == "attempt_checked"]
+    assert [line["accepted"] for line in checked] == [True, False, False]

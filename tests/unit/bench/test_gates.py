@@ -35,6 +35,7 @@ def test_a_good_recording_is_not_refused():
         ({"measured": MEASURED | {"triggers_found": 1}}, "triggers missed 2, wanted <= 1"),
         ({"measured": MEASURED | {"flicker_hz": 50.0}}, "flicker off nominal 16.6667 %"),
         ({"measured": MEASURED | {"flicker_hz": 59.9}}, "flicker off nominal 0.166667 %"),
+        ({"measured": MEASURED | {"motion_px": 0.08}}, "stars moved 0.08 px, wanted <= 0.05"),
         ({"gaps": ("words are missing",)}, "data lost: words are missing"),
         ({"filters": {"afk": True}}, "on-chip filters were on: afk"),
         ({"triggers": 0}, "no sync triggers"),
