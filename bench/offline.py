@@ -15,6 +15,7 @@ from typing import Any, Self, cast, get_args
 import cv2
 import numpy as np
 
+from bench.captures import stored_captures
 from bench.comparison import planar_beside
 from bench.errors import BenchError, UsageError
 from bench.history import replay
@@ -32,6 +33,8 @@ from calib.errors import CalibrationError, TooFewStars
 from calib.rim import mistrust_rim
 from calib.target import StarTarget
 from calib.view import View
+from drivers.camera.raw_file import RawFile
+from drivers.errors import RecordingCorrupt
 from sequences.schema import ImageKind
 from sequences.script import RecordStep
 
@@ -217,7 +220,30 @@ def _run_sources(folder: Path, choices: Choices) -> Iterator[_Source]:
         yield _Source(path, partial(_view_of_run, job, path, step))
 
 
+def _refuse_cut_off(path: Path) -> None:
+    """Refuse a recording that is not whole: by its last word and, inside a run folder, by what its journal says.
+
+    Raises
+    ------
+    RecordingCorrupt
+        Naming the byte at which it ends.
+    """
+    size = path.stat().st_size
+    run = path.resolve().parent.parent
+    name = path.resolve().relative_to(run).as_posix()
+    told = stored_captures(read_journal(run / JOURNAL)[0]) if (run / JOURNAL).is_file() else {}
+    if RawFile.open(path).truncated or (name in told and told[name].size != size):
+        whole = f"; {told[name].size} were recorded" if name in told else ", in the middle of a word"
+        raise RecordingCorrupt(
+            f"The recording is cut off{whole}.",
+            offset=size,
+            where=str(path),
+            remedy="Copy it again from where it was recorded, or leave it out.",
+        )
+
+
 def _view_of_run(job: Job, path: Path, step: RecordStep) -> View:
+    _refuse_cut_off(path)
     return _view(job.measure(path, step), path)
 
 
@@ -239,6 +265,7 @@ def _file_source(path: Path, choices: Choices) -> _Source:
 
 
 def _view_of_recording(path: Path, choices: Choices) -> View:
+    _refuse_cut_off(path)
     found = measure(
         path, name=path.stem, target=choices.target, image=choices.image, periods=None, expected_hz=None
     )

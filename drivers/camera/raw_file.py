@@ -95,6 +95,11 @@ class RawFile:
         return self.raw_header.width
 
     @property
+    def truncated(self) -> bool:
+        """Whether the file ends in the middle of a word, as one that was cut off does half of the time."""
+        return (self.path.stat().st_size - self.raw_header.size_bytes) % 2 == 1
+
+    @property
     def height(self) -> int:
         """Rows of the sensor."""
         return self.raw_header.height
@@ -170,8 +175,7 @@ class RawFile:
         for words in self.words():
             decoder.tally(words)
         size = self.path.stat().st_size
-        odd = (size - self.raw_header.size_bytes) % 2
-        return RecordingScan(**vars(decoder.told()), bytes=size, truncated=odd == 1)
+        return RecordingScan(**vars(decoder.told()), bytes=size, truncated=self.truncated)
 
     def _decoder(self) -> Evt3Decoder:
         first_byte = self.raw_header.size_bytes

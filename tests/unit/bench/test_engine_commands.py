@@ -1,6 +1,7 @@
 """The engine at the command line: comparison, passports, forecasts, studies, on views made here."""
 
 import json
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -104,3 +105,23 @@ def test_a_recording_is_exported_whole_and_never_over_another_file(capsys, refer
     assert "82469 events, 2 triggers" in say(capsys, "export", raw, tmp_path / "out", "--as", kind)
     assert len(import_events(tmp_path / "out").events.t) == 82_469
     say(capsys, "export", raw, tmp_path / "out", "--as", kind, status=1)
+
+
+def test_a_capture_shorter_than_its_journal_says_is_refused(tmp_path):
+    from bench.journal import Journal
+    from bench.offline import _refuse_cut_off
+    from drivers.errors import RecordingCorrupt
+
+    path = tmp_path / "captures" / "pose-001-attempt-1.raw"
+    path.parent.mkdir()
+    path.write_bytes(b"% format EVT3;height=720;width=1280\n% end\n" + bytes(8))
+    size = path.stat().st_size
+    now = datetime(2026, 3, 1, tzinfo=UTC)
+    with Journal.create(tmp_path / "journal.jsonl", utc_now=lambda: now, monotonic=lambda: 0.0) as journal:
+        journal.append(
+            "capture_stored", capture="captures/pose-001-attempt-1.raw", size=size, sha256="0" * 64
+        )
+    _refuse_cut_off(path)
+    path.write_bytes(path.read_bytes()[:-2])
+    with pytest.raises(RecordingCorrupt, match=f"cut off; {size} were recorded"):
+        _refuse_cut_off(path)
