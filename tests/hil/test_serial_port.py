@@ -136,7 +136,9 @@ def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> No
 def test_a_closed_port_can_be_opened_again(plug, port) -> None:
     port.close()
     port.close()
-    SerialPort(str(plug.link), baudrate=9600).close()
+    again = SerialPort(str(plug.link), baudrate=9600)
+    assert again.name == str(plug.link)
+    again.close()
 
 
 def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:

@@ -132,7 +132,8 @@ def test_another_board_is_refused_and_nothing_is_set(peer, clock) -> None:
 
 def test_a_boards_name_may_be_in_capitals_as_the_board_itself_makes_it(peer, clock) -> None:
     peer.build = "1.1h.20190830:GIMBAL-7"
-    GrblStage(peer, axes(), serial="gimbal-7", clock=clock)
+    stage = GrblStage(peer, axes(), serial="gimbal-7", clock=clock)
+    assert {axis.serial.lower() for axis in stage.identify()} == {"gimbal-7"}
 
 
 def test_a_board_without_homing_is_refused(peer, clock) -> None:

@@ -142,6 +142,7 @@ def test_an_alarm_is_cleared_by_homing_when_its_cause_is_gone(homed, peers) -> N
     peers[0].before = cleared
     homed.home()
     homed.move_to({"pan": 1.0})
+    assert homed.position_deg()["pan"] == pytest.approx(1.0, abs=0.01)
 
 
 def test_homing_that_leaves_no_reference_has_failed(stage, peers) -> None:
@@ -295,7 +296,8 @@ def test_a_controller_with_one_thing_wrong_is_refused(peers, clock, name) -> Non
 def test_bytes_left_over_from_before_us_do_no_harm(peers, clock) -> None:
     peers[0].pending = b"smov" + bytes(7)
     peers[0].ready = b"\0\0gets"
-    XimcStage(peers, axes(), clock=clock)
+    assert len(XimcStage(peers, axes(), clock=clock).identify()) == len(peers)
+    assert peers[0].motions() == []
 
 
 def test_a_move_that_arrived_damaged_is_not_sent_again(homed, peers) -> None:
