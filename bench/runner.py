@@ -20,7 +20,7 @@ from bench.job import DEVICE_STEPS, Job, ParkStep, ScriptStep
 from bench.journal import Journal
 from bench.machine import RunMachine
 from bench.progress import Progress
-from bench.result import Outcome
+from bench.result import Outcome, ResultWriter
 from bench.resumption import crash_looped, ground, remaining, steps_of_pose
 from bench.run_folder import RunFolder
 from bench.state_work import StateWork
@@ -92,6 +92,8 @@ class Runner:
         Where to tell the operator.
     on_hold
         Called with a few words and the hash of the journal's line, whenever the run waits for an operator.
+    results
+        Computes and writes the results; a ``ResultWriter`` of the folder unless told otherwise.
     """
 
     def __init__(
@@ -103,6 +105,7 @@ class Runner:
         clock: BenchClock,
         progress: Progress,
         on_hold: Callable[[str, str], None] = lambda _what, _key: None,
+        results: ResultWriter | None = None,
     ) -> None:
         self._on_hold = on_hold
         self._job = job
@@ -110,7 +113,7 @@ class Runner:
         self._log = RunLog(journal)
         self._clock = clock
         self._progress = progress
-        self._work = StateWork(job, folder, self._log, open_devices, clock, progress.say)
+        self._work = StateWork(job, folder, self._log, open_devices, clock, progress.say, results)
         self._machine = RunMachine(self._work.table(), self._tell)
         names = {pose.index: pose.name for pose in job.plan.poses}
         self._inbox = Inbox(folder.path, self._log, names, clock)

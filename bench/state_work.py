@@ -48,10 +48,11 @@ class StateWork:
         open_devices: Callable[[], Devices],
         clock: BenchClock,
         say: Callable[[str], None],
+        results: ResultWriter | None = None,
     ) -> None:
         self.step: ScriptStep | None = None
         self.unsafe: list[str] = []
-        self.results = ResultWriter(job, folder)
+        self.results = results or ResultWriter(job, folder)
         self._job = job
         self._folder = folder
         self._log = log
