@@ -1,6 +1,6 @@
 """A function generator without its language: settings, how they bound each other, and what the light makes of them.
 
-Knows one output of square or sine; a value that cannot be is held at the nearest that can, and the caller is
+Knows one output of square, sine or a level; a value that cannot be is held at the nearest that can, and the caller is
 told why. What it drives is told as a `LightState`; the phase goes on through every change, as in a synthesiser.
 """
 
@@ -13,7 +13,8 @@ from typing import Final, Literal
 
 from simulators.world import LightState
 
-Shape = Literal["square", "sine"]
+Shape = Literal["square", "sine", "dc"]
+"""``dc`` puts out the offset alone."""
 Setting = Literal["frequency", "duty", "amplitude", "offset", "high", "low"]
 
 #: Why a value was not taken as it was given.
@@ -120,7 +121,7 @@ class Generator:
             "frequency": _FREQUENCY_HZ,
             "duty": _DUTY_PERCENT,
             "amplitude": (least, 2.0 * most),
-            "offset": (half - most, most - half),
+            "offset": (-most, most) if self.settings.shape == "dc" else (half - most, most - half),
             "high": (least - most, most),
             "low": (-most, most - least),
         }
@@ -135,6 +136,11 @@ class Generator:
         """Set both levels from one of the four ways to say them; the other level yields where it must."""
         now, share = self.settings, _share(self.settings.load_ohm)
         least = _LEAST_AMPLITUDE_V * share
+        if name == "offset" and now.shape == "dc":
+            # The amplitude puts nothing out, and yields so that offset and amplitude fit the range later.
+            half = min(now.amplitude_v / 2.0, max(_MOST_V * share - abs(value), least / 2.0))
+            self._take(replace(now, low_v=value - half, high_v=value + half))
+            return ""
         low_v, high_v = {
             "amplitude": (now.offset_v - value / 2.0, now.offset_v + value / 2.0),
             "offset": (value - now.amplitude_v / 2.0, value + now.amplitude_v / 2.0),
@@ -154,16 +160,17 @@ class Generator:
     def _tell(self) -> None:
         """Let the world know what the light does now."""
         now, settings = self._clock(), self.settings
+        levels = (settings.offset_v,) * 2 if settings.shape == "dc" else (settings.low_v, settings.high_v)
         # The lamp's input is open: it sees the source's own voltage, whatever load the display is set for.
         open_circuit = 1.0 / _share(settings.load_ohm)
         self._light = LightState(
-            waveform=settings.shape,
+            waveform="sine" if settings.shape == "sine" else "square",
             frequency_hz=settings.frequency_hz,
             duty_percent=settings.duty_percent,
-            low_v=settings.low_v * open_circuit,
-            high_v=settings.high_v * open_circuit,
+            low_v=levels[0] * open_circuit,
+            high_v=levels[1] * open_circuit,
             output=settings.output,
-            sync=settings.sync,
+            sync=settings.sync and settings.shape != "dc",
             origin_s=now - self._light.phase_at(now) / settings.frequency_hz,
         )
         self._drive(self._light)

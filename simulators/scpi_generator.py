@@ -7,11 +7,11 @@ for errors. SCPI's syntax is `scpi`'s, the instrument itself `generator`'s.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from simulators.generator import Generator, Held, Setting
+from simulators.generator import Generator, Held, Setting, Shape
 from simulators.scpi import CommandTree, ErrorQueue, ScpiError, boolean, choice, no_arguments, number, the_one
 from simulators.world import LightState
 
@@ -20,6 +20,8 @@ _VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
 _PERCENT: Final = {"PCT": 1.0, "%": 1.0}
 _OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
 _LOAD_OHM: Final = (1.0, 10_000.0)
+
+_SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
 
 #: Longest message the input buffer takes.
 _LONGEST: Final = 2048
@@ -173,11 +175,11 @@ class ScpiGenerator:
         self._generator.reset()
 
     def _set_shape(self, arguments: list[str]) -> None:
-        word = choice(the_one(arguments), ["SINusoid", "SQUare"])
-        self._generator.shape("square" if word == "SQU" else "sine")
+        word = choice(the_one(arguments), list(_SHAPES))
+        self._generator.shape(next(shape for name, shape in _SHAPES.items() if name.startswith(word)))
 
     def _shape(self) -> str:
-        return "SQU" if self._generator.settings.shape == "square" else "SIN"
+        return {"square": "SQU", "sine": "SIN", "dc": "DC"}[self._generator.settings.shape]
 
     def _set_load(self, arguments: list[str]) -> None:
         word = the_one(arguments)

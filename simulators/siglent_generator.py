@@ -23,7 +23,7 @@ _HEADER: Final = re.compile(r"C1:(BSWV|OUTP|SYNC)(\?)?(?:\s+(.*))?", re.IGNORECA
 _NUMBER: Final = re.compile(r"([+-]?[0-9.]+(?:E[+-]?[0-9]+)?)(UHZ|MHZ|KHZ|HZ|MV|V|VPP|%|OHM)?", re.IGNORECASE)
 _FACTORS: Final = {"UHZ": 1e-6, "KHZ": 1e3, "MHZ": 1e6, "MV": 1e-3}
 
-_SHAPES: Final[Mapping[str, Shape]] = {"SQUARE": "square", "SINE": "sine"}
+_SHAPES: Final[Mapping[str, Shape]] = {"SQUARE": "square", "SINE": "sine", "DC": "dc"}
 _VALUES: Final[Mapping[str, Setting]] = {
     "FRQ": "frequency",
     "DUTY": "duty",
@@ -131,6 +131,8 @@ class SiglentGenerator:
 
     def _wave(self) -> str:
         now = self._generator.settings
+        if now.shape == "dc":
+            return f"C1:BSWV WVTP,DC,OFST,{now.offset_v:g}V"
         shape = "SQUARE" if now.shape == "square" else "SINE"
         duty = f",DUTY,{now.duty_percent:g}" if now.shape == "square" else ""
         return (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-Waveform = Literal["square", "sine"]
+Waveform = Literal["square", "sine", "steady"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,10 @@ class LightIdentity:
 
 @dataclass(frozen=True)
 class LightSettings:
-    """A flicker: waveform, frequency and the levels between which it swings."""
+    """A flicker: waveform, frequency and the levels between which it swings.
+
+    A steady light burns at ``high_v``; its frequency, duty and ``low_v`` mean nothing, and it has no sync edges.
+    """
 
     waveform: Waveform = "square"
     frequency_hz: float = 60.0

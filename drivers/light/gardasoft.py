@@ -1,9 +1,9 @@
 """Gardasoft RT strobe controllers as flicker lights: an internal trigger pulses the lamp's channel.
 
 Knows their two-letter commands (manual of the RT series, section 12). All outputs pulse on the same trigger, so
-a second channel, wired to the camera, is the sync. Levels are percent of the lamp's rating: ``high_v`` of the
-settings is taken as a share of 5 V, full scale being what the station file allows. Nothing is switched by
-opening.
+a second channel, wired to the camera, is the sync; a steady light is the channel's continuous mode. Levels are
+percent of the lamp's rating: ``high_v`` of the settings is taken as a share of 5 V, full scale being what the
+station file allows. Nothing is switched by opening.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from drivers.text_line import PROMPT_S, TextLine
 from drivers.wire_log import WireLog
 
 FULL_SCALE_V = 5.0
-_PULSED = "2"
+_CONTINUOUS, _PULSED = "0", "2"
 _DELAY_MS = 0.01
 """The shortest delay from trigger to pulse; the same for lamp and sync."""
 _IDENTITY = re.compile(r"(RT\S+) (.*?) ?(V\d+)")
@@ -140,6 +140,7 @@ class GardasoftLight:
         self._full_percent = full_percent
         self._sync_percent = sync_percent
         self._switched_on = False
+        self._steady_percent: float | None = None
         try:
             self._line = RtLine(port, clock=clock, wire_log=wire_log)
             self.identify()
@@ -191,12 +192,17 @@ class GardasoftLight:
     def apply(self, settings: LightSettings) -> LightSettings:
         """Set everything, read it back, and return what the controller says. Stays dark when it is dark.
 
+        A steady level can be read back only while it burns: it is compared when it is switched on.
+
         Raises SettingRefused.
         """
-        period_ms = 1e3 / settings.frequency_hz
-        width_ms = period_ms * settings.duty_percent / 100.0
         percent = round(self._full_percent * settings.high_v / FULL_SCALE_V, 1)
         self._refuse_impossible(settings, percent)
+        if settings.waveform == "steady":
+            return self._apply_steady(percent)
+        self._steady_percent = None
+        period_ms = 1e3 / settings.frequency_hz
+        width_ms = period_ms * settings.duty_percent / 100.0
         if self.is_on():
             self._set("frequency", f"TT1,{period_ms:.4f}")
         else:
@@ -209,22 +215,29 @@ class GardasoftLight:
         return self.read()
 
     def read(self) -> LightSettings:
-        """Return the present settings, asked twice. Raises LightFault when the channel does not pulse."""
+        """Return the present settings, asked twice. Raises LightFault when the channel has none of ours."""
         return agreeing(self._read_once, what="the settings", where=self._line.name)
 
     def on(self) -> None:
-        """Start the internal trigger and see that it runs. Raises LightFault, SettingRefused."""
-        self._set("trigger", "TT1")
+        """Start the internal trigger, or the steady light, and see that it burns. Raises LightFault, SettingRefused."""
+        if self._steady_percent is None:
+            self._set("trigger", "TT1")
+        else:
+            self._set("level", f"RS{self._channel},{self._steady_percent:.1f}")
+            self._compare_steady(self._steady_percent)
         if not self.is_on():
+            steady = self._steady_percent is not None
             raise LightFault(
-                "the trigger was started, but does not run.",
+                "the light was switched on, but is dark."
+                if steady
+                else "the trigger was started, but does not run.",
                 where=self._line.name,
                 remedy="See what error the controller shows.",
             )
         self._switched_on = True
 
     def off(self) -> None:
-        """Stop the internal trigger and see that it stands; at once, before any resynchronising.
+        """Stop the internal trigger, and a steady light, and see that nothing burns; at once, before resynchronising.
 
         Raises LightFault; ReplyError, PortLost when it cannot be known.
         """
@@ -233,16 +246,18 @@ class GardasoftLight:
             self._line.at_once("TT0")
         except ReplyError:
             self._line.ask("TT0")
+        if self._burns():
+            self._set("level", f"RS{self._channel},0")
         if self.is_on():
             raise LightFault(
-                "the trigger was stopped, but still runs.",
+                "the trigger was stopped, but still runs, or the light still burns.",
                 where=self._line.name,
                 remedy="Switch the controller off.",
             )
 
     def is_on(self) -> bool:
-        """Whether the internal trigger runs, asked twice."""
-        return agreeing(self._runs, what="the trigger's state", where=self._line.name)
+        """Whether the internal trigger runs or the channel burns steadily, asked twice."""
+        return agreeing(self._runs, what="the trigger's state", where=self._line.name) or self._burns()
 
     def faults(self) -> Sequence[str]:
         """Return the controller's latest event, which this clears, and whether it went dark by itself."""
@@ -281,18 +296,54 @@ class GardasoftLight:
     def _refuse_impossible(self, settings: LightSettings, percent: float) -> None:
         """Refuse what no RT controller can do, before anything is sent."""
         wrong = []
-        if settings.waveform != "square":
+        steady = settings.waveform == "steady"
+        if settings.waveform == "sine":
             wrong.append("it makes square pulses only")
-        if settings.low_v != 0:
+        if settings.low_v != 0 and not steady:
             wrong.append("it is dark between pulses: low_v must be 0")
         if not 0 < percent <= self._full_percent:
             wrong.append(f"high_v must be above 0 V and at most {FULL_SCALE_V:g} V, its full scale")
-        if settings.sync_output and self._sync_channel is None:
+        if settings.sync_output and self._sync_channel is None and not steady:
             wrong.append("it has no sync channel")
         if wrong:
             raise SettingRefused(
                 f"{'; '.join(wrong)}.", where=self._line.name, remedy="Change the light step, or the station."
             )
+
+    def _apply_steady(self, percent: float) -> LightSettings:
+        """Keep a level for ``on``; take it at once where the light burns already."""
+        burning = self.is_on()
+        self._set("trigger", "TT0")
+        self._steady_percent = percent
+        self._set("level", f"RS{self._channel},{percent if burning else 0:.1f}")
+        if burning:
+            self._compare_steady(percent)
+        return self._steady(percent)
+
+    def _compare_steady(self, percent: float) -> None:
+        got = self.read()
+        if got.waveform != "steady" or not self._level().is_near(percent):
+            raise SettingRefused(
+                f"asked to burn steadily at {percent:.1f} %, it has {got}.",
+                where=self._line.name,
+                remedy="Ask for a level within the controller's range.",
+            )
+
+    def _steady(self, percent: float) -> LightSettings:
+        level_v = FULL_SCALE_V * percent / self._full_percent
+        return LightSettings(waveform="steady", low_v=level_v, high_v=level_v, sync_output=False)
+
+    def _level(self) -> Quantity:
+        return self._line.quantity(self._line.fields(f"ST{self._channel}"), "S")
+
+    def _burns(self) -> bool:
+        """Whether the channel is lit without any trigger, asked twice."""
+
+        def read() -> bool:
+            channel = self._line.fields(f"ST{self._channel}")
+            return channel.get("MD") == _CONTINUOUS and self._line.quantity(channel, "S").value > 0
+
+        return agreeing(read, what="the channel's mode", where=self._line.name)
 
     def _compare(self, period_ms: float, width_ms: float, percent: float) -> None:
         general, channel = self._line.fields("ST0"), self._line.fields(f"ST{self._channel}")
@@ -315,6 +366,8 @@ class GardasoftLight:
 
     def _read_once(self) -> LightSettings:
         general, channel = self._line.fields("ST0"), self._line.fields(f"ST{self._channel}")
+        if channel.get("MD") == _CONTINUOUS and self._steady_percent is not None:
+            return self._steady(self._line.quantity(channel, "S").value)
         if channel.get("MD") != _PULSED:
             raise LightFault(
                 f"channel {self._channel} does not pulse.",

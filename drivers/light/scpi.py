@@ -122,7 +122,7 @@ class ScpiLight:
         """Return the present settings, asked of the generator.
 
         Everything is read twice: SCPI has no checksums, and a digit can change on the line. Raises
-        LightFault when it makes neither square nor sine; ReplyGarbled when two readings never agree.
+        LightFault when it makes neither square, sine nor a steady level; ReplyGarbled when two readings never agree.
         """
         return self._agreeing(lambda: self._dialect.read(self._line), "the settings")
 
@@ -187,7 +187,10 @@ class ScpiLight:
 
 
 def _compare(asked: LightSettings, got: LightSettings, where: str) -> None:
-    """Raise SettingRefused, naming every setting that reads back otherwise than asked."""
+    """Raise SettingRefused, naming every setting that reads back otherwise than asked.
+
+    Of a steady light, only its waveform and its level count.
+    """
     level_v = _LEVEL_V + _LEVEL_REL * max(abs(asked.high_v), abs(asked.low_v))
     pairs = [
         ("waveform", asked.waveform, got.waveform, asked.waveform == got.waveform),
@@ -207,7 +210,10 @@ def _compare(asked: LightSettings, got: LightSettings, where: str) -> None:
         ("low_v", asked.low_v, got.low_v, abs(asked.low_v - got.low_v) <= level_v),
         ("sync_output", asked.sync_output, got.sync_output, asked.sync_output == got.sync_output),
     ]
-    wrong = [f"{name}: asked {want}, got {have}" for name, want, have, same in pairs if not same]
+    counts = {"waveform", "high_v"} if asked.waveform == "steady" else {name for name, *_ in pairs}
+    wrong = [
+        f"{name}: asked {want}, got {have}" for name, want, have, same in pairs if not same and name in counts
+    ]
     if wrong:
         raise SettingRefused(
             f"the generator has other settings than asked ({'; '.join(wrong)}).",

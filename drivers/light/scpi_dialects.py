@@ -24,8 +24,13 @@ Setting = tuple[str, str]
 """Name of a setting, for messages, and the command that makes it."""
 
 
-_SHORT: dict[Waveform, str] = {"square": "SQU", "sine": "SIN"}
-_LONG: dict[Waveform, str] = {"square": "SQUARE", "sine": "SINE"}
+_SHORT: dict[Waveform, str] = {"square": "SQU", "sine": "SIN", "steady": "DC"}
+_LONG: dict[Waveform, str] = {"square": "SQUARE", "sine": "SINE", "steady": "DC"}
+
+
+def _steady(level_v: float) -> LightSettings:
+    """Give the settings of a light that burns at a level."""
+    return LightSettings(waveform="steady", low_v=level_v, high_v=level_v, sync_output=False)
 
 
 class Dialect(Protocol):
@@ -78,6 +83,11 @@ class HeaderDialect:
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
         """Commands for everything but the output; high stays above low in between, whatever they were."""
         source = self.source
+        if wanted.waveform == "steady":
+            return [
+                ("waveform", f"{source}FUNC DC"),
+                ("steady level", f"{source}VOLT:OFFS {wanted.high_v:.6g}"),
+            ]
         found = [
             ("waveform", f"{source}FUNC {_SHORT[wanted.waveform]}"),
             ("frequency", f"{source}FREQ {wanted.frequency_hz:.12g}"),
@@ -101,8 +111,11 @@ class HeaderDialect:
     def read(self, line: ScpiLine) -> LightSettings:
         """Ask for all settings."""
         source = self.source
+        waveform = _waveform(line.ask(f"{source}FUNC?"), line.name)
+        if waveform == "steady":
+            return _steady(line.number(f"{source}VOLT:OFFS?"))
         settings = LightSettings(
-            waveform=_waveform(line.ask(f"{source}FUNC?"), line.name),
+            waveform=waveform,
             frequency_hz=line.number(f"{source}FREQ?"),
             low_v=line.number(f"{source}VOLT:LOW?"),
             high_v=line.number(f"{source}VOLT:HIGH?"),
@@ -126,6 +139,8 @@ class SiglentDialect:
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:  # noqa: ARG002
         """Commands for everything but the output; both levels go in one, so their order does not matter."""
+        if wanted.waveform == "steady":
+            return [("steady level", f"C1:BSWV WVTP,DC,OFST,{wanted.high_v:.6g}")]
         words = [f"WVTP,{_LONG[wanted.waveform]}", f"FRQ,{wanted.frequency_hz:.12g}"]
         words += [f"HLEV,{wanted.high_v:.6g}", f"LLEV,{wanted.low_v:.6g}"]
         if wanted.waveform == "square":
@@ -139,12 +154,15 @@ class SiglentDialect:
 
     def low_v(self, line: ScpiLine) -> float:
         """Ask for the low level."""
-        return self._number(line, self._fields(line, "BSWV"), "LLEV")
+        fields = self._fields(line, "BSWV")
+        return self._number(line, fields, "LLEV" if "LLEV" in fields else "OFST")
 
     def read(self, line: ScpiLine) -> LightSettings:
         """Ask for all settings."""
         fields = self._fields(line, "BSWV")
         waveform = _waveform(fields.get("WVTP", ""), line.name)
+        if waveform == "steady":
+            return _steady(self._number(line, fields, "OFST"))
         settings = LightSettings(
             waveform=waveform,
             frequency_hz=self._number(line, fields, "FRQ"),
@@ -197,8 +215,10 @@ def _waveform(word: str, where: str) -> Waveform:
         return "square"
     if word.upper() in {"SIN", "SINE", "SINUSOID"}:
         return "sine"
+    if word.upper() == "DC":
+        return "steady"
     raise LightFault(
-        f"the generator makes {word!r}, neither a square nor a sine.",
+        f"the generator makes {word!r}, neither a square, a sine nor a steady level.",
         where=where,
         remedy="Apply the light's settings first.",
     )

@@ -120,3 +120,22 @@ def test_an_unplugged_light_is_lost(device, light) -> None:
     device[0].unplug()
     with pytest.raises(PortLost):
         light.is_on()
+
+
+@each_in_turn
+def test_a_steady_light_burns_at_its_level_without_an_edge_and_goes_dark(device, states) -> None:
+    with closing(device[1]()) as light:
+        got = light.apply(LightSettings("steady", high_v=3.0))
+        assert (got.waveform, got.high_v, got.sync_output) == ("steady", pytest.approx(3.0, abs=2e-3), False)
+        assert not states[-1].output
+        light.on()
+        burning = states[-1]
+        assert burning.output
+        assert burning.low == burning.high == pytest.approx(0.6, abs=1e-3)
+        assert not burning.sync
+        light.off()
+        assert not light.is_on()
+        assert not states[-1].output or states[-1].high == 0.0
+        light.apply(FLICKER)
+        light.on()
+        assert states[-1].low == 0.0 < states[-1].high

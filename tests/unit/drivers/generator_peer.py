@@ -19,6 +19,7 @@ class Generator:
             "FUNC:SQU:DCYC": 50.0,
             "VOLT:HIGH": 0.05,
             "VOLT:LOW": -0.05,
+            "VOLT:OFFS": 0.0,
             "OUTP": "0",
             "OUTP:SYNC": "1",
             "OUTP:LOAD": 50.0,
@@ -114,8 +115,8 @@ class NumberedGenerator(Generator):
         super().write(text.encode("latin-1"))
 
 
-NAMES = {"FRQ": "FREQ", "DUTY": "FUNC:SQU:DCYC", "HLEV": "VOLT:HIGH", "LLEV": "VOLT:LOW"}
-UNITS = {"FRQ": "HZ", "HLEV": "V", "LLEV": "V", "DUTY": ""}
+NAMES = {"FRQ": "FREQ", "DUTY": "FUNC:SQU:DCYC", "HLEV": "VOLT:HIGH", "LLEV": "VOLT:LOW", "OFST": "VOLT:OFFS"}
+UNITS = {"FRQ": "HZ", "HLEV": "V", "LLEV": "V", "DUTY": "", "OFST": "V"}
 
 
 class SiglentGenerator(Generator):
@@ -131,6 +132,8 @@ class SiglentGenerator(Generator):
         self.sent.append(line)
         if line in {"*IDN?", "SYST:ERR?"}:
             answer = self.answer(line[:-1])
+        elif line == "C1:BSWV?" and self.values["FUNC"] == "DC":
+            answer = f"C1:BSWV WVTP,DC,OFST,{self.values['VOLT:OFFS']:g}V"
         elif line == "C1:BSWV?":
             words = [f"{name},{self.values[key]:g}{UNITS[name]}" for name, key in NAMES.items()]
             answer = f"C1:BSWV WVTP,{self.values['FUNC']},PERI,0.016S,{','.join(words)},PHSE,0"

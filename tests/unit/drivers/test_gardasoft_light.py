@@ -201,3 +201,43 @@ def test_no_setting_that_is_told_is_wrong(clock, exchanges, rate) -> None:
             assert told.high_v == 5.0 * before[1]["S"] / 100.0
         good += 1
     assert good > 10
+
+
+STEADY = LightSettings("steady", low_v=2.5, high_v=2.5, sync_output=False)
+
+
+def test_a_steady_light_is_dark_until_switched_on_and_dark_again_after(light, peer) -> None:
+    assert light.apply(LightSettings("steady", high_v=2.5)) == STEADY
+    assert not peer.lit
+    light.on()
+    assert (peer.running, peer.channels[1]["MD"], peer.channels[1]["S"]) == (0, 0, 50.0)
+    assert light.is_on()
+    assert light.read() == STEADY
+    light.off()
+    assert not light.is_on()
+    assert peer.channels[1]["S"] == 0.0
+
+
+def test_a_steady_light_is_switched_off_by_who_did_not_switch_it_on(light, peer, clock) -> None:
+    light.apply(LightSettings("steady", high_v=2.5))
+    light.on()
+    another = GardasoftLight(peer, clock=clock)
+    assert another.is_on()
+    another.off()
+    assert peer.channels[1]["S"] == 0.0
+
+
+def test_a_steady_light_that_the_controller_holds_lower_is_refused(light, peer) -> None:
+    light.apply(LightSettings("steady", high_v=2.5))
+    serve = peer.serve
+    peer.serve = lambda command: serve("RS1,40.0" if command == "RS1,50.0" else command)
+    with pytest.raises(SettingRefused, match=r"asked to burn steadily at 50\.0 %"):
+        light.on()
+
+
+def test_a_flicker_follows_a_steady_light(light, peer) -> None:
+    light.apply(LightSettings("steady", high_v=2.5))
+    light.apply(FLICKER)
+    light.on()
+    assert peer.running == 1
+    assert light.read().waveform == "square"

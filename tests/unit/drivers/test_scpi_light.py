@@ -324,3 +324,28 @@ def test_the_wrong_dialect_is_told_by_the_instrument_itself(generator, clock) ->
     light = ScpiLight(generator, clock=clock, dialect="numbered")
     with pytest.raises(DriverError, match="-113"):
         light.apply(FLICKER)
+
+
+STEADY = LightSettings("steady", low_v=3.3, high_v=3.3, sync_output=False)
+
+
+def test_a_steady_light_is_the_generators_direct_voltage(light, generator) -> None:
+    assert light.apply(LightSettings("steady", high_v=3.3)) == STEADY
+    assert generator.commands() == ["OUTP:LOAD INF", "FUNC DC", "VOLT:OFFS 3.3"]
+
+
+@pytest.mark.parametrize(
+    ("peer", "dialect"), [(NumberedGenerator(), "numbered"), (SiglentGenerator(), "siglent")]
+)
+def test_a_steady_light_and_a_flicker_follow_each_other_in_other_dialects(clock, peer, dialect) -> None:
+    other = ScpiLight(peer, clock=clock, dialect=dialect)
+    assert other.apply(LightSettings("steady", high_v=3.3)) == STEADY
+    assert other.apply(FLICKER) == FLICKER
+    assert other.apply(LightSettings("steady", high_v=3.3)) == STEADY
+
+
+def test_a_steady_level_that_reads_back_lower_is_refused(light, generator) -> None:
+    set_ = generator.set
+    generator.set = lambda header, value: set_(header, "2.0" if header == "VOLT:OFFS" else value)
+    with pytest.raises(SettingRefused, match=r"high_v: asked 3\.3, got 2\.0"):
+        light.apply(LightSettings("steady", high_v=3.3))
