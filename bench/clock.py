@@ -1,8 +1,10 @@
 """The bench's clock: every wait of a run goes through it, so that a request to stop ends every wait.
 
 Stop does not travel through the queue of the work: a signal handler (or another thread) calls
-``request_stop``; the next ``sleep``, or ``check`` between two pieces of work, raises ``Aborted``. While the bench
-makes itself safe the clock is shielded, so that the way to safety is not itself interrupted.
+``request_stop``; the next ``sleep``, or ``check`` between two pieces of work, raises ``Aborted``. An interlock calls
+``interrupt`` in the same way, and the work may ``go_on`` after it. While the bench makes itself safe the clock is
+shielded, so that the way to safety is not itself interrupted. ``quiet_s`` tells whether the work still waits or checks:
+where a driver hangs it does neither. A virtual clock is the same, but its time passes only where somebody waits.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 
 class Aborted(Exception):
@@ -22,13 +24,24 @@ class Aborted(Exception):
         super().__init__(reason)
 
 
+class Interrupted(Exception):
+    """An interlock wants the work to pause; it goes on afterwards."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)
+
+
 class BenchClock:
     """The system's time, with a stop that ends every wait."""
 
     def __init__(self) -> None:
-        self._stop = threading.Event()
-        self._reason = ""
+        self._woken = threading.Event()
+        self._stop: str | None = None
+        self._interruption: str | None = None
         self._shields = 0
+        self._asleep = False
+        self._asked_s = time.monotonic()
 
     def monotonic(self) -> float:
         """Seconds of the system's monotonic clock."""
@@ -39,22 +52,51 @@ class BenchClock:
         return datetime.now(UTC)
 
     def sleep(self, seconds: float) -> None:
-        """Wait that long. Raises Aborted as soon as a stop is requested, unless shielded."""
-        if self._shields:
-            time.sleep(max(0.0, seconds))
-        elif self._stop.wait(max(0.0, seconds)):
-            raise Aborted(self._reason)
+        """Wait that long. Raises Aborted, or Interrupted, as soon as that is asked for, unless shielded."""
+        self._asleep = True
+        try:
+            if self._shields:
+                time.sleep(max(0.0, seconds))
+            elif self._woken.wait(max(0.0, seconds)):
+                self._give_way()
+        finally:
+            self._asked_s = time.monotonic()
+            self._asleep = False
 
     def check(self) -> None:
-        """Raise Aborted when a stop has been requested, unless shielded."""
-        if self._stop.is_set() and not self._shields:
-            raise Aborted(self._reason)
+        """Raise Aborted, or Interrupted, when that has been asked for, unless shielded."""
+        self._asked_s = time.monotonic()
+        if self._woken.is_set() and not self._shields:
+            self._give_way()
+
+    def quiet_s(self) -> float:
+        """How long the work has neither waited nor checked, s; 0 while it waits."""
+        return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
     def request_stop(self, reason: str) -> None:
         """Ask the run to stop at its next wait; safe to call from a signal handler or another thread."""
-        if not self._stop.is_set():
-            self._reason = reason
-            self._stop.set()
+        if self._stop is None:
+            self._stop = reason
+            self._woken.set()
+
+    def interrupt(self, reason: str) -> None:
+        """Ask the work to pause at its next wait; a stop that was asked for comes first."""
+        if self._interruption is None:
+            self._interruption = reason
+            self._woken.set()
+
+    def go_on(self) -> None:
+        """Forget an interruption; a stop stays asked for."""
+        self._interruption = None
+        self._woken.clear()
+        if self._stop is not None:  # asked for before or during this very moment
+            self._woken.set()
+
+    def _give_way(self) -> None:
+        if self._stop is not None:
+            raise Aborted(self._stop)
+        if self._interruption is not None:
+            raise Interrupted(self._interruption)
 
     @contextmanager
     def shielded(self) -> Iterator[None]:
@@ -64,3 +106,38 @@ class BenchClock:
             yield
         finally:
             self._shields -= 1
+
+
+class VirtualClock(BenchClock):
+    """Time that passes only where somebody waits: a night takes as long as its computing.
+
+    Parameters
+    ----------
+    begin
+        The moment at which it begins, with its time zone.
+
+    Examples
+    --------
+    >>> clock = VirtualClock(datetime(2026, 3, 1, 22, tzinfo=UTC))
+    >>> clock.sleep(3600)
+    >>> f"{clock.utc_now():%H:%M}", clock.monotonic()
+    ('23:00', 3600.0)
+    """
+
+    def __init__(self, begin: datetime) -> None:
+        super().__init__()
+        self._begin = begin.astimezone(UTC)
+        self._now_s = 0.0
+
+    def monotonic(self) -> float:
+        """Virtual seconds since the begin."""
+        return self._now_s
+
+    def utc_now(self) -> datetime:
+        """Present virtual time, UTC."""
+        return self._begin + timedelta(seconds=self._now_s)
+
+    def sleep(self, seconds: float) -> None:
+        """Let that much virtual time pass, at once. Raises Aborted where a stop was requested, unless shielded."""
+        self.check()
+        self._now_s += max(0.0, seconds)

@@ -15,9 +15,12 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from bench.errors import SimulationError
+
+if TYPE_CHECKING:
+    from simulators.rehearsed_world import RehearsedWorld as RehearsedWorld  # noqa: PLC0414 - handed on, as a type
 
 _START_TIMEOUT_S = 120.0
 """The first start ever compiles the pixel model; later ones take about a second."""
@@ -143,3 +146,22 @@ class SimulatedBench:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:
+    """Make a world to rehearse in, without a process and without devices.
+
+    Raises
+    ------
+    SimulationError
+        When the configuration cannot be used.
+    """
+    from simulators.errors import ConfigError
+    from simulators.rehearsed_world import RehearsedWorld
+
+    try:
+        return RehearsedWorld(config, seed)
+    except ConfigError as error:
+        raise SimulationError(
+            f"{error.what} {error.remedy}".strip(), where=f"simulation.{error.where}"
+        ) from error

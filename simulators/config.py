@@ -147,7 +147,7 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
         the axes pan, tilt and roll, in the order of their addresses, and perhaps its ``kind``; ``light``;
         ``faults``, a list of orders (see `faults`) that are carried out from the start; and the values
         ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes take their
-        time on the line). All are optional.
+        time on the line). All are optional. ``rehearsal`` is for `rehearsed_world`, and not looked at here.
 
     Raises
     ------
@@ -161,6 +161,7 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     """
     default = BenchConfig()
     known = [*_TRUTH_SECTIONS, "stage", "light", "faults", "camera_serial", "camera_seed", "ports", "paced"]
+    known += ["rehearsal"]
     for key in given:
         if key not in known:
             raise ConfigError("Unknown key.", where=str(key), remedy=f"Known are: {', '.join(known)}.")
