@@ -121,6 +121,16 @@ class TextLine:
             raise self.garbled(f"{query} answered {text!r}, not a number.")
         return float(text)
 
+    def decimal(self, query: str) -> float:
+        """Send a query whose answer has a decimal point, so that no switch's or count's can pass for it.
+
+        Raises as ``ask``.
+        """
+        text = self.ask(query)
+        if "." not in text or not _NUMBER.fullmatch(text):
+            raise self.garbled(f"{query} answered {text!r}, not a number with decimals.")
+        return float(text)
+
     def switch(self, query: str) -> bool:
         """Send a query whose answer is on or off. Raises as ``ask``."""
         text = self.ask(query).upper()

@@ -248,7 +248,7 @@ class EspStage(WatchedStage[EspAxis]):
     def _look(self, axis: EspAxis, *, homing: bool = False) -> Look:  # noqa: ARG002 - its troubles are the same
         """Whether it moves, then where it is: so that a position at rest is one of rest."""
         done = self._line.switch(f"{axis.number}MD?")
-        position_deg = axis.angle_deg(self._line.number(f"{axis.number}TP"))
+        position_deg = axis.angle_deg(self._line.decimal(f"{axis.number}TP"))
         trouble = "" if self._motor_on(axis) else "the motor went off, as after a fault or a restart"
         return Look(position_deg, not done, trouble)
 

@@ -261,6 +261,13 @@ def test_a_controller_with_one_thing_wrong_is_refused(peer, clock, name) -> None
     assert peer.motions() == []
 
 
+def test_the_answer_to_another_question_is_no_position(homed, peer) -> None:
+    homed.move_to({"pan": -1.0})
+    peer.spoil = lambda line: b"1\r\n" if b"." in line else line
+    with pytest.raises(ReplyError, match="not a number with decimals"):
+        homed.position_deg()
+
+
 @pytest.mark.parametrize("exchanges", [pytest.param(3_000), pytest.param(100_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("rate", [0.02, 0.2])
 def test_no_position_that_is_told_is_wrong(clock, exchanges, rate) -> None:
