@@ -113,13 +113,7 @@ class ResultWriter:
             solution_gates(step.limits, found),
             {name: found for name, found in checks.items() if found is not None},
         )
-        return {
-            "model": calibration.model,
-            "converged": calibration.converged,
-            "rms_px": calibration.rms_px,
-            "values": dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True)),
-            "sigma": dict(calibration.sigma),
-        }
+        return main_numbers(calibration)
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
         """Write results.json, views.h5, exports and the report.
@@ -202,6 +196,17 @@ class ResultWriter:
             "truth": dict(truth) if truth is not None else None,
             "comparison": compare(calibration, truth) if truth is not None else [],
         }
+
+
+def main_numbers(calibration: Calibration) -> dict[str, Any]:
+    """Give what the journal carries of a calibration."""
+    return {
+        "model": calibration.model,
+        "converged": calibration.converged,
+        "rms_px": calibration.rms_px,
+        "values": dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True)),
+        "sigma": dict(calibration.sigma),
+    }
 
 
 def software() -> dict[str, str]:

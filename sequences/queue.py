@@ -1,19 +1,40 @@
-"""What a queue file may say: the jobs of a night, in which order, how often, and what follows a failure.
+"""What a queue file may say: the jobs of a night, in which order, when, how often, and what follows a failure.
 
-Knows the shape of one document as pydantic models; touches no file and no device.
+Knows the shape of two documents as pydantic models, a queue and a single job to add to one; touches no other file
+and no device.
 """
 
 from __future__ import annotations
 
+import zoneinfo
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from sequences.schema import Name, Words
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
 File = Annotated[str, Field(min_length=1, max_length=500)]
+TimeOfDay = Annotated[
+    str,
+    Field(
+        pattern=r"^([01][0-9]|2[0-3]):[0-5][0-9]$", description="Local time, as 22:30: its next occurrence."
+    ),
+]
+
+
+def _known_zone(name: str) -> str:
+    try:
+        zoneinfo.ZoneInfo(name)
+    except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):
+        raise PydanticCustomError(
+            "no_such_zone", "no such time zone here; they are called as Europe/Berlin or UTC."
+        ) from None
+    return name
+
+
+Zone = Annotated[str, AfterValidator(_known_zone), Field(max_length=80, description="As Europe/Berlin.")]
 
 
 class JobWords(Words):
@@ -25,10 +46,21 @@ class JobWords(Words):
     operator: Name | None = None
     seed: Annotated[int, Field(ge=0, le=2**62)] | None = None
     priority: Annotated[int, Field(ge=-100, le=100)] = 0
+    start_at: TimeOfDay | None = None
     times: Annotated[int, Field(ge=1, le=1000)] = 1
     every_min: Annotated[float, Field(ge=0, le=10_000)] = 0.0
     attempts: Annotated[int, Field(ge=1, le=20)] = 2
     on_failure: Literal["continue", "stop"] = "continue"
+
+
+class JobFile(JobWords):
+    """A file with one job, to be added to a batch under way."""
+
+    format: Literal["starbench/job/1"]
+
+    def words(self) -> JobWords:
+        """Give the job as a queue has it."""
+        return JobWords(**self.model_dump(exclude={"format"}))
 
 
 class Queue(Words):
@@ -36,6 +68,9 @@ class Queue(Words):
 
     format: Literal["starbench/queue/1"]
     name: Name
+    zone: Zone | None = None
+    start_at: TimeOfDay | None = None
+    stop_by: TimeOfDay | None = None
     stop_after_h: Annotated[float, Field(gt=0, le=1000)] | None = None
     jobs: Annotated[list[JobWords], Field(min_length=1, max_length=200)]
 
