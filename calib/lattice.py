@@ -24,6 +24,9 @@ RING = (0.22, 0.46)
 MIN_RESPONSE, MAX_PLACES = 0.35, 400
 #: Share of the greatest response from which a place is surely a star.
 STRONG = 0.75
+#: Finer pitches are not tried once one answers less than this share of the best, and the best covers at least
+#: that share of the image.
+PAST, MIN_SHARE = 0.5, 0.05
 #: How far neighbours may stand from a square, in pitches.
 SQUARENESS = 0.2
 #: Correlation with their print that the first star and its neighbours need.
@@ -47,15 +50,19 @@ def find_lattice(image: NDArray[np.float32], segments: int) -> Start | None:
     Start
         Relative: node (0, 0) is the star found, the directions are the grid's up to quarter turns.
     """
-    answers = []
-    for pitch in PITCHES_PX:
+    answers: list[tuple[float, float, NDArray[np.float64], NDArray[np.float64]]] = []
+    for pitch in reversed(PITCHES_PX):  # coarse first: it costs least
         scale = SMALL_PITCH_PX / pitch
         if scale * min(image.shape) < 3 * SMALL_PITCH_PX:
-            break
+            continue
         places, heights = _peaks(_response(image, scale, segments))
+        # Places at the right pitch answer most strongly, for the area that each covers.
+        answer = float((heights**2).sum()) * pitch**2
         if len(places) >= 5:
-            # Places at the right pitch answer most strongly, for the area that each covers.
-            answers.append((float((heights**2).sum()) * pitch**2, scale, places, heights))
+            answers.append((answer, scale, places, heights))
+        best = max((a[0] for a in answers), default=0.0)
+        if best > MIN_SHARE * image.size and answer < PAST * best:
+            break
     for _, scale, places, heights in sorted(answers, key=lambda a: -a[0]):
         # Stars answer more than the corners of their cells, but not in all kinds of image.
         for some in (places[heights >= STRONG * heights[0]], places):

@@ -183,23 +183,40 @@ def likely_stars(
 
 def draw_print(target: StarTarget, pitch_px: float, blur_px: float) -> Print:
     """Draw a star among its neighbours, blurred, as finely as refinement asks for at that pitch."""
+    return _blurred(_sharp_print(target, pitch_px), target.segments, pitch_px, blur_px)
+
+
+def _sharp_print(target: StarTarget, pitch_px: float) -> NDArray[np.float64]:
+    """Brightness around a star that has all its neighbours, on the grid of a `Print`."""
     columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
     whole = np.ones(columns.shape, bool)
     for dc in (-1, 0, 1):
         for dr in (-1, 0, 1):
             whole &= target.id_at(columns + dc, rows + dr) >= 0
     at = int(np.argmax(whole))
-    scale = pitch_px * OVERSAMPLING
-    half = int(np.ceil(PRINT_REACH * scale))
-    steps = np.arange(-half, half + 1) / scale
-    u, v = np.meshgrid(steps, steps)
+    u, v = _print_grid(pitch_px)
     x, y = (columns.ravel()[at] + u) * target.pitch_mm, (rows.ravel()[at] + v) * target.pitch_mm
-    blurred = cv2.GaussianBlur(target.reflectance(x, y), (0, 0), blur_px * OVERSAMPLING)
+    return target.reflectance(x, y)
+
+
+def _print_grid(pitch_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places of a print's samples, in pitches from the star."""
+    half = int(np.ceil(PRINT_REACH * pitch_px * OVERSAMPLING))
+    steps = np.arange(-half, half + 1) / (pitch_px * OVERSAMPLING)
+    u, v = np.meshgrid(steps, steps)
+    return u, v
+
+
+def _blurred(sharp: NDArray[np.float64], segments: int, pitch_px: float, blur_px: float) -> Print:
+    """Blur a sharp print, and read tau and the nearest edges off it."""
+    blurred = cv2.GaussianBlur(sharp, (0, 0), blur_px * OVERSAMPLING)
     # Samples on an edge fall to either side by rounding; half a turn more makes the drawing even again.
     blurred = (blurred + blurred[::-1, ::-1]) / 2.0
     tau = blur_px * ndtri(np.clip(blurred, 1e-4, 1.0 - 1e-4))
-    edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * target.segments) % target.segments
-    return Print(tau.astype(np.float32), edge.astype(np.uint8), half, scale, TAU_LIMIT_BLURS * blur_px)
+    u, v = _print_grid(pitch_px)
+    edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * segments) % segments
+    scale, limit_px = pitch_px * OVERSAMPLING, TAU_LIMIT_BLURS * blur_px
+    return Print(tau.astype(np.float32), edge.astype(np.uint8), len(sharp) // 2, scale, limit_px)
 
 
 def _prior(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -221,17 +238,25 @@ def _likely_print(
     target: StarTarget,
     pitch: float,
 ) -> Print:
-    """Draw the star with the blur that tells most of the centres, judged on some of the stars."""
+    """Draw the star with the blur that tells most of the centres, judged on some of the stars.
+
+    What a blur tells rises up to the right one and falls beyond it.
+    """
     some = slice(None, None, max(1, len(centres) // BLUR_STARS))
     at = np.zeros((len(centres[some]), UNKNOWNS))
-    told = {}
+    sharp = _sharp_print(target, pitch)
+    best, most = None, -np.inf
     for blur in PRINT_BLURS_PX:
-        drawn = draw_print(target, pitch, blur)
+        drawn = _blurred(sharp, target.segments, pitch, blur)
         pixels = _pixels(levels, centres[some], shape.linear[some], shape.curved[some], drawn)
         tables = _learn(_count(pixels, at, drawn.limit_px), BANDWIDTHS_PX[0] / TAU_BIN_PX)
         _, fisher = _scores(pixels, at, tables, drawn.limit_px, target.segments)
-        told[float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))] = drawn
-    return told[max(told)]
+        told = float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))
+        if best is not None and told < most:
+            break
+        best, most = drawn, told
+    assert best is not None
+    return best
 
 
 def _excess(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> NDArray[np.float64]:
