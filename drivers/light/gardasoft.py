@@ -22,6 +22,7 @@ from drivers.wire_log import WireLog
 
 FULL_SCALE_V = 5.0
 _CONTINUOUS, _PULSED = "0", "2"
+_MODES = {_CONTINUOUS, "1", _PULSED}
 _DELAY_MS = 0.01
 """The shortest delay from trigger to pulse; the same for lamp and sync."""
 _IDENTITY = re.compile(r"(RT\S+) (.*?) ?(V\d+)")
@@ -84,6 +85,13 @@ class RtLine(TextLine):
             raise self.garbled(f"no quantity {name} in {fields}.")
         factor = _FACTORS[(match[3] or "").lower()]
         return Quantity(float(match[1]) * factor, 0.5 * 10.0 ** -len(match[2] or "") * factor)
+
+    def mode(self, fields: dict[str, str]) -> str:
+        """Understand a channel's mode: continuous, switched or pulsed. Raises ReplyGarbled."""
+        mode = fields.get("MD", "")
+        if mode not in _MODES:
+            raise self.garbled(f"no mode of a channel in {fields}.")
+        return mode
 
     def _text(self, line: bytes) -> str:
         """Understand what stands before the prompt; nothing does where a command only carries out."""
@@ -201,8 +209,8 @@ class GardasoftLight:
         if settings.waveform == "steady":
             return self._apply_steady(percent)
         self._steady_percent = None
-        period_ms = 1e3 / settings.frequency_hz
-        width_ms = period_ms * settings.duty_percent / 100.0
+        period_ms = round(1e3 / settings.frequency_hz, 4)  # as it is sent
+        width_ms = round(period_ms * settings.duty_percent / 100.0, 4)
         if self.is_on():
             self._set("frequency", f"TT1,{period_ms:.4f}")
         else:
@@ -341,7 +349,7 @@ class GardasoftLight:
 
         def read() -> bool:
             channel = self._line.fields(f"ST{self._channel}")
-            return channel.get("MD") == _CONTINUOUS and self._line.quantity(channel, "S").value > 0
+            return self._line.mode(channel) == _CONTINUOUS and self._line.quantity(channel, "S").value > 0
 
         return agreeing(read, what="the channel's mode", where=self._line.name)
 
@@ -365,10 +373,14 @@ class GardasoftLight:
             )
 
     def _read_once(self) -> LightSettings:
-        general, channel = self._line.fields("ST0"), self._line.fields(f"ST{self._channel}")
-        if channel.get("MD") == _CONTINUOUS and self._steady_percent is not None:
+        """Ask for all settings; the controller's own between two channels', whose answers look alike."""
+        channel, general = self._line.fields(f"ST{self._channel}"), self._line.fields("ST0")
+        sync = self._line.fields(f"ST{self._sync_channel}") if self._sync_channel is not None else {}
+        self._line.fields("ST0")
+        mode = self._line.mode(channel)
+        if mode == _CONTINUOUS and self._steady_percent is not None:
             return self._steady(self._line.quantity(channel, "S").value)
-        if channel.get("MD") != _PULSED:
+        if mode != _PULSED:
             raise LightFault(
                 f"channel {self._channel} does not pulse.",
                 where=self._line.name,
@@ -384,8 +396,7 @@ class GardasoftLight:
             duty_percent=100.0 * self._line.quantity(channel, "PU").value / period_ms,
             low_v=0.0,
             high_v=FULL_SCALE_V * percent / self._full_percent,
-            sync_output=self._sync_channel is not None
-            and self._line.fields(f"ST{self._sync_channel}").get("MD") == _PULSED,
+            sync_output=bool(sync) and self._line.mode(sync) == _PULSED,
         )
 
     def _runs(self) -> bool:

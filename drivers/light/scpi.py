@@ -6,6 +6,7 @@ back. Nothing is switched by opening. How makes say it is in ``drivers.light.scp
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -124,7 +125,8 @@ class ScpiLight:
         Everything is read twice: SCPI has no checksums, and a digit can change on the line. Raises
         LightFault when it makes neither square, sine nor a steady level; ReplyGarbled when two readings never agree.
         """
-        return self._agreeing(lambda: self._dialect.read(self._line), "the settings")
+        turns = itertools.cycle((False, True))
+        return self._agreeing(lambda: self._dialect.read(self._line, backwards=next(turns)), "the settings")
 
     def on(self) -> None:
         """Switch the output on and see that it is. Raises LightFault, SettingRefused."""

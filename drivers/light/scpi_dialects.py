@@ -52,8 +52,11 @@ class Dialect(Protocol):
         """Ask for the low level."""
         ...
 
-    def read(self, line: ScpiLine) -> LightSettings:
-        """Ask for all settings. Raises LightFault when the waveform is none of ours."""
+    def read(self, line: ScpiLine, *, backwards: bool) -> LightSettings:
+        """Ask for all settings, in one order or the other. Raises LightFault when the waveform is none of ours.
+
+        A reply that comes one question late, twice in the same place, would pass for an answer; not in two orders.
+        """
         ...
 
     def is_on(self, line: ScpiLine) -> bool:
@@ -108,25 +111,22 @@ class HeaderDialect:
         """Ask for the low level."""
         return line.number(f"{self.source}VOLT:LOW?")
 
-    def read(self, line: ScpiLine) -> LightSettings:
+    def read(self, line: ScpiLine, *, backwards: bool) -> LightSettings:
         """Ask for all settings."""
         source = self.source
         waveform = _waveform(line.ask(f"{source}FUNC?"), line.name)
         if waveform == "steady":
             return _steady(line.number(f"{source}VOLT:OFFS?"))
-        settings = LightSettings(
-            waveform=waveform,
-            frequency_hz=line.number(f"{source}FREQ?"),
-            low_v=line.number(f"{source}VOLT:LOW?"),
-            high_v=line.number(f"{source}VOLT:HIGH?"),
-            sync_output=line.switch(f"{self.output_header}:SYNC?"),
-        )
-        if settings.waveform == "square":
-            settings = replace(settings, duty_percent=line.number(f"{source}FUNC:SQU:DCYC?"))
-        return settings
+        queries = {"frequency_hz": "FREQ?", "low_v": "VOLT:LOW?", "high_v": "VOLT:HIGH?"}
+        if waveform == "square":
+            queries["duty_percent"] = "FUNC:SQU:DCYC?"
+        order = reversed(queries) if backwards else iter(queries)
+        numbers = {name: line.number(source + queries[name]) for name in order}
+        return LightSettings(waveform, sync_output=line.switch(f"{self.output_header}:SYNC?"), **numbers)
 
     def is_on(self, line: ScpiLine) -> bool:
-        """Ask whether the output is on."""
+        """Ask whether the output is on, after something else whose answer is no switch's."""
+        line.ask(f"{self.source}FUNC?")
         return line.switch(f"{self.output_header}?")
 
 
@@ -157,7 +157,7 @@ class SiglentDialect:
         fields = self._fields(line, "BSWV")
         return self._number(line, fields, "LLEV" if "LLEV" in fields else "OFST")
 
-    def read(self, line: ScpiLine) -> LightSettings:
+    def read(self, line: ScpiLine, *, backwards: bool) -> LightSettings:  # noqa: ARG002 - answers name themselves
         """Ask for all settings."""
         fields = self._fields(line, "BSWV")
         waveform = _waveform(fields.get("WVTP", ""), line.name)
