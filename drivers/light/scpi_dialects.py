@@ -117,7 +117,8 @@ class HeaderDialect:
         waveform = _waveform(line.ask(f"{source}FUNC?"), line.name)
         if waveform == "steady":
             return _steady(line.number(f"{source}VOLT:OFFS?"))
-        queries = {"frequency_hz": "FREQ?", "low_v": "VOLT:LOW?", "high_v": "VOLT:HIGH?"}
+        # Each number has other neighbours in the two orders, or a word; none of them could be equal to it.
+        queries = {"low_v": "VOLT:LOW?", "high_v": "VOLT:HIGH?", "frequency_hz": "FREQ?"}
         if waveform == "square":
             queries["duty_percent"] = "FUNC:SQU:DCYC?"
         order = reversed(queries) if backwards else iter(queries)
