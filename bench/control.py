@@ -16,7 +16,7 @@ import stat
 import threading
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -26,17 +26,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bench.clock import BenchClock
 from bench.errors import BenchError, RunFolderError
 from bench.folder_lock import is_worked_on
+from bench.heartbeat import CONTROL, HEARTBEAT
 from bench.history import Event, History, RunLog
 from bench.journal import read_journal
 from bench.run_folder import JOURNAL
 from bench.storage import is_temporary, make_folder, storing, sync_folder, write_whole
 
-CONTROL = "control"
 POLL_S = 0.1
 _MOST_BYTES = 4096
 _PATIENCE_S = 10.0
 _SUFFIX = ".json"
-_HEARTBEAT = ".heartbeat"
 
 Word = Literal["hold", "release", "abort", "skip"]
 Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
@@ -122,13 +121,23 @@ class Inbox:
         Names of the poses to record, by index.
     clock
         Asked to stop by ``abort``, and when the journal does not take a decision.
+    looks
+        What else is to be looked at in every round: signs of life, interlocks.
     """
 
-    def __init__(self, folder: Path, log: RunLog, poses: Mapping[int, str], clock: BenchClock) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        log: RunLog,
+        poses: Mapping[int, str],
+        clock: BenchClock,
+        looks: Sequence[Callable[[], None]] = (),
+    ) -> None:
         self._path = folder / CONTROL
         self._log = log
         self._poses = poses
         self._clock = clock
+        self._looks = looks
         self._closing = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="commands", daemon=True)
 
@@ -136,7 +145,6 @@ class Inbox:
         """Begin to take commands. What was meant for a process that has died is answered, and not done."""
         make_folder(self._path)
         self._drain("it was meant for a process that has died")
-        self._beat()
         self._watcher.start()
         return self
 
@@ -160,23 +168,19 @@ class Inbox:
         try:
             while not self._closing.wait(POLL_S):
                 self._drain("")
-                self._beat()
+                for look in self._looks:
+                    look()
         except (
             BenchError
         ) as error:  # a run that cannot be commanded, or whose journal is full, must not go on
             self._clock.request_stop(f"commands cannot be taken any more: {error}")
-
-    def _beat(self) -> None:
-        """Show a supervisor that this process is alive."""
-        with storing(self._path), suppress(FileNotFoundError):
-            (self._path / _HEARTBEAT).write_bytes(b"%d" % time.monotonic_ns())
 
     def _drain(self, why_not: str) -> None:
         """Answer every command that lies there, oldest first; not taken where ``why_not`` says so."""
         with storing(self._path):
             if not self._path.is_dir():  # an operator tidied up
                 return
-            names = sorted(p for p in self._path.iterdir() if not is_temporary(p) and p.name != _HEARTBEAT)
+            names = sorted(p for p in self._path.iterdir() if not is_temporary(p) and p.name != HEARTBEAT)
         for path in names:
             with storing(path), suppress(FileNotFoundError):  # taken back by its sender at this moment
                 self._answer(path, why_not)
@@ -205,14 +209,6 @@ def _read(path: Path) -> Command | None:
     try:
         return Command.model_validate_json(path.read_bytes())
     except ValidationError:
-        return None
-
-
-def heartbeat(folder: Path) -> bytes | None:
-    """Give the last sign of life of the process that works on a run; None while it takes no commands."""
-    try:
-        return (folder / CONTROL / _HEARTBEAT).read_bytes()
-    except OSError:
         return None
 
 

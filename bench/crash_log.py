@@ -2,7 +2,8 @@
 
 A process that is killed from outside, or whose power goes, leaves nothing behind, and the step at work is not to blame.
 One that dies of its own memory fault, abort or arithmetic writes where it was into ``crash.txt`` of the run folder with
-its last breath (`faulthandler`); resuming reads that, and counts it against the pose that was at work.
+its last breath (`faulthandler`); resuming reads that, and counts it against the pose that was at work. Where the system
+ends a process for want of memory it cannot write; its supervisor, which sees that, writes for it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench.run_folder import RunFolder
-from bench.storage import storing
+from bench.storage import storing, write_whole
 
 CRASH_LOG = "crash.txt"
 
@@ -36,6 +37,18 @@ def crash_log(folder: Path) -> Iterator[None]:
         file.close()
         with storing(path):
             path.unlink(missing_ok=True)
+
+
+def note_crash(folder: Path, what: str) -> None:
+    """Write down for a process why it died, where it could not itself but whoever watched it knows.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be written.
+    """
+    if folder.is_dir():
+        write_whole(folder / CRASH_LOG, f"{what}\n".encode())
 
 
 def read_crash(folder: Path) -> str | None:

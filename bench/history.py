@@ -50,6 +50,8 @@ class Event(StrEnum):
     """An operator's command (`bench.control`): its id and word, by whom, and whether and why not it was taken."""
     POSE_SKIPPED = "pose_skipped"
     """A pose that will not be recorded any more, and why; a deviation."""
+    SUPERVISOR_LOST = "supervisor_lost"
+    """The process that watched this one is gone; the run goes on to its own end."""
     DEVIATION = "deviation"
     """Something went otherwise than the script says; printed in the report."""
     RUN_ENDED = "run_ended"

@@ -254,12 +254,12 @@ def _run_and_seal(
             progress.say(line)
         courier = Courier(job.station.messages, Outbox(home_folder()), clock, progress.say)
 
-        def on_hold(what: str, line: str) -> None:
-            courier.tell("hold", what, folder.path, line)
+        def notify(occasion: str, what: str, line: str) -> None:
+            courier.tell(occasion, what, folder.path, line)
 
         try:
             with crash_log(folder.path):
-                end = Runner(job, folder, journal, open_devices, clock, progress, on_hold).run()
+                end = Runner(job, folder, journal, open_devices, clock, progress, notify).run()
             wire_log.close()
             if end.how == "finished":
                 journal.close()

@@ -15,6 +15,7 @@ from bench.clock import Aborted, BenchClock
 from bench.control import Inbox
 from bench.devices import Devices
 from bench.errors import BenchError, PoseFailed, StorageError
+from bench.heartbeat import Pulse
 from bench.history import Event, RunLog
 from bench.job import DEVICE_STEPS, Job, ParkStep, ScriptStep
 from bench.journal import Journal
@@ -90,8 +91,9 @@ class Runner:
         The run's clock; a stop requested of it ends the run safely.
     progress
         Where to tell the operator.
-    on_hold
-        Called with a few words and the hash of the journal's line, whenever the run waits for an operator.
+    notify
+        Called with the occasion (``hold``, ``failure``), a few words and the hash of the journal's line, whenever
+        somebody should hear of the run before it ends.
     results
         Computes and writes the results; a ``ResultWriter`` of the folder unless told otherwise.
     """
@@ -104,10 +106,10 @@ class Runner:
         open_devices: Callable[[], Devices],
         clock: BenchClock,
         progress: Progress,
-        on_hold: Callable[[str, str], None] = lambda _what, _key: None,
+        notify: Callable[[str, str, str], None] = lambda _occasion, _what, _key: None,
         results: ResultWriter | None = None,
     ) -> None:
-        self._on_hold = on_hold
+        self._notify = notify
         self._job = job
         self._folder = folder
         self._log = RunLog(journal)
@@ -116,7 +118,8 @@ class Runner:
         self._work = StateWork(job, folder, self._log, open_devices, clock, progress.say, results)
         self._machine = RunMachine(self._work.table(), self._tell)
         names = {pose.index: pose.name for pose in job.plan.poses}
-        self._inbox = Inbox(folder.path, self._log, names, clock)
+        self._pulse = Pulse(folder.path, clock)
+        self._inbox = Inbox(folder.path, self._log, names, clock, (self._pulse.beat, self._see_supervisor))
 
     def run(self) -> RunEnd:
         """Do every step not yet done.
@@ -338,15 +341,24 @@ class Runner:
             kept=kept,
         )
 
+    def _see_supervisor(self) -> None:
+        """Note that nobody watches this process any more, and go on: the run is as good as before."""
+        if self._pulse.lost_supervisor():
+            self._log.tell(Event.SUPERVISOR_LOST)
+            self._notify(
+                "failure", "goes on, but what watched it is gone: nothing follows it", self._log.journal.head
+            )
+
     def _fire(self, trigger: str, step: MoveStep | RecordStep, **facts: Any) -> None:
         self._machine.fire(trigger, step=step.number, pose=step.pose.index, pose_name=step.pose.name, **facts)
 
     def _tell(self, event: str, facts: Mapping[str, Any]) -> None:
         self._log.tell(Event(event), **facts)
         if event == Event.ENTERING:
+            self._pulse.entering(facts["state"])
             self._progress.show(
                 facts["state"], pose=facts.get("pose"), detail=str(facts.get("pose_name", ""))
             )
             if facts["state"] == "holding":
                 waits = f"is held by {facts['by']}" if "by" in facts else "asks the operator"
-                self._on_hold(waits, self._log.journal.head)
+                self._notify("hold", waits, self._log.journal.head)

@@ -1,0 +1,112 @@
+"""Signs of life: given while the work goes on, not given while it stands still, and of one process only."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bench import heartbeat
+from bench.clock import BenchClock
+from bench.heartbeat import CONTROL, HEARTBEAT, SUPERVISOR, Pulse, Sign, open_process, read_sign
+
+
+class StandingClock(BenchClock):
+    """A clock that nobody has asked for so long."""
+
+    quiet = 0.0
+
+    def quiet_s(self):
+        return self.quiet
+
+
+@pytest.fixture
+def pulse(tmp_path):
+    (tmp_path / CONTROL).mkdir()
+    pulse = Pulse(tmp_path, StandingClock())
+    pulse._since_s -= 10_000.0  # the state was entered long ago
+    return pulse
+
+
+def moments(pulse, folder):
+    """Beat once; whether a sign was given."""
+    before = read_sign(folder)
+    time.sleep(0.001)
+    pulse.beat()
+    return read_sign(folder) != before
+
+
+def test_signs_are_given_while_the_work_waits_or_checks(pulse, tmp_path):
+    assert moments(pulse, tmp_path)
+    assert moments(pulse, tmp_path)
+
+
+@pytest.mark.parametrize("state", ["slewing", "recording", "homing", "aborting", "holding"])
+def test_no_sign_is_given_for_a_driver_that_never_returns(pulse, tmp_path, state):
+    pulse._state, pulse._clock.quiet = state, 0.6
+    assert not moments(pulse, tmp_path)
+
+
+@pytest.mark.parametrize("state", ["checking", "solving", "reporting", "preflight"])
+def test_computing_may_take_its_time_but_not_for_ever(pulse, tmp_path, state):
+    pulse._state, pulse._clock.quiet = state, 500.0
+    assert moments(pulse, tmp_path)
+    pulse._clock.quiet = 601.0
+    assert not moments(pulse, tmp_path)
+
+
+def test_a_state_just_entered_is_given_its_time(pulse, tmp_path):
+    pulse._clock.quiet = 60.0  # a long calculation lies behind
+    pulse.entering("parking")
+    assert moments(pulse, tmp_path)
+
+
+@pytest.mark.parametrize(("letter", "given"), [("D", True), ("S", False), ("R", False)])
+def test_waiting_for_the_disk_is_no_hang(pulse, tmp_path, letter, given):
+    pulse._state, pulse._clock.quiet = "recording", 30.0
+    pulse._worker = tmp_path / "stat"
+    pulse._worker.write_text(f"12 (python (x)) {letter} 1 1 1")
+    assert moments(pulse, tmp_path) is given
+
+
+def test_a_clock_is_quiet_only_while_nobody_waits_or_checks():
+    clock = BenchClock()
+    time.sleep(0.05)
+    assert clock.quiet_s() >= 0.05
+    clock.check()
+    assert clock.quiet_s() < 0.05
+
+
+@pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 x", b"1 2 3 4", b"\xff\xfe"])
+def test_a_sign_cut_short_is_none(tmp_path, text):
+    (tmp_path / CONTROL).mkdir()
+    (tmp_path / CONTROL / HEARTBEAT).write_bytes(text)
+    assert read_sign(tmp_path) is None
+
+
+def test_only_the_process_that_gave_the_sign_is_opened():
+    started = heartbeat._started(os.getpid())
+    own = open_process(Sign(os.getpid(), started, 0))
+    assert own is not None
+    os.close(own)
+    assert open_process(Sign(os.getpid(), started + 1, 0)) is None  # another one, later, of the same number
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    assert open_process(Sign(process.pid, 1, 0)) is None
+
+
+def test_a_supervisor_that_is_gone_is_told_once(monkeypatch, tmp_path):
+    monkeypatch.setenv(SUPERVISOR, str(os.getppid()))
+    pulse = Pulse(tmp_path, BenchClock())
+    assert not pulse.lost_supervisor()
+    monkeypatch.setattr(os, "getppid", lambda: 1)
+    assert [pulse.lost_supervisor(), pulse.lost_supervisor()] == [True, False]
+
+
+@pytest.mark.parametrize("told", ["", "1x", "999999999"])
+def test_whoever_is_not_watched_loses_no_supervisor(monkeypatch, tmp_path, told):
+    monkeypatch.setenv(SUPERVISOR, told)
+    pulse = Pulse(tmp_path, BenchClock())
+    monkeypatch.setattr(os, "getppid", lambda: 1)
+    assert not pulse.lost_supervisor()
