@@ -6,22 +6,19 @@ page's typeface; nothing here depends on the moment or on Matplotlib's global st
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Sequence
 from textwrap import shorten
-from typing import Any
 
 import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
+from bench.report.drawing import INK, LINE, MUTED, STYLE, bare, svg
 from bench.report.pictures import ViewPicture
 from calib.infinity import ProjectionMap
 
@@ -29,26 +26,6 @@ Array = NDArray[np.float64]
 
 POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Okabe and Ito's palette: tells the poses apart for every eye; begins again after six."""
-_INK, _MUTED, _LINE = "#17212b", "#5c6874", "#d5dbe1"
-_STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "starbench",
-    "font.family": "DejaVu Sans",
-    "font.size": 9.5,
-    "axes.edgecolor": _LINE,
-    "axes.labelcolor": _MUTED,
-    "axes.linewidth": 0.8,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "path.simplify": False,  # dots are strokes of no length
-    "text.color": _INK,
-    "text.parse_math": False,  # a pose may be called $x$
-    "xtick.color": _MUTED,
-    "ytick.color": _MUTED,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-}
-_SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _REGIONS = (4, 3)
 _LEVELS = 8
 _CLOUD_PERCENTILE = 99.5
@@ -57,7 +34,7 @@ _CLOUD_PERCENTILE = 99.5
 def uncertainty_contours(found: ProjectionMap, k: float) -> str:
     """Draw how sure the camera is of a direction, over the sensor: expanded, px and arc seconds."""
     x, y = found.grid_px[..., 0], found.grid_px[..., 1]
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 3.5), layout="constrained")
         maps = ((k * found.sigma_px, "px"), (k * found.sigma_arcsec, "arc seconds"))
         for axes, (expanded, unit) in zip(figure.subplots(1, 2), maps, strict=True):
@@ -66,18 +43,18 @@ def uncertainty_contours(found: ProjectionMap, k: float) -> str:
             levels = np.linspace(0, worst, _LEVELS + 1)
             shades = mpl.colormaps["Blues"](np.linspace(0.04, 0.6, _LEVELS))
             axes.contourf(x, y, shown, levels=levels, colors=shades)
-            lines = axes.contour(x, y, shown, levels=levels, colors=_INK, linewidths=0.6)
+            lines = axes.contour(x, y, shown, levels=levels, colors=INK, linewidths=0.6)
             axes.clabel(lines, fmt=lambda level: f"{level:.2g}", fontsize=8.5)
             axes.set_title(f"U, {unit}: median {middle:.2g}, at most {worst:.2g}")
             _sensor(axes, (int(x.max()) + 1, int(y.max()) + 1))
-        return _svg(figure, "uncertainty", "Projection uncertainty over the sensor")
+        return svg(figure, "uncertainty", "Projection uncertainty over the sensor")
 
 
 def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
     """Draw the residual of each star where it lies on the sensor, magnified; the factor is told."""
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 10.2 * image_size[1] / image_size[0] + 0.45), layout="constrained")
         axes = figure.add_subplot()
         for number, view in enumerate(views):
@@ -88,7 +65,7 @@ def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) 
         _sensor(axes, image_size)
         _legend(axes, views)
         _scale_bar(axes, image_size, magnification)
-        return _svg(figure, "vectors", "Residual vectors on the sensor")
+        return svg(figure, "vectors", "Residual vectors on the sensor")
 
 
 def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
@@ -96,7 +73,7 @@ def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, f
     residuals = np.concatenate([view.residuals for view in views])
     lengths = np.linalg.norm(residuals, axis=1)
     limit = 1.15 * max(float(np.percentile(lengths, _CLOUD_PERCENTILE)), 1e-6)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 3.9), layout="constrained")
         cloud, radial = figure.subplots(1, 2, width_ratios=(1, 1.55))
         for number, view in enumerate(views):
@@ -108,7 +85,7 @@ def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, f
             points = points[points[:, 1] <= limit]
             _strokes(radial, points, points, colour, 2.2, alpha=0.6)
         rms = float(np.sqrt(np.mean(lengths**2)))
-        cloud.add_patch(Circle((0, 0), rms, fill=False, edgecolor=_INK, linewidth=1.0))
+        cloud.add_patch(Circle((0, 0), rms, fill=False, edgecolor=INK, linewidth=1.0))
         cloud.set(
             xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="column, px", ylabel="row, px"
         )
@@ -120,9 +97,9 @@ def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, f
         )
         radial.set_ylabel("length, px")
         radial.set_title("Length of the residuals; the line is their RMS by distance")
-        _bare(cloud)
-        _bare(radial)
-        return _svg(figure, "cloud", "Residuals about zero, and by distance from the principal point")
+        bare(cloud)
+        bare(radial)
+        return svg(figure, "cloud", "Residuals about zero, and by distance from the principal point")
 
 
 def coverage(
@@ -131,39 +108,39 @@ def coverage(
     """Draw where the stars lie on the sensor, and RMS residual and number of stars by region."""
     points = np.concatenate([view.detected for view in views])
     squares = np.sum(np.concatenate([view.residuals for view in views]) ** 2, axis=1)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 3.35), layout="constrained")
         stars, regions = figure.subplots(1, 2)
         hull = cv2.convexHull(points.astype(np.float32))[:, 0]
-        stars.add_patch(Polygon(hull, facecolor="#eef3f8", edgecolor=_LINE, linewidth=0.8))
+        stars.add_patch(Polygon(hull, facecolor="#eef3f8", edgecolor=LINE, linewidth=0.8))
         for number, view in enumerate(views):
             _strokes(stars, view.detected, view.detected, POSE_COLOURS[number % len(POSE_COLOURS)], 2.4)
-        stars.plot(*principal_point, marker="+", markersize=13, markeredgewidth=1.6, color=_INK)
+        stars.plot(*principal_point, marker="+", markersize=13, markeredgewidth=1.6, color=INK)
         share = float(cv2.contourArea(hull)) / (image_size[0] * image_size[1])
         stars.set_title(f"Stars; their hull covers {100 * share:.0f} % of the sensor")
         _sensor(stars, image_size)
         _region_map(regions, points, squares, image_size)
         regions.set_title("RMS residual, px, and number of stars by region")
         _sensor(regions, image_size)
-        return _svg(figure, "coverage", "Coverage of the sensor, and residuals by region")
+        return svg(figure, "coverage", "Coverage of the sensor, and residuals by region")
 
 
 def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
     """Draw how far each value lies from the truth, in its own standard uncertainties."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 0.55 + 0.27 * len(names)), layout="constrained")
         axes = figure.add_subplot()
         for inner, colour in ((2.0, "#eef3f8"), (1.0, "#dbe6f0")):
             axes.axvspan(-inner, inner, color=colour, linewidth=0)
-        axes.axvline(0, color=_MUTED, linewidth=0.8)
+        axes.axvline(0, color=MUTED, linewidth=0.8)
         rows = np.arange(len(names))
         axes.plot(error_sigmas, rows, linestyle="none", marker="o", markersize=6, color=POSE_COLOURS[0])
         reach = max(3.2, 1.15 * float(np.abs(error_sigmas).max()))
         axes.set(xlim=(-reach, reach), ylim=(len(names) - 0.4, -0.6), yticks=rows, yticklabels=list(names))
         axes.set_xlabel("(value \N{MINUS SIGN} truth) / standard uncertainty; shaded: within 1 and 2")
-        _bare(axes)
-        axes.tick_params(axis="y", length=0, labelcolor=_INK)
-        return _svg(figure, "truth", "Deviations from the truth in standard uncertainties")
+        bare(axes)
+        axes.tick_params(axis="y", length=0, labelcolor=INK)
+        return svg(figure, "truth", "Deviations from the truth in standard uncertainties")
 
 
 def _strokes(axes: Axes, begins: Array, ends: Array, colour: str, width: float, alpha: float = 1.0) -> None:
@@ -190,10 +167,6 @@ def _sensor(axes: Axes, image_size: tuple[int, int]) -> None:
     axes.set_ylabel("row, px")
 
 
-def _bare(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-
-
 def _legend(axes: Axes, views: Sequence[ViewPicture]) -> None:
     if len(views) > len(POSE_COLOURS):
         return
@@ -212,7 +185,7 @@ def _scale_bar(axes: Axes, image_size: tuple[int, int], magnification: float) ->
     length_px = _round_down(image_size[0] / 14 / magnification)
     right, above = image_size[0] - 0.5, -0.022 * image_size[1]
     left = right - length_px * magnification
-    axes.plot([left, right], [above, above], color=_INK, linewidth=1.6, clip_on=False, solid_capstyle="butt")
+    axes.plot([left, right], [above, above], color=INK, linewidth=1.6, clip_on=False, solid_capstyle="butt")
     text = f"{length_px:g} px, magnified {magnification:g} times"
     axes.text(left - 8, above, text, ha="right", va="center", fontsize=9.5)
 
@@ -222,7 +195,7 @@ def _running_rms(axes: Axes, radius: Array, lengths: Array) -> None:
     groups = [group for group in np.array_split(order, max(1, min(14, len(order) // 12))) if len(group)]
     middle = [float(radius[group].mean()) for group in groups]
     rms = [float(np.sqrt(np.mean(lengths[group] ** 2))) for group in groups]
-    axes.plot(middle, rms, color=_INK, linewidth=1.6)
+    axes.plot(middle, rms, color=INK, linewidth=1.6)
 
 
 def _region_map(axes: Axes, points: Array, squares: Array, image_size: tuple[int, int]) -> None:
@@ -255,25 +228,3 @@ def _round_down(value: float) -> float:
     """Round down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
-
-
-def _svg(figure: Figure, identifier: str, label: str) -> str:
-    """Render without date; make ids unique on the page, coordinates short."""
-    FigureCanvasSVG(figure)
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r'( id="|url\(#|href="#)', rf"\g<1>{identifier}-", text)
-    text = re.sub(r'(?<= d=)"[^"]*"', lambda found: _shortened(found[0]), text)
-    head = rf'<svg class="plot" role="img" aria-label="{label}" viewBox="\1" xmlns="{_SVG}" xmlns:xlink="{_XLINK}">'
-    text = re.sub(r'<svg [^>]*viewBox="([^"]*)"[^>]*>', head, text, count=1)
-    return text.strip()
-
-
-def _shortened(outline: str) -> str:
-    """Shorten a path: a hundredth of a point is enough, and a stroke of no length needs one point only."""
-    outline = re.sub(r"(\.\d\d)\d+", r"\1", outline)
-    outline = re.sub(r"\s*([MLCQz\"])\s*", r"\1", outline)
-    return re.sub(r"M([\d.-]+ [\d.-]+)L\1(?=[M\"])", r"M\1h0", outline)
