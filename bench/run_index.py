@@ -217,8 +217,41 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
 
 def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int]) -> None:
     history = replay(read_journal(folder / JOURNAL)[0])
+    facts = _facts(history, folder)
+    places = ", ".join("?" * (len(_COLUMNS) + 3))
+    row = (str(folder), *stamp, *(facts[name] for name in _COLUMNS))
+    index.execute(f"INSERT OR REPLACE INTO runs VALUES ({places})", row)  # noqa: S608
+    index.execute("DELETE FROM parameters WHERE folder = ?", (str(folder),))
+    rows = [
+        (str(folder), name, place, *both) for place, (name, both) in enumerate(_parameters(history).items())
+    ]
+    index.executemany("INSERT INTO parameters VALUES (?, ?, ?, ?, ?)", rows)
+
+
+def read_run(folder: Path) -> IndexedRun:
+    """Look at one run's own journal, without any index.
+
+    Raises
+    ------
+    JournalBroken, StorageError
+        When it does not hold, or cannot be read.
+    """
+    history = replay(read_journal(folder / JOURNAL)[0])
+    facts = _facts(history, folder)
+    ended = facts.pop("ended")
+    return IndexedRun(
+        folder=str(folder),
+        how=ended or ("running" if is_worked_on(folder) else "cut off"),
+        sealed=is_sealed(folder),
+        parameters=_parameters(history),
+        **facts,
+    )
+
+
+def _facts(history: History, folder: Path) -> dict[str, Any]:
+    """Give what the index keeps of a run in a column each."""
     solved, started = history.solved, history.started
-    facts = {
+    return {
         "id": started.get("id", folder.name),
         "sequence": started.get("sequence", ""),
         "station": started.get("station", ""),
@@ -233,14 +266,12 @@ def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int]) -> N
         "model": solved.get("model"),
         "rms_px": solved.get("rms_px"),
     }
-    places = ", ".join("?" * (len(_COLUMNS) + 3))
-    row = (str(folder), *stamp, *(facts[name] for name in _COLUMNS))
-    index.execute(f"INSERT OR REPLACE INTO runs VALUES ({places})", row)  # noqa: S608
-    index.execute("DELETE FROM parameters WHERE folder = ?", (str(folder),))
-    sigma = solved.get("sigma", {})
-    values = [(n, v) for n, v in solved.get("values", {}).items() if n in sigma]
-    rows = [(str(folder), name, place, value, sigma[name]) for place, (name, value) in enumerate(values)]
-    index.executemany("INSERT INTO parameters VALUES (?, ?, ?, ?, ?)", rows)
+
+
+def _parameters(history: History) -> dict[str, tuple[float, float]]:
+    """Give value and 1 sigma of each parameter that was estimated."""
+    sigma = history.solved.get("sigma", {})
+    return {n: (v, sigma[n]) for n, v in history.solved.get("values", {}).items() if n in sigma}
 
 
 def _temperature_c(history: History) -> float | None:
