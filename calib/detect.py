@@ -8,7 +8,7 @@ line is left out: no star is better than a wrong one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,24 @@ UNEVEN_PX = 0.035
 MAX_APART_SIGMAS = 6.0
 
 
+NamedBy = Literal["tag", "part of the tag", "expected pose"]
+
+
+class Sight(NamedTuple):
+    """What an image showed.
+
+    Attributes
+    ----------
+    view
+        The stars.
+    named_by
+        What told which star is which: the whole tag, a part of it, or nothing but the pose that was expected.
+    """
+
+    view: View
+    named_by: NamedBy
+
+
 class _Stars(NamedTuple):
     """Candidates on their way through refinement and rejection."""
 
@@ -99,6 +117,20 @@ def detect(
     View
         Stars wholly in view, by rising id, with their centres' covariances.
 
+    Raises as `look` does.
+    """
+    return look(image, target, name=name, expected=expected).view
+
+
+def look(
+    image: NDArray[np.generic],
+    target: StarTarget,
+    *,
+    name: str = "view",
+    expected: NDArray[np.float64] | None = None,
+) -> Sight:
+    """Find the target's stars, and say what told their names; parameters as for `detect`.
+
     Raises
     ------
     TargetNotFound
@@ -117,8 +149,9 @@ def detect(
     if seed is not None:
         grown = grow(values, start_at_tag(seed, target), target.segments, _printed(target))
         stars, sign = _Stars(grown.nodes(), grown.places()), seed.sign
+        named_by: NamedBy = "tag"
     else:
-        stars, sign = _without_tag(values, target, expected, name)
+        stars, sign, named_by = _without_tag(values, target, expected, name)
     _enough(len(stars.nodes), name)
     stars, _, _ = _refined(values, stars, target, sign, COARSE_STEP_PX)
     _enough(len(stars.nodes), name)
@@ -129,7 +162,7 @@ def detect(
     _enough(int(np.count_nonzero(kept)), name)
     ids = target.id_at(stars.nodes[kept, 0], stars.nodes[kept, 1])
     order = np.argsort(ids)
-    return View(
+    view = View(
         name=name,
         image_size=(image.shape[1], image.shape[0]),
         ids=ids[order],
@@ -137,6 +170,7 @@ def detect(
         target_mm=target.positions_mm(ids[order]),
         covariances_px2=covariances[kept][order],
     )
+    return Sight(view, named_by)
 
 
 def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
@@ -146,7 +180,7 @@ def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.boo
 
 def _without_tag(
     image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
-) -> tuple[_Stars, float]:
+) -> tuple[_Stars, float, NamedBy]:
     """Find stars from any of them on, and number them by what is seen of the tag, or else by the expected pose."""
     start = find_lattice(image, target.segments)
     size = max(target.columns, target.rows)
@@ -161,12 +195,13 @@ def _without_tag(
             where=f"view {name}",
             remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
         )
+    named_by: NamedBy = "part of the tag"
     try:
         numbering = number_by_tag(image, grown, start.sign, target, name=name)
     except TargetNotFound:
         if expected is None:
             raise
-        numbering = number_by_pose(grown, expected, name=name)
+        numbering, named_by = number_by_pose(grown, expected, name=name), "expected pose"
     nodes = numbering.apply(grown.nodes())
     printed = _printed(target)(nodes)
     if np.count_nonzero(~printed) > MAX_STRAY * len(nodes):
@@ -175,7 +210,7 @@ def _without_tag(
             where=f"view {name}",
             remedy="Check the target's description and the expected pose.",
         )
-    return _Stars(nodes, grown.places()).kept(printed), start.sign
+    return _Stars(nodes, grown.places()).kept(printed), start.sign, named_by
 
 
 def _best_placed(

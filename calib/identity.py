@@ -70,23 +70,6 @@ def expected_grid(
     return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)
 
 
-def turned_grid(
-    grid: NDArray[np.float64], matrix: NDArray[np.float64], turn: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Where the grid of stars lies after the camera has turned: H' = K dR K^-1 H.
-
-    Parameters
-    ----------
-    grid
-        (3, 3) homography of a view, from [column row 1] to [u v 1] px.
-    matrix
-        (3, 3) K, px; about right is enough for turns of some degrees.
-    turn
-        (3, 3) dR, new camera frame <- old camera frame.
-    """
-    return np.asarray(matrix @ turn @ np.linalg.inv(matrix) @ grid, np.float64)
-
-
 def number_by_pose(grown: Grown, expected: NDArray[np.float64], *, name: str) -> Numbering:
     """Number stars by where they should lie.
 
