@@ -13,14 +13,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 from simulators.trajectory import Course, Pointing
 
 #: How far homing runs past the sensor before it comes back onto it.
 _HOMING_OVERRUN_DEG = 0.1
 
-FaultKind = Literal["stall", "limit", "restart", "stop_short", "slip", "creep"]
+FaultKind = Literal[
+    "stall", "limit", "twist", "restart", "stop_short", "no_progress", "slip", "creep", "unplug", "press_stop"
+]
 
 
 @dataclass(frozen=True)
@@ -62,27 +64,35 @@ class MotionFault:
     Attributes
     ----------
     kind
-        ``stall``: the motor is held fast. ``limit``: a limit switch closes. ``restart``: the controller
-        reboots. ``stop_short``: it stops as if it had arrived. ``slip``: the motor stands, the counter goes
-        on. ``creep``: the motor drifts once it has arrived, unknown to the counter.
+        ``stall``: the motor is held fast. ``limit``: a limit switch closes. ``twist``: a pair of axes comes
+        apart. ``restart``: the controller reboots. ``stop_short``: it stops as if it had arrived.
+        ``no_progress``: it stops and says busy for ever. ``slip``: the motor stands, the counter goes on.
+        ``creep``: the motor drifts once it has arrived, unknown to the counter. ``unplug``, ``press_stop``:
+        something from outside, which ``then`` brings about.
     share
         When, as a share of the motion's duration; not of ``creep``, which begins at its end.
     creep_deg_s
         Speed of the drift.
     skip
         Motions to let pass before.
+    then
+        Told the moment at which it happens, once that motion begins.
     """
 
     kind: FaultKind
     share: float = 0.5
     creep_deg_s: float = 0.01
     skip: int = 0
+    then: Callable[[float], None] | None = None
+
+
+Noticed = Literal["stall", "limit", "twist", "restart"]
 
 
 class MotionEvent(NamedTuple):
     """Something a controller notices."""
 
-    kind: Literal["stall", "limit", "restart"]
+    kind: Noticed
     t_s: float
 
 
@@ -285,7 +295,9 @@ class Axis:
 
     def _go_wrong(self, fault: MotionFault) -> None:
         t_s = self.commanded.start_s + fault.share * (self.commanded.end_s - self.commanded.start_s)
-        if fault.kind == "creep":
+        if fault.then is not None:
+            fault.then(t_s)
+        elif fault.kind == "creep":
             self.motor = self.motor.until(self.motor.end_s, fault.creep_deg_s * self.mechanics.counts_per_deg)
         elif fault.kind == "slip":
             self.motor = self.motor.until(t_s)
@@ -293,8 +305,9 @@ class Axis:
             self._hold_fast(t_s)
         else:
             self.motor, self.commanded = self.motor.until(t_s), self.commanded.until(t_s)
-            if fault.kind != "stop_short":
-                self._event = MotionEvent(fault.kind, t_s)
+            self.stuck_busy = self.stuck_busy or fault.kind == "no_progress"
+            if fault.kind in {"limit", "twist", "restart"}:
+                self._event = MotionEvent(cast("Noticed", fault.kind), t_s)
 
     def _meet_end_stops(self) -> None:
         scale = self.mechanics.counts_per_deg

@@ -369,7 +369,7 @@ class EspController:
                 return
             one.motor_on = False
             limit = 4 if one.axis.counter(now) > 0.0 else 5
-            self._errors.append(one.number * 100 + (3 if event.kind == "stall" else limit))
+            self._errors.append(one.number * 100 + (limit if event.kind == "limit" else 3))
 
     def restart(self, t_s: float) -> None:
         """Reboot: silent for a while, motors off, counting from 0."""

@@ -44,6 +44,10 @@ class AxisController(Protocol):
 class Light(Protocol):
     """What a fault needs of the light's driver."""
 
+    def clip(self, most_v: float | None) -> None:
+        """Hold levels to come within less than usual, or no more."""
+        ...
+
     def trip(self) -> None:
         """Have the protection switch the light off."""
         ...
@@ -113,8 +117,15 @@ def prepare(one: Order, parts: Parts) -> Callable[[], None]:
     if one.device == "camera":
         return _on_camera(one, parts.camera)
     if one.device in parts.axes:
-        controller, port = parts.axes[one.device], parts.ports[parts.axis_ports[one.device]]
-        return lambda: port.between_exchanges(lambda: _on_axis(one, controller, parts.clock()))
+        name = parts.axis_ports[one.device]
+        controller, port, line = parts.axes[one.device], parts.ports[name], parts.lines[name]
+        from_outside: dict[str, Callable[[], None]] = {
+            "unplug": port.unplug,
+            "press_stop": lambda: controller.emergency_stop(parts.clock()),
+        }
+        act = from_outside.get(one.fault)
+        then = None if act is None else lambda t_s: line.at(t_s, act)
+        return lambda: port.between_exchanges(lambda: _on_axis(one, controller, parts.clock(), then))
     raise ConfigError(f"This bench has no {one.device}.", where="device")
 
 
@@ -140,6 +151,7 @@ def _on_port(one: Order, parts: Parts) -> Callable[[], None]:
         def mend_both() -> None:
             act()
             port.between_exchanges(parts.lamp.mend)
+            port.between_exchanges(lambda: parts.light.clip(None))
 
         return mend_both
     return act
@@ -162,6 +174,9 @@ def line_action(one: Order, port: SerialDevice, line: FaultLine) -> Callable[[],
 def _on_line(one: Order, line: FaultLine) -> Callable[[], None]:
     if one.fault == "mend":
         return line.clear
+    if one.fault == "baud":
+        rate = int(one.parameters["rate"])
+        return lambda: line.listen_at(rate)
     if one.fault == "say":
         text = _bytes(one.parameters["text"], "text")
         return lambda: line.say(text)
@@ -174,6 +189,9 @@ def _on_light(one: Order, parts: Parts) -> Callable[[], None]:
         return parts.light.trip
     if one.fault == "exchange":
         return lambda: parts.light.exchange(str(one.parameters["serial"]))
+    if one.fault == "clip":
+        most_v = float(one.parameters["most_v"])
+        return lambda: parts.light.clip(most_v)
     factor = float(one.parameters.get("factor", 1.0))
     if factor <= 0.0:
         raise ConfigError(f"{factor} is not positive.", where="factor")
@@ -205,7 +223,9 @@ def _bytes(text: Parameter, where: str) -> bytes:
         raise ConfigError(f"{text!r} cannot be read as bytes: {error}.", where=where) from error
 
 
-def _on_axis(one: Order, controller: AxisController, now: float) -> None:
+def _on_axis(
+    one: Order, controller: AxisController, now: float, then: Callable[[float], None] | None
+) -> None:
     axis, p = controller.axis, one.parameters
     if "skip" in p:
         axis.arm(
@@ -214,6 +234,7 @@ def _on_axis(one: Order, controller: AxisController, now: float) -> None:
                 share=float(p.get("share", 1.0)),
                 creep_deg_s=float(p.get("creep_deg_s", 0.0)),
                 skip=int(p["skip"]),
+                then=then,
             )
         )
     elif one.fault == "stuck_busy":

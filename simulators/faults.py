@@ -36,10 +36,14 @@ def _motion(what: str, **parameters: Parameter) -> Fault:
 AXIS_FAULTS: Final[Mapping[str, Fault]] = {
     "stall": _motion("the motor is held fast during the next motion", share=0.5),
     "limit": _motion("a limit switch closes during the next motion", share=0.5),
+    "twist": _motion("a pair of axes comes apart during the next motion", share=0.5),
     "restart": _motion("the controller reboots during the next motion", share=0.5),
     "stop_short": _motion("the next motion ends early, as if it had arrived", share=0.5),
+    "no_progress": _motion("the next motion ends early, and the controller says busy for ever", share=0.5),
     "slip": _motion("the motor stands still while the counter goes on", share=0.5),
     "creep": _motion("the motor drifts once it has arrived, unknown to the counter", creep_deg_s=0.01),
+    "unplug": _motion("the cable is pulled during the next motion", share=0.5),
+    "press_stop": _motion("somebody presses the emergency stop during the next motion", share=0.5),
     "stuck_busy": Fault("the controller says busy for ever", {}),
     "idle_flicker": Fault("the controller says idle while it moves", {"times": 1}),
     "push": Fault("the shaft is turned from outside, unknown to the counter", {"deg": 0.1}),
@@ -67,6 +71,7 @@ LINE_FAULTS: Final[Mapping[str, Fault]] = {
         for name in (*REPLY_FAULTS, "stale", "any")
     },
     **{name: Fault("befalls requests to this port", _LINE_PARAMETERS) for name in REQUEST_FAULTS},
+    "baud": Fault("the device listens at another baud rate", {"rate": 9600}),
     "say": Fault("the host hears something that nobody has asked for", {"text": "!"}),
     "unplug": Fault("the cable is pulled", {}),
     "replug": Fault("the cable is put back", {}),
@@ -90,6 +95,7 @@ _LAMP_CATALOGUE: Final[Mapping[str, Fault]] = {
 
 LIGHT_FAULTS: Final[Mapping[str, Fault]] = {
     **_LAMP_CATALOGUE,
+    "clip": Fault("the light's driver holds levels to come within less than usual", {"most_v": 2.0}),
     "trip": Fault("the protection of the light's driver switches it off", {}),
     "exchange": Fault("somebody puts a driver of another serial number in its place", {"serial": "XX9999"}),
 }

@@ -29,6 +29,9 @@ _WIDTH_MS: Final = (0.001, 999.0)
 _DELAY_MS: Final = (0.005, 999.0)
 _PERIOD_MS: Final = (0.1, 10_000.0)
 
+#: Highest brightness of a pulse, percent of the lamp's rating.
+_MOST_PERCENT: Final = 999.0
+
 CONTINUOUS, SWITCHED, PULSE = 0, 1, 2
 
 #: Events that a light's fault leads to.
@@ -83,6 +86,7 @@ class GardasoftRt:
         self._event = ""
         self._unsaid = ""
         self._tripped = False
+        self._most_percent = _MOST_PERCENT
         self._light = LightState(origin_s=clock())
         self._commands: dict[str, Callable[[list[str]], str]] = {
             "VR": lambda _words: self._version,
@@ -118,6 +122,10 @@ class GardasoftRt:
         """Events, once they are wanted."""
         said, self._unsaid = self._unsaid, ""
         return said.encode("ascii")
+
+    def clip(self, most_v: float | None) -> None:
+        """Hold brightness to come within a share of the full drive, or no more."""
+        self._most_percent = _MOST_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 
     def trip(self, event: int = OVER_TEMPERATURE) -> None:
         """Have a protection switch the light off; the event is told, or kept for ``GR``."""
@@ -162,7 +170,7 @@ class GardasoftRt:
         channel = _channel(words[0])
         width, too_wide = _held(_time_ms(words[1]), _WIDTH_MS)
         delay, too_late = _held(_time_ms(words[2]), _DELAY_MS)
-        percent, too_bright = _held(_number(words[3]), (0.0, 999.0))
+        percent, too_bright = _held(_number(words[3]), (0.0, self._most_percent))
         self.outputs[channel] = Output(PULSE, percent, width, delay)
         return self._changed(warned=too_wide or too_late or too_bright)
 
@@ -170,7 +178,7 @@ class GardasoftRt:
         if len(words) < 2 or len(words) > (2 if mode == CONTINUOUS else 4):
             raise _RtError(4)
         channel = _channel(words[0])
-        percent, warned = _held(_number(words[1]), (0.0, 100.0))
+        percent, warned = _held(_number(words[1]), (0.0, min(100.0, self._most_percent)))
         self.outputs[channel] = replace(self.outputs[channel], mode=mode, percent=percent)
         return self._changed(warned=warned)
 

@@ -64,12 +64,20 @@ class Generator:
         Time in seconds.
     drive
         Called with what the light does from now on, whenever that changes.
+
+    Attributes
+    ----------
+    most_v
+        Highest level into an open input; values to come are held within it.
+    settings
+        What is set.
     """
 
     def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None]) -> None:
         self._clock = clock
         self._drive = drive
         self._light = LightState(origin_s=clock())
+        self.most_v = _MOST_V
         self.settings = Settings()
         self._tell()
 
@@ -115,7 +123,7 @@ class Generator:
     def bounds(self, name: Setting) -> tuple[float, float]:
         """Values that a setting takes at present."""
         share = _share(self.settings.load_ohm)
-        most, least = _MOST_V * share, _LEAST_AMPLITUDE_V * share
+        most, least = self.most_v * share, _LEAST_AMPLITUDE_V * share
         half = self.settings.amplitude_v / 2.0
         ranges: dict[Setting, tuple[float, float]] = {
             "frequency": _FREQUENCY_HZ,
@@ -126,6 +134,10 @@ class Generator:
             "low": (-most, most - least),
         }
         return ranges[name]
+
+    def clip(self, most_v: float | None) -> None:
+        """Hold levels to come within less than usual, or no more."""
+        self.most_v = _MOST_V if most_v is None else most_v
 
     def trip(self) -> None:
         """Have the overload protection switch the output off, without a word."""
@@ -138,7 +150,7 @@ class Generator:
         least = _LEAST_AMPLITUDE_V * share
         if name == "offset" and now.shape == "dc":
             # The amplitude puts nothing out, and yields so that offset and amplitude fit the range later.
-            half = min(now.amplitude_v / 2.0, max(_MOST_V * share - abs(value), least / 2.0))
+            half = min(now.amplitude_v / 2.0, max(self.most_v * share - abs(value), least / 2.0))
             self._take(replace(now, low_v=value - half, high_v=value + half))
             return ""
         low_v, high_v = {
@@ -147,7 +159,7 @@ class Generator:
             "high": (min(now.low_v, value - least), value),
             "low": (value, max(now.high_v, value + least)),
         }[name]
-        most = _MOST_V * share
+        most = self.most_v * share
         conflict = low_v < -most - 1e-9 or high_v > most + 1e-9
         conflict |= (name == "high" and low_v < now.low_v) or (name == "low" and high_v > now.high_v)
         self._take(replace(now, low_v=round(max(low_v, -most), 4), high_v=round(min(high_v, most), 4)))

@@ -19,6 +19,10 @@ from simulators.world import LightState
 class LightDriver(Dialect, Protocol):
     """A light's driver: it answers on a port, and its protection may switch the light off."""
 
+    def clip(self, most_v: float | None) -> None:
+        """Hold levels to come within less than usual, or no more."""
+        ...
+
     def trip(self) -> None:
         """Have the protection switch the light off."""
         ...

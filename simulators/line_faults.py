@@ -15,6 +15,7 @@ import numpy as np
 import serial
 
 from simulators.errors import SimulatorError
+from simulators.guarded_replies import missing_checksum, wrong_checksum, wrong_id
 from simulators.serial_device import Dialect
 
 
@@ -76,6 +77,9 @@ def _split(fault: LineFault, reply: bytes, _rng: np.random.Generator) -> Pieces:
     return [(0.0, reply[:half]), (fault.delay_s, reply[half:])]
 
 
+#: What a device of another kind says, whatever it is asked.
+_STRANGE: Final = b"?READY\r\n"
+
 #: What befalls a reply, by name.
 REPLY_FAULTS: Final[Mapping[str, Callable[[LineFault, bytes, np.random.Generator], Pieces]]] = {
     "lost": lambda _fault, _reply, _rng: [],
@@ -87,6 +91,10 @@ REPLY_FAULTS: Final[Mapping[str, Callable[[LineFault, bytes, np.random.Generator
     "split": _split,
     "replaced": lambda fault, reply, _rng: [(0.0, re.sub(fault.pattern, fault.replacement, reply))],
     "preceded": lambda fault, reply, _rng: [(0.0, fault.replacement + reply)],
+    "wrong_checksum": lambda _fault, reply, _rng: [(0.0, wrong_checksum(reply))],
+    "missing_checksum": lambda _fault, reply, _rng: [(0.0, missing_checksum(reply))],
+    "wrong_id": lambda _fault, reply, _rng: [(0.0, wrong_id(reply))],
+    "stranger": lambda _fault, _reply, _rng: [(0.0, _STRANGE)],
 }
 
 #: What befalls a request, by name.
@@ -116,11 +124,13 @@ class FaultLine:
         self._faults: list[LineFault] = []
         self._last = b""
         self._late: list[tuple[float, bytes]] = []
+        self._acts: list[tuple[float, Callable[[], None]]] = []
+        self._other_baud: int | None = None
 
     @property
     def baud(self) -> int:
         """Baud rate of the device."""
-        return self._device.baud
+        return self._device.baud if self._other_baud is None else self._other_baud
 
     @property
     def faults(self) -> tuple[LineFault, ...]:
@@ -144,12 +154,23 @@ class FaultLine:
         """Let the host hear something that nobody has asked for."""
         self._late.append((self._clock(), text))
 
+    def listen_at(self, baud: int) -> None:
+        """Have the device listen at another baud rate."""
+        self._other_baud = baud
+
+    def at(self, t_s: float, act: Callable[[], None]) -> None:
+        """Have something done at a time, between two exchanges."""
+        self._acts.append((t_s, act))
+
     def clear(self) -> None:
         """Let nothing more go wrong; what is late still comes."""
         self._faults.clear()
+        self._acts.clear()
+        self._other_baud = None
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes of the host and give what reaches it at once."""
+        self._act()
         echoed = b""
         for fault in self._due(data, REQUEST_FAULTS):
             if fault.kind == "request_lost":
@@ -162,10 +183,19 @@ class FaultLine:
 
     def unsolicited(self) -> bytes:
         """Give what comes late, and what the device says of its own accord."""
+        self._act()
         now = self._clock()
         due = b"".join(piece for moment, piece in self._late if moment <= now)
         self._late = [(moment, piece) for moment, piece in self._late if moment > now]
         return due + self._befall(self._device.unsolicited())
+
+    def _act(self) -> None:
+        """Do what is due by now."""
+        now = self._clock()
+        due = [act for t_s, act in self._acts if t_s <= now]
+        self._acts = [(t_s, act) for t_s, act in self._acts if t_s > now]
+        for act in due:
+            act()
 
     def _befall(self, reply: bytes) -> bytes:
         pieces: Pieces = [(0.0, reply)]

@@ -144,8 +144,11 @@ class SerialDevice:
     def between_exchanges(self, act: Callable[[], None]) -> None:
         """Have the serving thread do something between two exchanges, and wait until it has.
 
-        What ``act`` raises is raised here.
+        What ``act`` raises is raised here. Asked for by that thread itself, it is done at once.
         """
+        if threading.current_thread() is self._thread:
+            act()
+            return
         done: Future[None] = Future()
 
         def carry_out() -> None:
@@ -179,6 +182,8 @@ class SerialDevice:
             self._take_time(len(heard))
         answer = self._dialect.receive(heard) if heard and understood else _garbage(heard)
         answer += self._dialect.unsolicited() if understood else b""
+        if self._port.fileno() < 0:  # pulled out meanwhile
+            return
         for start in range(0, len(answer), _PACKET):
             packet = answer[start : start + _PACKET]
             self._take_time(len(packet))

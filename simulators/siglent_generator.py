@@ -77,6 +77,10 @@ class SiglentGenerator:
         """Say nothing unasked."""
         return b""
 
+    def clip(self, most_v: float | None) -> None:
+        """Hold levels to come within less than usual, or no more."""
+        self._generator.clip(most_v)
+
     def trip(self) -> None:
         """Have the overload protection switch the output off."""
         self._generator.trip()

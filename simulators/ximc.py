@@ -353,7 +353,7 @@ class XimcController:
             return
         if event.kind == "restart":
             self.restart(event.t_s)
-        elif event.kind == "stall":
+        elif event.kind in {"stall", "twist"}:
             self._flags |= _SLIPPED | _ALARM
             self._failed = True
             self.axis.forget_reference()

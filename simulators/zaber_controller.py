@@ -341,7 +341,7 @@ class ZaberController:
         if event.kind == "restart":
             self.restart(event.t_s)
         else:
-            self._state.flags.add("FS" if event.kind == "stall" else "FE")
+            self._state.flags.add({"stall": "FS", "limit": "FE", "twist": "FT"}[event.kind])
 
     def restart(self, t_s: float) -> None:
         """Reboot: silent for a while, then without a reference, unless parked; settings are kept."""
