@@ -30,7 +30,7 @@ class Capture:
         return {"capture": self.name, "size": self.size, "sha256": self.sha256}
 
 
-def capture_name(pose_index: int, attempt: int) -> str:
+def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
     """Name of a pose's recording within the run folder.
 
     Parameters
@@ -39,13 +39,15 @@ def capture_name(pose_index: int, attempt: int) -> str:
         Number of the pose, from 1.
     attempt
         Number of the attempt, from 1.
+    ending
+        Of the name, as the kind of camera has it.
 
     Examples
     --------
     >>> capture_name(1, 2)
     'captures/pose-001-attempt-2.raw'
     """
-    return f"{CAPTURES}/pose-{pose_index:03d}-attempt-{attempt}.raw"
+    return f"{CAPTURES}/pose-{pose_index:03d}-attempt-{attempt}{ending}"
 
 
 def stored_captures(entries: Iterable[Entry]) -> dict[str, Capture]:

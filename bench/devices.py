@@ -11,12 +11,13 @@ from contextlib import ExitStack
 from typing import Any
 
 from bench import station_devices as words
+from bench.camera_kinds import Camera
 from bench.clock import BenchClock
 from bench.errors import SimulationError
 from bench.simulated import SimulatedBench
 from bench.station import Station
 from bench.station_devices import SIMULATED
-from drivers.camera import EventCamera
+from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
@@ -66,7 +67,7 @@ class Devices:
             opened.callback(self.stage.close)
             self.light: Light = _open_light(station, self._port, clock, wire_log)
             opened.callback(self.light.close)
-            self.camera: EventCamera = _open_camera(station, self._port, clock)
+            self.camera: Camera = _open_camera(station, self._port, clock)
             opened.callback(self.camera.close)
             self._opened = opened.pop_all()
 
@@ -209,7 +210,7 @@ def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: W
             )
 
 
-def _open_camera(station: Station, port: PortName, clock: BenchClock) -> EventCamera:
+def _open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
     match station.camera:
         case words.SimulatedEvk4() as said:
             return SimulatedEvk4Camera.open(
@@ -221,3 +222,7 @@ def _open_camera(station: Station, port: PortName, clock: BenchClock) -> EventCa
             return NeuromorphicEvk4.open(serial=said.serial, clock=clock, utc_now=clock.utc_now)
         case words.RecordedCamera() as said:
             return RecordedCamera.open(said.path, serial=said.serial, clock=clock)
+        case words.OpenCvCamera() as said:
+            return OpenCvFrameCamera.open(port(said.source), serial=said.serial, clock=clock)
+        case words.PictureFolder() as said:
+            return FolderFrameCamera.open(said.path, serial=said.serial, clock=clock)

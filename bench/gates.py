@@ -124,13 +124,18 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
     return judged
 
 
-def refusals(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
-    """Say why a recording does not count; empty when it does."""
-    reasons = [
+def failures(judged: Sequence[Gate]) -> list[str]:
+    """Say which gates failed, what was found and what was wanted."""
+    return [
         f"{g.name} {g.value:.6g}{' ' + g.unit if g.unit else ''}, wanted {g.limit}"
         for g in judged
         if g.verdict == "fail"
     ]
+
+
+def refusals(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
+    """Say why a recording does not count; empty when it does."""
+    reasons = failures(judged)
     reasons += [f"data lost: {gap}" for gap in facts.gaps]
     eaten = [f for f in FILTERS_THAT_EAT_FLICKER if facts.filters.get(f)]
     if eaten:

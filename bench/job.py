@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bench.camera_kinds import CameraKind, camera_kind
 from bench.errors import ScriptError
 from bench.gates import Gate, at_most
-from bench.measure import Measurement, measure
-from bench.plan import Plan, load, plan, whole_periods
+from bench.measure import Measurement
+from bench.plan import Plan, load, plan
 from bench.simulated import SimulatedBench
 from bench.station import Station
 from calib.calibration import CalibrationOptions
@@ -96,9 +97,9 @@ class Job:
         return self.station.target.pattern()
 
     @property
-    def biases(self) -> Mapping[str, int]:
-        """Camera biases, offsets from the factory values."""
-        return self.station.camera.biases.model_dump()
+    def camera_kind(self) -> CameraKind:
+        """What the run does with the station's kind of camera."""
+        return camera_kind(self.station)
 
     @property
     def lens(self) -> str | None:
@@ -118,11 +119,12 @@ class Job:
     @property
     def camera_name(self) -> str:
         """Name of the camera in exports."""
-        return f"{self.station.camera.driver}_{self.station.camera.serial}"
+        camera = self.station.camera
+        return f"{camera.driver}_{camera.serial}" if camera.serial else camera.driver
 
     def light_settings(self, flicker: Flicker) -> LightSettings:
-        """Turn a sequence's flicker into the station's light settings."""
-        return self.station.light.settings(flicker)
+        """Turn a sequence's flicker into the station's light settings, as its camera needs them."""
+        return self.station.light.settings(self.camera_kind.lit_by(flicker))
 
     def light_before(self, step: ScriptStep | None) -> LightStep | None:
         """Find the light step that holds when a step begins; None before the first."""
@@ -147,15 +149,7 @@ class Job:
 
     def measure(self, path: Path, step: RecordStep) -> Measurement:
         """Find the stars in a recording, as its step says."""
-        frequency_hz = self.frequency_hz(step)
-        return measure(
-            path,
-            name=step.pose.name,
-            target=self.target,
-            image=step.image,
-            periods=whole_periods(step.window_ms, frequency_hz),
-            expected_hz=frequency_hz,
-        )
+        return self.camera_kind.measure(path, step, self.frequency_hz(step), self.target)
 
     def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
         """Judge whether the stage stood still while a recording was made."""

@@ -7,9 +7,7 @@ from typing import Any
 
 from bench.devices import Devices
 from bench.errors import PreflightFailed
-from bench.gates import FILTERS_THAT_EAT_FLICKER
 from bench.job import Job
-from drivers.camera import CameraSettings
 
 
 def preflight(devices: Devices, job: Job) -> dict[str, Any]:
@@ -39,18 +37,11 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
     stage, light = devices.stage.identify(), devices.light.identify()
     camera = devices.camera.identify()
     devices.light.off()
-    settings = devices.camera.apply(CameraSettings(biases=job.biases, trigger_in=True))
-    filters = devices.camera.filters()
+    settings, camera_reasons = job.camera_kind.prepare(devices.camera)
     # An axis without its reference warns of just that until it is homed; what is left is looked at afterwards.
     reasons = stage_faults(devices) if devices.stage.is_homed() else []
     reasons += [f"light: {fault}" for fault in devices.light.faults()]
-    reasons += [
-        f"camera: its {f.upper()} filter cannot be switched off"
-        for f in FILTERS_THAT_EAT_FLICKER
-        if filters.get(f)
-    ]
-    if not settings.trigger_in:
-        reasons.append("camera: its trigger input cannot be enabled")
+    reasons += camera_reasons
     if reasons:
         raise PreflightFailed(
             f"The bench is not ready: {'; '.join(reasons)}.",
@@ -60,7 +51,7 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
         "camera": {**asdict(camera), "lens": job.lens},
         "stage": [asdict(axis) for axis in stage],
         "light": asdict(light),
-        "camera_settings": asdict(settings),
+        "camera_settings": settings,
     }
 
 

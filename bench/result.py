@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench import __version__
+from bench.camera_kinds import CameraKind
 from bench.comparison import compare, planar_beside
 from bench.cross_checks import gimbal, halves
 from bench.errors import BenchError
@@ -180,16 +181,17 @@ class ResultWriter:
                 "operator": started["operator"],
                 "laboratory": self._job.laboratory,
                 "simulated": self._job.simulated,
+                "camera": self._job.camera_kind.name,
                 "resumed": history.resumed,
                 **({"ledger": dict(history.ledger)} if history.ledger else {}),
                 "software": software(),
             },
             "devices": dict(history.devices),
-            "conditions": _conditions(history),
+            "conditions": _conditions(history, self._job.camera_kind),
             "calibration": calibration.to_dict(),
             "planar": solution.planar.to_dict() if solution.planar else None,
             **solution.checks,
-            "poses": _poses(history, solution),
+            "poses": _poses(history, solution, self._job.camera_kind),
             "gates": [*(gate.as_data() for gate in solution.judged), *_gates(history)],
             "deviations": list(history.deviations),
             "states": list(history.states),
@@ -221,23 +223,16 @@ def _json_bytes(results: Mapping[str, Any]) -> bytes:
     return (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()
 
 
-def _conditions(history: History) -> dict[str, Any]:
+def _conditions(history: History, kind: CameraKind) -> dict[str, Any]:
     """What the light and the camera were set to, as read back at the last accepted recording."""
     stored = [a.stored for _, a in sorted(history.accepted().items())]
-    facts = stored[-1]["facts"]
-    temperatures = [s["facts"]["temperature_c"] for s in stored if s["facts"]["temperature_c"] is not None]
-    return {
-        "light": dict(stored[-1]["light"]),
-        "camera": {
-            "biases": facts["biases"],
-            "filters": facts["filters"],
-            "temperature_c": sum(temperatures) / len(temperatures) if temperatures else None,
-            "illumination_lux": facts["illumination_lux"],
-        },
-    }
+    light = dict(stored[-1]["light"])
+    if light.get("waveform") == "steady":  # nothing of a flicker applies
+        light = {name: light[name] for name in ("waveform", "high_v")}
+    return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
 
 
-def _poses(history: History, solution: Solution) -> list[dict[str, Any]]:
+def _poses(history: History, solution: Solution, kind: CameraKind) -> list[dict[str, Any]]:
     summaries = {view.name: view for view in solution.calibration.views}
     poses = []
     for index in sorted({a.pose_index for a in history.attempts}):
@@ -253,7 +248,7 @@ def _poses(history: History, solution: Solution) -> list[dict[str, Any]]:
                 "commanded_deg": shown.stored["commanded_deg"],
                 "measured_deg": shown.stored["measured_deg"],
                 "measured_after_deg": shown.stored["measured_after_deg"],
-                "attempts": [_attempt(a) for a in attempts],
+                "attempts": [_attempt(a, kind) for a in attempts],
                 "image": measured.get("image"),
                 "flicker_hz": measured.get("flicker_hz"),
                 "stars": summary.n if summary else 0,
@@ -264,20 +259,15 @@ def _poses(history: History, solution: Solution) -> list[dict[str, Any]]:
     return poses
 
 
-def _attempt(attempt: Attempt) -> dict[str, Any]:
+def _attempt(attempt: Attempt, kind: CameraKind) -> dict[str, Any]:
     stored, checked = attempt.stored, attempt.checked or {}
-    facts = stored["facts"]
     return {
         "attempt": attempt.attempt,
         "capture": stored["capture"],
         "sha256": stored["sha256"],
         "accepted": attempt.accepted,
         "reasons": list(checked.get("reasons", [])),
-        "events": facts["events"],
-        "triggers": facts["triggers"],
-        "duration_s": facts["duration_s"],
-        "event_rate_mev_s": facts["events"] / facts["duration_s"] / 1e6 if facts["duration_s"] else None,
-        "temperature_c": facts["temperature_c"],
+        **kind.counts(stored["facts"]),
     }
 
 

@@ -205,13 +205,13 @@ class RunFolder:
         put_in_place(part, path)
         return capture
 
-    def capture_part(self, pose_index: int, attempt: int) -> Path:
+    def capture_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> Path:
         """Where the camera writes a recording until it is whole. Both numbers from 1."""
-        return self.part_of(capture_name(pose_index, attempt))
+        return self.part_of(capture_name(pose_index, attempt, ending))
 
-    def commit_capture(self, pose_index: int, attempt: int) -> Capture:
+    def commit_capture(self, pose_index: int, attempt: int, ending: str = ".raw") -> Capture:
         """Give a whole recording its name; then it can be told to the journal. As ``commit``."""
-        return self.commit(capture_name(pose_index, attempt))
+        return self.commit(capture_name(pose_index, attempt, ending))
 
     def set_part_aside(self, pose_index: int, attempt: int) -> str | None:
         """Keep what there is of a recording that could not be completed, in ``quarantine/``.

@@ -12,16 +12,14 @@ from typing import Any
 
 from bench.clock import Aborted, BenchClock
 from bench.devices import Devices
-from bench.gates import recording_gates, refusals
+from bench.gates import failures
 from bench.history import Event, RunLog
 from bench.job import Job, ScriptStep
 from bench.measure import Measurement
-from bench.plan import recording_duration_s
 from bench.preflight import preflight, refuse, stage_faults
 from bench.prompt import ask
 from bench.result import ResultWriter
 from bench.run_folder import RunFolder
-from drivers.camera import RecordingFacts
 from sequences.script import (
     LightStep,
     MoveStep,
@@ -134,13 +132,13 @@ class StateWork:
         """Record at the step's pose; when this returns, the recording is whole, in its place and journaled."""
         assert isinstance(self.step, RecordStep)
         pose = self.step.pose
-        duration_s = recording_duration_s(self.step.window_ms, self._job.frequency_hz(self.step))
         before = self._position()
         light = self.devices.light.read()
-        part = self._folder.capture_part(pose.index, attempt)
-        facts = self.devices.camera.record(part, duration_s)
+        kind = self._job.camera_kind
+        part = self._folder.capture_part(pose.index, attempt, kind.ending)
+        facts = kind.record(self.devices.camera, part, self.step, self._job.frequency_hz(self.step))
         after = self._position()
-        capture = self._folder.commit_capture(pose.index, attempt)
+        capture = self._folder.commit_capture(pose.index, attempt, kind.ending)
         self._log.tell(
             Event.CAPTURE_STORED,
             **capture.as_data(),
@@ -151,20 +149,20 @@ class StateWork:
             measured_deg=before,
             measured_after_deg=after,
             light=asdict(light),
-            facts=asdict(facts),
+            facts=dict(facts),
         )
 
     def check(self, *, attempt: int, **_: Any) -> None:
         """Look at the recording just stored: stars, event rate, triggers, motion; accept it or say why not."""
         assert isinstance(self.step, RecordStep)
-        pose, gates = self.step.pose, self.step.gates
+        pose = self.step.pose
         stored = next(a for a in self._log.history.attempts_at(pose.index) if a.attempt == attempt).stored
-        facts = RecordingFacts(**stored["facts"])
         found = self._job.measure(self._folder.path / stored["capture"], self.step)
-        judged = recording_gates(facts, gates, self._job.frequency_hz(self.step), found.facts, found.stars)
+        frequency_hz = self._job.frequency_hz(self.step)
+        judged, against = self._job.camera_kind.judge(stored["facts"], self.step, frequency_hz, found)
         judged += self._job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
         reasons = [found.fault] if found.fault else []
-        reasons += refusals(facts, gates, judged)
+        reasons += failures(judged) + against
         if not reasons:
             self._measured[pose.index] = found
         self._log.tell(

@@ -20,6 +20,7 @@ from bench.station_devices import (
     AxisWords,
     Camera,
     Light,
+    PictureFolder,
     Positive,
     RecordedCamera,
     Serial,
@@ -143,7 +144,7 @@ class Station(Words):
     @property
     def is_simulated(self) -> bool:
         """Whether a run on it measures no camera: a device is simulated, or recordings are played again."""
-        return self.needs_simulated_bench or isinstance(self.camera, RecordedCamera)
+        return self.needs_simulated_bench or isinstance(self.camera, RecordedCamera | PictureFolder)
 
 
 def load_station(name_or_path: str) -> Located[Station]:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from drivers.camera.frames import FrameSettings
 from drivers.light import LightSettings
 from drivers.light.scpi_dialects import DialectName, Load
 from drivers.stage import AxisLimits
@@ -26,6 +27,7 @@ SIMULATED_PORTS = (
     "sim:gimbal-roll",
     "sim:light",
     "sim:camera",
+    "sim:frame-camera",
 )
 
 
@@ -366,6 +368,53 @@ class RecordedCamera(CameraWords):
     path: Path
 
 
+class FrameCameraWords(Words):
+    """What every frame camera has; its light burns steadily."""
+
+    serial: Annotated[
+        str, Field(max_length=64, description="As USB tells it; without it, any camera will do.")
+    ] = ""
+    lens: Text | None = None
+    pictures: Annotated[int, Field(ge=1, le=1000, description="Taken at each pose, and averaged.")] = 8
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Ports it is reached by."""
+        return ()
+
+    def settings(self) -> FrameSettings:
+        """Settings as drivers take them."""
+        return FrameSettings()
+
+
+class OpenCvCamera(FrameCameraWords):
+    """Whatever OpenCV opens as a video source: a video device, a network camera."""
+
+    driver: Literal["opencv"]
+    source: Annotated[
+        Port, Field(description="/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://).")
+    ]
+    exposure: Annotated[float | None, Field(description="In the camera driver's own units.")] = None
+    gain: Annotated[float | None, Field(description="In the camera driver's own units.")] = None
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Its source."""
+        return (self.source,)
+
+    def settings(self) -> FrameSettings:
+        """Settings as drivers take them."""
+        return FrameSettings(self.exposure, self.gain)
+
+
+class PictureFolder(FrameCameraWords):
+    """A folder of pictures played as a camera, so many a recording in the order of their names."""
+
+    driver: Literal["pictures"]
+    path: Path
+
+
 Camera = Annotated[
-    SimulatedEvk4 | MetavisionCamera | NeuromorphicEvk4 | RecordedCamera, Field(discriminator="driver")
+    SimulatedEvk4 | MetavisionCamera | NeuromorphicEvk4 | RecordedCamera | OpenCvCamera | PictureFolder,
+    Field(discriminator="driver"),
 ]
