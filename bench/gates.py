@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from calib.motion import MOVING_PX
 from drivers.camera import RecordingFacts
 from sequences.script import Gates
 
@@ -18,6 +17,9 @@ Verdict = Literal["pass", "marginal", "fail"]
 FREQUENCY_TOLERANCE = {"triggers": 0.001, "events": 0.005}
 """How far the flicker, by the camera's clock, may be from what was set: clocks differ by parts in 10 000, and a
 period is known to some microseconds from trigger edges, less well from the events alone."""
+LAG_PERIODS = (-0.28, 0.2)
+"""When in the period the ON events may begin, counted from the sync signal's rise: of a sine they come from a quarter
+before, as soon as the light grows, of a square in dim light a little after it. An inverted sync signal is half off."""
 FILTERS_THAT_EAT_FLICKER = ("afk", "stc", "trail", "erc")
 MARGIN = 0.1
 """A value within this share of its limit passes, but only just: marginal."""
@@ -78,8 +80,8 @@ def recording_gates(
     frequency_hz
         What the light was set to.
     measured
-        ``flicker_hz``, ``triggers_expected``, ``triggers_found``, ``motion_px`` as the recording itself tells
-        (absent where it cannot).
+        What the recording itself tells, as `bench.measure` names it; what it cannot tell is absent or None, and not
+        judged.
     stars
         Stars found.
     """
@@ -88,17 +90,55 @@ def recording_gates(
         at_least("stars", stars, gates.min_stars, ""),
         at_most("event rate", rate_mev_s, gates.max_event_rate_mev_s, "Mev/s"),
     ]
-    if gates.require_triggers and "triggers_expected" in measured:
-        missed = abs(int(measured["triggers_expected"]) - int(measured["triggers_found"]))
-        judged.append(Gate("triggers missed", missed, "", "<= 1", "fail" if missed > 1 else "pass"))
-    if measured.get("flicker_hz") is not None:
-        off = abs(float(measured["flicker_hz"]) / frequency_hz - 1.0)
-        most = FREQUENCY_TOLERANCE[measured["flicker_source"]]
-        verdict: Verdict = "fail" if off > most else "pass"
-        judged.append(Gate("flicker off nominal", 100 * off, "%", f"<= {100 * most:g}", verdict))
-    if measured.get("motion_px") is not None:
-        judged.append(at_most("stars moved", float(measured["motion_px"]), MOVING_PX, "px"))
+    told = numbers_of(facts, gates, frequency_hz, measured)
+    limits = dict(gates.limits)
+    if measured.get("flicker_source") in FREQUENCY_TOLERANCE:
+        limits.setdefault("max_flicker_off_percent", 100 * FREQUENCY_TOLERANCE[measured["flicker_source"]])
+    for name, limit in limits.items():
+        which, fact = name.split("_", 1)
+        if told.get(fact) is not None:
+            judge = at_least if which == "min" else at_most
+            judged.append(judge(_label(fact), float(told[fact]), limit, _unit(fact)))
+    if told.get("flicker_lag_periods") is not None:
+        judged.append(_in_phase(float(told["flicker_lag_periods"])))
     return judged
+
+
+def numbers_of(
+    facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: Mapping[str, Any]
+) -> dict[str, Any]:
+    """All numbers of a recording that a sequence may limit, by name; parameters as for `recording_gates`."""
+    told = {**measured, **(measured.get("image") or {})}
+    if gates.require_triggers and "triggers_expected" in measured:
+        told["triggers_missed"] = abs(int(measured["triggers_expected"]) - int(measured["triggers_found"]))
+    if measured.get("flicker_hz") is not None:
+        told["flicker_off_percent"] = 100 * abs(float(measured["flicker_hz"]) / frequency_hz - 1.0)
+    if facts.rate_controller_in and facts.rate_controller_out is not None:
+        passed = facts.rate_controller_out / facts.rate_controller_in
+        told["rate_controller_loss_percent"] = 100 * max(1.0 - passed, 0.0)
+    return told
+
+
+_LABELS = {"motion_px": "stars moved", "flicker_off_percent": "flicker off nominal"}
+_UNITS = {"px": "px", "us": "us", "percent": "%"}
+
+
+def _unit(fact: str) -> str:
+    """Unit that a number's name ends with; none for shares and counts."""
+    return _UNITS.get(fact.rpartition("_")[2], "")
+
+
+def _label(fact: str) -> str:
+    """Number's name in words."""
+    stem, _, last = fact.rpartition("_")
+    return _LABELS.get(fact, (stem if last in _UNITS else fact).replace("_", " "))
+
+
+def _in_phase(lag_periods: float) -> Gate:
+    """Judge whether the events rise with the sync signal, and not half a period off."""
+    low, high = LAG_PERIODS
+    verdict: Verdict = "pass" if low <= lag_periods <= high else "fail"
+    return Gate("events after sync", lag_periods, "periods", f"{low:g} to {high:g}", verdict)
 
 
 def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> list[Gate]:

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.detect import detect
+from calib.detect import Sight, detect, look
 from calib.errors import CalibrationError, FlickerNotFound, TargetNotFound, TooFewEvents, TooFewStars
 from calib.event_image import BestImage, EventImages, SliceFacts, make_images
 from calib.flicker import Flicker, flicker_from_events, flicker_from_triggers
+from calib.grid_map import fit_homography
 from calib.motion import half_windows, motion_between
 from calib.rim import mistrust_rim
 from calib.target import StarTarget
@@ -40,7 +41,8 @@ class Measurement:
         (H, W) float32, the event image the stars were looked for in; None where it could not be made.
     facts
         Plain numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
-        share, hot pixels, flicker frequency and where it comes from, triggers expected and found, motion.
+        share, hot pixels, flicker frequency and where it comes from, triggers expected and found, motion, what named
+        the stars and where their grid lies.
     fault
         Why there is no view; empty when there is one.
     """
@@ -57,7 +59,14 @@ class Measurement:
 
 
 def measure(
-    path: Path, *, name: str, target: StarTarget, image: str, periods: int | None, expected_hz: float | None
+    path: Path,
+    *,
+    name: str,
+    target: StarTarget,
+    image: str,
+    periods: int | None,
+    expected_hz: float | None,
+    expected_grid: NDArray[np.float64] | None = None,
 ) -> Measurement:
     """Read a recording and find the stars in it.
 
@@ -75,6 +84,8 @@ def measure(
         Whole flicker periods to gather; None for as many as the recording holds.
     expected_hz
         What the light was set to; None when unknown.
+    expected_grid
+        Where the pose lets the grid of stars be expected (`calib.detect`), for stars without the tag.
 
     Returns
     -------
@@ -89,6 +100,7 @@ def measure(
         flicker = _flicker(triggers, (events.t, events.p), expected_hz)
         span_us = _span_us(events.t, triggers)
         facts.update(_flicker_facts(flicker, triggers, span_us))
+        facts.update(_agreement(flicker, events))
         images = make_images(
             events.t,
             events.x,
@@ -102,13 +114,36 @@ def measure(
         chosen = _choose(images, image)
         picture = chosen.image
         facts.update(_image_facts(images, chosen))
-        view = mistrust_rim(detect(chosen.image, target, name=name), target)
+        seen = look(chosen.image, target, name=name, expected=expected_grid)
+        facts.update(identity_facts(seen, target))
+        view = mistrust_rim(seen.view, target)
         facts["motion_px"] = _motion_px(
             events, (raw.width, raw.height), flicker, images.facts, chosen.name, target
         )
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, picture, _plain(facts), str(error))
     return Measurement(view, picture, _plain(facts))
+
+
+def identity_facts(seen: Sight, target: StarTarget) -> dict[str, Any]:
+    """Say what named the stars, and where their grid lies: (3, 3), from [column row 1] to [u v 1] px, as lists."""
+    grid = fit_homography(target.node_of(seen.view.ids).astype(float), seen.view.points_px)
+    return {"named_by": seen.named_by, "grid": grid.tolist()}
+
+
+def _agreement(flicker: Flicker, events: Events) -> dict[str, Any]:
+    """Hold the flicker by the triggers against the one that the events tell; nothing where there is only one."""
+    if flicker.source != "triggers":
+        return {}
+    try:
+        told = flicker_from_events(events.t, events.p)
+    except (FlickerNotFound, TooFewEvents):
+        return {}
+    return {
+        "flicker_from_events_hz": told.frequency_hz,
+        "flicker_disagreement_percent": 100 * abs(told.frequency_hz / flicker.frequency_hz - 1.0),
+        "flicker_lag_periods": told.lag_us(flicker) / flicker.period_us,
+    }
 
 
 def _motion_px(
@@ -196,6 +231,9 @@ def _image_facts(images: EventImages, chosen: BestImage) -> dict[str, Any]:
             "window_us": [facts.start_us, facts.end_us],
             "periods": facts.periods,
             "events_per_edge": facts.events_per_edge,
+            "events_per_edge_on": facts.events_per_edge_on,
+            "events_per_edge_off": facts.events_per_edge_off,
+            "lit_pixels": facts.lit_pixels,
             "on_share": facts.on_share,
             "first_on_spread_us": facts.first_on_spread_us,
             "hot_pixels": facts.hot_pixels,

@@ -66,7 +66,7 @@ class SliceFacts:
     hot_pixels
         Pixels masked because they fire far more often than their surroundings.
     silent_rows
-        Rows without any event between rows that have some: rows the readout missed.
+        Rows without any event between rows that hold lit pixels: rows the readout missed.
     on_gate, off_gate
         Where the bursts lie in the period.
     """
@@ -350,7 +350,8 @@ def _facts(
     number = int(np.count_nonzero(lit))
     on, off = (float(c[lit].mean()) / periods if number else 0.0 for c in (maps.on_count, maps.off_count))
     latency = maps.on_latency[lit] / np.maximum(maps.on_fired[lit], 1)
-    rows = np.flatnonzero(maps.last_polarity.any(axis=1))
+    rows = np.flatnonzero(lit.any(axis=1))
+    amid = maps.last_polarity[rows[0] : rows[-1] + 1] if rows.size else maps.last_polarity[:0]
     return SliceFacts(
         start_us=start,
         end_us=end,
@@ -364,7 +365,7 @@ def _facts(
         events_per_edge_off=off,
         first_on_spread_us=float(latency.std()) if number else float("nan"),
         hot_pixels=int(np.count_nonzero(hot)),
-        silent_rows=int(rows[-1] - rows[0] + 1 - rows.size) if rows.size else 0,
+        silent_rows=int(np.count_nonzero(~amid.any(axis=1))),
         on_gate=gates[0],
         off_gate=gates[1],
     )

@@ -200,7 +200,7 @@ class _Unfolding:
         else:
             self._pose = replace(self._pose, index=self._recordings, name=self._unique(self._name))
         settings = merged(said, self.sequence.defaults.record)
-        settings["gates"] = Gates(**settings["gates"])
+        settings["gates"] = Gates.from_words(settings["gates"])
         self.steps.append(RecordStep(**self._number(path), pose=self._pose, **settings))
 
     def _plain(self, word: str, said: Words, place: dict[str, Any]) -> Step:

@@ -25,8 +25,8 @@ from pydantic_core import CoreSchema, PydanticCustomError
 AXES = ("pan", "tilt", "roll")
 
 Axis = Literal["pan", "tilt", "roll"]
-Waveform = Literal["square", "sine"]
-ImageKind = Literal["auto", "last_polarity", "fired_per_edge", "lock_in", "count"]
+Waveform = Literal["square", "sine", "steady"]
+ImageKind = Literal["auto", "last_polarity", "any", "count", "fired_per_edge", "lock_in", "on_latency"]
 CalibrationModel = Literal["spherical", "planar", "auto"]
 DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3"]
 Loss = Literal["huber", "l2", "cauchy"]
@@ -38,6 +38,7 @@ Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S(.*\S)?$")
 
 
 Limit = Annotated[float, Field(gt=0)] | None
+NotNegative = Annotated[float, Field(ge=0)]
 
 
 class Words(BaseModel):
@@ -203,6 +204,29 @@ class GateWords(Words):
     require_triggers: Annotated[bool, Field(description="One sync edge a flicker period, none missing.")] = (
         True
     )
+    max_motion_px: Annotated[
+        NotNegative, Field(description="From the first half of the window to the second.")
+    ] = 0.05
+    max_triggers_missed: NotNegative = 1
+    max_trigger_jitter_us: NotNegative | None = None
+    max_flicker_off_percent: Annotated[
+        NotNegative | None,
+        Field(description="From what the light was set to; 0.1 by triggers, 0.5 by events."),
+    ] = None
+    max_flicker_disagreement_percent: Annotated[
+        NotNegative, Field(description="Between the flicker by triggers and by events.")
+    ] = 0.5
+    max_rate_controller_loss_percent: NotNegative = 1.0
+    max_silent_rows: Annotated[NotNegative, Field(description="Rows without events amid lit ones.")] = 3
+    max_hot_pixels: NotNegative | None = None
+    min_lit_pixels: Annotated[
+        NotNegative | None, Field(description="Pixels that fire at nearly every edge.")
+    ] = None
+    min_events_per_edge: NotNegative | None = None
+    max_events_per_edge: NotNegative | None = None
+    min_on_share: NotNegative | None = None
+    max_on_share: NotNegative | None = None
+    max_first_on_spread_us: NotNegative | None = None
 
 
 class RecordWords(Words):

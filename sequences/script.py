@@ -6,12 +6,14 @@ Knows what a step holds. ``sequences.flatten`` makes steps from a sequence; the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from sequences.schema import (
     Answer,
     CalibrationModel,
     DistortionTerm,
+    GateWords,
     ImageKind,
     Loss,
     OnFailure,
@@ -56,11 +58,23 @@ class Pose:
 
 @dataclass(frozen=True)
 class Gates:
-    """What a recording must show to be accepted."""
+    """What a recording must show to be accepted.
+
+    ``limits`` hold the least (``min_...``) and the most (``max_...``) of numbers that a recording tells of itself, by
+    their names.
+    """
 
     min_stars: int
     max_event_rate_mev_s: float
     require_triggers: bool
+    limits: Mapping[str, float] = field(default_factory=lambda: Gates.from_words(dict(GateWords())).limits)
+
+    @classmethod
+    def from_words(cls, words: Mapping[str, Any]) -> Gates:
+        """Take a sequence's words, ``GateWords`` as a mapping."""
+        limits = {name: limit for name, limit in words.items() if limit is not None}
+        stars, rate = limits.pop("min_stars"), limits.pop("max_event_rate_mev_s")
+        return cls(stars, rate, limits.pop("require_triggers"), limits)
 
 
 # Every step has the same first three fields:
