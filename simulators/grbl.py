@@ -293,6 +293,8 @@ class GrblController:
         state: str = self._state
         if self._planner.held:
             state = "Hold:1" if self._planner.moving(now) else "Hold:0"
+        elif self._planner.flickers(now):
+            state = "Idle"
         position = ",".join(f"{value:.3f}" for value in self._planner.position(now))
         extra = _NOW_AND_THEN.get(self._reports % 10, "")
         self._reports += 1

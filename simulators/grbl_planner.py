@@ -87,8 +87,12 @@ class Planner:
 
     # ------------------------------------------------------------------ questions
     def moving(self, now: float) -> bool:
-        """Whether an axis moves, or says so."""
-        return any(axis.says_busy(now) for axis in self.axes.values())
+        """Whether an axis moves, or is stuck saying so."""
+        return any(axis.busy(now) or axis.stuck_busy for axis in self.axes.values())
+
+    def flickers(self, now: float) -> bool:
+        """Whether an axis that moves says, this once, that it does not."""
+        return any(axis.busy(now) and not axis.says_busy(now) for axis in self.axes.values())
 
     def done(self, now: float) -> bool:
         """Whether nothing moves and nothing is left to do."""

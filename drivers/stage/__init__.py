@@ -54,7 +54,7 @@ class Stage(Protocol):
         ...
 
     def home(self) -> None:
-        """Find the reference of every axis; blocks; raises MoveFailed or MoveTimeout."""
+        """Find the reference of every axis; blocks; raises WrongDevice, MoveFailed or MoveTimeout."""
         ...
 
     def move_to(self, target_deg: Mapping[str, float]) -> None:

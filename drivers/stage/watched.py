@@ -182,9 +182,11 @@ class WatchedStage(ABC, Generic[A]):
     def home(self) -> None:
         """Find the reference of every axis; clears what faults can be cleared first.
 
-        Raises MoveFailed, MoveTimeout.
+        Asks before whether the controllers are still those that were opened. Raises WrongDevice, MoveFailed,
+        MoveTimeout.
         """
         go_on = self._begin()
+        self.identify()
         for axis in self._axes.values():
             self._clear_faults(axis)
         try:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.errors import PortLost
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
@@ -16,6 +17,8 @@ from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.axis_motion import Mechanics
 from simulators.esp301 import EspAxisModel, EspController
+from simulators.fault_injection import AxisController, Parts, prepare
+from simulators.faults import order_from_text
 from simulators.grbl import GrblAxis as BoardAxis
 from simulators.grbl import GrblController
 from simulators.grbl_planner import GrblAxisModel
@@ -41,7 +44,10 @@ class VirtualClock:
 
 
 class DirectLine:
-    """A port without a terminal: bytes pass to the simulated device and back in no time."""
+    """A port without a terminal: bytes pass to the simulated device and back in no time.
+
+    To orders for faults it is the device's end of the line, which can be pulled out, as well.
+    """
 
     name = "direct"
     STEP_S = 0.05
@@ -49,21 +55,44 @@ class DirectLine:
     def __init__(self, device: FaultLine, clock: VirtualClock) -> None:
         self.device = device
         self.clock = clock
+        self.baud = device.baud
         self.writes = 0
         self.ready = b""
+        self.plugged = True
 
     def write(self, data: bytes) -> None:
+        self._see_the_plug()
         self.writes += 1
-        self.ready += self.device.receive(data)
+        if self.device.baud != self.baud:
+            self.ready += bytes(0x80 | byte for byte in data)
+        else:
+            self.ready += self.device.receive(data)
 
     def read(self, timeout_s: float) -> bytes:
         end_s = self.clock.now_s + timeout_s
-        self.ready += self.device.unsolicited()
+        self._hear()
         while not self.ready and self.clock.now_s < end_s:
             self.clock.now_s = min(end_s, self.clock.now_s + self.STEP_S)
-            self.ready += self.device.unsolicited()
+            self._hear()
         data, self.ready = self.ready, b""
         return data
+
+    def _hear(self) -> None:
+        self.ready += self.device.unsolicited()
+        self._see_the_plug()
+
+    def _see_the_plug(self) -> None:
+        if not self.plugged:
+            raise PortLost("the port is gone.", where=self.name)
+
+    def unplug(self) -> None:
+        self.plugged, self.ready = False, b""
+
+    def replug(self) -> None:
+        self.plugged = True
+
+    def between_exchanges(self, act) -> None:
+        act()
 
     def close(self) -> None:
         """Nothing to give back."""
@@ -79,7 +108,26 @@ class DirectStage:
 
     stage: Stage
     line: DirectLine
-    controller: object
+    controller: AxisController
+
+    def order(self, text: str) -> None:
+        """Let something go wrong, as it is ordered on a bench; the axis is called pan, its line gimbal."""
+        line = self.line.device
+        parts = Parts(
+            axes={"pan": self.controller},
+            ports={"gimbal": self.line},
+            lines={"gimbal": line},
+            axis_ports={"pan": "gimbal"},
+            light=None,
+            lamp=None,
+            camera=None,
+            clock=self.line.clock.monotonic,
+        )
+        prepare(order_from_text(text), parts)()
+
+    def true_deg(self) -> float:
+        """Where the axis really points, once it has settled."""
+        return self.controller.axis.pointing.angle_deg(self.line.clock.now_s + 1.0)
 
 
 def zaber(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:

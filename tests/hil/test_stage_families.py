@@ -321,7 +321,7 @@ def test_a_controller_that_stays_busy_is_noticed(rig, homed) -> None:
     bounded(lambda: homed.move_to({"pan": -9.0}))
 
 
-@with_encoder
+@each_in_turn
 def test_an_idle_flicker_in_mid_move_is_no_arrival(rig, homed) -> None:
     rig.axes["pan"].say_idle(1)
     homed.move_to({"pan": -9.0})

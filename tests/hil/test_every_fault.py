@@ -1,0 +1,173 @@
+"""Every fault that can be ordered of an axis or its line, on every family: a typed error in time, or the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.errors import DriverError, MoveFailed, NotHomed, PortLost, ReplyError, WrongDevice
+from simulators.faults import AXIS_FAULTS, LINE_FAULTS
+from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS
+from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock
+
+LONGEST_S = 20.0
+"""Of the bench's own time, from the order to its end: the move itself takes 1.2 s."""
+
+WITHOUT_ENCODER = {"grbl"}
+UNSEEN_WITHOUT_ENCODER = {"stall", "slip"}
+"""Of a move; a controller that counts the steps it sends knows no better. The stars do: see the runs' tests."""
+
+FAILS = {
+    "stall": MoveFailed,
+    "limit": MoveFailed,
+    "twist": MoveFailed,
+    "restart": (MoveFailed, ReplyError),
+    "stop_short": MoveFailed,
+    "no_progress": MoveFailed,
+    "slip": MoveFailed,
+    "unplug": PortLost,
+    "press_stop": (MoveFailed, ReplyError),
+    "stuck_busy": MoveFailed,
+    "reboot": (NotHomed, MoveFailed, ReplyError),
+    "exchange": (NotHomed, MoveFailed, ReplyError),
+    "emergency_stop": (NotHomed, MoveFailed, ReplyError),
+}
+"""What a move ends in, when this befalls its axis."""
+
+HARMLESS = {"idle_flicker", "release", "mend"}
+"""Or may become harmless: a move goes on through these, and ends in the truth."""
+
+AFTERWARDS = {"creep", "push"}
+"""Happen to an axis that has arrived."""
+
+MESSAGES = {*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"}
+
+
+@pytest.fixture(params=FAMILIES)
+def rig(request) -> DirectStage:
+    rig = FAMILIES[request.param](VirtualClock(), np.random.default_rng(3))
+    rig.stage.home()
+    rig.stage.move_to({"pan": 10.0})
+    rig.family = request.param
+    return rig
+
+
+def move(rig: DirectStage, target_deg: float = -10.0) -> DriverError | None:
+    """Move; return the error it ends in, if any, which must come in time."""
+    began_s = rig.line.clock.now_s
+    error = None
+    try:
+        rig.stage.move_to({"pan": target_deg})
+    except DriverError as caught:
+        error = caught
+    assert rig.line.clock.now_s - began_s < LONGEST_S
+    return error
+
+
+def assert_true_or_error(rig: DirectStage) -> None:
+    """Ask for the position: it must be where the axis is, or an error in time."""
+    began_s = rig.line.clock.now_s
+    try:
+        told = rig.stage.position_deg()["pan"]
+    except DriverError:
+        assert rig.line.clock.now_s - began_s < LONGEST_S
+    else:
+        assert told == pytest.approx(rig.true_deg(), abs=0.01)
+
+
+def test_every_fault_of_the_catalogue_is_spoken_of_here() -> None:
+    assert set(AXIS_FAULTS) == {*FAILS, *HARMLESS, *AFTERWARDS}
+    assert set(LINE_FAULTS) == {*MESSAGES, "baud", "say", "unplug", "replug", "mend"}
+
+
+@pytest.mark.parametrize("fault", FAILS)
+def test_a_fault_of_an_axis_ends_the_move_in_its_error_and_undoes_the_reference(rig, fault) -> None:
+    rig.order(f"pan {fault}")
+    error = move(rig)
+    if rig.family in WITHOUT_ENCODER and fault in UNSEEN_WITHOUT_ENCODER:
+        assert error is None
+        return
+    assert isinstance(error, FAILS[fault])
+    if fault != "unplug":
+        assert move(rig, 1.0) is not None
+
+
+@pytest.mark.parametrize("fault", sorted(HARMLESS))
+def test_what_is_harmless_lets_the_move_arrive(rig, fault) -> None:
+    rig.order(f"pan {fault}")
+    error = move(rig)
+    if (rig.family, fault) == ("grbl", "release"):  # its stop button holds the board in reset
+        assert isinstance(error, NotHomed)
+        return
+    assert error is None
+    assert rig.true_deg() == pytest.approx(-10.0, abs=0.01)
+
+
+@pytest.mark.parametrize("fault", ["creep creep_deg_s=0.1", "push deg=0.3"])
+def test_what_moves_an_axis_that_has_arrived_shows_in_its_readings(rig, fault) -> None:
+    rig.order(f"pan {fault}")
+    arrived_deg = 10.0
+    if fault.startswith("creep"):
+        arrived_deg = -10.0
+        assert isinstance(
+            move(rig), MoveFailed | None
+        )  # where the counter is an encoder, it may show at once
+    rig.line.clock.sleep(3.0)
+    told = {**rig.stage.position_deg(), **rig.stage.encoder_deg()}["pan"]
+    if rig.family not in WITHOUT_ENCODER:
+        assert told == pytest.approx(rig.true_deg(), abs=0.2)
+        assert abs(told - arrived_deg) > 0.05
+
+
+@pytest.mark.parametrize("skip", [0, 3, 7])
+@pytest.mark.parametrize("fault", sorted(MESSAGES))
+def test_one_spoilt_message_of_a_move_never_passes_for_another(rig, fault, skip) -> None:
+    rig.order(f"gimbal {fault} skip={skip} delay_s=1.2 pattern=1 replacement=7")
+    error = move(rig)
+    assert error is not None or rig.true_deg() == pytest.approx(-10.0, abs=0.01)
+    assert_true_or_error(rig)
+
+
+@pytest.mark.parametrize("fault", sorted(MESSAGES - {"any", "echo", "doubled", "nul", "preceded"}))
+def test_a_line_that_is_bad_for_ever_is_an_error_or_the_truth(rig, fault) -> None:
+    rig.order(f"gimbal {fault} count=0 delay_s=1.2 pattern=1 replacement=7")
+    error = move(rig)
+    assert error is not None or rig.true_deg() == pytest.approx(-10.0, abs=0.01)
+    assert_true_or_error(rig)
+    if fault in {"lost", "request_lost", "stranger"}:
+        assert isinstance(error, ReplyError)
+
+
+def test_another_baud_rate_is_an_error_and_nothing_moves(rig) -> None:
+    rig.order("gimbal baud rate=9600")
+    assert isinstance(move(rig), ReplyError)
+    assert rig.true_deg() == pytest.approx(10.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "text", ["!01 1 IDLE --:00", "ALARM:3", "-1.00000", "1", "ok", "@01 1 05 OK IDLE -- 0:00"]
+)
+def test_what_nobody_asked_for_is_no_answer(rig, text) -> None:
+    rig.order(f"gimbal say text='{text}\\r\\n'")
+    error = move(rig)
+    assert error is not None or rig.true_deg() == pytest.approx(-10.0, abs=0.01)
+    assert_true_or_error(rig)
+
+
+def test_a_pulled_cable_is_lost_and_put_back_needs_the_port_opened_anew(rig) -> None:
+    rig.order("gimbal unplug")
+    assert isinstance(move(rig), PortLost)
+    rig.order("gimbal replug")
+    assert_true_or_error(rig)
+    assert rig.true_deg() == pytest.approx(10.0, abs=0.01)
+
+
+def test_another_controller_in_its_place_is_refused_before_anything_moves(rig) -> None:
+    if rig.family == "grbl":
+        pytest.skip("a GRBL board has no serial number; its name given by $I= is in the drivers' own tests")
+    rig.order("pan exchange serial=777")
+    rig.line.clock.sleep(5.0)
+    stood = rig.true_deg()
+    with pytest.raises(WrongDevice):
+        rig.stage.home()
+    assert rig.true_deg() == stood
