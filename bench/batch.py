@@ -1,99 +1,44 @@
 """A night of runs: takes them from a queue file one by one, each in a worker of its own, and goes on after anything.
 
 What has happened stands in the batch's own journal; a batch that was cut off goes on where it stopped. A run that was
-cut off is taken up again, never begun anew beside its first half and never taken for done. Knows no devices.
+cut off is taken up again, never begun anew beside its first half and never taken for done. Which run comes next is
+the schedule's business (`bench.schedule`), what has happened the record's (`bench.batch_record`). Knows no devices.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from datetime import datetime
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from bench.batch_plan import planned_s
+from bench.batch_record import BatchEvent, BatchRecord
+from bench.batch_requests import Desk, Request, refusal
+from bench.batch_summary import write_summary
 from bench.clock import Aborted, BenchClock
-from bench.errors import RunFolderError, ScriptError
-from bench.folder_lock import hold_folder, is_worked_on
-from bench.journal import Entry, Journal, read_journal
-from bench.plan import load, plan
+from bench.errors import RunFolderError
+from bench.folder_lock import hold_folder
+from bench.history import replay
+from bench.journal import Journal, read_journal
 from bench.run_folder import JOURNAL, is_sealed
+from bench.schedule import Item, choose
 from bench.storage import make_folder, storing, sync_folder, write_whole
-from bench.supervisor import WorkerEnd, make_safe_after, supervise
-from sequences.errors import DocumentFaults
-from sequences.queue import JobWords, Queue
-from sequences.reader import Located, read_document
+from bench.supervisor import WorkerEnd, adopt, make_safe_after, supervise
+from bench.unsynced_journal import UnsyncedJournal
+from sequences.queue import Queue
+from sequences.reader import Located
 
 QUEUE_COPY = "queue.yaml"
-SUMMARY = "summary.json"
 RUNS = "runs"
-BEGUN, ITEM_BEGUN, ITEM_ENDED, BATCH_ENDED = "batch_begun", "item_begun", "item_ended", "batch_ended"
+LOOK_S = 1.0
+"""While the batch waits for a time, it looks so often whether a job was added."""
 
-Supervise = Callable[[Sequence[str], Path, Path], WorkerEnd]
-
-
-@dataclass(frozen=True)
-class Item:
-    """One run of a batch.
-
-    Attributes
-    ----------
-    key
-        Its name in the batch: the job's and the number of its repetition.
-    job
-        What the queue says.
-    number
-        Of the repetition, from 0.
-    """
-
-    key: str
-    job: JobWords
-    number: int
-
-    @property
-    def due_s(self) -> float:
-        """Earliest begin after the begin of the batch, s."""
-        return self.number * self.job.every_min * 60.0
-
-    def words(self, folder: Path) -> list[str]:
-        """Say the command that begins it, or takes it up again where its folder has a journal."""
-        if (folder / JOURNAL).exists():
-            return ["resume", str(folder)]
-        words = ["run", self.job.sequence, "--station", self.job.station, "--output", str(folder)]
-        words += [] if self.job.seed is None else ["--seed", str(self.job.seed + self.number)]
-        return words + ([] if self.job.operator is None else ["--operator", self.job.operator])
-
-
-def items_of(queue: Queue) -> list[Item]:
-    """List every run of a queue: higher priorities first, then as written."""
-    jobs = sorted(queue.jobs, key=lambda job: -job.priority)
-    return [Item(f"{job.name}-{n + 1:03d}", job, n) for job in jobs for n in range(job.times)]
-
-
-def read_queue(path: Path) -> Located[Queue]:
-    """Read a queue file, and everything it names.
-
-    Raises
-    ------
-    ScriptError
-        With every fault of the queue, or of the sequences and stations in it.
-    """
-    try:
-        queue = read_document(path, Queue)
-    except DocumentFaults as error:
-        raise ScriptError([str(fault) for fault in error.faults]) from error
-    faults: list[str] = []
-    for sequence, station in dict.fromkeys((job.sequence, job.station) for job in queue.value.jobs):
-        try:
-            faults += [str(fault) for fault in plan(*load(sequence, station)).faults]
-        except ScriptError as error:
-            faults += error.faults
-    if faults:
-        raise ScriptError(list(dict.fromkeys(faults)))
-    return queue
+Work = Callable[[Item, Path, Path], WorkerEnd]
+"""Runs an item in its run folder to its end; what it says goes to a log file."""
 
 
 class Batch:
@@ -109,8 +54,10 @@ class Batch:
         The batch's clock; a stop asked of it ends the run at work safely, and the batch.
     say
         Where to tell the operator.
-    supervise
-        Runs a worker to its end; ``supervisor.supervise`` unless told otherwise.
+    work
+        Runs an item to its end: in a process of its own, watched, unless told otherwise.
+    rehearsal
+        Whether nothing of it is real; a rehearsed batch never goes on as a real one, nor the other way round.
     """
 
     def __init__(
@@ -119,13 +66,16 @@ class Batch:
         queue: Located[Queue],
         clock: BenchClock,
         say: Callable[[str], None],
-        supervise: Supervise | None = None,
+        work: Work | None = None,
+        *,
+        rehearsal: bool = False,
     ) -> None:
         self.folder = folder.absolute()
         self._queue, self._clock, self._say = queue, clock, say
-        self._supervise = supervise or self._in_a_process
-        self._ends: dict[str, WorkerEnd] = {}
-        self._tries: dict[str, int] = {}
+        self._work = work or self._in_a_process
+        self._rehearsal = rehearsal
+        self._record = BatchRecord(queue.value)
+        self._lock = threading.RLock()
 
     def run(self) -> dict[str, Any]:
         """Do every run that is not done yet.
@@ -145,13 +95,20 @@ class Batch:
         make_folder(self.folder / RUNS)
         lock = hold_folder(self.folder)
         try:
-            return self._held()
+            self._keep_queue()
+            path = self.folder / JOURNAL
+            clocks: dict[str, Any] = {"utc_now": self._clock.utc_now, "monotonic": self._clock.monotonic}
+            kind = UnsyncedJournal if self._rehearsal else Journal
+            opened = kind.open if path.exists() else kind.create
+            with opened(path, **clocks) as journal:
+                self._journal = journal
+                self._held()
+            return write_summary(self.folder, self._record)
         finally:
             os.close(lock)
 
-    def _held(self) -> dict[str, Any]:
-        copy, path = self.folder / QUEUE_COPY, self.folder / JOURNAL
-        clocks: dict[str, Any] = {"utc_now": self._clock.utc_now, "monotonic": self._clock.monotonic}
+    def _keep_queue(self) -> None:
+        copy = self.folder / QUEUE_COPY
         if not copy.exists():
             write_whole(copy, self._queue.text)
         elif copy.read_bytes() != self._queue.text:
@@ -160,101 +117,133 @@ class Batch:
                 where=str(self.folder),
                 remedy="Choose another --output.",
             )
-        opened = Journal.open if path.exists() else Journal.create
-        with opened(path, **clocks) as journal:
-            begun_s = self._replay(journal.entries)
-            if not journal.entries:
-                journal.append(BEGUN, queue=self._queue.value.name)
-            how, why = self._work(journal, begun_s)
-            journal.append(BATCH_ENDED, how=how, why=why)
-        summary = {
-            "schema": "starbench/batch/1",
-            "queue": self._queue.value.name,
-            "how": how,
-            "why": why,
-            "items": [self._told(item) for item in items_of(self._queue.value)],
-        }
-        write_whole(self.folder / SUMMARY, (json.dumps(summary, indent=1) + "\n").encode())
-        return summary
 
-    def _replay(self, entries: Sequence[Entry]) -> float:
-        """Take up what has happened; return when the batch was begun, s of this process's clock."""
-        now_s = self._clock.monotonic()
-        for entry in entries:
-            if entry.event == ITEM_BEGUN:
-                key = entry.data["item"]
-                self._tries[key] = self._tries.get(key, 0) + 1
-            elif entry.event == ITEM_ENDED:
-                self._ends[entry.data["item"]] = WorkerEnd(entry.data["how"], entry.data["why"])
-        if not entries:
-            return now_s
-        gone = self._clock.utc_now() - datetime.fromisoformat(entries[0].utc)
-        return now_s - max(0.0, gone.total_seconds())
-
-    def _work(self, journal: Journal, begun_s: float) -> tuple[str, str]:
-        stop_s = (self._queue.value.stop_after_h or float("inf")) * 3600.0
+    def _held(self) -> None:
+        for entry in self._journal.entries:
+            self._record.take(entry)
+        if self._record.begun is None:
+            said = {"rehearsal": True} if self._rehearsal else {}
+            self._tell(BatchEvent.BEGUN, queue=self._queue.value.name, **said)
+        if self._record.rehearsal != self._rehearsal:
+            raise RunFolderError(
+                "A rehearsed batch and a real one never go on in one folder.",
+                where=str(self.folder),
+                remedy="Choose another --output.",
+            )
+        self._begun_s = self._clock.monotonic() - max(0.0, self._record.seconds(self._clock.utc_now()))
+        desk = Desk(self.folder, self._answer, self._clock)
+        desk.drain()
+        desk.watch()
         try:
-            while undone := [item for item in items_of(self._queue.value) if not self._is_done(item)]:
-                at_s = self._clock.monotonic() - begun_s
-                if at_s > stop_s:
-                    return "stopped", f"{self._queue.value.stop_after_h:g} h are over"
-                item = next((i for i in undone if i.due_s <= at_s), None)
-                if item is None:
-                    self._clock.sleep(min(*(i.due_s for i in undone), stop_s) - at_s + 0.01)
+            how, why = self._all()
+        finally:
+            desk.close()
+        self._tell(BatchEvent.ENDED, how=how, why=why)
+
+    def _tell(self, event: BatchEvent, **data: Any) -> None:
+        with self._lock:
+            self._record.take(self._journal.append(event, **data))
+
+    def _answer(self, request: Request | None, name: str) -> None:
+        """Decide on a request, once, and journal it."""
+        with self._lock:
+            if request is None:
+                self._tell(BatchEvent.ASKED, id=name, word="unknown", taken=False, why="it is no request")
+            elif request.id not in self._record.answered:
+                why = refusal(request, self._record)
+                said = request.model_dump(exclude={"format"}, exclude_none=True)
+                self._tell(BatchEvent.ASKED, **said, taken=not why, why=why)
+                what = request.name or (request.job.name if request.job else "")
+                self._say(f"{request.word} {what} by {request.by}: {why or 'taken'}")
+
+    def _next(self) -> Item | float | None:
+        with self._lock:
+            record = self._record
+            at_s = self._clock.monotonic() - self._begun_s
+            return choose(
+                record.undone(),
+                at_s,
+                record.bounds,
+                lambda item: record.lasts_s(item, planned_s(item.job)),
+            )
+
+    def _all(self) -> tuple[str, str]:
+        """Do run after run; say how that ended, and why."""
+        told_wait = False
+        try:
+            while (found := self._next()) is not None:
+                if not isinstance(found, Item):
+                    if not told_wait:
+                        self._say(f"waiting until {self._time_after(found)}")
+                    told_wait = True
+                    self._clock.sleep(min(found + 0.01, LOOK_S))
                     continue
-                self._one(item, journal)
-                if (
-                    self._ends[item.key].how != "finished"
-                    and self._is_done(item)
-                    and item.job.on_failure == "stop"
-                ):
-                    return "stopped", f"{item.key} failed, and the queue says to stop then"
+                told_wait = False
+                self._one(found)
+                end = self._record.ends[found.key]
+                if end.how != "finished" and self._record.is_done(found) and found.job.on_failure == "stop":
+                    return "stopped", f"{found.key} failed, and the queue says to stop then"
         except Aborted as stop:
             return "aborted", stop.reason
-        failed = [key for key, end in self._ends.items() if end.how != "finished"]
+        if undone := self._record.undone():
+            left = ", ".join(item.key for item in undone[:5]) + (" ..." if len(undone) > 5 else "")
+            return "stopped", f"no time was left for {len(undone)} runs: {left}"
+        failed = [key for key, end in self._record.ends.items() if end.how != "finished"]
         return ("finished", "") if not failed else ("failed", f"without a result: {', '.join(failed)}")
 
-    def _is_done(self, item: Item) -> bool:
-        end = self._ends.get(item.key)
-        if end is None:
-            return False
-        return end.how == "finished" or self._tries.get(item.key, 0) >= item.job.attempts
+    def _time_after(self, wait_s: float) -> str:
+        """Say at what time of day a wait is over."""
+        moment = self._record.moment(self._clock.monotonic() - self._begun_s + wait_s)
+        return f"{moment.astimezone(self._queue.value.tzinfo):%a %H:%M %Z}"
 
-    def _one(self, item: Item, journal: Journal) -> None:
+    def _one(self, item: Item) -> None:
         """Begin a run, or take it up again, and wait for its end."""
         run = self.folder / RUNS / item.key
-        while run.is_dir() and is_worked_on(run):  # a worker that outlived its supervisor
-            self._clock.sleep(1.0)
+        if run.is_dir() and (
+            silent_s := adopt(run, self._clock, self._say)
+        ):  # a worker that outlived its supervisor
+            self._say(f"{item.key}: gave no sign of life for {silent_s:.1f} s, and was ended")
         if is_sealed(run):  # done, but cut off before that was told
-            self._end(item, WorkerEnd("finished", ""), journal)
+            self._end(item, WorkerEnd("finished", ""))
             return
-        if item.key in self._tries and item.key not in self._ends:  # its worker and we died: nobody made safe
+        record = self._record
+        if (
+            item.key in record.tries and item.key not in record.ends
+        ):  # its worker and we died: nobody made safe
             for fault in make_safe_after(run, self._clock):
                 self._say(f"CHECK THE BENCH: {fault}")
         _set_aside_unbegun(run)
-        words = item.words(run)
-        self._tries[item.key] = self._tries.get(item.key, 0) + 1
-        journal.append(ITEM_BEGUN, item=item.key, words=words, attempt=self._tries[item.key])
-        self._say(f"{item.key}: {'begun' if words[0] == 'run' else 'taken up again'}")
-        self._end(item, self._supervise(words, run, self.folder / RUNS / f"{item.key}.log"), journal)
+        again = (run / JOURNAL).exists()
+        attempt = record.tries.get(item.key, 0) + 1
+        recorded = _poses_recorded(run)
+        self._tell(BatchEvent.ITEM_BEGUN, item=item.key, again=again, attempt=attempt, recorded=recorded)
+        self._say(f"{item.key}: {'taken up again' if again else 'begun'}")
+        self._end(item, self._work(item, run, self.folder / RUNS / f"{item.key}.log"))
 
-    def _end(self, item: Item, end: WorkerEnd, journal: Journal) -> None:
-        journal.append(ITEM_ENDED, item=item.key, **asdict(end))
-        self._ends[item.key] = end
+    def _end(self, item: Item, end: WorkerEnd) -> None:
+        self._tell(BatchEvent.ITEM_ENDED, item=item.key, **asdict(end))
         self._say(f"{item.key}: {end.how}{': ' if end.why else ''}{end.why}")
 
-    def _told(self, item: Item) -> dict[str, Any]:
-        end = self._ends.get(item.key)
-        return {
-            "item": item.key,
-            "folder": str(self.folder / RUNS / item.key),
-            "how": end.how if end else "not begun",
-            "why": end.why if end else "",
-            "attempts": self._tries.get(item.key, 0),
-        }
+    def _in_a_process(self, item: Item, run: Path, log: Path) -> WorkerEnd:
+        command = [sys.executable, "-m", "bench", *command_of(item, run)]
+        return supervise(command, run, log, self._clock, self._say)
 
-    def _in_a_process(self, words: Sequence[str], run: Path, log: Path) -> WorkerEnd:
-        return supervise([sys.executable, "-m", "bench", *words], run, log, self._clock, self._say)
+
+def command_of(item: Item, run: Path) -> list[str]:
+    """Say the command that begins a run, or takes it up again where its folder has a journal."""
+    if (run / JOURNAL).exists():
+        return ["resume", str(run)]
+    words = ["run", item.job.sequence, "--station", item.job.station, "--output", str(run)]
+    words += [] if item.job.seed is None else ["--seed", str(item.job.seed + item.number)]
+    return words + ([] if item.job.operator is None else ["--operator", item.job.operator])
+
+
+def _poses_recorded(run: Path) -> int:
+    """Count the poses of a run that are done with: recorded and accepted, or skipped."""
+    if not (run / JOURNAL).is_file():
+        return 0
+    history = replay(read_journal(run / JOURNAL)[0])
+    return len(history.accepted().keys() | history.skipped.keys())
 
 
 def _set_aside_unbegun(run: Path) -> None:

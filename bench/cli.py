@@ -9,12 +9,14 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import click
 
 from bench import __version__
+from bench.cli_batch import BATCH_COMMANDS, BEGIN
 from bench.cli_engine import ENGINE_COMMANDS
 from bench.cli_runs import RUN_COMMANDS
 from bench.errors import UsageError
@@ -76,18 +78,28 @@ def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
 
 @cli.command()
 @click.argument("sequence")
-@click.option("--station", "-s", required=True, help="Station file, or the name of a shipped one.")
+@click.option("--station", "-s", help="Station file, or the name of a shipped one; not with a queue.")
 @click.option("--suggest", type=click.IntRange(0, 50), default=0, help="Suggest so many further poses.")
+@BEGIN
 @_JSON
-def plan(sequence: str, station: str, suggest: int, as_json: bool) -> int:
-    """Check a SEQUENCE against a station without touching anything.
+def plan(sequence: str, station: str | None, suggest: int, begin: datetime | None, as_json: bool) -> int:
+    """Check a SEQUENCE against a station, or a queue file, without touching anything.
 
     Shows every fault of both files, the poses, the time and disk a run will take, and what its poses will be worth.
+    Of a queue: when each run will begin and end, and what there will be no time for.
     """
+    from bench.batch_plan import is_queue
     from bench.engine_output import show_plan
     from bench.plan import load
     from bench.plan import plan as make_plan
 
+    if is_queue(sequence):
+        from bench.batch_output import refuse_extra, show_night
+
+        refuse_extra(Path(sequence), station, suggest)
+        return show_night(Path(sequence), begin=begin, as_json=as_json)
+    if station is None:
+        raise click.UsageError("Missing option '--station' / '-s'.")
     return show_plan(make_plan(*load(sequence, station)), suggest=suggest, as_json=as_json)
 
 
@@ -195,9 +207,9 @@ def keys_trust(line: str) -> int:
 
 
 @cli.command()
-@click.argument("document", type=click.Choice(["sequence", "station"]))
+@click.argument("document", type=click.Choice(["sequence", "station", "queue", "job"]))
 def schema(document: str) -> int:
-    """Print the JSON Schema of sequence or station files, for editors."""
+    """Print the JSON Schema of sequence, station or queue files, for editors."""
     from bench.output import print_schema
 
     return print_schema(document)
@@ -205,7 +217,7 @@ def schema(document: str) -> int:
 
 for engine_command in ENGINE_COMMANDS:
     cli.add_command(engine_command)
-for run_command in RUN_COMMANDS:
+for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
     cli.add_command(run_command)
 
 

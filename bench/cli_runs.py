@@ -107,21 +107,4 @@ def messages(send_now: bool, as_json: bool) -> int:
     return show_messages(send_now=send_now, as_json=as_json)
 
 
-@click.command()
-@click.argument("queue", metavar="QUEUE", type=click.Path(path_type=Path))
-@click.option(
-    "--output",
-    "-o",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Folder of the batch; goes on with one.",
-)
-@_JSON
-def batch(queue: Path, output: Path, as_json: bool) -> int:
-    """Do the runs of a QUEUE file one after another, each watched; called again, go on where it was cut off."""
-    from bench.run_output import do_batch
-
-    return do_batch(queue, output, as_json=as_json)
-
-
-RUN_COMMANDS = (batch, status, hold, release, abort, skip, runs, messages)
+RUN_COMMANDS = (status, hold, release, abort, skip, runs, messages)

@@ -194,6 +194,12 @@ def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
         raise RunFolderError(
             "This run was cut off before it began.", where=str(folder), remedy="Start it anew."
         )
+    if history.started.get("rehearsal"):
+        raise RunFolderError(
+            "This run is a rehearsal: no device took part, and none will.",
+            where=str(folder),
+            remedy="Start a new run.",
+        )
     _refuse_changed(folder, history.started["sha256"])
     job = Job.from_files(
         str(folder / SEQUENCE_COPY),

@@ -287,10 +287,18 @@ def write_station(path: Path, name: str, stage: str, found: Discovery) -> int:
 def print_schema(document: str) -> int:
     """Print the JSON Schema of a kind of file."""
     from bench.station import Station
-    from sequences.schema import Sequence
+    from pydantic import BaseModel
 
-    model = Sequence if document == "sequence" else Station
-    print_json(model.model_json_schema())
+    from sequences.schema import Sequence
+    from sequences.queue import JobFile, Queue
+
+    models: dict[str, type[BaseModel]] = {
+        "sequence": Sequence,
+        "station": Station,
+        "queue": Queue,
+        "job": JobFile,
+    }
+    print_json(models[document].model_json_schema())
     return 0
 
 

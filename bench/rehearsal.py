@@ -27,7 +27,7 @@ from bench.progress import Progress
 from bench.result import Outcome, ResultWriter, main_numbers, software
 from bench.run_folder import JOURNAL, PLAN, RESULTS, SEQUENCE_COPY, STATION_COPY, RunFolder
 from bench.runner import RunEnd, Runner
-from bench.storage import storing, write_all
+from bench.unsynced_journal import UnsyncedJournal
 from bench.virtual_devices import VirtualDevices, read_view
 from calib.calibrate import Calibration, calibrate
 from calib.errors import CalibrationError
@@ -36,14 +36,6 @@ from sequences.script import RecordStep, SolveStep
 SCHEMA = "starbench/rehearsal/1"
 
 OpenDevices = Callable[[], Devices]
-
-
-class UnsyncedJournal(Journal):
-    """A journal that is not synced line by line: a rehearsal may be lost with the power, and is done again."""
-
-    def _write(self, data: bytes) -> None:
-        with storing(self.path):
-            write_all(self._descriptor, data)
 
 
 @dataclass(frozen=True)

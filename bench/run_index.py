@@ -275,6 +275,6 @@ def _parameters(history: History) -> dict[str, tuple[float, float]]:
 
 
 def _temperature_c(history: History) -> float | None:
-    stored = [attempt.stored["facts"].get("temperature_c") for attempt in history.accepted().values()]
+    stored = [attempt.stored.get("facts", {}).get("temperature_c") for attempt in history.accepted().values()]
     told = [t for t in stored if t is not None]
     return sum(told) / len(told) if told else None

@@ -37,6 +37,12 @@ def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
     from bench.status import follow as look_again
     from bench.status import read_status, status_text
 
+    from bench.batch_summary import is_batch
+
+    if is_batch(folder):
+        from bench.batch_output import show_batch_status
+
+        return show_batch_status(folder, follow=follow, as_json=as_json)
     for status in look_again(folder) if follow else [read_status(folder)]:
         if as_json:
             click.echo(json.dumps(status.to_dict(), allow_nan=False, indent=None if follow else 1))
@@ -88,7 +94,7 @@ def show_runs(
             told |= {"compared": [a.to_dict() for a in compared], "of": [run.folder for run in solved]}
         print_json({**told, "faults": faults})
         return 1 if faults else 0
-    click.echo(_agreement_text(solved, compared) if compared is not None else _runs_text(found))
+    click.echo(agreement_text(solved, compared) if compared is not None else _runs_text(found))
     for fault in faults:
         click.echo(f"FAULT: {fault}", err=True)
     return 1 if faults else 0
@@ -123,7 +129,8 @@ def _runs_text(runs: Sequence[IndexedRun]) -> str:
     return "\n".join(lines)
 
 
-def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> str:
+def agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> str:
+    """Lay out how each parameter of some runs compares with their mean."""
     lines = [f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model; ± is 1 sigma."]
     for parameter in compared:
         mean, sigma = with_uncertainty(parameter.mean, parameter.sigma)
@@ -157,31 +164,3 @@ def show_messages(*, send_now: bool, as_json: bool) -> int:
     if not found:
         click.echo("No messages.")
     return 1 if waiting else 0
-
-
-# ---------------------------------------------------------------- batches
-
-
-def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
-    """Do a batch, and tell how it ended: every run, and each camera's parameters over it."""
-    from bench.batch import Batch, read_queue
-    from bench.signals import stop_on_signals
-
-    clock = BenchClock()
-    batch = Batch(folder, read_queue(queue), clock, lambda line: click.echo(line, err=True))
-    with stop_on_signals(clock.request_stop):
-        summary = batch.run()
-    status = {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)
-    if as_json:
-        print_json(summary)
-        return status
-    click.echo(f"Batch {summary['queue']}: {summary['how']}{': ' if summary['why'] else ''}{summary['why']}")
-    for item in summary["items"]:
-        why = f": {item['why']}" if item["why"] else ""
-        click.echo(f"  {item['item']:<30} {item['how']:<10} {item['attempts']} attempts{why}")
-    found, _ = RunIndex(home_folder()).runs(run_folders(folder), how="finished")
-    for camera in sorted({run.camera for run in found}):
-        of_camera = [run for run in found if run.camera == camera and run.parameters]
-        if len(of_camera) > 1 and len({run.model for run in of_camera}) == 1:
-            click.echo(_agreement_text(of_camera, agreements(of_camera)))
-    return status

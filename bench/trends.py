@@ -16,7 +16,8 @@ from typing import Any
 from bench.agreement import agreement
 from bench.run_index import IndexedRun
 
-COVERAGE_FACTOR = 2.0
+SEEN_SIGMAS = 3.0
+"""A slope of more standard uncertainties than that is seen: by chance one in 370 is."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,8 @@ class Slope:
 
     @property
     def seen(self) -> bool:
-        """Whether it is more than its expanded uncertainty: else no change was seen."""
-        return abs(self.value) > COVERAGE_FACTOR * self.sigma
+        """Whether it is more than chance explains."""
+        return abs(self.value) > SEEN_SIGMAS * self.sigma
 
     def to_dict(self) -> dict[str, Any]:
         """Give it as JSON carries it."""

@@ -75,7 +75,7 @@ def render_report(data: ReportData) -> str:
     calibration = results["calibration"]
     k = tables.coverage_factor(calibration)
     return (
-        _environment()
+        environment()
         .get_template("report.html.j2")
         .render(
             run=results["run"],
@@ -156,16 +156,17 @@ class _TextReader(HTMLParser):
 
 
 @functools.cache
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
+def environment() -> jinja2.Environment:
+    """Give the templates' environment: everything is escaped, and what is missing is an error."""
+    made = jinja2.Environment(
         loader=jinja2.PackageLoader("bench.report"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["css_text"] = _css_text
-    return environment
+    made.filters["css_text"] = _css_text
+    return made
 
 
 def _uncertainty(calibration: Mapping[str, Any]) -> str:

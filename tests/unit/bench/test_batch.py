@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from bench.batch import Batch, items_of, read_queue
+from bench.batch import Batch, command_of
+from bench.batch_plan import read_queue
 from bench.clock import Aborted
 from bench.errors import RunFolderError, ScriptError
 from bench.history import Event
 from bench.journal import Journal, read_journal
 from bench.run_folder import RunFolder
+from bench.schedule import in_order, items_of
 from bench.supervisor import WorkerEnd
 from sequences.queue import JobWords, Queue
 from sequences.reader import check_document
@@ -47,9 +49,10 @@ class Workers:
     def __init__(self, clock, *ends, run_s=600.0):
         self.clock, self.ends, self.run_s, self.begun = clock, list(ends), run_s, []
 
-    def __call__(self, words, run, _log):
-        self.begun.append((words[0], run.name, self.clock.now_s))
-        if words[0] == "run":
+    def __call__(self, item, run, _log):
+        word = command_of(item, run)[0]
+        self.begun.append((word, run.name, self.clock.now_s))
+        if word == "run":
             clocks = {"utc_now": self.clock.utc_now, "monotonic": self.clock.monotonic}
             with RunFolder.create(run) as folder, Journal.create(folder.journal_path, **clocks) as journal:
                 journal.append(Event.RUN_STARTED, id=run.name)
@@ -90,8 +93,8 @@ def test_repetitions_wait_for_their_time_and_others_fill_it(tmp_path):
 
 
 def test_seeds_of_repetitions_differ(tmp_path):
-    items = items_of(queue(("a", ", times: 2, seed: 7, operator: Ada")).value)
-    words = [item.words(tmp_path / item.key) for item in items]
+    items = items_of(queue(("a", ", times: 2, seed: 7, operator: Ada")).value.jobs, NightClock().utc_now())
+    words = [command_of(item, tmp_path / item.key) for item in items]
     assert [w[w.index("--seed") + 1] for w in words] == ["7", "8"]
     assert words[0][-2:] == ["--operator", "Ada"]
 
@@ -168,7 +171,8 @@ def test_the_queue_in_the_documents_is_one_and_names_every_key():
     document = (Path(__file__).parents[3] / "docs" / "batches.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```yaml\n(.*?)```", document, re.DOTALL)
     shown = check_document(example.encode(), "example", Queue).value
-    assert [item.key for item in items_of(shown)][:2] == ["first-001", "cam7-001"]
+    items = in_order(items_of(shown.jobs, datetime(2026, 3, 1, tzinfo=UTC)))
+    assert [item.key for item in items][:2] == ["first-001", "cam7-001"]
     keys = {*Queue.model_fields, *JobWords.model_fields}
     assert sorted(key for key in keys if key not in document) == []
 
@@ -182,3 +186,33 @@ def test_a_queue_is_checked_with_all_it_names_before_anything_runs(tmp_path):
     path.write_text(text.replace("name: a, sequence: three_pose", "name: b, sequence: four_pose", 1))
     with pytest.raises(ScriptError, match="four_pose"):
         read_queue(path)
+
+
+# ---------------------------------------------------------------- what counts as an attempt
+
+
+class Recording(Workers):
+    """A run that dies again and again, each time after one more pose."""
+
+    def __call__(self, item, run, log):
+        end = super().__call__(item, run, log)
+        clocks = {"utc_now": self.clock.utc_now, "monotonic": self.clock.monotonic}
+        with Journal.open(run / "journal.jsonl", **clocks) as journal:
+            pose = len(self.begun)
+            if pose in self.gaining:
+                journal.append(Event.CAPTURE_STORED, pose=pose, pose_name="p", attempt=1)
+                journal.append(Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=True)
+        return end
+
+
+@pytest.mark.parametrize(
+    ("gaining", "begun_times", "how"),
+    [({1, 2, 3}, 5, "died"), ({1, 2, 3, 4}, 6, "finished"), ({3}, 2, "died"), (set(), 2, "died")],
+)
+def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, begun_times, how):
+    clock = NightClock()
+    workers = Recording(clock, *["died"] * 5)
+    workers.gaining = gaining
+    summary = Batch(tmp_path, queue(("a", ", attempts: 2")), clock, lambda _: None, workers).run()
+    assert len(workers.begun) == begun_times
+    assert hows(summary) == {"a-001": how}
