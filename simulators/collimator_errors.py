@@ -17,7 +17,7 @@ Knows the target plane only: no camera, no image.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -57,6 +57,12 @@ class Bending(NamedTuple):
     disc_x: float
     disc_y: float
     disc_radius: float
+
+
+NO_BENDING: Final = Bending(
+    *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 1.0)
+)
+"""That of no collimator at all."""
 
 
 def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:

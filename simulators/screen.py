@@ -1,19 +1,22 @@
 """A flickering checkerboard on a screen at finite distance: what other calibration toolboxes look at.
 
-Shares the camera, the blur and the sampling of a pixel with ``optics``; here there is no collimator. Frames:
-screen plane Z = 0, X right, Y down, mm, its origin at the board's first inner corner; X_cam = R P + t.
+There is no collimator; lens, areas and point spread are those of ``optics``. Frames: screen plane Z = 0, X right,
+Y down, mm, its origin at the board's first inner corner; X_cam = R P + t.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from simulators.collimator_errors import NO_BENDING
+from simulators.coverage import blank, gather, spread_kernel
 from simulators.errors import SimulationMisuse
-from simulators.optics import blur, corner_rays, distort
+from simulators.lens import lens_of, ray_grid
+from simulators.sight import Cells, Sight, draw, image_points
 from simulators.truth import CameraTruth
 
 FloatArray = NDArray[np.float64]
@@ -33,6 +36,15 @@ class Checkerboard:
         x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         return self.square_mm * np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
 
+    @property
+    def bright_mm(self) -> FloatArray:
+        """(N, 4, 2) corners of the bright squares, mm, clockwise as seen; the upper left square is bright."""
+        i, j = np.meshgrid(np.arange(self.columns + 1), np.arange(self.rows + 1))
+        bright = (i + j) % 2 == 0
+        upper_left = np.column_stack([i[bright], j[bright]]) - 1.0
+        ring = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+        return np.asarray(self.square_mm * (upper_left[:, None] + ring[None]))
+
 
 def project_board(
     board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray
@@ -49,11 +61,17 @@ def project_board(
     SimulationMisuse
         When the board is not in front of the camera.
     """
-    points = np.column_stack([board.corners_mm, np.zeros(board.columns * board.rows)]) @ rotation.T + position
-    if not (points[:, 2] > 0.0).all():
+    return np.asarray(image_points(board.corners_mm, _sight(board, camera, rotation, position)))
+
+
+def _sight(board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray) -> Sight:
+    """Sight of the screen, the whole board in front of the camera."""
+    outline = board.bright_mm.reshape(-1, 2)
+    depth = outline @ rotation[2, :2] + position[2]
+    if not (depth > 0.0).all():
         raise SimulationMisuse("The board is not in front of the camera.", where="position")
-    xd, yd = distort(points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], camera)
-    return np.column_stack([camera.fx * xd + camera.cx, camera.fy * yd + camera.cy])
+    turn = np.ascontiguousarray(rotation, np.float64)
+    return Sight(lens_of(camera), turn, -turn.T @ np.asarray(position, np.float64), NO_BENDING)
 
 
 def render_board(
@@ -74,53 +92,14 @@ def render_board(
     psf_px
         Standard deviation of the Gaussian point spread.
     subsamples
-        Samples along each side of a pixel.
+        Cells along each side of a pixel.
     """
-    project_board(board, camera, rotation, position)
-    eye = -rotation.T @ position  # the camera's centre in the screen's frame
-    image = _render_board(
-        corner_rays(camera), rotation.T.copy(), eye, board.square_mm, board.columns, board.rows, subsamples
+    sight = _sight(board, camera, rotation, position)
+    kernel = spread_kernel(psf_px, subsamples)
+    cells = Cells(subsamples, math.ceil((kernel.size / subsamples - 1) / 2))
+    steps = blank(camera.width, camera.height, cells.per_px, cells.margin_px)
+    draw(board.bright_mm, sight, ray_grid(camera, cells.margin_px), cells, steps)
+    light = np.ones(
+        (camera.height + 2 * cells.margin_px + 1, camera.width + 2 * cells.margin_px + 1), np.float32
     )
-    return blur(image, psf_px)
-
-
-@njit(cache=True, nogil=True)
-def _brightness(x_mm: float, y_mm: float, square_mm: float, columns: int, rows: int) -> float:
-    """1 on the board's bright squares; squares are counted from the one before the first inner corner."""
-    i, j = np.floor(x_mm / square_mm) + 1, np.floor(y_mm / square_mm) + 1
-    if not (0 <= i <= columns and 0 <= j <= rows):
-        return 0.0
-    return 1.0 if (i + j) % 2 == 0 else 0.0
-
-
-@njit(cache=True, nogil=True)
-def _render_board(
-    rays: NDArray, r_t: NDArray, eye: NDArray, square_mm: float, columns: int, rows: int, n: int
-) -> NDArray:
-    """Loop of ``render_board``: rays of the pixels' corners, interpolated between them, meet the screen."""
-    height, width = rays.shape[0] - 1, rays.shape[1] - 1
-    image = np.zeros((height, width), np.float32)
-    for i in range(height):
-        for j in range(width):
-            total = 0.0
-            for a in range(n):
-                v = (a + 0.5) / n
-                for b in range(n):
-                    u = (b + 0.5) / n
-                    top_x, top_y = _mix(rays[i, j], rays[i, j + 1], u)
-                    low_x, low_y = _mix(rays[i + 1, j], rays[i + 1, j + 1], u)
-                    xn, yn = (1.0 - v) * top_x + v * low_x, (1.0 - v) * top_y + v * low_y
-                    dz = r_t[2, 0] * xn + r_t[2, 1] * yn + r_t[2, 2]
-                    scale = -eye[2] / dz
-                    if scale > 0.0:
-                        x = eye[0] + scale * (r_t[0, 0] * xn + r_t[0, 1] * yn + r_t[0, 2])
-                        y = eye[1] + scale * (r_t[1, 0] * xn + r_t[1, 1] * yn + r_t[1, 2])
-                        total += _brightness(x, y, square_mm, columns, rows)
-            image[i, j] = total / (n * n)
-    return image
-
-
-@njit(cache=True, nogil=True)
-def _mix(a: NDArray, b: NDArray, u: float) -> tuple[float, float]:
-    """Point between two rays."""
-    return (1.0 - u) * a[0] + u * b[0], (1.0 - u) * a[1] + u * b[1]
+    return np.asarray(gather(steps, light, (0.0, 1.0), kernel, *cells))

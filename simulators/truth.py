@@ -20,14 +20,18 @@ PITCH_MM: Final = 144.5 / 36.0
 
 @dataclass(frozen=True)
 class CameraTruth:
-    """The camera's lens: OpenCV's pinhole and Brown model, pixel centres at integers.
+    """The camera's lens in OpenCV's conventions, pixel centres at integers.
 
     Attributes
     ----------
     fx, fy, cx, cy
         Focal lengths and principal point, px.
     k1, k2, p1, p2, k3
-        Radial and tangential distortion on normalised coordinates.
+        Radial and tangential distortion on normalised coordinates (Brown).
+    k4
+        With k1, k2 and k3 the polynomial of a fisheye's angle (Kannala and Brandt); 0 for a pinhole.
+    projection
+        "pinhole" or "fisheye".
     width, height
         Pixels of the sensor.
     """
@@ -41,6 +45,8 @@ class CameraTruth:
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    k4: float = 0.0
+    projection: str = "pinhole"
     width: int = 1280
     height: int = 720
 

@@ -80,21 +80,23 @@ def test_picture_and_star_positions_agree_through_a_real_collimator():
         collimator=replace(COLLIMATORS["like-real"], half_angle_deg=30.0, defocus=0.4),
         optics=OpticsTruth(psf_px=0.0, gradient_x=0.0, gradient_y=0.0, black=0.0),
     )
-    image = optics.render(truth, TURN, subsamples=1)
+    image = optics.render(truth, TURN)
     x, y = np.meshgrid(np.arange(20.0, 180.0, 0.06), np.arange(60.0, 220.0, 0.06))
     points = np.column_stack([x.ravel(), y.ravel()])
     printed = optics.TARGET.reflectance(*points.T)
 
-    def agreement(seen):
-        nearest = np.round(seen)
-        inside = (np.abs(seen - nearest) < 0.02).all(axis=1)
-        inside &= (nearest >= 0).all(axis=1) & (nearest < [128, 72]).all(axis=1)
-        u, v = nearest[inside].astype(int).T
-        assert inside.sum() > 1000
-        return np.mean(image[v, u] == printed[inside])
+    def disagreement(seen):
+        """Mean difference between a pixel and the print that is projected onto it."""
+        u, v = np.round(seen).astype(int).T
+        shown = (u >= 0) & (u < 128) & (v >= 0) & (v < 72)
+        count = np.bincount(v[shown] * 128 + u[shown], minlength=128 * 72)
+        white = np.bincount(v[shown] * 128 + u[shown], printed[shown], 128 * 72)
+        whole = count > 0.9 * np.median(count[count > 0])
+        assert whole.sum() > 4000
+        return np.abs(white[whole] / count[whole] - image.ravel()[whole]).mean()
 
-    assert agreement(optics.project(points, TURN, truth)) > 0.97
-    assert agreement(optics.project(points, TURN, replace(truth, collimator=CollimatorTruth()))) < 0.9
+    assert disagreement(optics.project(points, TURN, truth)) < 0.015
+    assert disagreement(optics.project(points, TURN, replace(truth, collimator=CollimatorTruth()))) > 0.1
 
 
 def test_blur_can_grow_towards_the_rim():

@@ -1,0 +1,63 @@
+"""The black of the printed target as polygons, from which its picture is drawn.
+
+Knows the print only, and says the same as `calib.target.StarTarget.reflectance` does of points. Millimetres of the
+target plane, X right, Y down.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.target import TAG_MODULES, StarTarget
+
+FloatArray = NDArray[np.float64]
+
+CORNERS = 4
+"""Corners of a polygon; one that has fewer repeats its last."""
+
+
+def black_polygons(target: StarTarget) -> FloatArray:
+    """Outline everything that is printed black.
+
+    Returns
+    -------
+    (N, 4, 2) float64, mm: convex polygons that do not overlap, each clockwise as seen (from +X to +Y). The first
+    corner of a star's segment is the star's centre.
+    """
+    nodes = target.positions_mm(target.ids)
+    stars = nodes[:, None, None, :] + target.pitch_mm * _black_segments(target.segments)[None]
+    return np.concatenate([stars.reshape(-1, CORNERS, 2), _black_modules(target)])
+
+
+def _black_segments(segments: int) -> FloatArray:
+    """Black segments of a star, (segments / 2, 4, 2), in squares from its centre; cut to a cell of one square."""
+    polygons = []
+    for number in range(1, segments, 2):  # counted from +Y towards -X, the first is white
+        start, end = (2.0 * math.pi * (n / segments + 0.25) for n in (number, number + 1))
+        corner = (
+            math.floor((start - 0.25 * math.pi) / (0.5 * math.pi) + 1e-9) + 1.0
+        ) * 0.5 * math.pi + 0.25 * math.pi
+        ring = [np.zeros(2), _on_cell(start)]
+        if corner < end - 1e-9:
+            ring.append(_on_cell(corner))
+        ring.append(_on_cell(end))
+        polygons.append((ring + ring[-1:])[:CORNERS])
+    return np.asarray(polygons)
+
+
+def _on_cell(angle: float) -> FloatArray:
+    """Where a ray from the star's centre leaves its cell, the square of side 1."""
+    direction = np.array([math.cos(angle), math.sin(angle)])
+    return np.asarray(0.5 * direction / np.abs(direction).max())
+
+
+def _black_modules(target: StarTarget) -> FloatArray:
+    """Black modules of the tag, (N, 4, 2), mm."""
+    side = target.pitch_mm * target.tag_squares / TAG_MODULES
+    rows, columns = np.nonzero(target.layout.tag_modules == 0)
+    corner = target.tag_corners_mm[0] + side * np.column_stack([columns, rows])
+    ring = side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    return np.asarray(corner[:, None] + ring[None])
