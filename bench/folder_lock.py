@@ -6,14 +6,14 @@ It dies with its process, so a dead one leaves none behind. Whoever only asks le
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import time
 from contextlib import suppress
 from pathlib import Path
 
 from bench.errors import RunFolderError, StorageError
-from bench.storage import storing
+from bench.storage import open_to_lock, storing
+from drivers import file_lock
 
 _LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
 
@@ -29,7 +29,7 @@ def hold_folder(path: Path) -> int:
         When it cannot be locked.
     """
     with storing(path):
-        lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        lock = open_to_lock(path)
     try:
         _lock_exclusively(lock)
     except OSError as error:
@@ -53,9 +53,9 @@ def is_worked_on(path: Path) -> bool:
         When the folder cannot be read.
     """
     with storing(path):
-        probe = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        probe = open_to_lock(path)
         try:
-            fcntl.flock(probe, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            file_lock.lock(probe, shared=True)
         except BlockingIOError:
             return True
         finally:
@@ -67,7 +67,7 @@ def _lock_exclusively(descriptor: int) -> None:
     """Take the lock; tried again for a moment, since whoever asks whether it is held touches it (is_worked_on)."""
     for _ in range(_LOCK_TRIES - 1):
         with suppress(BlockingIOError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            file_lock.lock(descriptor)
             return
         time.sleep(_LOCK_PAUSE_S)
-    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    file_lock.lock(descriptor)

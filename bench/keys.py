@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import fcntl
 import os
 import re
 import socket
@@ -25,7 +24,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.errors import EvidenceError
 from bench.sshsig import KEY_TYPE, encode_public_key, fingerprint
-from bench.storage import make_folder, storing, write_whole
+from bench.storage import make_folder, open_to_lock, storing, write_whole
+from drivers import file_lock
 
 NAMESPACE = "starbench-report@v1"
 """What signatures of run folders are for."""
@@ -137,9 +137,9 @@ def ensure_key(
     """
     make_folder(folder)
     with storing(folder):
-        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        lock = open_to_lock(folder)
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX)  # two runs started at once must not make two keys
+            file_lock.lock(lock, wait=True)  # two runs started at once must not make two keys
             if (folder / KEY_FILE).exists():
                 return load_key(folder, ask_passphrase=ask_passphrase)
             return create_key(folder, principal=principal)
@@ -279,7 +279,7 @@ def _moment(text: str) -> datetime:
 
 def _refuse_readable_by_others(path: Path) -> None:
     status = path.stat()
-    if status.st_mode & 0o077 or status.st_uid != os.getuid():
+    if hasattr(os, "getuid") and (status.st_mode & 0o077 or status.st_uid != os.getuid()):
         raise EvidenceError(
             f"The key can be read by others (mode {status.st_mode & 0o777:04o}): it proves nothing.",
             where=str(path),

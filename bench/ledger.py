@@ -8,7 +8,6 @@ Knows folders of runs by name only.
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,7 +20,8 @@ from bench.errors import JournalBroken
 from bench.journal import Entry, Journal, read_journal
 from bench.run_folder import is_sealed
 from bench.seal import MANIFEST
-from bench.storage import make_folder, sha256_of, storing
+from bench.storage import make_folder, open_to_lock, sha256_of, storing
+from drivers import file_lock
 
 LEDGER = "ledger.jsonl"
 BEGUN = "run_begun"
@@ -166,9 +166,9 @@ class Ledger:
         """Hold the ledger against other processes, and open it for a line."""
         make_folder(self.path.parent)
         with storing(self.path):
-            lock = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            lock = open_to_lock(self.path.parent)
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            file_lock.lock(lock, wait=True)
             opened = Journal.open if self.path.exists() else Journal.create
             with opened(self.path, **self._clocks) as journal:
                 yield journal

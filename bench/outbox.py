@@ -8,7 +8,6 @@ and is marked as ``perhaps twice``. A message that does not go through is tried 
 
 from __future__ import annotations
 
-import fcntl
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +19,7 @@ from typing import Any
 
 from bench.errors import StorageError
 from bench.storage import make_folder, storing
+from drivers import file_lock
 
 OUTBOX = "outbox.sqlite3"
 LOCK = "outbox.lock"
@@ -202,10 +202,10 @@ class Outbox:
     def _alone(self) -> Iterator[bool]:
         """Whether this process alone delivers, for as long as the block lasts."""
         with storing(self.path):
-            lock = os.open(self._home / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            lock = os.open(self._home / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                file_lock.lock(lock)
             except BlockingIOError:
                 yield False
                 return

@@ -8,10 +8,11 @@ The truth it keeps is read once, after the result stands, for the final comparis
 from __future__ import annotations
 
 import json
-import select
+import queue
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -82,10 +83,13 @@ class SimulatedBench:
     def _first_line(self) -> str:
         stdout = self._process.stdout
         assert stdout is not None
-        readable, _, _ = select.select([stdout], [], [], _START_TIMEOUT_S)
-        if not readable:
-            raise SimulationError(f"it was not ready within {_START_TIMEOUT_S:.0f} s")
-        return stdout.readline()
+        lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        # A thread waits: not every system can wait for a pipe with a time limit.
+        threading.Thread(target=lambda: lines.put(stdout.readline()), daemon=True).start()
+        try:
+            return lines.get(timeout=_START_TIMEOUT_S)
+        except queue.Empty:
+            raise SimulationError(f"it was not ready within {_START_TIMEOUT_S:.0f} s") from None
 
     def _said(self) -> str:
         try:

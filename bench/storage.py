@@ -18,6 +18,9 @@ from bench.errors import StorageError
 HASH_CHUNK_BYTES = 1 << 20
 TEMPORARY = ".tmp"
 
+_FOLDERS_OPEN = hasattr(os, "O_DIRECTORY")
+LOCK_FILE = ".lock"
+
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
 
@@ -51,12 +54,27 @@ def storing(where: Path) -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder last through a power cut."""
+    """Make the names in a folder last through a power cut, where folders can be synced: not on Windows."""
+    if not _FOLDERS_OPEN:
+        return
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def open_to_lock(folder: Path) -> int:
+    """Open a folder itself to lock it (see `drivers.file_lock`); a hidden file in it where folders cannot be opened.
+
+    Raises
+    ------
+    OSError
+        When it cannot be opened.
+    """
+    if _FOLDERS_OPEN:
+        return os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    return os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT)
 
 
 def make_folder(folder: Path) -> None:

@@ -8,11 +8,24 @@ that took them, however it ended, so no stale lock can be left behind.
 from __future__ import annotations
 
 import contextlib
-import sys
 
-if sys.platform != "win32":
+from drivers import file_lock
+
+try:
     import fcntl
     import termios
+except ImportError:  # Windows opens every serial port exclusively by itself.
+
+    def keep_to_ourselves(descriptor: int) -> None:
+        """Nothing to do: the system has locked the port at opening."""
+
+    def let_others_in(descriptor: int) -> None:
+        """Nothing to do: the system unlocks the port at closing."""
+
+    def keep_lines_up_after_closing(descriptor: int) -> None:
+        """Nothing to do: the system has no such setting."""
+
+else:
 
     def keep_to_ourselves(descriptor: int) -> None:
         """Lock an open port; raises BlockingIOError when another program has it locked.
@@ -24,7 +37,7 @@ if sys.platform != "win32":
         descriptor
             File descriptor of the open port.
         """
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file_lock.lock(descriptor)
         # A device that is no terminal has no TIOCEXCL; flock holds all the same.
         with contextlib.suppress(OSError):
             fcntl.ioctl(descriptor, termios.TIOCEXCL)
@@ -43,14 +56,3 @@ if sys.platform != "win32":
         if attributes[2] & termios.HUPCL:
             attributes[2] &= ~termios.HUPCL
             termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
-
-else:  # Windows opens every serial port exclusively by itself.
-
-    def keep_to_ourselves(descriptor: int) -> None:
-        """Nothing to do: the system has locked the port at opening."""
-
-    def let_others_in(descriptor: int) -> None:
-        """Nothing to do: the system unlocks the port at closing."""
-
-    def keep_lines_up_after_closing(descriptor: int) -> None:
-        """Nothing to do: the system has no such setting."""
