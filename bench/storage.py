@@ -19,7 +19,6 @@ HASH_CHUNK_BYTES = 1 << 20
 TEMPORARY = ".tmp"
 
 _FOLDERS_OPEN = hasattr(os, "O_DIRECTORY")
-LOCK_FILE = ".lock"
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -65,7 +64,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def open_to_lock(folder: Path) -> int:
-    """Open a folder itself to lock it (see `drivers.file_lock`); a hidden file in it where folders cannot be opened.
+    """Open a folder itself to lock it (see `drivers.file_lock`); a hidden file beside it where folders cannot be.
 
     Raises
     ------
@@ -74,7 +73,7 @@ def open_to_lock(folder: Path) -> int:
     """
     if _FOLDERS_OPEN:
         return os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    return os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT)
+    return os.open(folder.with_name(f".{folder.name}.lock"), os.O_RDWR | os.O_CREAT)
 
 
 def make_folder(folder: Path) -> None:

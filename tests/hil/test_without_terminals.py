@@ -1,0 +1,105 @@
+"""A computer without pseudo-terminals, flock and terminal settings, as Windows is: the same runs, over TCP.
+
+Python is made to look so in every process: the modules cannot be imported, and ``msvcrt`` locks by POSIX record locks.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from running import PATIENCE_S, STARBENCH, environment, journal, results
+
+from bench.station import SHIPPED
+
+BARE = """
+import os, subprocess, sys, types
+import serial, serial.serialposix  # what of pyserial stands for serialwin32 here
+for name in ("fcntl", "termios", "tty", "pty"):
+    sys.modules[name] = None
+for name in ("openpty", "O_DIRECTORY"):
+    delattr(os, name)
+msvcrt = types.ModuleType("msvcrt")
+msvcrt.LK_NBLCK = 2
+msvcrt.locking = lambda descriptor, mode, count: os.lockf(descriptor, os.F_TLOCK, count)
+sys.modules["msvcrt"] = msvcrt
+"""
+LOCK = """
+import sys
+from drivers import file_lock
+held = open(sys.argv[1], "r+b")
+file_lock.lock(held.fileno())
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> dict[str, str]:
+    """Environment in which every Python begins as such a computer's would."""
+    folder = tmp_path / "bare"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(textwrap.dedent(BARE))
+    path = os.pathsep.join([str(folder), str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+    return {**environment(tmp_path / "home"), "PYTHONPATH": path}
+
+
+def python(bare: dict[str, str], *words, **more) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *map(str, words)],
+        env=bare, capture_output=True, text=True, timeout=PATIENCE_S, stdin=subprocess.DEVNULL, check=False, **more,
+    )  # fmt: skip
+
+
+def test_it_is_such_a_computer(bare) -> None:
+    for name in ("fcntl", "termios", "tty", "pty"):
+        assert "ModuleNotFoundError" in python(bare, "-c", f"import {name}").stderr
+
+
+def test_a_file_is_locked_once_and_freed_by_the_death_of_its_process(bare, tmp_path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"")
+    command = [sys.executable, "-c", LOCK, str(path)]
+    holder = subprocess.Popen(command, env=bare, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert holder.stdout.readline() == "held\n"
+        assert "BlockingIOError" in python(bare, "-c", LOCK, path).stderr
+    finally:
+        holder.kill()
+        holder.communicate()
+    assert python(bare, "-c", LOCK, path).stdout == "held\n"
+
+
+def test_a_run_goes_over_tcp_from_a_station_that_says_nothing_of_it(bare, tmp_path) -> None:
+    folder = tmp_path / "run"
+    said = python(
+        bare, *STARBENCH[1:], "run", "three_pose", "-s", "simulated", "--seed", 7, "-o", folder, "--json"
+    )
+    assert said.returncode == 0, said.stderr
+    assert json.loads(said.stdout)["converged"]
+    wire = (folder / "wire.jsonl").read_text()
+    assert "socket://127.0.0.1:" in wire
+    assert "move abs" in wire
+    assert max(abs(row["error_sigmas"]) for row in results(folder)["comparison"]) < 4
+    assert [line["accepted"] for line in journal(folder) if line["event"] == "attempt_checked"] == [True] * 3
+
+
+@pytest.mark.slow
+def test_the_same_run_with_terminals_may_be_asked_to_go_over_tcp(tmp_path) -> None:
+    text = (SHIPPED / "simulated.yaml").read_text()
+    assert "simulation: {}\n" in text
+    station = tmp_path / "tcp.yaml"
+    station.write_text(text.replace("simulation: {}\n", "simulation: {ports: tcp}\n"))
+    folder = tmp_path / "run"
+    words = ["run", "three_pose", "-s", station, "--seed", 7, "-o", folder]
+    said = subprocess.run(
+        [*STARBENCH, *map(str, words)], env=environment(tmp_path / "home"), capture_output=True, text=True,
+        timeout=PATIENCE_S, stdin=subprocess.DEVNULL, check=False,
+    )  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    assert "socket://127.0.0.1:" in (folder / "wire.jsonl").read_text()
