@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from bench.gates import FILTERS_THAT_EAT_FLICKER, Gate, recording_gates, refusals
-from bench.measure import Measurement, measure
+from bench.measure import Expect, Measurement, measure
 from bench.pictures import measure_pictures, picture_gates, picture_refusals
 from bench.plan import recording_duration_s, whole_periods
 from bench.station import Station
@@ -47,8 +47,10 @@ class CameraKind(Protocol):
         """Record into a new file."""
         ...
 
-    def measure(self, path: Path, step: RecordStep, frequency_hz: float, target: StarTarget) -> Measurement:
-        """Find the stars in a recording."""
+    def measure(
+        self, path: Path, step: RecordStep, frequency_hz: float, target: StarTarget, expect: Expect | None
+    ) -> Measurement:
+        """Find the stars in a recording; where ``expect`` says, if the tag does not tell which they are."""
         ...
 
     def judge(
@@ -104,7 +106,9 @@ class EventKind:
         duration_s = recording_duration_s(step.window_ms, frequency_hz)
         return asdict(cast("EventCamera", camera).record(path, duration_s))
 
-    def measure(self, path: Path, step: RecordStep, frequency_hz: float, target: StarTarget) -> Measurement:
+    def measure(
+        self, path: Path, step: RecordStep, frequency_hz: float, target: StarTarget, expect: Expect | None
+    ) -> Measurement:
         """Find the stars in the event image of whole flicker periods."""
         return measure(
             path,
@@ -113,6 +117,7 @@ class EventKind:
             image=step.image,
             periods=whole_periods(step.window_ms, frequency_hz),
             expected_hz=frequency_hz,
+            expect=expect,
         )
 
     def judge(
@@ -167,7 +172,7 @@ class FrameKind:
         self._settings = settings
 
     def lit_by(self, flicker: Flicker) -> Flicker:
-        """Keep the light steady at the flicker's brighter level: a picture would show how a flicker met its exposure."""
+        """Let the light burn steadily at the flicker's brighter level: no picture depends on when it was taken."""
         return replace(flicker, waveform="steady")
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
@@ -178,9 +183,16 @@ class FrameKind:
         """Take the pictures."""
         return asdict(cast("FrameCamera", camera).capture(path, self._pictures))
 
-    def measure(self, path: Path, step: RecordStep, frequency_hz: float, target: StarTarget) -> Measurement:  # noqa: ARG002
+    def measure(
+        self,
+        path: Path,
+        step: RecordStep,
+        frequency_hz: float,  # noqa: ARG002
+        target: StarTarget,
+        expect: Expect | None,
+    ) -> Measurement:
         """Find the stars in the mean of the pictures."""
-        return measure_pictures(path, name=step.pose.name, target=target)
+        return measure_pictures(path, name=step.pose.name, target=target, expect=expect)
 
     def judge(
         self,

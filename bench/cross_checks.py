@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bench.expectation import best_readings
 from calib.calibrate import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
 from calib.gimbal import witness
@@ -39,14 +40,7 @@ def gimbal(calibration: Calibration, readings_deg: Sequence[Mapping[str, float]]
     readings_deg
         For each pose, angle by axis (pan, tilt, roll), and the encoders' (``pan_encoder``) which are better.
     """
-    readings = [
-        {
-            f"{axis}_deg": pose.get(f"{axis}_encoder", pose[axis])
-            for axis in ("pan", "tilt", "roll")
-            if axis in pose
-        }
-        for pose in readings_deg
-    ]
+    readings = [{f"{axis}_deg": deg for axis, deg in best_readings(pose).items()} for pose in readings_deg]
     try:
         told = witness(calibration.rotations, calibration.rotation_covariance, readings)
     except CalibrationError:  # too few poses, or axes that did not move

@@ -13,7 +13,7 @@ from typing import Any
 from bench.camera_kinds import CameraKind, camera_kind
 from bench.errors import ScriptError
 from bench.gates import Gate, at_most
-from bench.measure import Measurement
+from bench.measure import Expect, Measurement
 from bench.plan import Plan, load, plan
 from bench.simulated import SimulatedBench
 from bench.station import Station
@@ -147,9 +147,9 @@ class Job:
         """Find the step that records at a pose."""
         return next(s for s in self.steps if isinstance(s, RecordStep) and s.pose.index == pose_index)
 
-    def measure(self, path: Path, step: RecordStep) -> Measurement:
-        """Find the stars in a recording, as its step says."""
-        return self.camera_kind.measure(path, step, self.frequency_hz(step), self.target)
+    def measure(self, path: Path, step: RecordStep, expect: Expect | None = None) -> Measurement:
+        """Find the stars in a recording, as its step says; where ``expect`` says, if the tag does not name them."""
+        return self.camera_kind.measure(path, step, self.frequency_hz(step), self.target, expect)
 
     def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
         """Judge whether the stage stood still while a recording was made."""

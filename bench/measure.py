@@ -7,7 +7,7 @@ recording is made here, from the file alone, so that it can be made again from t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.detect import Sight, detect, look
-from calib.errors import CalibrationError, FlickerNotFound, TargetNotFound, TooFewEvents, TooFewStars
-from calib.event_image import BestImage, EventImages, SliceFacts, make_images
+from calib.detect import detect, look
+from calib.errors import (
+    CalibrationError,
+    DegenerateViews,
+    FlickerNotFound,
+    StarsUnnamed,
+    TargetNotFound,
+    TooFewEvents,
+    TooFewStars,
+)
+from calib.event_image import BestImage, EventImages, make_images
 from calib.flicker import Flicker, flicker_from_events, flicker_from_triggers
 from calib.grid_map import fit_homography
 from calib.motion import half_windows, motion_between
@@ -27,6 +35,10 @@ from calib.view import View
 from drivers.camera.evt3 import Events, Triggers
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
+
+Expect = Callable[[tuple[int, int]], NDArray[np.float64]]
+"""Gives, for an image of a width and height, where the target's grid of nodes is expected in it: (3, 3), from
+[column row 1] to [u v 1] px. Raises DegenerateViews where that cannot be told."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +78,7 @@ def measure(
     image: str,
     periods: int | None,
     expected_hz: float | None,
-    expected_grid: NDArray[np.float64] | None = None,
+    expect: Expect | None = None,
 ) -> Measurement:
     """Read a recording and find the stars in it.
 
@@ -84,8 +96,8 @@ def measure(
         Whole flicker periods to gather; None for as many as the recording holds.
     expected_hz
         What the light was set to; None when unknown.
-    expected_grid
-        Where the pose lets the grid of stars be expected (`calib.detect`), for stars without the tag.
+    expect
+        Where the pose lets the stars be expected; asked only where the tag does not tell which they are.
 
     Returns
     -------
@@ -96,6 +108,7 @@ def measure(
     picture: NDArray[np.float32] | None = None
     try:
         raw = RawFile.open(path)
+        size = raw.width, raw.height
         events, triggers = raw.read()
         flicker = _flicker(triggers, (events.t, events.p), expected_hz)
         span_us = _span_us(events.t, triggers)
@@ -106,7 +119,7 @@ def measure(
             events.x,
             events.y,
             events.p,
-            (raw.width, raw.height),
+            size,
             flicker,
             window_us=span_us,
             periods=periods,
@@ -114,21 +127,47 @@ def measure(
         chosen = _choose(images, image)
         picture = chosen.image
         facts.update(_image_facts(images, chosen))
-        seen = look(chosen.image, target, name=name, expected=expected_grid)
-        facts.update(identity_facts(seen, target))
-        view = mistrust_rim(seen.view, target)
-        facts["motion_px"] = _motion_px(
-            events, (raw.width, raw.height), flicker, images.facts, chosen.name, target
+        view = mistrust_rim(named(chosen.image, target, name, expect, facts), target)
+        halves = (
+            make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=half).named(
+                chosen.name
+            )
+            for half in half_windows(images.facts)
         )
+        facts["motion_px"] = motion_px(halves, target, facts)
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, picture, _plain(facts), str(error))
     return Measurement(view, picture, _plain(facts))
 
 
-def identity_facts(seen: Sight, target: StarTarget) -> dict[str, Any]:
-    """Say what named the stars, and where their grid lies: (3, 3), from [column row 1] to [u v 1] px, as lists."""
+def named(
+    image: NDArray[Any], target: StarTarget, name: str, expect: Expect | None, facts: dict[str, Any]
+) -> View:
+    """Find the stars of an image, by the expected pose where the tag does not name them.
+
+    What named them goes into ``facts``: ``named_by`` (``tag``, ``part of the tag``, ``gimbal``), ``grid``, where the
+    view's grid lies, (3, 3) from [column row 1] to [u v 1] px as lists, and ``expected_grid``, as it was expected.
+
+    Raises
+    ------
+    CalibrationError
+        When there are no stars, or nothing says which they are.
+    """
+    try:
+        seen = look(image, target, name=name)
+    except StarsUnnamed as unnamed:
+        if expect is None:
+            raise
+        try:
+            expected = expect((image.shape[1], image.shape[0]))
+        except DegenerateViews as unknown:
+            raise StarsUnnamed(unnamed.what, where=unnamed.where, remedy=str(unknown)) from unknown
+        seen = look(image, target, name=name, expected=expected)
+        facts["expected_grid"] = expected.tolist()
     grid = fit_homography(target.node_of(seen.view.ids).astype(float), seen.view.points_px)
-    return {"named_by": seen.named_by, "grid": grid.tolist()}
+    facts["named_by"] = "gimbal" if seen.named_by == "expected pose" else seen.named_by
+    facts["grid"] = grid.tolist()
+    return seen.view
 
 
 def _agreement(flicker: Flicker, events: Events) -> dict[str, Any]:
@@ -146,26 +185,21 @@ def _agreement(flicker: Flicker, events: Events) -> dict[str, Any]:
     }
 
 
-def _motion_px(
-    events: Events,
-    size: tuple[int, int],
-    flicker: Flicker,
-    whole: SliceFacts,
-    kind: str,
-    target: StarTarget,
-) -> float | None:
-    """Length of the stars' shift from the first half of a window to the second; None where halves cannot tell."""
+def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Mapping[str, Any]) -> float | None:
+    """Length of the stars' shift from the first half of a recording to the second; None where halves cannot tell.
+
+    Parameters
+    ----------
+    halves
+        Images of the two halves.
+    target
+        The printed target.
+    facts
+        With the ``grid`` of the whole recording, by which stars without the tag are named.
+    """
+    grid = np.array(facts["grid"])
     try:
-        first, second = (
-            detect(
-                make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=half).named(
-                    kind
-                ),
-                target,
-                name="half",
-            )
-            for half in half_windows(whole)
-        )
+        first, second = (detect(half, target, name="half", expected=grid) for half in halves)
         return motion_between(first, second).length_px
     except (TooFewEvents, TooFewStars, TargetNotFound):
         return None

@@ -18,10 +18,11 @@ import numpy as np
 from bench.captures import stored_captures
 from bench.comparison import planar_beside
 from bench.errors import BenchError, UsageError
+from bench.expectation import as_before
 from bench.history import replay
 from bench.job import Job
 from bench.journal import read_journal
-from bench.measure import Measurement, measure
+from bench.measure import Expect, Measurement, measure
 from bench.passports import read_passport
 from bench.point_files import Origin, read_point_file
 from bench.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
@@ -217,7 +218,7 @@ def _run_sources(folder: Path, choices: Choices) -> Iterator[_Source]:
         step = job.record_step(index)
         step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
         path = folder / str(attempt.stored["capture"])
-        yield _Source(path, partial(_view_of_run, job, path, step))
+        yield _Source(path, partial(_view_of_run, job, path, step, as_before(attempt)))
 
 
 def _refuse_cut_off(path: Path) -> None:
@@ -242,9 +243,9 @@ def _refuse_cut_off(path: Path) -> None:
         )
 
 
-def _view_of_run(job: Job, path: Path, step: RecordStep) -> View:
+def _view_of_run(job: Job, path: Path, step: RecordStep, expect: Expect | None) -> View:
     _refuse_cut_off(path)
-    return _view(job.measure(path, step), path)
+    return _view(job.measure(path, step, expect), path)
 
 
 def _file_source(path: Path, choices: Choices) -> _Source:

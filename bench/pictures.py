@@ -6,7 +6,7 @@ still. Every number is made from the file alone, so that it can be made again fr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.gates import Gate, at_least, at_most
-from bench.measure import Measurement
-from calib.detect import detect
-from calib.errors import CalibrationError, TargetNotFound, TooFewStars
-from calib.motion import MOVING_PX, motion_between
+from bench.measure import Expect, Measurement, motion_px, named
+from calib.errors import CalibrationError
+from calib.motion import MOVING_PX
 from calib.rim import mistrust_rim
 from calib.target import StarTarget
 from drivers.camera.frames import read_frames
@@ -28,7 +27,9 @@ MOST_SATURATED: Final = 0.001
 """Share of pixels that may be at the highest grey value: some are hot, but the edge of a star that is clipped moves."""
 
 
-def measure_pictures(path: Path, *, name: str, target: StarTarget) -> Measurement:
+def measure_pictures(
+    path: Path, *, name: str, target: StarTarget, expect: Expect | None = None
+) -> Measurement:
     """Read the pictures of a pose and find the stars in them.
 
     Parameters
@@ -39,12 +40,14 @@ def measure_pictures(path: Path, *, name: str, target: StarTarget) -> Measuremen
         The pose's name.
     target
         The printed target.
+    expect
+        Where the pose lets the stars be expected; asked only where the tag does not tell which they are.
 
     Returns
     -------
     Measurement
         Also when the file cannot be read or no stars are found: the fault then says why. Its facts are ``image``
-        (``kind``, ``reason``, ``pictures``) and ``motion_px``.
+        (``kind``, ``reason``, ``pictures``), ``motion_px``, and what named the stars (`bench.measure.named`).
     """
     facts: dict[str, Any] = {}
     picture: NDArray[np.float32] | None = None
@@ -53,8 +56,10 @@ def measure_pictures(path: Path, *, name: str, target: StarTarget) -> Measuremen
         picture = _mean(frames)
         kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
         facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
-        view = mistrust_rim(detect(picture, target, name=name), target)
-        facts["motion_px"] = _motion_px(frames, target)
+        view = mistrust_rim(named(picture, target, name, expect, facts), target)
+        half = len(frames) // 2
+        halves = (_mean(part) for part in (frames[:half], frames[-half:]))
+        facts["motion_px"] = motion_px(halves, target, facts) if half else None
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, picture, facts, str(error))
     return Measurement(view, picture, facts)
@@ -88,16 +93,3 @@ def picture_refusals(facts: Mapping[str, Any]) -> list[str]:
 
 def _mean(frames: NDArray[Any]) -> NDArray[np.float32]:
     return frames.mean(axis=0, dtype=np.float64).astype(np.float32)
-
-
-def _motion_px(frames: NDArray[Any], target: StarTarget) -> float | None:
-    """Length of the stars' shift from the first half of the pictures to the second; None where halves cannot tell."""
-    half = len(frames) // 2
-    if not half:
-        return None
-    parts: Sequence[NDArray[Any]] = frames[:half], frames[-half:]
-    try:
-        first, second = (detect(_mean(part), target, name="half") for part in parts)
-        return motion_between(first, second).length_px
-    except (TooFewStars, TargetNotFound):
-        return None

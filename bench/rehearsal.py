@@ -21,7 +21,7 @@ from bench.errors import BenchError
 from bench.history import Event, History, RunLog, replay
 from bench.job import Job, calibration_options
 from bench.journal import Journal
-from bench.measure import Measurement
+from bench.measure import Expect, Measurement
 from bench.plan import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load, plan
 from bench.progress import Progress
 from bench.result import Outcome, ResultWriter, main_numbers, software
@@ -55,7 +55,7 @@ class RehearsedJob(Job):
         """Always: nothing is measured."""
         return True
 
-    def measure(self, path: Path, step: RecordStep) -> Measurement:
+    def measure(self, path: Path, step: RecordStep, expect: Expect | None = None) -> Measurement:  # noqa: ARG002
         """Read the stars of a rehearsed recording."""
         self.clock.sleep(CHECK_S)
         try:

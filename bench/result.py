@@ -19,6 +19,7 @@ from bench.camera_kinds import CameraKind
 from bench.comparison import compare, planar_beside
 from bench.cross_checks import gimbal, halves
 from bench.errors import BenchError
+from bench.expectation import as_before
 from bench.exports import exports
 from bench.gates import Gate, solution_gates
 from bench.history import Attempt, History, RunLog
@@ -156,7 +157,7 @@ class ResultWriter:
 
     def _measure_again(self, attempt: Attempt) -> Measurement:
         path = self._folder.path / str(attempt.stored["capture"])
-        found = self._job.measure(path, self._job.record_step(attempt.pose_index))
+        found = self._job.measure(path, self._job.record_step(attempt.pose_index), as_before(attempt))
         if found.view is None:
             raise BenchError(
                 f"{attempt.stored['capture']} was accepted, and now no stars are found in it: {found.fault}",
@@ -251,6 +252,7 @@ def _poses(history: History, solution: Solution, kind: CameraKind) -> list[dict[
                 "attempts": [_attempt(a, kind) for a in attempts],
                 "image": measured.get("image"),
                 "flicker_hz": measured.get("flicker_hz"),
+                "named_by": measured.get("named_by"),
                 "stars": summary.n if summary else 0,
                 "rms_px": summary.rms_px if summary else None,
                 "mean_px": summary.mean_px if summary else None,

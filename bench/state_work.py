@@ -12,6 +12,7 @@ from typing import Any
 
 from bench.clock import Aborted, BenchClock
 from bench.devices import Devices
+from bench.expectation import by_earlier_poses
 from bench.gates import failures
 from bench.history import Event, RunLog
 from bench.job import Job, ScriptStep
@@ -157,7 +158,8 @@ class StateWork:
         assert isinstance(self.step, RecordStep)
         pose = self.step.pose
         stored = next(a for a in self._log.history.attempts_at(pose.index) if a.attempt == attempt).stored
-        found = self._job.measure(self._folder.path / stored["capture"], self.step)
+        expect = by_earlier_poses(self._log.history, stored, self._job.target)
+        found = self._job.measure(self._folder.path / stored["capture"], self.step, expect)
         frequency_hz = self._job.frequency_hz(self.step)
         judged, against = self._job.camera_kind.judge(stored["facts"], self.step, frequency_hz, found)
         judged += self._job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])

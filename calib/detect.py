@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InputMismatch, TargetNotFound, TooFewStars
+from calib.errors import InputMismatch, StarsUnnamed, TargetNotFound, TooFewStars
 from calib.grid_map import fit_view
 from calib.identity import number_by_pose, number_by_tag
 from calib.lattice import find_lattice
@@ -133,8 +133,10 @@ def look(
 
     Raises
     ------
+    StarsUnnamed
+        When the target's tag is not in the image, nor enough of it, nor a pose to do without.
     TargetNotFound
-        When the target's tag is not in the image, nor enough of it, nor a pose to do without; or more than once.
+        When there are no stars, or the tag is there more than once.
     TooFewStars
         When fewer than `MIN_STARS` stars pass.
     InputMismatch
@@ -198,7 +200,7 @@ def _without_tag(
     named_by: NamedBy = "part of the tag"
     try:
         numbering = number_by_tag(image, grown, start.sign, target, name=name)
-    except TargetNotFound:
+    except StarsUnnamed:
         if expected is None:
             raise
         numbering, named_by = number_by_pose(grown, expected, name=name), "expected pose"

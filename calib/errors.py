@@ -2,6 +2,7 @@
 
 CalibrationError
 ├── TargetNotFound      no tag, or an ambiguous one, in an event image
+│   └── StarsUnnamed    stars are there, but nothing tells which they are
 ├── TooFewStars         a view with too few stars to constrain anything
 ├── TooFewEvents        a slice too empty, or without whole flicker periods, to make an image of
 ├── FlickerNotFound     no usable triggers and no periodicity in the stream
@@ -28,6 +29,10 @@ class CalibrationError(Exception):
 
 class TargetNotFound(CalibrationError):
     """No tag, or an ambiguous one, was found."""
+
+
+class StarsUnnamed(TargetNotFound):
+    """Stars were found, but nothing tells which they are."""
 
 
 class TooFewStars(CalibrationError):

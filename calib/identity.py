@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import TargetNotFound
+from calib.errors import StarsUnnamed
 from calib.grid_map import apply_homography, fit_homography, predict_locally
 from calib.star_growth import Grown
 from calib.target import TAG_MODULES, StarTarget
@@ -84,7 +84,7 @@ def number_by_pose(grown: Grown, expected: NDArray[np.float64], *, name: str) ->
 
     Raises
     ------
-    TargetNotFound
+    StarsUnnamed
         When the stars do not lie on the expected grid, or half-way between two numberings.
     """
     nodes, there = (
@@ -99,7 +99,7 @@ def number_by_pose(grown: Grown, expected: NDArray[np.float64], *, name: str) ->
     scatter, middle, turn = min(fits, key=lambda f: f[0])
     shift = np.round(middle)
     if scatter > MAX_SCATTER or np.abs(middle - shift).max() > MAX_OFF_NODE:
-        raise TargetNotFound(
+        raise StarsUnnamed(
             f"{len(nodes)} stars are seen but no tag, and the expected pose does not say which they are: they lie "
             f"{np.abs(middle - shift).max():.2f} squares beside its nodes, scattered by {scatter:.2f}.",
             where=f"view {name}",
@@ -131,7 +131,7 @@ def number_by_tag(
 
     Raises
     ------
-    TargetNotFound
+    StarsUnnamed
         When too little of a tag is seen, it is another one, or two places would do.
     """
     nodes = grown.nodes()
@@ -156,7 +156,7 @@ def number_by_tag(
         what = "what is seen of the tag fits in more than one way."
     else:
         return found[0][1]
-    raise TargetNotFound(
+    raise StarsUnnamed(
         f"{len(nodes)} stars are in the image, but {what}",
         where=f"view {name}",
         remedy="Turn the camera so that more of the tag is in view, or say where the camera points.",

@@ -296,7 +296,7 @@ def poses(found: Sequence[Json]) -> list[PoseRow]:
                 commanded=_angles(pose.get("commanded_deg"), 3),
                 measured=_angles(pose.get("measured_deg"), 4),
                 moved=_motion(pose.get("measured_deg") or {}, pose.get("measured_after_deg") or {}),
-                stars=number(pose.get("stars")),
+                stars=_stars(pose),
                 rms=number(pose.get("rms_px"), 3),
                 flicker=number(pose.get("flicker_hz"), 6),
                 image=_image(image),
@@ -304,6 +304,11 @@ def poses(found: Sequence[Json]) -> list[PoseRow]:
             )
         )
     return rows
+
+
+def _stars(pose: Json) -> str:
+    """Number of stars of a pose, and what named them where it was not the tag."""
+    return number(pose.get("stars")) + (", named by the gimbal" if pose.get("named_by") == "gimbal" else "")
 
 
 def recordings(found: Sequence[Json]) -> list[RecordingRow]:

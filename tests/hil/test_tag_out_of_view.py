@@ -1,0 +1,75 @@
+"""Poses in which the tag is out of view: named by the gimbal and earlier poses, or refused; and told in the result."""
+
+import json
+
+import pytest
+from running import journal, results, starbench
+
+SEQUENCE = """\
+format: starbench/sequence/1
+name: The tag out of view
+poses:
+  some:
+{poses}
+steps:
+  - light
+  - repeat: {{poses: some, steps: [move, settle, record]}}
+  - light: off
+  - solve
+  - report
+"""
+WITH_TAG = [(-6, 2), (6, 2), (0, -3)]
+WITHOUT = [(0, 8), (13.8, -2)]
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    return tmp_path_factory.mktemp("home")
+
+
+def run(folder, home, poses):
+    lines = "\n".join(f"    - {{pan_deg: {pan}, tilt_deg: {tilt}}}" for pan, tilt in poses)
+    sequence = folder / "poses.yaml"
+    sequence.write_text(SEQUENCE.format(poses=lines))
+    said = starbench(
+        "run", sequence, "-s", "simulated", "--seed", 5, "-o", folder / "run", "--json", home=home
+    )
+    return said, folder / "run"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, home):
+    said, folder = run(tmp_path_factory.mktemp("named"), home, [*WITH_TAG, *WITHOUT])
+    assert said.returncode == 0, said.stderr
+    return json.loads(said.stdout), folder
+
+
+def test_poses_without_the_tag_calibrate_and_the_result_says_what_named_their_stars(finished):
+    told, folder = finished
+    poses = results(folder)["poses"]
+    assert [pose["named_by"] for pose in poses] == ["tag"] * 3 + ["gimbal"] * 2
+    assert min(pose["stars"] for pose in poses) > 60
+    assert max(pose["rms_px"] for pose in poses) < 0.1
+    assert max(abs(row["error_sigmas"]) for row in told["results"]["comparison"]) < 4
+    assert "named by the gimbal" in (folder / "report.html").read_text()
+
+
+def test_motion_is_judged_in_poses_without_the_tag_too(finished):
+    _, folder = finished
+    checked = [line["measured"] for line in journal(folder) if line["event"] == "attempt_checked"]
+    assert all(measured["motion_px"] < 0.05 for measured in checked)
+
+
+def test_looking_at_the_recordings_again_gives_the_same_numbers(finished, home):
+    told, folder = finished
+    again = starbench("calibrate", folder, "--json", home=home)
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["camera"] == told["camera"]
+
+
+def test_without_earlier_poses_that_show_the_tag_the_stars_stay_unnamed(tmp_path, home):
+    said, folder = run(tmp_path, home, [WITHOUT[0], *WITH_TAG])
+    assert said.returncode == 1
+    assert "stars are in the image, but no readable part of the tag is" in said.stderr
+    assert "Begin with poses that have the tag in view" in said.stderr
+    assert not any(line["accepted"] for line in journal(folder) if line["event"] == "attempt_checked")
