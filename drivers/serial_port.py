@@ -104,6 +104,7 @@ class SerialPort:
         """Unlock and close; never raises, since a port that is gone is closed already."""
         if not self._serial.is_open:
             return
+        line = getattr(self._serial, "_socket", None)
         try:
             descriptor = _descriptor(self._serial)
             if descriptor is not None:
@@ -111,6 +112,8 @@ class SerialPort:
             self._serial.close()
         except _LOST:
             self._lost = True
+        if line is not None:  # pyserial leaves one open whose other end hung up
+            line.close()
 
     def _read_slice(self, may_wait: bool) -> bytes:
         data = b""

@@ -268,42 +268,74 @@ def test_threads_take_turns_on_one_line(plug, port) -> None:
     assert wrong == []
 
 
-class DeviceServer:
-    """A serial device server as RFC 2217 has it, with a plug that returns what is sent to it."""
+class PtyPort(serial.Serial):
+    """A pseudo-terminal has no modem lines that a server could set or look at."""
 
-    def __init__(self) -> None:
+    def _update_rts_state(self) -> None:
+        """Nothing to set."""
+
+    def _update_dtr_state(self) -> None:
+        """Nothing to set."""
+
+    cts = dsr = ri = cd = False
+
+
+class DeviceServer:
+    """A serial device server as RFC 2217 has it, before a plug that returns what is sent to it, or another port."""
+
+    def __init__(self, behind: str = "") -> None:
         self.listening = socket.create_server(("127.0.0.1", 0))
         self.address = f"rfc2217://127.0.0.1:{self.listening.getsockname()[1]}"
-        self.device = serial.serial_for_url("loop://", timeout=0.05)
+        self.device = (
+            PtyPort(behind, timeout=0.05) if behind else serial.serial_for_url("loop://", timeout=0.05)
+        )
+        self.client = None
         self.thread = threading.Thread(target=self.serve, daemon=True)
         self.thread.start()
 
     def serve(self) -> None:
         self.client, _ = self.listening.accept()
-        self.client.settimeout(0.05)
+        self.client.settimeout(0.01)
         manager = serial.rfc2217.PortManager(self.device, self)
-        while True:
-            try:
-                data = self.client.recv(1024)
-            except TimeoutError:
-                continue
-            if not data:
-                return
-            self.device.write(b"".join(manager.filter(data)))
-            if waiting := self.device.in_waiting:
-                self.client.sendall(b"".join(manager.escape(self.device.read(waiting))))
+        try:
+            while True:
+                try:
+                    data = self.client.recv(1024)
+                except TimeoutError:
+                    data = b""
+                else:
+                    if not data:
+                        return
+                self.device.write(b"".join(manager.filter(data)))
+                if waiting := self.device.in_waiting:
+                    self.client.sendall(b"".join(manager.escape(self.device.read(waiting))))
+        except OSError:  # the device behind is gone, or we hung up
+            self.client.close()
 
     def write(self, data: bytes) -> None:
         self.client.sendall(data)
 
+    def hang_up(self) -> None:
+        self.client.shutdown(socket.SHUT_RDWR)
+
     def close(self) -> None:
         self.thread.join(5.0)
+        assert not self.thread.is_alive()
         self.client.close()
         self.listening.close()
         self.device.close()
 
 
-@pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial 3.5 calls them
+of_pyserial = pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # it calls them
+
+
+def again_and_again(act) -> None:
+    for _ in range(200):
+        act()
+        time.sleep(0.02)
+
+
+@of_pyserial
 def test_a_device_server_serves_as_a_port_and_takes_its_baud_rate() -> None:
     server = DeviceServer()
     try:
@@ -314,6 +346,37 @@ def test_a_device_server_serves_as_a_port_and_takes_its_baud_rate() -> None:
             data += port.read(5.0)
         assert data == b"there and back\n"
         assert server.device.baudrate == 19200
+        port.close()
+    finally:
+        server.close()
+
+
+@of_pyserial
+@pytest.mark.parametrize("act", [lambda port: port.read(5.0), lambda port: port.write(b"x" * 4096)])
+def test_a_device_server_that_hangs_up_is_a_lost_port(act) -> None:
+    server = DeviceServer()
+    try:
+        port = SerialPort(server.address, baudrate=19200)
+        server.hang_up()
+        began_s = time.monotonic()
+        with pytest.raises(PortLost):
+            again_and_again(lambda: act(port))
+        assert time.monotonic() - began_s < 10.0
+        port.close()
+    finally:
+        server.close()
+
+
+@of_pyserial
+def test_a_device_pulled_out_behind_its_server_is_a_lost_port(plug) -> None:
+    server = DeviceServer(str(plug.link))
+    try:
+        port = SerialPort(server.address, baudrate=115200)
+        port.write(b"to the device\n")
+        assert os.read(plug.ours, 100) == b"to the device\n"
+        plug.unplug()
+        with pytest.raises(PortLost):
+            read_on(port)
         port.close()
     finally:
         server.close()
