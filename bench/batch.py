@@ -25,12 +25,12 @@ from bench.folder_lock import hold_folder
 from bench.history import replay
 from bench.journal import Journal, read_journal
 from bench.run_folder import JOURNAL, is_sealed
-from bench.schedule import Item, choose
+from bench.schedule import NEVER_S, Item, choose
 from bench.storage import make_folder, storing, sync_folder, write_whole
 from bench.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.unsynced_journal import UnsyncedJournal
 from sequences.queue import Queue
-from sequences.reader import Located
+from sequences.reader import Located, check_document
 
 QUEUE_COPY = "queue.yaml"
 RUNS = "runs"
@@ -74,6 +74,7 @@ class Batch:
         self._queue, self._clock, self._say = queue, clock, say
         self._work = work or self._in_a_process
         self._rehearsal = rehearsal
+        self._look_s = NEVER_S if rehearsal else LOOK_S
         self._record = BatchRecord(queue.value)
         self._lock = threading.RLock()
 
@@ -122,8 +123,8 @@ class Batch:
         for entry in self._journal.entries:
             self._record.take(entry)
         if self._record.begun is None:
-            said = {"rehearsal": True} if self._rehearsal else {}
-            self._tell(BatchEvent.BEGUN, queue=self._queue.value.name, **said)
+            said: dict[str, Any] = {"rehearsal": True} if self._rehearsal else {}
+            self._tell(BatchEvent.BEGUN, queue=self._queue.value.name, files=self._files(), **said)
         if self._record.rehearsal != self._rehearsal:
             raise RunFolderError(
                 "A rehearsed batch and a real one never go on in one folder.",
@@ -139,6 +140,13 @@ class Batch:
         finally:
             desk.close()
         self._tell(BatchEvent.ENDED, how=how, why=why)
+
+    def _files(self) -> dict[str, str]:
+        """Say which files the queue means by the names in it, where it does not name them in full."""
+        written = check_document(self._queue.text, QUEUE_COPY, Queue).value
+        pairs = zip(written.jobs, self._queue.value.jobs, strict=True)
+        names = [(w, f) for a, b in pairs for w, f in ((a.sequence, b.sequence), (a.station, b.station))]
+        return {said: meant for said, meant in names if said != meant}
 
     def _tell(self, event: BatchEvent, **data: Any) -> None:
         with self._lock:
@@ -176,7 +184,7 @@ class Batch:
                     if not told_wait:
                         self._say(f"waiting until {self._time_after(found)}")
                     told_wait = True
-                    self._clock.sleep(min(found + 0.01, LOOK_S))
+                    self._clock.sleep(min(found + 0.01, self._look_s))
                     continue
                 told_wait = False
                 self._one(found)

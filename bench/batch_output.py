@@ -11,23 +11,20 @@ from typing import Any
 
 import click
 
-from bench.agreement import agreements
 from bench.batch_plan import NightPlan, plan_night, read_job, read_queue
-from bench.batch_summary import PAGE, RUNS, read_batch, write_summary
+from bench.batch_summary import PAGE, read_batch, write_summary
 from bench.clock import BenchClock
 from bench.errors import UsageError
-from bench.output import STOPPED, print_json
+from bench.output import STOPPED, print_json, unit_text
 from bench.plan_text import duration_text, size_text
-from bench.run_folder import JOURNAL
-from bench.run_index import read_run
-from bench.run_output import agreement_text
+from bench.report.text import with_uncertainty
 from bench.studies import expected_worth
-from bench.trends import by_camera
 from calib.planning import Forecast
 from sequences.queue import Queue
 
 _SHOWN = ("fx", "cx", "cy", "r")
 _MOST_LINES = 80
+_K = 2.0
 
 
 def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
@@ -59,17 +56,28 @@ def show_summary(folder: Path, summary: Mapping[str, Any], *, as_json: bool) -> 
     for item in summary["items"]:
         why = f": {item['why']}" if item["why"] else ""
         click.echo(f"  {item['item']:<30} {item['how']:<10} {item['attempts']} attempts{why}")
-    _tell_cameras(folder, summary)
+    for camera in summary["cameras"]:
+        for line in _trend_lines(camera):
+            click.echo(line)
     click.echo(f"Summary: {folder / PAGE}")
     return status
 
 
-def _tell_cameras(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Tell how each camera's parameters went, where more than one run has a result."""
-    done = [folder / RUNS / item["item"] for item in summary["items"] if item["how"] == "finished"]
-    for of_camera in by_camera([read_run(run) for run in done if (run / JOURNAL).is_file()]).values():
-        if len(of_camera) > 1:
-            click.echo(agreement_text(of_camera, agreements(of_camera)))
+def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
+    """Tell how a camera's parameters went, where more than one run has a result."""
+    lines = []
+    for trend in camera["parameters"]:
+        mean, expanded = with_uncertainty(trend["mean"], _K * trend["sigma"])
+        unit = unit_text(trend["name"])
+        line = f"  {trend['name']:<3} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
+        if trend["per_hour"] is not None:
+            slope, its_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])
+            line += f"  {slope:>10} ± {its_u} per hour{'  CHANGES' if trend['per_hour']['seen'] else ''}"
+        lines.append(line)
+    if lines:
+        head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with k = 2:"
+        lines.insert(0, head)
+    return lines
 
 
 def show_batch_status(folder: Path, *, follow: bool, as_json: bool) -> int:

@@ -5,6 +5,7 @@ Time is the schedule's own (`bench.schedule`), fed with the plan of every run; n
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -12,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import ScriptError
-from bench.plan import SHIPPED_SEQUENCES, Plan, load, plan
+from bench.plan import Plan, load, plan
 from bench.schedule import Bounds, Item, Slot, bounds_of, items_of, look_ahead
-from bench.station import SHIPPED as SHIPPED_STATIONS
 from sequences.errors import DocumentFaults
 from sequences.queue import JobFile, JobWords, Queue
-from sequences.reader import Located, find_document, read_document
+from sequences.reader import Located, read_document
 
 _HEAD_BYTES = 4096
 WORKER_S = 2.5
@@ -35,7 +35,7 @@ def is_queue(name: str) -> bool:
 
 
 def read_queue(path: Path) -> Located[Queue]:
-    """Read a queue file, and everything it names.
+    """Read a queue file, and everything it names; its jobs then name their files in full, shipped ones aside.
 
     Raises
     ------
@@ -43,9 +43,11 @@ def read_queue(path: Path) -> Located[Queue]:
         With every fault of the queue, or of the sequences and stations in it.
     """
     try:
-        queue = read_document(path, Queue)
+        read = read_document(path, Queue)
     except DocumentFaults as error:
         raise ScriptError([str(fault) for fault in error.faults]) from error
+    jobs = [_in_full(job, path.parent) for job in read.value.jobs]
+    queue = dataclasses.replace(read, value=read.value.model_copy(update={"jobs": jobs}))
     pairs = {(job.sequence, job.station): job for job in queue.value.jobs}
     faults = [fault for job in pairs.values() for fault in job_faults(job)]
     if faults:
@@ -62,15 +64,21 @@ def read_job(path: Path) -> JobWords:
         With every fault.
     """
     try:
-        job = read_document(path, JobFile).value.words()
+        job = _in_full(read_document(path, JobFile).value.words(), path.parent)
     except DocumentFaults as error:
         raise ScriptError([str(fault) for fault in error.faults]) from error
     if faults := job_faults(job):
         raise ScriptError(faults)
+    return job
+
+
+def _in_full(job: JobWords, base: Path) -> JobWords:
+    """Name the files of a job so that they are found from anywhere: beside the file that names them, or from here."""
     names = {}
-    for key, shipped in (("sequence", SHIPPED_SEQUENCES), ("station", SHIPPED_STATIONS)):
-        found = find_document(getattr(job, key), shipped)
-        if found.parent != shipped:
+    for key in ("sequence", "station"):
+        said = Path(getattr(job, key))
+        found = next((path for path in (base / said, said) if path.is_file()), None)
+        if found is not None:
             names[key] = str(found.resolve())
     return job.model_copy(update=names)
 

@@ -137,7 +137,15 @@ class BatchRecord:
             case BatchEvent.BEGUN:
                 self.begun, self.bounds = now, bounds_of(self.queue, now)
                 self.rehearsal = bool(data.get("rehearsal", False))
-                self._add(items_of(self.queue.jobs, now, self.bounds.opens_s, self.queue.zone))
+                files = data.get("files", {})
+                self._add(
+                    items_of(
+                        [_meant(job, files) for job in self.queue.jobs],
+                        now,
+                        self.bounds.opens_s,
+                        self.queue.zone,
+                    )
+                )
             case BatchEvent.ITEM_BEGUN:
                 key = data["item"]
                 self._count_try(key, data.get("recorded", 0))
@@ -184,6 +192,12 @@ class BatchRecord:
         """Give seconds after the begin as a moment."""
         assert self.begun is not None
         return self.begun + timedelta(seconds=at_s)
+
+
+def _meant(job: JobWords, files: Mapping[str, str]) -> JobWords:
+    """Name a job's files as the batch was begun with."""
+    names = {key: files.get(getattr(job, key), getattr(job, key)) for key in ("sequence", "station")}
+    return job.model_copy(update=names)
 
 
 def replay_batch(queue: Queue, entries: Iterable[Entry]) -> BatchRecord:

@@ -1,10 +1,13 @@
 """Rehearses a whole batch on a virtual clock, in this process: ten hours pass in less than a minute.
 
-The same queue, schedule, steps, journals and summary as a batch's; see `bench.rehearsal` for what is left out.
+The same queue, schedule, steps, journals and summary as a batch's; see `bench.rehearsal` for what is left out. It is
+written in memory where the system has a place there, and put in its folder as a whole: nothing is worth a sync.
 """
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -15,11 +18,14 @@ from bench.batch_plan import WORKER_S
 from bench.clock import VirtualClock
 from bench.errors import BenchError, RunFolderError
 from bench.rehearsal import rehearse_run
-from bench.run_folder import JOURNAL
 from bench.schedule import Item
+from bench.storage import make_folder, storing
 from bench.supervisor import WorkerEnd
 from sequences.queue import Queue
 from sequences.reader import Located
+
+_IN_MEMORY = "/dev/shm"  # noqa: S108 - a place in memory, not a name of a file
+_ROOM_BYTES = 1_000_000_000
 
 
 def rehearse_batch(
@@ -48,15 +54,37 @@ def rehearse_batch(
     Raises
     ------
     RunFolderError
-        When the folder holds a batch: a rehearsal is not gone on with.
+        When the folder is not empty: a rehearsal is not gone on with.
     StorageError
         When the disk does not take it.
     """
-    if (folder / JOURNAL).exists():
-        raise RunFolderError(
-            "There is a batch in this folder.", where=str(folder), remedy="Choose another --output."
-        )
-    clock = VirtualClock(begin)
+    make_folder(folder)
+    with storing(folder):
+        if any(folder.iterdir()):
+            raise RunFolderError(
+                "The folder is not empty; a rehearsal is not gone on with.",
+                where=str(folder),
+                remedy="Choose another --output.",
+            )
+    with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=_memory()) as place:
+        summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say)
+        with storing(folder):
+            shutil.copytree(place, folder, dirs_exist_ok=True)
+    return summary
+
+
+def _memory() -> str | None:
+    """Name a folder that lies in memory, where there is one with room; None for the usual one."""
+    try:
+        roomy = shutil.disk_usage(_IN_MEMORY).free > _ROOM_BYTES
+    except OSError:
+        return None
+    return _IN_MEMORY if roomy else None
+
+
+def _rehearse(
+    queue: Located[Queue], folder: Path, clock: VirtualClock, seed: int, say: Callable[[str], None]
+) -> dict[str, Any]:
 
     def work(item: Item, run: Path, _log: Path) -> WorkerEnd:
         clock.sleep(WORKER_S)

@@ -22,10 +22,10 @@ from bench.run_folder import JOURNAL, is_sealed
 from bench.storage import make_folder, storing
 
 INDEX = "runs.sqlite3"
-VERSION = 1
+VERSION = 2
 _COLUMNS = (
-    "id", "sequence", "station", "camera", "operator", "simulated", "begun_utc", "ended", "accepted", "deviations",
-    "temperature_c", "model", "rms_px",
+    "id", "sequence", "station", "camera", "operator", "simulated", "begun_utc", "ended", "accepted", "recordings",
+    "deviations", "temperature_c", "model", "rms_px",
 )  # fmt: skip
 _SCHEMA = f"""
 CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, {", ".join(_COLUMNS)}) WITHOUT ROWID;
@@ -51,8 +51,9 @@ class IndexedRun:
         ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``.
     sealed
         Whether it carries a seal.
-    accepted, deviations
-        How many poses are recorded, and how often it went otherwise than the sequence says.
+    accepted, recordings, deviations
+        How many poses are recorded, how many recordings that took, those that were lost included, and how often it
+        went otherwise than the sequence says.
     temperature_c
         Of the camera, mean of the accepted recordings; None where it tells none.
     model, rms_px
@@ -72,6 +73,7 @@ class IndexedRun:
     how: str
     sealed: bool
     accepted: int
+    recordings: int
     deviations: int
     temperature_c: float | None
     model: str | None
@@ -261,6 +263,7 @@ def _facts(history: History, folder: Path) -> dict[str, Any]:
         "begun_utc": history.started_utc,
         "ended": history.ended,
         "accepted": len(history.accepted()),
+        "recordings": len(history.attempts) + sum(history.lost.values()),
         "deviations": len(history.deviations),
         "temperature_c": _temperature_c(history),
         "model": solved.get("model"),

@@ -34,10 +34,9 @@ def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
 
 def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
     """Say how a run stands; with ``follow`` again after every change, and with the run's own exit status."""
+    from bench.batch_summary import is_batch
     from bench.status import follow as look_again
     from bench.status import read_status, status_text
-
-    from bench.batch_summary import is_batch
 
     if is_batch(folder):
         from bench.batch_output import show_batch_status
@@ -94,7 +93,7 @@ def show_runs(
             told |= {"compared": [a.to_dict() for a in compared], "of": [run.folder for run in solved]}
         print_json({**told, "faults": faults})
         return 1 if faults else 0
-    click.echo(agreement_text(solved, compared) if compared is not None else _runs_text(found))
+    click.echo(_agreement_text(solved, compared) if compared is not None else _runs_text(found))
     for fault in faults:
         click.echo(f"FAULT: {fault}", err=True)
     return 1 if faults else 0
@@ -129,8 +128,7 @@ def _runs_text(runs: Sequence[IndexedRun]) -> str:
     return "\n".join(lines)
 
 
-def agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> str:
-    """Lay out how each parameter of some runs compares with their mean."""
+def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> str:
     lines = [f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model; ± is 1 sigma."]
     for parameter in compared:
         mean, sigma = with_uncertainty(parameter.mean, parameter.sigma)

@@ -16,8 +16,8 @@ from typing import Any
 from bench.agreement import agreement
 from bench.run_index import IndexedRun
 
-SEEN_SIGMAS = 3.0
-"""A slope of more standard uncertainties than that is seen: by chance one in 370 is."""
+SEEN_SIGMAS = 3.5
+"""A slope of more standard uncertainties than that is seen: by chance one in 2000 is, of some twenty looked at."""
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ class RunRow(NamedTuple):
     took: str
     camera: str
     poses: str
+    recordings: str
     attempts: str
     deviations: str
     temperature: str
@@ -133,7 +134,7 @@ def _figures(summary: Json) -> list[tuple[str, str]]:
         (f"{by_end.get('finished', 0)} of {totals['runs']}", "runs with a result"),
         (str(without), "without one"),
         (str(by_end.get("not begun", 0)), "not begun"),
-        (number(totals["poses"]), "poses recorded"),
+        (number(totals["poses"]), f"poses, by {number(totals['recordings'])} recordings"),
         (str(totals["deviations"]), "deviations from the sequences"),
         (duration(3600.0 * totals["hours"]), f"in all, {duration(3600.0 * totals['working_hours'])} at work"),
     ]
@@ -150,6 +151,7 @@ def _row(item: Json, zone: tzinfo | None) -> RunRow:
         duration(item["took_s"]) if item["took_s"] is not None else NOTHING,
         item["camera"] or NOTHING,
         f"{item['accepted']}{poses}",
+        str(item["recordings"]),
         str(item["attempts"]),
         str(item["deviations"] or NOTHING),
         fixed(item["temperature_c"], 1),
@@ -244,7 +246,7 @@ def _verdict(trends: Sequence[Json], runs: int) -> str:
     scattered = [t["name"] for t in trends if t["birge"] > _BIRGE_SCATTERED and t["name"] not in moving]
     said = []
     if moving:
-        said.append(f"{', '.join(moving)} changed over the night by more than three standard uncertainties")
+        said.append(f"{', '.join(moving)} changed over the night by more than 3.5 standard uncertainties")
     if scattered:
         said.append(f"{', '.join(scattered)} scattered more than the stated uncertainties say")
     if not said:

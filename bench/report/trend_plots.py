@@ -26,6 +26,8 @@ _K = 2.0
 _WIDTH_IN, _ROW_IN = 11.6, 2.05
 _COLUMNS = 3
 _MOST_TICKS = 8
+_BEFORE = 0.02
+"""Of the span: an axis of times begins so much before the first, where a round time of day lies there."""
 _POINT, _LINE_COLOUR = POSE_COLOURS[0], POSE_COLOURS[1]
 END_COLOURS = {
     "finished": "#2a8c5f",
@@ -166,7 +168,13 @@ def _key(figure: Figure) -> None:
         Line2D([], [], color=_POINT, marker="o", markersize=4, linewidth=0.9, label="a run, ± U (k = 2)"),
         Line2D([], [], color=MUTED, linewidth=0.8, label="weighted mean"),
         Patch(color="#dbe6f0", label="its U"),
-        Line2D([], [], color=_LINE_COLOUR, linewidth=1.8, label="trend, where it exceeds 3 standard uncertainties"),
+        Line2D(
+            [],
+            [],
+            color=_LINE_COLOUR,
+            linewidth=1.8,
+            label="trend, where it exceeds 3.5 standard uncertainties",
+        ),
     ]
     figure.legend(handles=handles, loc="outside upper left", ncols=4, frameon=False)
 
@@ -180,7 +188,7 @@ def _clock(axes: Axes, begin: datetime, last_h: float) -> None:
     step_h = next((s for s in (0.25, 0.5, 1, 2, 3, 6, 12, 24) if last_h / s <= _MOST_TICKS), 48.0)
     midnight = begin.replace(hour=0, minute=0, second=0, microsecond=0)
     since_h = _hours(begin, midnight)
-    number = math.ceil(since_h / step_h)
+    number = math.ceil((since_h - _BEFORE * last_h) / step_h)
     ticks_h = []
     while number * step_h - since_h <= last_h + 1e-9:
         ticks_h.append(number * step_h - since_h)
