@@ -26,7 +26,6 @@ HEADER: Final = struct.Struct("<cI")
 """Frame header: type and payload length."""
 LONGEST_REQUEST: Final = 65536
 FIRMWARE: Final = "4.2.0-simulated"
-TEMPERATURE_C: Final = 41.5
 NOMINAL_LUX: Final = 250.0
 """Illumination of the sensor at nominal brightness."""
 MEAN_COVERAGE: Final = 0.5
@@ -291,11 +290,12 @@ class _Connection:
     def _monitor(self, _request: dict[str, Any]) -> dict[str, Any]:
         """Temperature, mean illumination, and the refractory time that the biases give."""
         settings = PixelSettings.from_biases(self._biases)
-        light = self._world.light(self._world.now_s())
+        now_s = self._world.now_s()
+        light = self._world.light(now_s)
         driven = light.low + (light.high - light.low) * light.high_share
         mean = settings.ambient + MEAN_COVERAGE * driven
         return {
-            "temperature_c": TEMPERATURE_C,
+            "temperature_c": self._world.temperature_c(now_s),
             "illumination_lux": round(NOMINAL_LUX * mean, 3),
             "pixel_dead_time_us": round(settings.dead_us, 3),
         }

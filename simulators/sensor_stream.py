@@ -2,10 +2,11 @@
 
 Brings the world, the optics, the pixels and the words together, 2 ms of sensor time a frame. Knows no socket.
 
-A stream's content is a function of the seed, the resting pose, the light's and the camera's settings, and of
-how many streams were taken at exactly these before: the moment at which it was asked for does not enter. For
-the light to go on as one physical clock all the same, the sensor starts a little after it is asked to, by up
-to a period of the light, when the light has just the phase that the seed has drawn.
+A stream's content is a function of the seed, the resting pose, the light's and the camera's settings (where they
+are simulated, of the camera's warmth and of how far the mount has crept), and of how many streams were taken at
+exactly these before: the moment at which it was asked for does not enter. For the light to go on as one physical
+clock all the same, the sensor starts a little after it is asked to, by up to a period of the light, when the light
+has just the phase that the seed has drawn.
 """
 
 from __future__ import annotations
@@ -15,22 +16,22 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators import optics
+from simulators import mount, optics, temperature
 from simulators.biases import FACTORY, PixelSettings
 from simulators.event_filters import FILTERS, EventFilters
 from simulators.evt3_writer import Evt3Writer
 from simulators.pixels import Sensor
-from simulators.world import LightState, World
+from simulators.world import AxisName, LightState, World
 
 FRAME_US: Final = 2000
 """Sensor time of a frame."""
 MOVING_SUBSAMPLES: Final = 2
-"""A moving picture is blurred by its motion: coarser sampling does."""
+"""A moving picture is blurred by its motion: coarser cells do."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,15 @@ class SensorStream:
         repeat = repeats.get(key, 0)
         repeats[key] = repeat + 1
         seeds = _seed(world.seed, key, repeat)
-        phase = float(np.random.default_rng(seeds).random())
+        rng = np.random.default_rng(seeds)
+        phase = float(rng.random())
+        self._shaking = float(rng.random()), float(rng.random())
         self.start_s = asked_s + ((phase - self._light.phase_at(asked_s)) % 1.0) / self._light.frequency_hz
         self._period_starts_us = -phase * self._light.period_us
         self._now_us = 0
-        self._angles = world.angles_deg(self.start_s)
-        truth = world.truth
+        self._truth = truth = world.truth_at(asked_s)
+        self._crept = mount.crept_arcsec(truth.mount, world.on_s(asked_s))
+        self._angles = self._angles_now()
         width, height = truth.camera.width, truth.camera.height
         self._sensor = Sensor(
             width,
@@ -104,7 +108,7 @@ class SensorStream:
     def _follow_world(self) -> None:
         """Show the sensor what has changed in the world since the last frame: pose or light."""
         now_s = self.covered_s
-        angles = self._world.angles_deg(now_s)
+        angles = self._angles_now()
         light = self._world.light(now_s)
         if angles == self._angles and light == self._light:
             return
@@ -118,11 +122,17 @@ class SensorStream:
         phase = (self._now_us - self._period_starts_us) / light.period_us % 1.0
         self._sensor.change(picture, light, phase, FRAME_US)
 
+    def _angles_now(self) -> Mapping[AxisName, float]:
+        """Angles at which the camera stands, its mount's own motion included."""
+        angles = self._world.angles_deg(self.covered_s)
+        if not mount.moves(self._truth.mount):
+            return angles
+        return mount.disturbed(angles, self._truth.mount, self._crept, self._shaking, self._now_us * 1e-6)
+
     def _picture(self, *, moving: bool) -> NDArray[np.float32]:
         """What the camera sees in the present pose."""
-        truth = self._world.truth
-        rotation = optics.pose_rotation(self._angles, truth.optics)
-        return optics.render(truth, rotation, subsamples=MOVING_SUBSAMPLES if moving else 4)
+        rotation = optics.pose_rotation(self._angles, self._truth.optics)
+        return optics.render(self._truth, rotation, subsamples=MOVING_SUBSAMPLES if moving else 4)
 
     def _edges(self, first_us: int, end_us: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         """Times and values of the light's sync edges that reach the trigger input."""
@@ -147,18 +157,20 @@ def sync_edges(
 
 
 def stream_key(world: World, camera: CameraState, at_s: float) -> str:
-    """What a stream's content is keyed to, as text: resting pose, light, camera settings."""
-    return json.dumps(
-        {
-            "microsteps": dict(world.resting_microsteps(at_s)),
-            "settled": world.is_settled(at_s),
-            "light": world.light(at_s).settings(),
-            "biases": dict(camera.biases),
-            "filters": dict(camera.filters),
-            "trigger_in": camera.trigger_in,
-        },
-        sort_keys=True,
-    )
+    """What a stream's content is keyed to, as text: resting pose, light, camera settings; warmth and creep, if any."""
+    key: dict[str, Any] = {
+        "microsteps": dict(world.resting_microsteps(at_s)),
+        "settled": world.is_settled(at_s),
+        "light": world.light(at_s).settings(),
+        "biases": dict(camera.biases),
+        "filters": dict(camera.filters),
+        "trigger_in": camera.trigger_in,
+    }
+    if temperature.matters(world.truth.thermal):
+        key["temperature_c"] = world.temperature_c(at_s)
+    if mount.moves(world.truth.mount):
+        key["crept"] = mount.crept_arcsec(world.truth.mount, world.on_s(at_s))
+    return json.dumps(key, sort_keys=True)
 
 
 def _seed(seed: int, key: str, repeat: int) -> np.random.SeedSequence:

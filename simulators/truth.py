@@ -1,7 +1,8 @@
 """What is true in the simulated world: the numbers a calibration is to find, and those that disturb it.
 
-Knows the parameters of camera, collimator, optics and sensor noise, their defaults, and how to build
-them from a configuration. Computes nothing with them: that is ``optics`` and ``pixels``.
+Knows the parameters of camera, collimator, optics, sensor noise, warmth and mount, their defaults, and how to
+build them from a configuration. Computes nothing with them: that is for ``optics``, ``pixels``, ``temperature`` and
+``mount``.
 """
 
 from __future__ import annotations
@@ -144,6 +145,65 @@ class NoiseTruth:
     reset_noise: float = 0.01
 
 
+REFERENCE_C: Final = 41.5
+"""Temperature of the camera at which its focal lengths and the lamp's light are as the truth says."""
+
+LAW: Final[Mapping[str, str]] = {
+    "temperature_c": "room_c + room_c_per_h t / 3600 s + self_heating_c (1 - exp(-t / (60 s warm_up_min)))",
+    "t": "seconds since the bench was switched on",
+    "fx, fy": f"times 1 + 1e-6 focal_ppm_per_c (temperature_c - {REFERENCE_C})",
+    "light": f"times 1 + 1e-2 lamp_percent_per_c (temperature_c - {REFERENCE_C})",
+}
+"""What follows from `ThermalTruth`."""
+
+
+@dataclass(frozen=True)
+class ThermalTruth:
+    """How warm the camera is, and what follows it by the `LAW`.
+
+    Attributes
+    ----------
+    room_c, room_c_per_h
+        Temperature of the room when the bench is switched on, and how it changes.
+    self_heating_c, warm_up_min
+        How much warmer than the room the camera gets, and with which time constant; 0: it is warm at once.
+    focal_ppm_per_c
+        Relative change of the focal lengths.
+    lamp_percent_per_c
+        Relative change of the lamp's light, the lamp as warm as the camera.
+    """
+
+    room_c: float = 23.5
+    room_c_per_h: float = 0.0
+    self_heating_c: float = 18.0
+    warm_up_min: float = 0.0
+    focal_ppm_per_c: float = 0.0
+    lamp_percent_per_c: float = 0.0
+
+
+@dataclass(frozen=True)
+class MountTruth:
+    """How the camera's mount moves on its own; see ``mount``.
+
+    Attributes
+    ----------
+    vibration_arcsec, vibration_hz
+        Amplitude of the vibration about the pan and the tilt axis, and its frequency.
+    drift_arcsec_per_min
+        Rates at which pan and tilt creep away.
+    """
+
+    vibration_arcsec: float = 0.0
+    vibration_hz: float = 30.0
+    drift_arcsec_per_min: tuple[float, float] = (0.0, 0.0)
+
+
+CAMERAS: Final[Mapping[str, CameraTruth]] = {
+    "pinhole": CameraTruth(),
+    "fisheye": CameraTruth(fx=1900.0, fy=1900.4, k1=-0.04, k2=0.012, k3=-0.003, projection="fisheye"),
+}
+"""Cameras by the projection of their lens."""
+
 COLLIMATORS: Final[Mapping[str, CollimatorTruth]] = {
     "ideal": CollimatorTruth(),
     "like-real": CollimatorTruth(
@@ -179,17 +239,31 @@ class Truth:
     collimator: CollimatorTruth = field(default_factory=CollimatorTruth)
     optics: OpticsTruth = field(default_factory=OpticsTruth)
     noise: NoiseTruth = field(default_factory=NoiseTruth)
+    thermal: ThermalTruth = field(default_factory=ThermalTruth)
+    mount: MountTruth = field(default_factory=MountTruth)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as plain numbers, by section: what ``truth.json`` holds."""
-        return dataclasses.asdict(self)
+        """Everything as plain numbers, by section: what ``truth.json`` holds.
+
+        A fisheye's coefficients are called kb1 to kb4 there, as by those who estimate them.
+        """
+        values = dataclasses.asdict(self)
+        values["thermal"]["law"] = dict(LAW)
+        if self.camera.projection == "fisheye":
+            renamed = {"k1": "kb1", "k2": "kb2", "k3": "kb3", "k4": "kb4"}
+            values["camera"] = {
+                renamed.get(k, k): v for k, v in values["camera"].items() if k not in ("p1", "p2")
+            }
+        return values
 
 
-_Section = TypeVar("_Section", CameraTruth, CollimatorTruth, OpticsTruth, NoiseTruth)
+_Section = TypeVar(
+    "_Section", CameraTruth, CollimatorTruth, OpticsTruth, NoiseTruth, ThermalTruth, MountTruth
+)
 
 
 def truth_from_config(config: Mapping[str, Any]) -> Truth:
-    """Truth from the sections "camera", "collimator", "optics" and "noise" of a configuration.
+    """Truth from the sections "camera", "collimator", "optics", "noise", "thermal" and "mount" of a configuration.
 
     Every section and every key in it is optional; other sections are not looked at. ``noise`` is the name
     of a level or a mapping, which starts from the typical level; ``collimator`` may be the name of a profile, or
@@ -214,11 +288,27 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
     else:
         level = _section("noise", NoiseTruth(), noise)
     return Truth(
-        camera=_section("camera", CameraTruth(), config.get("camera", {})),
+        camera=_camera(config.get("camera", {})),
         collimator=_collimator(config.get("collimator", {})),
         optics=_section("optics", OpticsTruth(), config.get("optics", {})),
         noise=level,
+        thermal=_section("thermal", ThermalTruth(), config.get("thermal", {})),
+        mount=_section("mount", MountTruth(), config.get("mount", {})),
     )
+
+
+def _camera(given: object) -> CameraTruth:
+    """Read the camera's section: what is not said depends on the kind of lens."""
+    kind = given.get("projection", "pinhole") if isinstance(given, Mapping) else "pinhole"
+    if not isinstance(kind, str) or kind not in CAMERAS:
+        names = ", ".join(CAMERAS)
+        raise ConfigError(f"No lens {kind!r}.", where="camera.projection", remedy=f"Use one of: {names}.")
+    camera = _section("camera", CAMERAS[kind], given)
+    foreign = ("p1", "p2") if kind == "fisheye" else ("k4",)
+    for name in foreign:
+        if getattr(camera, name) != 0.0:
+            raise ConfigError(f"A {kind} lens has no {name}.", where=f"camera.{name}", remedy="Leave it out.")
+    return camera
 
 
 def _collimator(given: object) -> CollimatorTruth:
@@ -254,6 +344,8 @@ def _like(default: object, value: object, where: str) -> object:
         if not isinstance(value, (list, tuple)) or len(value) != len(default):
             raise ConfigError(f"{len(default)} numbers are expected, not {value!r}.", where=where)
         return tuple(_number(v, where) for v in value)
+    if isinstance(default, str):
+        return value  # the projection: looked at before
     number = _number(value, where)
     if isinstance(default, int):
         if number != int(number) or number < 1:
@@ -271,6 +363,9 @@ _NOT_NEGATIVE: Final = {
     "optics.psf_rim_px",
     "optics.black",
     "optics.stray",
+    "thermal.warm_up_min",
+    "mount.vibration_arcsec",
+    "mount.vibration_hz",
     *(f"noise.{f.name}" for f in dataclasses.fields(NoiseTruth)),
 }
 

@@ -12,9 +12,10 @@ import threading
 import time
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
+from simulators import temperature
 from simulators.errors import SimulationMisuse
 from simulators.sync_line import SyncLine
 from simulators.truth import Truth
@@ -174,6 +175,7 @@ class World:
         self.seed = seed
         self.camera_seed = camera_seed
         self._clock = clock
+        self._on_since_s = clock()
         self._lock = threading.Lock()
         self._axes: dict[AxisName, _History[AxisMotion]] = {}
         self._light = _History(LightState())
@@ -224,4 +226,20 @@ class World:
     def light(self, t_s: float) -> LightState:
         """Look up what the light did, or does, at that time."""
         with self._lock:
-            return self._light.at(t_s)
+            state = self._light.at(t_s)
+        share = temperature.brightness(self.truth.thermal, self.temperature_c(t_s))
+        return (
+            state if share == 1.0 else replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
+        )
+
+    def on_s(self, t_s: float) -> float:
+        """Seconds from when the bench was switched on."""
+        return t_s - self._on_since_s
+
+    def temperature_c(self, t_s: float) -> float:
+        """Temperature of the camera at that time."""
+        return temperature.temperature_c(self.truth.thermal, self.on_s(t_s))
+
+    def truth_at(self, t_s: float) -> Truth:
+        """Give the truth as it is at that time: what follows the temperature has followed it."""
+        return temperature.warmed(self.truth, self.temperature_c(t_s))

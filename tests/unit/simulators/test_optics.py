@@ -1,6 +1,7 @@
 """The optics: poses, the camera's distortion, and where and how bright the target appears."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators import optics
-from simulators.truth import CameraTruth, CollimatorTruth, OpticsTruth, Truth
+from simulators.errors import ConfigError
+from simulators.truth import CAMERAS, CameraTruth, CollimatorTruth, OpticsTruth, Truth, truth_from_config
 
 SMALL = CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, k1=0.06, k2=-0.9, width=128, height=72)
 ANGLES = st.floats(-12.0, 12.0)
@@ -33,6 +35,59 @@ def test_stars_lie_where_opencv_projects_them(pan, tilt, roll):
     ids, points = optics.star_centres(truth, rotation)
     expected = reference_projection(optics.TARGET.positions_mm(ids), rotation, truth)
     assert np.abs(points - expected).max(initial=0.0) < 1e-6
+
+
+@given(pan=ANGLES, tilt=ANGLES, roll=st.floats(-180.0, 180.0))
+def test_stars_lie_where_opencv_projects_them_through_a_fisheye(pan, tilt, roll):
+    truth = truth_from_config({"camera": {"projection": "fisheye", "k4": 0.002}})
+    c, col = truth.camera, truth.collimator
+    rotation = optics.pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, truth.optics)
+    ids, points = optics.star_centres(truth, rotation)
+    assert len(ids) > 100
+    target = np.column_stack([optics.TARGET.positions_mm(ids), np.zeros(len(ids))])
+    matrix = np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]])
+    translation = -rotation @ np.array([col.x, col.y, -col.r])
+    expected, _ = cv2.fisheye.projectPoints(
+        target[None], cv2.Rodrigues(rotation)[0], translation, matrix, np.array([c.k1, c.k2, c.k3, c.k4])
+    )
+    np.testing.assert_allclose(points, expected[0], atol=1e-6)
+
+
+def test_a_pixel_of_a_fisheye_sees_the_print_that_is_projected_onto_it():
+    camera = replace(CAMERAS["fisheye"], fx=190.0, fy=190.0, cx=65.0, cy=34.0, width=128, height=72)
+    truth = Truth(
+        camera=camera,
+        optics=OpticsTruth(psf_px=0.0, gradient_x=0.0, gradient_y=0.0, black=0.0),
+        collimator=CollimatorTruth(half_angle_deg=8.0, rim=0.0),
+    )
+    rotation = optics.pose_rotation({"pan": 9.0, "roll": 20.0}, truth.optics)
+    image = optics.render(truth, rotation)
+    lit = image > 0.0
+    _, points = optics.star_centres(truth, rotation)
+    v, u = np.nonzero(lit)
+    assert np.abs([u.mean(), v.mean()] - points.mean(axis=0)).max() < 0.5
+    assert image[lit].mean() == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("section", "where"),
+    [
+        ({"projection": "mirror"}, "camera.projection"),
+        ({"projection": "fisheye", "p1": 0.1}, "camera.p1"),
+        ({"k4": 0.1}, "camera.k4"),
+    ],
+)
+def test_a_lens_that_is_not_to_be_had_is_refused(section, where):
+    with pytest.raises(ConfigError) as error:
+        truth_from_config({"camera": section})
+    assert error.value.where == where
+
+
+def test_the_truth_names_the_coefficients_of_a_fisheye_as_those_do_who_estimate_them():
+    told = truth_from_config({"camera": {"projection": "fisheye", "k1": 0.01}}).to_dict()["camera"]
+    assert told["kb1"] == 0.01
+    assert {"k1", "p1"}.isdisjoint(told)
+    assert Truth().to_dict()["camera"]["k1"] == Truth().camera.k1
 
 
 def test_pose_turns_pan_first_then_tilt_then_roll():
