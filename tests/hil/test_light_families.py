@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from drivers.clock import SystemClock
-from drivers.errors import PortBusy, PortLost, SettingRefused
+from drivers.errors import PortBusy, PortLost, ReplyError, SettingRefused
 from drivers.light import Light, LightSettings
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
@@ -60,7 +60,7 @@ each_in_turn = pytest.mark.parametrize(
 def device(request, tmp_path: Path, states) -> Iterator[tuple[SerialDevice, Callable[[], Light]]]:
     dialect, opened = request.param(states.append)
     with SerialDevice(PseudoTerminal(tmp_path / "light"), dialect) as device:
-        yield device, lambda: opened(device.address, clock=SystemClock())
+        yield device, lambda **more: opened(device.address, clock=SystemClock(), **more)
 
 
 @pytest.fixture
@@ -113,6 +113,14 @@ def test_opening_and_closing_switch_nothing(device, states) -> None:
         assert again.is_on()
         assert again.read().frequency_hz == pytest.approx(50.0, rel=1e-6)
     assert states[-1].output
+
+
+@each_in_turn
+def test_a_wrong_baud_rate_is_told_and_switches_nothing(device, states) -> None:
+    with pytest.raises(ReplyError):
+        device[1](baudrate=38400)
+    assert not any(state.output for state in states)
+    device[1]().close()
 
 
 @each_in_turn

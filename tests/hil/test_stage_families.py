@@ -23,6 +23,7 @@ from drivers.errors import (
     ReplyError,
     WrongDevice,
 )
+from drivers.serial_port import SerialPort
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
@@ -108,7 +109,7 @@ def ximc(plug: Callable) -> Rig:
     }
     plugged = {name: plug(controller) for name, controller in controllers.items()}
 
-    def opened(serial: str = "100101") -> Stage:
+    def opened(serial: str = "100101", baudrate: int = 115200) -> Stage:
         axes = [
             XimcAxis(
                 name=name,
@@ -120,7 +121,10 @@ def ximc(plug: Callable) -> Rig:
             )
             for name, (device, _) in plugged.items()
         ]
-        return XimcStage.open(axes, clock=SystemClock())
+        if baudrate == 115200:
+            return XimcStage.open(axes, clock=SystemClock())
+        ports = [SerialPort(axis.port, baudrate=baudrate, stopbits=2) for axis in axes]
+        return XimcStage(ports, axes, clock=SystemClock())
 
     devices, lines = zip(*plugged.values(), strict=True)
     return Rig(opened, list(devices), list(lines), {n: c.axis for n, c in controllers.items()}, controllers)
@@ -136,14 +140,14 @@ def grbl(plug: Callable) -> Rig:
     board = GrblController(models, time.monotonic)
     device, line = plug(board)
 
-    def opened(serial: str = "") -> Stage:
+    def opened(serial: str = "", baudrate: int = 115200) -> Stage:
         axes = [
             GrblAxis(
                 name=name, letter=letter, steps_per_deg=640.0, zero_deg=ENDS[name] + 1.0, limits=LIMITS[name]
             )
             for letter, name in (("X", "pan"), ("Y", "tilt"))
         ]
-        return GrblStage.open(device.address, axes, serial=serial, clock=SystemClock())
+        return GrblStage.open(device.address, axes, serial=serial, baudrate=baudrate, clock=SystemClock())
 
     controllers = {"pan": BoardAxis(board, "X"), "tilt": BoardAxis(board, "Y")}
     return Rig(opened, [device], [line], {n: c.axis for n, c in controllers.items()}, controllers)
@@ -157,12 +161,12 @@ def esp(plug: Callable) -> Rig:
     controller = EspController(models, time.monotonic)
     device, line = plug(controller)
 
-    def opened(serial: str = "100101") -> Stage:
+    def opened(serial: str = "100101", baudrate: int = 19200) -> Stage:
         axes = [
             EspAxis(name=name, number=number, serial=serial if name == "pan" else "", limits=LIMITS[name])
             for number, name in ((1, "pan"), (2, "tilt"))
         ]
-        return EspStage.open(device.address, axes, clock=SystemClock())
+        return EspStage.open(device.address, axes, baudrate=baudrate, clock=SystemClock())
 
     controllers = {"pan": controller.axes[1], "tilt": controller.axes[2]}
     return Rig(opened, [device], [line], {n: c.axis for n, c in controllers.items()}, controllers)
@@ -377,7 +381,7 @@ def test_an_unplugged_stage_is_lost_and_comes_back_without_moving(rig, homed) ->
     assert after == pytest.approx(before, abs=1e-4)
 
 
-@pytest.mark.parametrize("rig", ["zaber"], indirect=True)
+@each_in_turn
 def test_a_wrong_baud_rate_is_told_and_moves_nothing(rig) -> None:
     assert isinstance(bounded(lambda: rig.open(baudrate=9600)), ReplyError)
     assert rig.axes["pan"].pointing.angle_deg(time.monotonic()) == pytest.approx(STARTS["pan"], abs=1e-6)
