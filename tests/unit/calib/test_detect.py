@@ -153,6 +153,42 @@ def test_noise_that_frame_cameras_have_is_told_by_the_covariances():
     assert 0.75 < np.sqrt(squares.mean()) < 1.3
 
 
+def photograph(image, rng, *, bits, electrons=4000, gamma=1.0, contrast=1.0):
+    """What a frame camera makes of an image: shot and read noise, a tone curve, so many bits."""
+    light = 0.06 + contrast * 0.7 * image + (1 - contrast) * 0.35
+    counted = (rng.poisson(light * electrons) + 8 * rng.standard_normal(image.shape)) / electrons
+    grey = np.clip(counted, 0, 1) ** gamma * (2**bits - 1)
+    return np.round(grey).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize(
+    ("settings", "rms_px"),
+    [
+        ({}, 0.008),
+        ({"gamma": 1 / 2.2}, 0.008),
+        ({"electrons": 400}, 0.016),
+        ({"contrast": 0.15}, 0.02),
+    ],
+    ids=["plain", "gamma", "dark", "dull"],
+)
+def test_photographs_do_as_well_as_their_noise_lets_them(bits, settings, rms_px):
+    scene, image = drawn(roll=37)
+    shown = photograph(image, np.random.default_rng(6), bits=bits, **settings)
+    squares = check(detect(shown, TARGET), scene, rms_px=rms_px)
+    assert 0.75 < np.sqrt(squares.mean()) < 1.6
+
+
+@pytest.mark.parametrize(("blur", "rms_px"), [(1.5, 0.012), (2.5, 0.03)])
+def test_photographs_out_of_focus_are_told_by_the_covariances(blur, rms_px):
+    scene, image = drawn(roll=37)
+    blurred = cv2.GaussianBlur(image, (0, 0), blur)
+    squares = check(
+        detect(photograph(blurred, np.random.default_rng(7), bits=8), TARGET), scene, rms_px=rms_px
+    )
+    assert 0.75 < np.sqrt(squares.mean()) < 1.6
+
+
 def test_stars_cut_by_the_discs_rim_are_left_out():
     scene = Scene(roll=31, disc_px=240)
     view = detect(scene.draw(), TARGET)
