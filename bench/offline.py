@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self, cast, get_args
 
-import cv2
 import numpy as np
 
 from bench.captures import stored_captures
@@ -34,8 +33,9 @@ from calib.errors import CalibrationError, TooFewStars
 from calib.rim import mistrust_rim
 from calib.target import StarTarget
 from calib.view import View
+from drivers.camera.frames import mean_frame
 from drivers.camera.raw_file import RawFile
-from drivers.errors import RecordingCorrupt
+from drivers.errors import RecordingCorrupt, RecordingFileError
 from sequences.schema import ImageKind
 from sequences.script import RecordStep
 
@@ -233,7 +233,8 @@ def _refuse_cut_off(path: Path) -> None:
     run = path.resolve().parent.parent
     name = path.resolve().relative_to(run).as_posix()
     told = stored_captures(read_journal(run / JOURNAL)[0]) if (run / JOURNAL).is_file() else {}
-    if RawFile.open(path).truncated or (name in told and told[name].size != size):
+    half_a_word = path.suffix.lower() in RECORDINGS and RawFile.open(path).truncated
+    if half_a_word or (name in told and told[name].size != size):
         whole = f"; {told[name].size} were recorded" if name in told else ", in the middle of a word"
         raise RecordingCorrupt(
             f"The recording is cut off{whole}.",
@@ -280,13 +281,11 @@ def _view(found: Measurement, path: Path) -> View:
 
 
 def _view_of_photograph(path: Path, choices: Choices) -> View:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise BenchError(
-            "It cannot be read as an image.", where=str(path), remedy="Give PNG, TIFF, JPEG or BMP."
-        )
-    grey = image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
-    return mistrust_rim(detect(np.asarray(grey), choices.target, name=path.stem), choices.target)
+    try:
+        picture = mean_frame(path)
+    except RecordingFileError as error:
+        raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
+    return mistrust_rim(detect(picture, choices.target, name=path.stem), choices.target)
 
 
 def _one_size(views: Sequence[View]) -> list[View]:

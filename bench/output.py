@@ -137,7 +137,8 @@ def show_verification(verification: Verification, *, as_json: bool) -> int:
         )
         if verification.run_id is not None:
             simulated = " SIMULATED devices." if verification.simulated else ""
-            click.echo(f"Run {verification.run_id}, camera {verification.camera_serial}.{simulated}")
+            camera = verification.camera_serial or "without number"
+            click.echo(f"Run {verification.run_id}, camera {camera}.{simulated}")
         for remark in verification.remarks:
             click.echo(f"Not checked: {remark}.")
     else:

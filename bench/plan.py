@@ -16,7 +16,7 @@ from typing import Any
 from bench.errors import ScriptError
 from bench.script_check import angle_faults, check_script
 from bench.station import Station, load_station
-from bench.station_devices import AxisWords
+from bench.station_devices import AxisWords, FrameCameraWords
 from sequences.errors import DocumentFaults, Fault
 from sequences.flatten import unfold
 from sequences.reader import Located, find_document, read_document
@@ -53,6 +53,9 @@ REPORT_S = 0.5
 RECORDING_BYTES_PER_S = 35e6
 """A lit target under a square flicker; a camera's link carries some five times as much."""
 MOST_BYTES_PER_EVENT = 4
+PICTURE_S = 0.04
+PICTURE_SIZE = (1280, 720)
+"""Of a frame camera, where the station's ``expected`` section does not say."""
 POSE_BYTES = 200_000
 """A pose's share of pictures, stars and logs."""
 REPORT_BYTES = 1_000_000
@@ -252,6 +255,9 @@ class _Estimate:
     def __init__(self, station: Station) -> None:
         self.size_bytes = self.most_bytes = REPORT_BYTES
         self._axes: Mapping[str, AxisWords] = station.axes
+        camera = station.camera
+        self._pictures = camera.pictures if isinstance(camera, FrameCameraWords) else 0
+        self._picture_bytes = math.prod(station.expected.image_size if station.expected else PICTURE_SIZE)
         self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
         self._frequency_hz: float | None = None
 
@@ -285,6 +291,11 @@ class _Estimate:
         return duration_s
 
     def _record(self, step: RecordStep) -> float:
+        if self._pictures:
+            taken = self._pictures * self._picture_bytes
+            self.size_bytes += taken + POSE_BYTES
+            self.most_bytes += 2 * taken * step.attempts + POSE_BYTES  # 16 bit
+            return self._pictures * PICTURE_S
         if self._frequency_hz is None:  # in the dark, which the check of the script forbids
             recorded_s = step.window_ms * 1e-3
         else:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from bench.station import Station
+from bench.station_devices import FrameCameraWords
 from sequences.errors import Fault
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
@@ -59,7 +60,10 @@ def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: 
         *_order_faults(document, steps),
         *_limit_faults(document, steps),
     ]
-    return Findings(tuple(sorted(set(faults))), tuple(sorted(set(_remarks(document, steps)))))
+    return Findings(
+        tuple(sorted(set(faults))),
+        tuple(sorted({*_remarks(document, steps), *_steady_remarks(document, steps, station)})),
+    )
 
 
 def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
@@ -109,7 +113,7 @@ def _number(text: str) -> float | None:
 def _light_faults(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:
     lowest, highest = station.light.frequency_range_hz
     for step in steps:
-        if isinstance(step, LightStep) and step.flicker is not None:
+        if isinstance(step, LightStep) and step.flicker is not None and _flickers(step.flicker, station):
             frequency = step.flicker.frequency_hz
             if not lowest <= frequency <= highest:
                 path = _said(document, step.path, "frequency_hz", "light")
@@ -119,10 +123,16 @@ def _light_faults(document: Located[Sequence], steps: tuple[Step, ...], station:
                 yield document.fault(path, message)
 
 
+def _flickers(flicker: Flicker, station: Station) -> bool:
+    """Whether a flicker remains one: a frame camera's light burns steadily."""
+    return flicker.waveform != "steady" and not isinstance(station.camera, FrameCameraWords)
+
+
 def _recording_faults(
     document: Located[Sequence], steps: tuple[Step, ...], station: Station
 ) -> Iterator[Fault]:
     flicker: Flicker | None = None
+    takes_pictures = isinstance(station.camera, FrameCameraWords)
     for step in steps:
         if isinstance(step, LightStep):
             flicker = step.flicker
@@ -130,6 +140,14 @@ def _recording_faults(
             continue
         if flicker is None:
             yield document.fault(step.path, "a recording in the dark: switch the light on first (light:).")
+            continue
+        if takes_pictures:
+            continue  # in steady light: periods and triggers mean nothing
+        if flicker.waveform == "steady":
+            yield document.fault(
+                step.path,
+                "an event camera sees nothing of a steady light: let it flicker (waveform: square).",
+            )
             continue
         periods = step.window_ms * 1e-3 * flicker.frequency_hz
         if periods < 1 - WHOLE_PERIOD_SLACK:
@@ -195,6 +213,18 @@ def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[F
         yield document.fault(unsolved.path, "recorded after the last solve: no result will use it.")
     if not any(isinstance(step, ReportStep) for step in steps):
         yield document.fault(("steps",), "no report step: the run ends without a report.")
+
+
+def _steady_remarks(
+    document: Located[Sequence], steps: tuple[Step, ...], station: Station
+) -> Iterator[Fault]:
+    """Say where a flicker will be none, because the camera takes pictures."""
+    for step in steps:
+        flicker = step.flicker if isinstance(step, LightStep) else None
+        if flicker is not None and flicker.waveform != "steady" and not _flickers(flicker, station):
+            yield document.fault(
+                step.path, "the station's camera takes pictures: the light burns steadily instead."
+            )
 
 
 def _said(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import tempfile
 from contextlib import suppress
 from pathlib import Path
+from typing import cast
 
 import click
 
@@ -15,7 +16,7 @@ from bench.clock import BenchClock
 from bench.devices import Devices
 from bench.measure import measure
 from bench.station import load_station
-from drivers.camera import CameraSettings
+from drivers.camera import CameraSettings, EventCamera
 from drivers.errors import RecordingFailed
 from drivers.light import LightSettings
 
@@ -34,11 +35,12 @@ def warm_up() -> int:
     station = load_station("simulated").value
     devices = Devices(station, seed=0, clock=BenchClock(), wire_log=None)
     try:
-        devices.camera.apply(CameraSettings())
+        camera = cast("EventCamera", devices.camera)
+        camera.apply(CameraSettings())
         devices.light.apply(LightSettings())
         devices.light.on()
         with tempfile.TemporaryDirectory() as folder:
-            path = _recorded(devices, Path(folder))
+            path = _recorded(camera, Path(folder))
             found = measure(
                 path,
                 name="warm-up",
@@ -53,14 +55,14 @@ def warm_up() -> int:
     return found.stars
 
 
-def _recorded(devices: Devices, folder: Path) -> Path:
+def _recorded(camera: EventCamera, folder: Path) -> Path:
     """Record, however long the kernels take to be compiled: a slow machine outlasts the driver's patience."""
     *tries, last = (folder / f"warm-up-{number}.raw" for number in range(_ATTEMPTS))
     for path in tries:
         with suppress(RecordingFailed):
-            devices.camera.record(path, _DURATION_S)
+            camera.record(path, _DURATION_S)
             return path
-    devices.camera.record(last, _DURATION_S)
+    camera.record(last, _DURATION_S)
     return last
 
 

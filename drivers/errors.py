@@ -21,6 +21,7 @@ DriverError
 │   └── LightFault            lamp open, over-temperature, output lost
 ├── CameraError
 │   ├── CameraNotFound        no camera, or none with that serial number
+│   ├── CameraBusy            another process holds it
 │   ├── CameraLost            it went away
 │   ├── CameraSettingRefused  a bias, filter or region it did not take
 │   ├── CameraSoftwareMissing the vendor's software is not installed
@@ -133,6 +134,10 @@ class CameraError(DriverError):
 
 class CameraNotFound(CameraError):
     """No camera, or none with that serial number."""
+
+
+class CameraBusy(CameraError):
+    """Another process holds the camera."""
 
 
 class CameraLost(CameraError):

@@ -30,6 +30,7 @@ from simulators.errors import ConfigError, SimulatorError
 from simulators.evk4 import SimulatedEvk4
 from simulators.fault_injection import Parts, prepare
 from simulators.faults import Order, order, order_from_text
+from simulators.frame_camera import SimulatedFrameCamera
 from simulators.lamp import Lamp
 from simulators.lights import make_light
 from simulators.line_faults import FaultLine
@@ -88,9 +89,13 @@ class Bench:
             camera = SimulatedEvk4(self.world, serial=self._config.camera_serial)
             camera.start()
             stack.callback(camera.close)
+            frame_camera = SimulatedFrameCamera(self.world)
+            frame_camera.start()
+            stack.callback(frame_camera.close)
             self._write_truth()
             self._parts = Parts(stage.controllers, ports, lines, stage.ports, light, lamp, camera, clock)
-            self.endpoints = {name: port.address for name, port in ports.items()} | {"camera": camera.address}
+            self.endpoints = {name: port.address for name, port in ports.items()}
+            self.endpoints |= {"camera": camera.address, "frame-camera": frame_camera.address}
             self._running = stack.pop_all()
         for one in self._config.faults:
             self.inject(one)

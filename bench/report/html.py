@@ -79,6 +79,7 @@ def render_report(data: ReportData) -> str:
         .get_template("report.html.j2")
         .render(
             run=results["run"],
+            takes_pictures=results["run"].get("camera") == "frame",
             identification=tables.identification(results),
             software=tables.software(results),
             journal_head=data.journal_head,

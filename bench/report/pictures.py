@@ -65,7 +65,7 @@ def _pose_picture(view: ViewPicture, identifier: str, limit_bytes: int) -> str:
         for row, centre in enumerate(_looked_at(view))
     )
     return (
-        f'<svg class="pose" role="img" aria-label="Event image and stars of {escape(view.name)}" '
+        f'<svg class="pose" role="img" aria-label="Image and stars of {escape(view.name)}" '
         f'viewBox="-0.5 -0.5 {width + 24 + side:g} {height}" xmlns="http://www.w3.org/2000/svg">'
         f'<g id="{identifier}">'
         f'<image x="-0.5" y="-0.5" width="{width}" height="{height}" '

@@ -91,6 +91,8 @@ class RecordingRow:
     rate: str
     triggers: str
     duration: str
+    pictures: str
+    saturated: str
     capture: str
     sha256: str
 
@@ -323,6 +325,8 @@ def recordings(found: Sequence[Json]) -> list[RecordingRow]:
             rate=number(attempt.get("event_rate_mev_s"), 3),
             triggers=number(attempt.get("triggers")),
             duration=duration(attempt["duration_s"]) if attempt.get("duration_s") else NOTHING,
+            pictures=number(attempt.get("pictures")),
+            saturated=number(attempt.get("saturated_percent"), 2),
             capture=str(attempt.get("capture") or NOTHING),
             sha256=str(attempt.get("sha256") or NOTHING),
         )

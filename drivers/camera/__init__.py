@@ -25,13 +25,15 @@ class CameraIdentity:
 class FoundCamera:
     """A camera that is connected: what a station file calls its driver and serial number, and what is known of it.
 
-    ``trouble`` says why it cannot be used as it is; empty when it can.
+    ``trouble`` says why it cannot be used as it is; empty when it can. ``source`` is what a station file calls the
+    place of a camera that is not found by its serial number alone.
     """
 
     driver: str
     serial: str
     description: str
     trouble: str = ""
+    source: str = ""
 
 
 @dataclass(frozen=True)

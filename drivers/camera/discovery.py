@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from drivers.camera import FoundCamera, metavision, neuromorphic_evk4
+from drivers.camera.video_devices import video_devices
 from drivers.errors import DriverError
 
 
@@ -21,13 +20,3 @@ def find_cameras() -> tuple[list[FoundCamera], list[str]]:
         except DriverError as error:
             missing.append(str(error))
     return found + video_devices(), missing
-
-
-def video_devices(folder: Path = Path("/dev")) -> list[FoundCamera]:
-    """List the video devices of a Linux computer, as frame cameras."""
-    by_id = folder / "v4l" / "by-id"
-    links = {link.resolve(): link.name for link in by_id.iterdir()} if by_id.is_dir() else {}
-    devices = sorted(folder.glob("video[0-9]*"))
-    return [
-        FoundCamera("opencv", "", f"{device} {links.get(device.resolve(), '')}".strip()) for device in devices
-    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from pathlib import Path
 from typing import Any, Final
@@ -9,14 +10,22 @@ from typing import Any, Final
 import cv2
 
 from drivers.camera import CameraIdentity
-from drivers.camera.frames import Frame, FrameFacts, capture_frames, grey, read_frames
+from drivers.camera.frames import Frame, FrameFacts, FrameSettings, capture_frames, grey, read_frames
+from drivers.camera.hold import CameraHold
+from drivers.camera.video_devices import SYSTEM, device_path, usb_serial
 from drivers.clock import Clock
-from drivers.errors import CameraLost, CameraNotFound, RecordingFailed
+from drivers.errors import CameraLost, CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
 
 PICTURES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 
-STALE_FRAMES: Final = 4
-"""Pictures that a video source may hold from before it was asked: as many are dropped."""
+STALE_FRAMES: Final = 5
+"""Pictures of the past that a video device may hand out: four in its buffers, one being exposed as it is asked."""
+
+SILENCE_S: Final = 5.0
+"""How long a network camera may send nothing. (A video device of Linux: 10 s, which OpenCV itself sees to.)"""
+
+_MANUAL_EXPOSURE: Final = 1.0
+"""V4L2's word for it."""
 
 
 class FolderFrameCamera:
@@ -26,12 +35,15 @@ class FolderFrameCamera:
     ----------
     files
         The pictures.
+    serial
+        What the station file says of the camera that took them: pictures do not tell.
     clock
         Passed through before each.
     """
 
-    def __init__(self, files: list[Path], *, clock: Clock) -> None:
+    def __init__(self, files: list[Path], *, serial: str = "", clock: Clock) -> None:
         self._files = files
+        self._serial = serial
         self._clock = clock
         self._stop_asked = threading.Event()
         self._taken = 0
@@ -39,7 +51,7 @@ class FolderFrameCamera:
         self._size = first.shape[2], first.shape[1]
 
     @classmethod
-    def open(cls, folder: Path | str, *, clock: Clock) -> FolderFrameCamera:
+    def open(cls, folder: Path | str, *, serial: str = "", clock: Clock) -> FolderFrameCamera:
         """Find the pictures. Raises CameraNotFound when there are none, NotARecording for one that is none."""
         folder = Path(folder)
         files = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURES)
@@ -49,11 +61,21 @@ class FolderFrameCamera:
                 where=str(folder),
                 remedy=f"Name a folder with {', '.join(PICTURES)}.",
             )
-        return cls(files, clock=clock)
+        return cls(files, serial=serial, clock=clock)
 
     def identify(self) -> CameraIdentity:
         """Pictures do not say who took them: only their size is known."""
-        return CameraIdentity("", "pictures", "", "", "", *self._size)
+        return CameraIdentity("", "pictures", "", self._serial, "", *self._size)
+
+    def apply(self, settings: FrameSettings) -> FrameSettings:
+        """Take settings that change nothing. Raises CameraSettingRefused for one that would have to."""
+        if settings != FrameSettings():
+            raise CameraSettingRefused(
+                "Exposure and gain of pictures cannot be changed any more.",
+                where=str(self._files[0].parent),
+                remedy="Leave them out of the station file.",
+            )
+        return settings
 
     def capture(self, path: Path, frames: int) -> FrameFacts:
         """Hand on the next pictures; see ``FrameCamera.capture``."""
@@ -82,52 +104,93 @@ class FolderFrameCamera:
 
 
 class OpenCvFrameCamera:
-    """A ``FrameCamera`` on a video source: a camera by its number, a URL, a video or a pattern of file names.
+    """A ``FrameCamera`` on a video source: a video device, a network camera's URL, a video or numbered files.
 
-    OpenCV knows no serial numbers: which camera has which number is the computer's choice.
+    Which device has which number is the computer's choice, and OpenCV knows no serial numbers: name a device by its
+    id (``/dev/v4l/by-id/...``), and its serial number as USB tells it. A network camera tells none.
 
     Parameters
     ----------
-    source
-        An open ``cv2.VideoCapture``.
     name
-        What was opened.
+        What is opened.
+    serial
+        The serial number it must have; empty takes any.
     clock
         Passed through before each picture.
-    live
-        Whether pictures of the past may be waiting in it, to be dropped.
+    system
+        Where the system lists its video devices.
     """
 
-    def __init__(self, source: Any, name: str, *, clock: Clock, live: bool) -> None:
-        self._source = source
+    def __init__(self, name: str, *, serial: str = "", clock: Clock, system: Path = SYSTEM) -> None:
         self._name = name
+        self._serial = serial
         self._clock = clock
-        self._live = live
+        self._system = system
+        self._device = device_path(name)
+        self._network = "://" in name
         self._stop_asked = threading.Event()
+        self._source: Any = None
+        self._hold: CameraHold | None = None
+        if self._device is not None or self._network:
+            self._hold = CameraHold(str(self._device.resolve() if self._device else name))
+        try:
+            self._see_serial()
+            self._source = self._opened()
+        except BaseException:
+            self.close()
+            raise
 
     @classmethod
-    def open(cls, source: int | str, *, clock: Clock) -> OpenCvFrameCamera:
-        """Open a source. Raises CameraNotFound."""
-        opened = cv2.VideoCapture(source)
-        if not opened.isOpened():
-            opened.release()
-            raise CameraNotFound(
-                f"OpenCV cannot open the video source {source!r}.",
-                remedy="Check the number, path or URL, the cable, and that no other program uses it.",
-            )
-        live = isinstance(source, int) or not ("%" in source or Path(source).is_file())
-        return cls(opened, str(source), clock=clock, live=live)
+    def open(cls, source: str, *, serial: str = "", clock: Clock, system: Path = SYSTEM) -> OpenCvFrameCamera:
+        """Open a source.
+
+        Raises
+        ------
+        CameraNotFound
+            When OpenCV cannot open it.
+        CameraBusy
+            When another process holds it.
+        WrongDevice
+            When it has another serial number, or tells none and one is named.
+        """
+        return cls(source, serial=serial, clock=clock, system=system)
 
     def identify(self) -> CameraIdentity:
-        """Tell the source's name and the size it sends."""
+        """Tell the source's name and the size it sends. Raises WrongDevice when it is another one by now."""
+        serial = self._see_serial()
         width = int(self._source.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = int(self._source.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        return CameraIdentity("", f"OpenCV {self._name}", "", "", "", width, height)
+        return CameraIdentity("", f"OpenCV {self._name}", "", serial, "", width, height)
+
+    def apply(self, settings: FrameSettings) -> FrameSettings:
+        """Set exposure and gain in the driver's own units and see that it has them; no focusing by itself.
+
+        Raises CameraSettingRefused.
+        """
+        if self._device is not None:
+            self._source.set(cv2.CAP_PROP_AUTOFOCUS, 0.0)
+            if self._source.get(cv2.CAP_PROP_AUTOFOCUS) > 0:
+                raise self._refused("it goes on focusing by itself, and each focus is another focal length")
+        wanted = {cv2.CAP_PROP_EXPOSURE: settings.exposure, cv2.CAP_PROP_GAIN: settings.gain}
+        if settings.exposure is not None:
+            self._source.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+        for what, value in wanted.items():
+            if value is not None:
+                name = "exposure" if what == cv2.CAP_PROP_EXPOSURE else "gain"
+                taken = self._source.set(what, value)
+                held = float(self._source.get(what))
+                if not taken or abs(held - value) > 0.01 * abs(value):
+                    raise self._refused(f"{name} was set to {value:g}, but reads back {held:g}")
+        return settings
 
     def capture(self, path: Path, frames: int) -> FrameFacts:
         """Take pictures; see ``FrameCamera.capture``. Those that were waiting from before are dropped."""
         self._stop_asked.clear()
-        for _ in range(STALE_FRAMES if self._live else 0):
+        if self._network:
+            # Any number of pictures may wait on the way from a network camera: a new connection has none of them.
+            self._source.release()
+            self._source = self._opened()
+        for _ in range(STALE_FRAMES if self._device is not None else 0):
             self._clock.sleep(0.0)
             self._source.grab()
         return capture_frames(
@@ -140,14 +203,62 @@ class OpenCvFrameCamera:
 
     def close(self) -> None:
         """Let the source go."""
-        self._source.release()
+        if self._source is not None:
+            self._source.release()
+        if self._hold is not None:
+            self._hold.release()
+
+    # ------------------------------------------------------------- inside
+
+    @property
+    def _where(self) -> str:
+        return f"video source {self._name}"
+
+    def _opened(self) -> Any:
+        """Open the source anew. Raises CameraNotFound."""
+        if self._network:
+            silence_ms = int(1e3 * SILENCE_S)
+            waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, silence_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, silence_ms]
+            opened = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, waits)
+        elif self._device is None:
+            opened = cv2.VideoCapture(self._name)
+        elif sys.platform == "linux":
+            opened = cv2.VideoCapture(str(self._device), cv2.CAP_V4L2)
+        else:
+            opened = cv2.VideoCapture(int(self._name))
+        if not opened.isOpened():
+            opened.release()
+            raise CameraNotFound(
+                f"OpenCV cannot open the video source {self._name!r}.",
+                remedy="Check the number, path or URL, the cable, and that no other program uses it.",
+            )
+        return opened
+
+    def _see_serial(self) -> str:
+        found = usb_serial(self._device, self._system) if self._device is not None else ""
+        if self._serial and found != self._serial:
+            told = f"camera {found}" if found else "a camera that tells no serial number"
+            raise WrongDevice(
+                f"It is {told}, not {self._serial}.",
+                where=self._where,
+                remedy="Plug in the right camera, or correct the source or the serial number in the station file"
+                " (without one, any camera will do).",
+            )
+        return found
+
+    def _refused(self, why: str) -> CameraSettingRefused:
+        return CameraSettingRefused(
+            f"{why[0].upper()}{why[1:]}.",
+            where=self._where,
+            remedy="Set it with the camera's own program and leave it out of the station file, or use another camera.",
+        )
 
     def _next(self) -> Frame:
         got, picture = self._source.read()
         if not got:
             raise CameraLost(
                 "It sends no more pictures.",
-                where=f"video source {self._name}",
+                where=self._where,
                 remedy="Check its cable and power; a video may have come to its end.",
             )
-        return grey(picture, where=f"video source {self._name}")
+        return grey(picture, where=self._where)

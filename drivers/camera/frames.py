@@ -25,6 +25,14 @@ Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
+class FrameSettings:
+    """What is set before taking pictures, in the camera's own units; None leaves it as it is."""
+
+    exposure: float | None = None
+    gain: float | None = None
+
+
+@dataclass(frozen=True)
 class FrameFacts:
     """What is known of pictures besides their pixels.
 
@@ -48,6 +56,13 @@ class FrameCamera(Protocol):
 
     def identify(self) -> CameraIdentity:
         """Say who it is. Raises WrongDevice when the serial number differs from the given one."""
+        ...
+
+    def apply(self, settings: FrameSettings) -> FrameSettings:
+        """Set exposure and gain, hold the focus where it is; return what was read back.
+
+        Raises CameraSettingRefused when the camera does not take a setting, or goes on focusing by itself.
+        """
         ...
 
     def capture(self, path: Path, frames: int) -> FrameFacts:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
+from drivers.camera.hold import CameraHold, event_camera
 from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
 from drivers.camera.raw_file import RawFile, RecordingScan
 from drivers.camera.raw_writer import check_new, check_space, sync_file
@@ -72,13 +73,18 @@ class MetavisionEvk4:
         The serial number it must have; None takes any.
     clock
         All waits pass through it.
+    hold
+        What keeps it to this process; released by ``close``.
     """
 
-    def __init__(self, device: Any, hal: Any, *, serial: str | None, clock: Clock) -> None:
+    def __init__(
+        self, device: Any, hal: Any, *, serial: str | None, clock: Clock, hold: CameraHold | None = None
+    ) -> None:
         self._device = device
         self._hal = hal
         self._serial = serial
         self._clock = clock
+        self._hold = hold
         self._stop_asked = threading.Event()
 
     @classmethod
@@ -91,10 +97,28 @@ class MetavisionEvk4:
             When ``metavision_hal`` cannot be imported.
         CameraNotFound
             When there is no such camera, or another program holds it.
+        CameraBusy
+            When another process of this bench holds it; the camera has not been touched if its number was given.
         WrongDevice, CameraSettingRefused
             When another camera answers, or it does not send EVT3.
         """
         hal = _vendor_software()
+        hold = CameraHold(event_camera(serial)) if serial else None
+        try:
+            camera = cls(cls._opened(hal, serial), hal, serial=serial, clock=clock, hold=hold)
+            identity = camera.identify()
+            camera._see_encoding()
+            if hold is None:
+                camera._hold = CameraHold(event_camera(identity.serial))
+        except BaseException:
+            if hold is not None:
+                hold.release()
+            raise
+        return camera
+
+    @staticmethod
+    def _opened(hal: Any, serial: str | None) -> Any:
+        """Open the HAL's device in the format EVT3. Raises CameraNotFound."""
         config = hal.DeviceConfig()
         config.set_format("EVT3")
         reason = ""
@@ -110,10 +134,7 @@ class MetavisionEvk4:
                 remedy="Check its cable and power, the serial number in the station file, the udev rules, and "
                 "that no other program uses it.",
             )
-        camera = cls(device, hal, serial=serial, clock=clock)
-        camera.identify()
-        camera._see_encoding()
-        return camera
+        return device
 
     def identify(self) -> CameraIdentity:
         """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
@@ -196,6 +217,8 @@ class MetavisionEvk4:
     def close(self) -> None:
         """Let the camera go."""
         self._device = None
+        if self._hold is not None:
+            self._hold.release()
 
     # ------------------------------------------------------------- streaming
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
 from drivers.camera.evt3 import first_time_high
+from drivers.camera.hold import CameraHold, event_camera
 from drivers.camera.raw_header import render_header
 from drivers.camera.recording import Watch, check_duration, record_words, recording_facts
 from drivers.clock import Clock
@@ -68,6 +69,8 @@ class NeuromorphicEvk4:
         All waits pass through it.
     utc_now
         Tells the time that the header of a recording states.
+    hold
+        What keeps it to this process; released by ``close``.
     """
 
     def __init__(
@@ -78,7 +81,9 @@ class NeuromorphicEvk4:
         serial: str | None,
         clock: Clock,
         utc_now: Callable[[], datetime],
+        hold: CameraHold | None = None,
     ) -> None:
+        self._hold = hold
         self._device = device
         self._package = package
         self._serial = serial
@@ -98,13 +103,35 @@ class NeuromorphicEvk4:
             When ``neuromorphic-drivers`` is not installed.
         CameraNotFound
             When there is no such camera, or it may not be used.
+        CameraBusy
+            When another process of this bench holds it; the camera has not been touched if its number was given.
         WrongDevice
             When another camera answers.
         """
         package = _package()
+        hold = CameraHold(event_camera(serial)) if serial else None
+        try:
+            device = cls._opened(package, serial)
+        except BaseException:
+            if hold is not None:
+                hold.release()
+            raise
+        camera = cls(device, package, serial=serial, clock=clock, utc_now=utc_now, hold=hold)
+        try:
+            identity = camera.identify()
+            if hold is None:
+                camera._hold = CameraHold(event_camera(identity.serial))
+        except BaseException:
+            camera.close()
+            raise
+        return camera
+
+    @staticmethod
+    def _opened(package: Any, serial: str | None) -> Any:
+        """Open the package's device, its trigger input off. Raises CameraNotFound."""
         configuration = package.prophesee_evk4.Configuration(enable_external_trigger=False)
         try:
-            device = package.open(configuration, iterator_timeout=POLL_S, raw=True, serial=serial)
+            return package.open(configuration, iterator_timeout=POLL_S, raw=True, serial=serial)
         except RuntimeError as error:
             seen = ", ".join(
                 f"{found.serial or 'without number'} {found.trouble}".strip() for found in discover()
@@ -114,13 +141,6 @@ class NeuromorphicEvk4:
                 remedy="Check its cable and power and the serial number in the station file; on Linux, run "
                 "neuromorphic-drivers-install-udev-rules once.",
             ) from error
-        camera = cls(device, package, serial=serial, clock=clock, utc_now=utc_now)
-        try:
-            camera.identify()
-        except BaseException:
-            camera.close()
-            raise
-        return camera
 
     def identify(self) -> CameraIdentity:
         """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
@@ -219,7 +239,11 @@ class NeuromorphicEvk4:
 
     def close(self) -> None:
         """Let the camera go."""
-        self._device.close()
+        try:
+            self._device.close()
+        finally:
+            if self._hold is not None:
+                self._hold.release()
 
     @property
     def _where(self) -> str:

@@ -44,8 +44,8 @@ def test_the_simulated_station_has_the_simulated_bench_s_devices():
 
 def test_every_shipped_station_reads_without_a_fault():
     shipped = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
-    assert shipped == ["example_evk4", "simulated"]
-    assert [load_station(name).value.is_simulated for name in shipped] == [False, True]
+    assert shipped == ["example_evk4", "simulated", "simulated_frames"]
+    assert [load_station(name).value.is_simulated for name in shipped] == [False, True, True]
 
 
 def test_an_unknown_station_is_met_with_those_that_are_shipped():
@@ -67,7 +67,7 @@ def test_serial_numbers_stay_text_zeros_included():
         (
             "driver: simulated_evk4",
             "driver: evk5",
-            "camera.driver: must be one of 'simulated_evk4', 'metavision', 'neuromorphic_evk4', 'recorded' (got 'evk5').",
+            "camera.driver: must be one of 'simulated_evk4', 'metavision', 'neuromorphic_evk4', 'recorded', 'opencv', 'pictures' (got",
         ),
         (
             "sim:light",

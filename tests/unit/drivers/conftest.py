@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+
+from drivers.camera import hold
 
 
 class ScriptedPort:
@@ -42,6 +45,14 @@ class TurnedClock:
 
     def sleep(self, seconds: float) -> None:
         self.now_s += seconds
+
+
+@pytest.fixture(autouse=True)
+def locks(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of locks for this test alone: tests of other processes have cameras of the same numbers."""
+    folder = tmp_path_factory.mktemp("locks")
+    monkeypatch.setattr(hold, "locks_folder", lambda: folder)
+    return folder
 
 
 @pytest.fixture

@@ -4,10 +4,20 @@ import cv2
 import numpy as np
 import pytest
 
+from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import STALE_FRAMES, FolderFrameCamera, OpenCvFrameCamera
-from drivers.camera.frames import grey, mean_frame, read_frames, write_frames
+from drivers.camera.frames import FrameSettings, grey, mean_frame, read_frames, write_frames
 from drivers.clock import SystemClock
-from drivers.errors import CameraLost, CameraNotFound, NotARecording, RecordingFailed, RecordingFileError
+from drivers.errors import (
+    CameraBusy,
+    CameraLost,
+    CameraNotFound,
+    CameraSettingRefused,
+    NotARecording,
+    RecordingFailed,
+    RecordingFileError,
+    WrongDevice,
+)
 
 
 def pictures(n, dtype=np.uint8, size=(48, 64)):
@@ -147,23 +157,140 @@ def test_a_source_that_cannot_be_opened_is_told(tmp_path):
         OpenCvFrameCamera.open(str(tmp_path / "none_%03d.png"), clock=SystemClock())
 
 
-def test_pictures_that_a_live_source_still_holds_are_dropped(tmp_path):
-    class Live:
-        """Counts its pictures in their grey value."""
+class Live:
+    """A video device as OpenCV shows it: counts its pictures in their grey value."""
 
-        def __init__(self):
-            self.shown = 0
+    def __init__(self):
+        self.shown = 0
+        self.pictures = 10**9
+        self.values = {cv2.CAP_PROP_FRAME_WIDTH: 64.0, cv2.CAP_PROP_FRAME_HEIGHT: 48.0}
+        self.deaf_to = set()
+        self.released = 0
 
-        def get(self, what):
-            return {cv2.CAP_PROP_FRAME_WIDTH: 64.0, cv2.CAP_PROP_FRAME_HEIGHT: 48.0}[what]
+    def isOpened(self):  # noqa: N802 - OpenCV's name
+        return True
 
-        def grab(self):
-            self.shown += 1
-            return True
+    def get(self, what):
+        return self.values.get(what, 0.0)
 
-        def read(self):
-            self.shown += 1
-            return True, np.full((48, 64, 3), self.shown, np.uint8)
+    def set(self, what, value):
+        if what not in self.deaf_to:
+            self.values[what] = value
+        return True
 
-    OpenCvFrameCamera(Live(), "0", clock=SystemClock(), live=True).capture(tmp_path / "a.tiff", 1)
+    def grab(self):
+        self.shown += 1
+        return True
+
+    def read(self):
+        self.shown += 1
+        if self.shown > self.pictures:
+            return False, None
+        return True, np.full((48, 64, 3), self.shown, np.uint8)
+
+    def release(self):
+        self.released += 1
+
+
+@pytest.fixture
+def video(tmp_path, monkeypatch):
+    """A video device that OpenCV opens, with a serial number on USB, and where the system tells it."""
+    live = Live()
+    monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: live)
+    usb = tmp_path / "usb"
+    (usb / "1-2:1.0").mkdir(parents=True)
+    (usb / "idVendor").write_text("046d")
+    (usb / "serial").write_text("8A0A3C5F")
+    (tmp_path / "sys" / "video7").mkdir(parents=True)
+    (tmp_path / "sys" / "video7" / "device").symlink_to(usb / "1-2:1.0")
+    return live, tmp_path / "sys"
+
+
+@pytest.fixture
+def webcam(video):
+    camera = OpenCvFrameCamera.open("/dev/video7", serial="8A0A3C5F", clock=SystemClock(), system=video[1])
+    yield camera
+    camera.close()
+
+
+def test_pictures_that_a_video_device_still_holds_are_dropped(webcam, tmp_path):
+    webcam.capture(tmp_path / "a.tiff", 1)
     assert (read_frames(tmp_path / "a.tiff") == STALE_FRAMES + 1).all()
+
+
+def test_a_video_device_is_known_by_its_serial_number(webcam):
+    assert webcam.identify().serial == "8A0A3C5F"
+
+
+def test_another_camera_under_that_name_is_refused_and_never_opened(video, monkeypatch):
+    monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
+    with pytest.raises(WrongDevice, match="It is camera 8A0A3C5F, not 12345"):
+        OpenCvFrameCamera.open("7", serial="12345", clock=SystemClock(), system=video[1])
+
+
+def test_another_camera_plugged_in_meanwhile_takes_no_picture(webcam, tmp_path):
+    (tmp_path / "usb" / "serial").write_text("FFFF")
+    with pytest.raises(WrongDevice, match="camera FFFF, not 8A0A3C5F"):
+        webcam.capture(tmp_path / "a.tiff", 1)
+    assert not (tmp_path / "a.tiff").exists()
+
+
+def test_a_serial_number_that_nothing_can_tell_is_refused(monkeypatch):
+    monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: Live())
+    with pytest.raises(WrongDevice, match="tells no serial number, not 12345"):
+        OpenCvFrameCamera.open("rtsp://camera/1", serial="12345", clock=SystemClock())
+
+
+def test_a_second_opener_of_a_video_device_is_refused_until_it_is_given_back(video, webcam):
+    with pytest.raises(CameraBusy, match="Another program of this bench holds it"):
+        OpenCvFrameCamera.open("7", clock=SystemClock(), system=video[1])
+    webcam.close()
+    OpenCvFrameCamera.open("7", clock=SystemClock(), system=video[1]).close()
+
+
+def test_settings_are_made_and_read_back_and_the_focus_is_held(video, webcam):
+    live, _ = video
+    live.values[cv2.CAP_PROP_AUTOFOCUS] = 1.0
+    assert webcam.apply(FrameSettings(exposure=100.0, gain=2.0)) == FrameSettings(100.0, 2.0)
+    assert live.values[cv2.CAP_PROP_AUTOFOCUS] == 0.0
+    assert (live.values[cv2.CAP_PROP_EXPOSURE], live.values[cv2.CAP_PROP_GAIN]) == (100.0, 2.0)
+
+
+def test_a_camera_that_goes_on_focusing_by_itself_is_refused(video, webcam):
+    live, _ = video
+    live.values[cv2.CAP_PROP_AUTOFOCUS] = 1.0
+    live.deaf_to.add(cv2.CAP_PROP_AUTOFOCUS)
+    with pytest.raises(CameraSettingRefused, match="each focus is another focal length"):
+        webcam.apply(FrameSettings())
+
+
+def test_an_exposure_that_reads_back_otherwise_is_refused(video, webcam):
+    live, _ = video
+    live.deaf_to.add(cv2.CAP_PROP_EXPOSURE)
+    live.values[cv2.CAP_PROP_EXPOSURE] = 33.0
+    with pytest.raises(CameraSettingRefused, match="Exposure was set to 100, but reads back 33"):
+        webcam.apply(FrameSettings(exposure=100.0))
+
+
+def test_an_unplugged_video_device_is_told_and_leaves_no_file(video, webcam, tmp_path):
+    live, _ = video
+    live.pictures = STALE_FRAMES + 2
+    with pytest.raises(CameraLost, match="sends no more pictures"):
+        webcam.capture(tmp_path / "a.tiff", 8)
+    assert not list(tmp_path.glob("a*"))
+
+
+def test_every_capture_of_a_network_camera_is_a_new_connection(monkeypatch, tmp_path):
+    opened = []
+    monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: opened.append(Live()) or opened[-1])
+    camera = OpenCvFrameCamera.open("rtsp://camera/1", clock=SystemClock())
+    camera.capture(tmp_path / "a.tiff", 1)
+    camera.capture(tmp_path / "b.tiff", 1)
+    camera.close()
+    assert [one.released for one in opened] == [1, 1, 1]
+    assert (read_frames(tmp_path / "b.tiff") == 1).all()
+
+
+def test_pictures_of_a_folder_cannot_be_exposed_again(folder):
+    with pytest.raises(CameraSettingRefused, match="cannot be changed any more"):
+        FolderFrameCamera.open(folder, clock=SystemClock()).apply(FrameSettings(gain=2.0))

@@ -1,0 +1,214 @@
+"""Frame cameras: the same run as with an event camera, on pictures; and the simulated one as OpenCV sees it."""
+
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from running import end_when, entering, journal, numbers, results, starbench, start
+
+from bench.measure import Measurement
+from bench.pictures import measure_pictures, picture_gates
+from calib.target import StarTarget
+from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera
+from drivers.camera.frames import read_frames, write_frames
+from drivers.clock import SystemClock
+from drivers.errors import CameraBusy, CameraLost, CameraNotFound
+from sequences.script import Gates
+from simulators.frame_camera import SimulatedFrameCamera, mean_brightness
+from simulators.world import AxisMotion, LightState, World
+
+SEED = 7
+HOLD = """
+import sys
+from drivers.camera.frame_cameras import OpenCvFrameCamera
+from drivers.clock import SystemClock
+
+camera = OpenCvFrameCamera.open(sys.argv[1], clock=SystemClock())
+print("held", flush=True)
+sys.stdin.read()
+"""
+STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, home):
+    folder = tmp_path_factory.mktemp("runs") / "frames"
+    said = starbench(
+        "run", "three_pose", "-s", "simulated_frames", "--seed", SEED, "-o", folder, "--json", home=home
+    )
+    assert said.returncode == 0, said.stderr
+    return folder
+
+
+def test_a_run_with_a_frame_camera_ends_with_every_parameter_near_the_truth(finished):
+    told = results(finished)
+    assert told["run"]["camera"] == "frame"
+    assert told["calibration"]["converged"]
+    assert max(abs(row["error_sigmas"]) for row in told["comparison"]) < 4
+    assert told["calibration"]["rms_px"] < 0.05
+
+
+def test_the_pictures_are_the_evidence_and_the_light_burnt_steadily(finished):
+    captures = sorted(path.name for path in (finished / "captures").iterdir())
+    assert captures == [f"pose-{n:03d}-attempt-1.tif" for n in (1, 2, 3)]
+    assert read_frames(finished / "captures" / captures[0]).shape == (8, 720, 1280)
+    stored = [line for line in journal(finished) if line["event"] == "capture_stored"]
+    assert {one["light"]["waveform"] for one in stored} == {"steady"}
+    assert {one["facts"]["frames"] for one in stored} == {8}
+
+
+def test_the_report_speaks_of_pictures_and_leaves_out_what_only_events_have(finished):
+    report = (finished / "report.html").read_text()
+    assert "Interior orientation of a frame camera" in report
+    assert '<th class="n">Pictures</th>' in report
+    for word in ("Mev/s", "Triggers", "Flicker, Hz", "vent image", "events", "biases", "duty"):
+        assert word not in report.partition("<main>")[2], word
+
+
+def test_its_seal_holds_and_its_results_follow_from_its_pictures(finished, home):
+    verified = starbench("verify", finished, "--again", home=home)
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    again = starbench("calibrate", finished, "--json", home=home)
+    assert json.loads(again.stdout)["camera"] == results(finished)["calibration"]["camera"]
+
+
+def test_bare_pictures_calibrate_to_the_same_numbers(finished, home):
+    again = starbench("calibrate", *sorted((finished / "captures").iterdir()), "--json", home=home)
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["camera"] == results(finished)["calibration"]["camera"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "reached",
+    [entering("recording", 2), lambda line: line["event"] == "capture_stored" and line["pose"] == 2],
+    ids=["recording", "stored"],
+)
+def test_a_killed_run_with_a_frame_camera_resumes_to_the_same_numbers(finished, home, tmp_path, reached):
+    folder = tmp_path / "killed"
+    process = start("run", "three_pose", "-s", "simulated_frames", "--seed", SEED, "-o", folder, home=home)
+    end_when(process, folder, reached)
+    resumed = starbench("resume", folder, home=home)
+    assert resumed.returncode == 0, resumed.stderr
+    assert numbers(folder) == numbers(finished)
+
+
+@pytest.mark.slow
+def test_pictures_of_a_run_played_again_give_the_same_camera(finished, home, tmp_path):
+    """A folder of pictures as the camera, on the simulated stage: eight a pose, in their order."""
+    (tmp_path / "pictures").mkdir()
+    taken = [frame for path in sorted((finished / "captures").iterdir()) for frame in read_frames(path)]
+    for number, frame in enumerate(taken):
+        write_frames(tmp_path / "pictures" / f"{number:03d}.tif", [frame])
+    station = (finished / "station.yaml").read_text()
+    camera = "driver: opencv\n  source: sim:frame-camera"
+    assert camera in station
+    played = station.replace(camera, f"driver: pictures\n  path: {tmp_path / 'pictures'}")
+    (tmp_path / "played.yaml").write_text(played)
+    folder = tmp_path / "again"
+    said = starbench("run", "three_pose", "-s", tmp_path / "played.yaml", "-o", folder, home=home)
+    assert said.returncode == 0, said.stderr
+    assert results(folder)["calibration"]["camera"] == results(finished)["calibration"]["camera"]
+    assert results(folder)["run"]["simulated"]
+
+
+# ------------------------------------------------------------- the simulated camera, as OpenCV sees it
+
+
+@pytest.fixture
+def world():
+    world = World(seed=3, clock=time.monotonic)
+    world.set_light(STEADY)
+    return world
+
+
+@pytest.fixture
+def simulated(world):
+    camera = SimulatedFrameCamera(world)
+    camera.start()
+    yield camera
+    camera.close()
+
+
+@pytest.fixture
+def camera(simulated):
+    camera = OpenCvFrameCamera.open(simulated.address, clock=SystemClock())
+    yield camera
+    camera.close()
+
+
+def test_every_capture_shows_the_pose_and_light_of_its_own_time(world, camera, tmp_path):
+    camera.capture(tmp_path / "bright.tif", 1)
+    world.set_light(LightState(output=False))
+    camera.capture(tmp_path / "dark.tif", 1)
+    world.set_light(STEADY)
+    world.set_axis("pan", AxisMotion.resting(5.0, 32_000))
+    camera.capture(tmp_path / "turned.tif", 1)
+    bright, dark, turned = (read_frames(tmp_path / f"{n}.tif")[0] for n in ("bright", "dark", "turned"))
+    assert bright.mean() > 30
+    assert dark.max() < 10
+    shift = np.abs(turned.astype(int) - bright).mean()
+    assert shift > 10
+
+
+def test_pictures_differ_by_their_noise_alone_and_their_stars_stand_still(camera, tmp_path):
+    facts = camera.capture(tmp_path / "pose.tif", 4)
+    assert (facts.frames, facts.bits, facts.complete) == (4, 8, True)
+    frames = read_frames(tmp_path / "pose.tif").astype(float)
+    noise = (frames[1] - frames[0]).std()
+    assert 0.5 < noise < 5.0
+    found = measure_pictures(tmp_path / "pose.tif", name="pose", target=StarTarget())
+    assert found.stars > 100
+    assert found.facts["motion_px"] < 0.02
+
+
+def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars(world, camera, tmp_path):
+    still = camera.capture(tmp_path / "still.tif", 2)
+    world.set_axis("pan", AxisMotion.resting(0.01, 64))
+    camera.capture(tmp_path / "turned.tif", 2)
+    frames = [*read_frames(tmp_path / "still.tif"), *read_frames(tmp_path / "turned.tif")]
+    write_frames(tmp_path / "both.tif", frames)
+    found = measure_pictures(tmp_path / "both.tif", name="pose", target=StarTarget())
+    gates = picture_gates({"saturated_share": still.saturated_share}, Gates(40, 200.0, True), found)
+    assert {gate.name: gate.verdict for gate in gates}["stars moved"] == "fail"
+
+
+def test_saturated_pictures_are_refused():
+    gates = picture_gates({"saturated_share": 0.02}, Gates(0, 200.0, True), Measurement(None, None))
+    assert {gate.name: gate.verdict for gate in gates}["saturated pixels"] == "fail"
+
+
+def test_a_network_camera_that_goes_away_is_told_within_its_deadline(simulated, tmp_path):
+    camera = OpenCvFrameCamera.open(simulated.address, clock=SystemClock())
+    simulated.close()
+    began = time.monotonic()
+    with pytest.raises((CameraLost, CameraNotFound)):
+        camera.capture(tmp_path / "pose.tif", 2)
+    assert time.monotonic() - began < 3 * SILENCE_S
+    assert not list(tmp_path.iterdir())
+    camera.close()
+
+
+def test_an_exposure_averages_over_a_flicker():
+    flicker = LightState(frequency_hz=1000.0, duty_percent=25.0, low_v=0.0, high_v=5.0, output=True)
+    assert mean_brightness(flicker, 0.0, 0.010) == pytest.approx(0.25, abs=0.04)
+    assert mean_brightness(STEADY, 0.0, 0.010) == 1.0
+    assert mean_brightness(LightState(), 0.0, 0.010) == 0.0
+
+
+def test_a_second_process_is_refused_the_camera_until_the_first_is_dead(simulated):
+    command = [sys.executable, "-c", HOLD, simulated.address]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(CameraBusy, match="Another program of this bench holds it"):
+            OpenCvFrameCamera.open(simulated.address, clock=SystemClock())
+        holder.kill()
+    OpenCvFrameCamera.open(simulated.address, clock=SystemClock()).close()
