@@ -202,6 +202,7 @@ def _run(*, simulated):
         "operator": None,
         "laboratory": "Optics laboratory <b>B</b>",
         "simulated": simulated,
+        "camera": "event",
         "resumed": 0,
         "ledger": {"number": 12, "head": "1ed9e4" + "0" * 58, "of_camera": {"finished": 2, "open": 1}},
         "software": {
