@@ -142,9 +142,32 @@ class RunLog:
             yield self.history
 
     def tell(self, event: Event, **data: Any) -> None:
-        """Write one line; when this returns it lasts, and ``history`` knows it. Raises StorageError."""
+        """Write one line, and let ``history`` know it. Raises StorageError.
+
+        When this returns the line lasts, but for lines that tell of the way only: those last with the next one.
+        """
+        write = self.journal.note if _on_the_way(event, data) else self.journal.append
         with self._lock:
-            _take(self.history, self.journal.append(event, **data))
+            _take(self.history, write(event, **data))
+
+
+_WITHOUT_HARDWARE = frozenset({"settling", "checking"})
+"""States in which nothing moves, is switched or is stored."""
+
+
+def _on_the_way(event: Event, data: Mapping[str, Any]) -> bool:
+    """Whether a line may be lost with the power: what it tells is done again, or found out again, with the same end.
+
+    Before anything moves, is switched or is asked, a line that lasts is written, and these with it.
+    """
+    match event:
+        case Event.LEFT_OFF:
+            return "error" not in data
+        case Event.ENTERING:
+            return data["state"] in _WITHOUT_HARDWARE
+        case Event.ATTEMPT_CHECKED | Event.STEP_DONE:
+            return True
+    return False
 
 
 def replay(entries: Iterable[Entry]) -> History:

@@ -1,4 +1,4 @@
-r"""The journal of a run: one JSON object a line, each synced when written and chained to the one before.
+r"""The journal of a run: one JSON object a line, synced and chained to the one before.
 
 A line is ``{"seq", "utc", "mono_s", "event", ..., "prev", "hash"}`` in this order, ASCII, without spaces;
 what an event carries stands between ``event`` and ``prev``. ``hash`` is the SHA-256 of the line as it
@@ -7,8 +7,8 @@ stands without its hash, so that no canonical form has to be agreed upon and a s
     sed 's/,"hash":"[0-9a-f]*"}$/}/' | head -n 1 | tr -d '\n' | sha256sum
 
 ``prev`` is the hash of the line before, 64 zeros in the first. A line is written once the thing it tells
-has happened and lasts; what is not in the journal has not happened. The journal knows nothing of what
-events mean.
+has happened and lasts; what is not in the journal has not happened. Lines that only tell of the way there
+(``note``) are synced with the next one that counts. The journal knows nothing of what events mean.
 """
 
 from __future__ import annotations
@@ -164,12 +164,14 @@ class Journal:
             When the disk did not take it. The line is then not there; after a failed sync the journal
             takes no more lines, for nobody can say what the disk holds.
         """
-        with self._lock:
-            now, mono_s = self._utc_now(), self._monotonic()
-            jump_s = self._clock_jump_s(now, mono_s)
-            if abs(jump_s) > CLOCK_JUMP_S:
-                self._append(now, mono_s, CLOCK_JUMPED, {"jump_s": round(jump_s, 3)})
-            return self._append(now, mono_s, event, data)
+        return self._put(event, data, synced=True)
+
+    def note(self, event: str, **data: Any) -> Entry:
+        """Write one line that need not last before the next one appended does: both are synced together then.
+
+        A process that dies loses nothing of it; a cut of power may take the lines noted last. As ``append`` otherwise.
+        """
+        return self._put(event, data, synced=False)
 
     def close(self) -> None:
         """Close the file; further lines are refused."""
@@ -195,7 +197,17 @@ class Journal:
         self._clock_offset_s = offset_s
         return jump_s
 
-    def _append(self, now: datetime, mono_s: float, event: str, data: Mapping[str, Any]) -> Entry:
+    def _put(self, event: str, data: Mapping[str, Any], *, synced: bool) -> Entry:
+        with self._lock:
+            now, mono_s = self._utc_now(), self._monotonic()
+            jump_s = self._clock_jump_s(now, mono_s)
+            if abs(jump_s) > CLOCK_JUMP_S:
+                self._append(now, mono_s, CLOCK_JUMPED, {"jump_s": round(jump_s, 3)}, synced=synced)
+            return self._append(now, mono_s, event, data, synced=synced)
+
+    def _append(
+        self, now: datetime, mono_s: float, event: str, data: Mapping[str, Any], *, synced: bool
+    ) -> Entry:
         if self._descriptor < 0:
             raise StorageError(
                 "The journal is closed, or a write to it failed.",
@@ -204,11 +216,11 @@ class Journal:
             )
         line = _line(len(self._entries), now, mono_s, event, data, self.head)
         entry = _read_line(line, len(self._entries), self.head)
-        self._write(line + b"\n")
+        self._write(line + b"\n", synced=synced)
         self._entries.append(entry)
         return entry
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes, *, synced: bool) -> None:
         with storing(self.path):
             size = os.fstat(self._descriptor).st_size
             try:
@@ -216,6 +228,8 @@ class Journal:
             except OSError:
                 os.ftruncate(self._descriptor, size)
                 raise
+            if not synced:
+                return
             try:
                 os.fsync(self._descriptor)
             except OSError:

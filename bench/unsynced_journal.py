@@ -9,6 +9,7 @@ from bench.storage import storing, write_all
 class UnsyncedJournal(Journal):
     """A journal as any other, but that the system chooses when its lines reach the disk."""
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes, *, synced: bool) -> None:
+        del synced
         with storing(self.path):
             write_all(self._descriptor, data)

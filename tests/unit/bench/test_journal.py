@@ -257,3 +257,13 @@ def test_after_a_failed_sync_nothing_more_is_written(three_lines, clocks, monkey
         with pytest.raises(StorageError, match="a write to it failed"):
             journal.append("y")
         assert len(journal.entries) == 3
+
+
+def test_a_noted_line_is_there_at_once_and_synced_with_the_next_one(path, clocks, synced):
+    with Journal.create(path, **clocks) as journal:
+        journal.note("on_the_way")
+        assert synced == [path.parent]
+        assert [entry.event for entry in read_journal(path)[0]] == ["on_the_way"]
+        journal.append("counts")
+        assert synced == [path.parent, path]
+    assert [entry.event for entry in read_journal(path)[0]] == ["on_the_way", "counts"]
