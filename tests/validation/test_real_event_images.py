@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.measure import measure
 from calib.detect import detect
 from calib.errors import FlickerNotFound, TargetNotFound
 from calib.event_image import make_images
@@ -48,6 +49,13 @@ def test_a_steady_scene_is_no_target(recording):
     for name in ("last-polarity", "count", "fired-per-edge", "lock-in"):
         with pytest.raises(TargetNotFound):
             detect(made.named(name), StarTarget())
+
+
+def test_looking_for_stars_in_it_ends_in_a_sentence_and_not_in_a_fault_of_the_program(recording):
+    raw, _, _ = recording
+    found = measure(raw.path, name="real", target=StarTarget(), image="auto", periods=None, expected_hz=None)
+    assert found.view is None
+    assert "No period stands out" in found.fault
 
 
 def test_two_lone_triggers_are_no_flicker(recording):

@@ -55,6 +55,17 @@ def test_each_image_gathers_what_it_says():
     assert 0 < made.on_latency_us[inside].min() <= made.on_latency_us[inside].max() < 450
 
 
+def test_any_is_one_where_a_pixel_fired_at_all_and_latency_is_brightest_where_it_fired_first():
+    late = [(int(1000 + 380 + k * PERIOD), 12, 5, 1) for k in range(2)]
+    early = [(int(1001 + k * PERIOD), 13, 5, 1) for k in range(2)]
+    made = images([*lit_square(spread=400), *late, *early, (4000, 0, 0, 1)])
+    fired, quick = made.named("any"), made.named("on-latency")
+    assert set(np.unique(fired)) == {0.0, 1.0}
+    assert fired[0, 0] == fired[5, 12] == 1
+    assert fired[11, 15] == 0
+    assert quick[5, 13] > quick[5, 12] > 0 == quick[11, 15]
+
+
 def test_lock_in_adds_on_and_off_events_in_phase():
     made = images(lit_square(burst=2, spread=1))
     # 4 ON and 4 OFF events, bursts half a period apart, two events 700 us apart each
