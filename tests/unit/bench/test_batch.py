@@ -2,10 +2,11 @@
 
 import json
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from nights import JOB, NightClock, Workers, begun, hows, night, queue
 
 from bench.batch import Batch, command_of
 from bench.batch_plan import read_queue
@@ -13,68 +14,9 @@ from bench.clock import Aborted
 from bench.errors import RunFolderError, ScriptError
 from bench.history import Event
 from bench.journal import Journal, read_journal
-from bench.run_folder import RunFolder
 from bench.schedule import in_order, items_of
-from bench.supervisor import WorkerEnd
 from sequences.queue import JobWords, Queue
 from sequences.reader import check_document
-
-JOB = "  - {{name: {}, sequence: three_pose, station: simulated{}}}\n"
-
-
-def queue(*jobs, top=""):
-    text = f"format: starbench/queue/1\nname: Night\n{top}jobs:\n" + "".join(JOB.format(*job) for job in jobs)
-    return check_document(text.encode(), "queue.yaml", Queue)
-
-
-class NightClock:
-    """Time that passes only where somebody waits."""
-
-    def __init__(self):
-        self.now_s = 0.0
-
-    def monotonic(self):
-        return self.now_s
-
-    def utc_now(self):
-        return datetime(2026, 3, 1, 20, 0, tzinfo=UTC) + timedelta(seconds=self.now_s)
-
-    def sleep(self, seconds):
-        self.now_s += seconds
-
-
-class Workers:
-    """Stands for the processes: ends as told, and leaves the folder a run would leave."""
-
-    def __init__(self, clock, *ends, run_s=600.0):
-        self.clock, self.ends, self.run_s, self.begun = clock, list(ends), run_s, []
-
-    def __call__(self, item, run, _log):
-        word = command_of(item, run)[0]
-        self.begun.append((word, run.name, self.clock.now_s))
-        if word == "run":
-            clocks = {"utc_now": self.clock.utc_now, "monotonic": self.clock.monotonic}
-            with RunFolder.create(run) as folder, Journal.create(folder.journal_path, **clocks) as journal:
-                journal.append(Event.RUN_STARTED, id=run.name)
-        self.clock.sleep(self.run_s)
-        end = self.ends.pop(0) if self.ends else "finished"
-        if isinstance(end, BaseException):
-            raise end
-        return WorkerEnd(end, "")
-
-
-def night(folder, queue, *ends, clock=None):
-    clock = clock or NightClock()
-    workers = Workers(clock, *ends)
-    return Batch(folder, queue, clock, lambda _: None, workers), workers
-
-
-def begun(workers):
-    return [f"{word} {name}" for word, name, _ in workers.begun]
-
-
-def hows(summary):
-    return {item["item"]: item["how"] for item in summary["items"]}
 
 
 def test_higher_priorities_come_first_and_repetitions_follow_one_another(tmp_path):

@@ -260,7 +260,7 @@ def test_after_a_failed_sync_nothing_more_is_written(three_lines, clocks, monkey
 
 
 def test_a_noted_line_is_there_at_once_and_synced_with_the_next_one(path, clocks, synced):
-    with Journal.create(path, **clocks) as journal:
+    with Journal.create(path, **clocks.kwargs()) as journal:
         journal.note("on_the_way")
         assert synced == [path.parent]
         assert [entry.event for entry in read_journal(path)[0]] == ["on_the_way"]

@@ -1,0 +1,194 @@
+"""Jobs added to a batch and withdrawn from it: taken once, answered, kept over a restart, refused with a reason."""
+
+import json
+import threading
+import time
+from datetime import UTC, datetime
+
+import pytest
+from nights import NightClock, Workers, begun, hows, job_words, queue
+
+from bench.batch import Batch
+from bench.batch_output import ask_batch
+from bench.batch_requests import REQUESTS, Request, answer_text, send_request
+from bench.batch_status import batch_status_text, read_batch_status
+from bench.errors import RunFolderError, ScriptError
+from bench.journal import read_journal
+
+
+def leave(folder, request, number=0):
+    """Put a request where a batch finds it, as ``send_request`` does."""
+    (folder / REQUESTS).mkdir(parents=True, exist_ok=True)
+    (folder / REQUESTS / f"{number:04d}-{request.id}.json").write_text(request.model_dump_json())
+
+
+def add(name, **words):
+    return Request(word="add", by="ada@lab", job=job_words(name, **words))
+
+
+def withdraw(name):
+    return Request(word="withdraw", by="ada@lab", name=name)
+
+
+class Asked(Workers):
+    """Leaves requests while a run is under way."""
+
+    def __init__(self, clock, folder, requests):
+        super().__init__(clock)
+        self.folder, self.requests = folder, list(requests)
+
+    def __call__(self, item, run, log):
+        while self.requests:
+            leave(self.folder, self.requests.pop(0), number=len(self.requests))
+        deadline = time.monotonic() + 20
+        while any((self.folder / REQUESTS).glob("*.json")) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return super().__call__(item, run, log)
+
+
+def asked(folder):
+    return [e.data for e in read_journal(folder / "journal.jsonl")[0] if e.event == "asked"]
+
+
+def test_a_job_added_while_a_run_is_under_way_is_done_and_one_withdrawn_is_not(tmp_path):
+    clock = NightClock()
+    requests = [withdraw("b"), add("urgent", priority=9, times=2)]
+    workers = Asked(clock, tmp_path, requests)
+    summary = Batch(tmp_path, queue(("a", ", times: 2"), ("b", "")), clock, lambda _: None, workers).run()
+    assert begun(workers) == ["run a-001", "run urgent-001", "run urgent-002", "run a-002"]
+    assert hows(summary)["b-001"] == "withdrawn"
+    assert summary["how"] == "finished"
+    assert [(r["word"], r["job"], r["taken"]) for r in summary["requests"]] == [
+        ("add", "urgent", True),
+        ("withdraw", "b", True),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("request_", "why"),
+    [
+        (add("a"), "has a job a"),
+        (withdraw("c"), "no job c"),
+        (withdraw("a"), "no run of a is left"),
+        (add("x", sequence="no_such"), "no_such"),
+    ],
+    ids=["doubled", "unknown", "nothing left", "no such sequence"],
+)
+def test_a_request_that_makes_no_sense_is_refused_with_its_reason(tmp_path, request_, why):
+    clock = NightClock()
+    summary = Batch(
+        tmp_path, queue(("a", "")), clock, lambda _: None, Asked(clock, tmp_path, [request_])
+    ).run()
+    (answer,) = asked(tmp_path)
+    assert not answer["taken"]
+    assert why in answer["why"]
+    assert list(hows(summary)) == ["a-001"]
+
+
+def test_requests_left_while_no_process_works_are_taken_when_the_batch_goes_on(tmp_path):
+    jobs, clock = queue(("a", "")), NightClock()
+    Batch(tmp_path, jobs, clock, lambda _: None, Workers(clock)).run()
+    request = add("late", times=2)
+    assert send_request(tmp_path, request, patience_s=0.5) is None
+    assert "as soon as the batch goes on" in answer_text(None)
+    workers = Workers(clock)
+    summary = Batch(tmp_path, jobs, clock, lambda _: None, workers).run()
+    assert begun(workers) == ["run late-001", "run late-002"]
+    assert not any((tmp_path / REQUESTS).iterdir())
+    leave(tmp_path, request)  # the process died between its answer and the removal of the file
+    assert Batch(tmp_path, jobs, clock, lambda _: None, Workers(clock)).run()["items"] == summary["items"]
+    assert len(asked(tmp_path)) == 1
+
+
+def test_what_is_no_request_is_answered_and_removed(tmp_path):
+    (tmp_path / REQUESTS).mkdir()
+    (tmp_path / REQUESTS / "0-x.json").write_bytes(b"{")
+    (tmp_path / REQUESTS / "1-big.json").write_bytes(b" " * 100_000)
+    clock = NightClock()
+    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()
+    assert [(a["word"], a["taken"]) for a in asked(tmp_path)] == [("unknown", False)] * 2
+    assert not any((tmp_path / REQUESTS).iterdir())
+
+
+def test_a_job_added_at_midnight_counts_its_repetitions_from_then(tmp_path):
+    class At(Asked):
+        def __call__(self, item, run, log):
+            self.clock.now_s = max(self.clock.now_s, 4 * 3600.0)
+            return super().__call__(item, run, log)
+
+    clock = NightClock()
+    workers = At(clock, tmp_path, [add("late", times=2, every_min=60)])
+    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, workers).run()
+    times_h = [at_s / 3600 for _, _, at_s in workers.begun]
+    assert times_h == pytest.approx([4, 4 + 600 / 3600, 5], abs=2e-3)
+
+
+def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
+    """The sender's side, with the batch in a thread."""
+    clock, gate, answers = NightClock(), threading.Event(), []
+
+    class Held(Workers):
+        def __call__(self, item, run, log):
+            assert gate.wait(30)
+            return super().__call__(item, run, log)
+
+    batch = Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Held(clock))
+    thread = threading.Thread(target=batch.run)
+    thread.start()
+    try:
+        deadline = time.monotonic() + 20
+        while not (tmp_path / "journal.jsonl").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        answers.append(send_request(tmp_path, add("b")))
+    finally:
+        gate.set()
+        thread.join()
+    assert answers[0]["taken"]
+    assert answer_text(answers[0]) == "Taken: b is in the batch."
+
+
+def test_a_request_to_a_folder_without_a_batch_is_refused(tmp_path):
+    with pytest.raises(RunFolderError, match="no batch"):
+        send_request(tmp_path, withdraw("a"))
+
+
+def test_a_faulty_job_file_is_refused_before_anything_is_asked(tmp_path):
+    path = tmp_path / "job.yaml"
+    path.write_text("format: starbench/job/1\nname: a\nsequence: no_such\nstation: simulated\n")
+    with pytest.raises(ScriptError, match="no_such"):
+        ask_batch(tmp_path, job=path, name=None, by="ada", as_json=False)
+
+
+@pytest.mark.parametrize("words", [{"word": "add"}, {"word": "withdraw"}, {"word": "add", "name": "a"}])
+def test_a_request_carries_what_its_word_needs(words):
+    with pytest.raises(ValueError, match="add takes a job"):
+        Request(by="ada", **words)
+
+
+# ---------------------------------------------------------------- how a batch stands
+
+
+def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
+    clock, looks = NightClock(), []
+
+    class Looked(Workers):
+        def __call__(self, item, run, log):
+            looks.append(read_batch_status(tmp_path, clock.utc_now))
+            return super().__call__(item, run, log)
+
+    jobs = queue(("a", ", times: 3, every_min: 30"), top="zone: UTC\nstop_by: '20:50'\n")
+    Batch(tmp_path, jobs, clock, lambda _: None, Looked(clock)).run()
+    first, second = looks
+    assert first.running
+    assert [run.item for run in first.coming] == ["a-001", "a-002", "a-003"]
+    assert first.coming[2].begin is None
+    assert [how for _, how, _ in second.done] == ["finished"]
+    assert second.coming[0].begin == datetime(2026, 3, 1, 20, 30, tzinfo=UTC)
+    took = second.coming[0].end - second.coming[0].begin
+    assert took.total_seconds() == pytest.approx(600, abs=0.1)  # as the first took, not as planned
+    text = batch_status_text(second)
+    assert "No time for: a-003" in text
+    assert "Expected end: Sun 20:40 UTC" in text
+    ended = read_batch_status(tmp_path, clock.utc_now)
+    assert (ended.running, ended.ended) == (False, "stopped")
+    assert json.loads(json.dumps(ended.to_dict()))["coming"] == []
