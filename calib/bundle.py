@@ -121,39 +121,41 @@ class Bundle:
         root
             (N, 2, 2) symmetric root of the cost's second derivative by it; None: unity.
         """
-        blocks = list(self._blocks(state, pull, root))
-        shared, shared_gradient, local, local_gradient, coupling = zip(*blocks, strict=True)
+        normal, gradient = self._view_equations(state, pull, root)
+        n = len(self.names)
         equations = NormalEquations(
-            np.sum(shared, axis=0),
-            np.sum(shared_gradient, axis=0),
-            np.array(local),
-            np.array(local_gradient),
-            np.array(coupling),
+            normal[:, :n, :n].sum(axis=0),
+            gradient[:, :n].sum(axis=0),
+            normal[:, n:, n:].copy(),
+            gradient[:, n:].copy(),
+            normal[:, :n, n:].copy(),
         )
         self._add_priors(equations, state)
         return equations
 
-    def scores(self, state: State, pull: Array) -> Iterator[tuple[Array, Array]]:
+    def scores(self, state: State, pull: Array, root: Array | None = None) -> Iterator[tuple[Array, Array]]:
         """Yield, for each view, its own information on the shared parameters (G, G) and its pull at them (G,)."""
-        for i, blocks in enumerate(self._blocks(state, pull, None)):
-            shared, gradient, local, local_gradient, coupling = blocks
+        n = len(self.names)
+        for i, (normal, gradient) in enumerate(zip(*self._view_equations(state, pull, root), strict=True)):
+            local, local_gradient, coupling = normal[n:, n:], gradient[n:], normal[:n, n:]
             if self.drifts:
                 local[[3, 4, 5], [3, 4, 5]] += self._drift_stiffness
                 local_gradient[3:] -= self._drift_stiffness * state.offsets[i]
             solved = np.linalg.solve(local, np.column_stack([coupling.T, local_gradient]))
-            yield shared - coupling @ solved[:, :-1], gradient - coupling @ solved[:, -1]
+            yield normal[:n, :n] - coupling @ solved[:, :-1], gradient[:n] - coupling @ solved[:, -1]
 
-    def _blocks(self, state: State, pull: Array, root: Array | None) -> Iterator[tuple[Array, ...]]:
-        """Yield each view's shared and local normal blocks and gradients, and their coupling."""
-        jacobian = self._jacobian(state)
-        n, k = len(self.names), jacobian.shape[2]
-        for rows in self.observations.slices:
-            columns = jacobian[rows].reshape(-1, k)
-            gradient = columns.T @ pull[rows].reshape(-1)
-            if root is not None:
-                columns = (root[rows] @ jacobian[rows]).reshape(-1, k)
-            normal = columns.T @ columns
-            yield normal[:n, :n], gradient[:n], normal[n:, n:], gradient[n:], normal[:n, n:]
+    def _view_equations(self, state: State, pull: Array, root: Array | None) -> tuple[Array, Array]:
+        """Return each view's normal matrix (n, G + L, G + L) and gradient (n, G + L), priors aside."""
+        weight = self.observations.whitening if root is None else root @ self.observations.whitening
+        square = np.ascontiguousarray((np.swapaxes(weight, 1, 2) @ weight).transpose(1, 2, 0))
+        pulled = np.ascontiguousarray(self.observations.unwhitened(pull).T)
+        normal, gradient = [], []
+        for rows, slopes in zip(self.observations.slices, self.slopes(state), strict=True):
+            flat, own = slopes.reshape(len(slopes), -1), square[:, :, rows]
+            weighted = slopes * np.stack([own[0, 0], own[1, 1]]) + slopes[:, ::-1] * own[0, 1]
+            normal.append(flat @ weighted.reshape(flat.shape).T)
+            gradient.append(flat @ pulled[:, rows].reshape(-1))
+        return np.array(normal), np.array(gradient)
 
     def _add_priors(self, equations: NormalEquations, state: State) -> None:
         """Add what the priors pull at a state."""
@@ -177,29 +179,42 @@ class Bundle:
             points[rows] = (points[rows] - centre) @ rotation.T
         return points
 
-    def _jacobian(self, state: State) -> Array:
-        """Return the whitened projection's derivatives (N, 2, G + L): by shared, then by local parameters."""
+    def slopes(self, state: State) -> Iterator[Array]:
+        """Yield, for each view, (G + L, 2, n) the projection's derivatives, px, by its parameters, then by its own.
+
+        View by view and one contiguous row a parameter: what is worked on stays in the processor's cache.
+        """
         camera, points = state.camera, self._in_camera(state)
         _, by_points, by_camera = camera.project_with_jacobians(points)
-        # A turn w on the camera's side moves the point by w x P; a move of the centre, by -R times it.
-        by_turn = _cross(points[:, None, :], by_points)
-        by_centre = np.empty_like(by_points)
+        along, by_camera = by_points.transpose(2, 1, 0), by_camera.transpose(2, 1, 0)
+        shifts = None if self.displacements is None else self.displacements.transpose(2, 1, 0)
+        count, depth = len(self.names), 6 if self.free_centres else 3
+        places = self._places(state)
         for rows, rotation in zip(self.observations.slices, state.rotations, strict=True):
-            by_centre[rows] = (by_points[rows].reshape(-1, 3) @ -rotation).reshape(-1, 2, 3)
-        parts = {name: by_camera[:, :, i] for i, name in enumerate(camera.parameter_names)}
-        parts |= dict(zip(CENTRE, (by_centre[:, :, 0], by_centre[:, :, 1], -by_centre[:, :, 2]), strict=True))
-        if self.displacements is not None:
-            for i, name in enumerate(state.collimator.imperfections):
-                parts[name] = -(by_centre[:, :, :2] * self.displacements[:, None, :, i]).sum(axis=2)
-        local = np.concatenate([by_turn, by_centre], axis=2) if self.free_centres else by_turn
-        shared = [parts[name][:, :, None] for name in self.names]
-        return self.observations.whitened(np.concatenate([*shared, local], axis=2))
+            x, y, z = points[rows].T
+            u, v, w = along[:, :, rows]
+            slopes = np.empty((count + depth, 2, len(x)))
+            # A turn t on the camera's side moves the point by t x P; a move of the centre, by -R times it.
+            slopes[count] = y * w - z * v
+            slopes[count + 1] = z * u - x * w
+            slopes[count + 2] = x * v - y * u
+            by_centre = np.tensordot(-rotation.T, along[:, :, rows], 1)
+            slopes[count + 3 :] = by_centre[: depth - 3]
+            for row, (kind, at) in zip(slopes, places, strict=False):
+                if kind == "camera":
+                    row[:] = by_camera[at, :, rows]
+                elif kind == "centre":
+                    row[:] = -by_centre[at] if CENTRE[at] == "r" else by_centre[at]
+                elif shifts is not None:
+                    row[:] = -(by_centre[0] * shifts[at, 0, rows] + by_centre[1] * shifts[at, 1, rows])
+            yield slopes
 
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return a x b along the last axis; numpy's own is several times slower."""
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return product
+    def _places(self, state: State) -> list[tuple[str, int]]:
+        """Return for each free shared parameter what it belongs to, and its place there."""
+        kinds = {
+            "camera": state.camera.parameter_names,
+            "centre": CENTRE,
+            "imperfection": tuple(state.collimator.imperfections),
+        }
+        known = {name: (kind, at) for kind, names in kinds.items() for at, name in enumerate(names)}
+        return [known[name] for name in self.names]

@@ -73,13 +73,19 @@ class Observations:
         return float(np.sqrt(np.median(np.abs(np.linalg.det(self.whitening)))))
 
     def whitened(self, vectors: Array) -> Array:
-        """Multiply (N, 2) vectors, or (N, 2, k) columns of them, by the whitening."""
-        w = self.whitening if vectors.ndim == 2 else self.whitening[..., None]
+        """Multiply (N, 2) vectors by the whitening."""
+        w = self.whitening
         # The factors are lower triangular; written out, this is several times faster than small products.
-        product = np.empty_like(vectors)
-        product[:, 0] = w[:, 0, 0] * vectors[:, 0]
-        product[:, 1] = w[:, 1, 0] * vectors[:, 0] + w[:, 1, 1] * vectors[:, 1]
-        return product
+        return np.column_stack(
+            [w[:, 0, 0] * vectors[:, 0], w[:, 1, 0] * vectors[:, 0] + w[:, 1, 1] * vectors[:, 1]]
+        )
+
+    def unwhitened(self, vectors: Array) -> Array:
+        """Multiply (N, 2) vectors by the whitening's transpose: a gradient by residuals becomes one by px."""
+        w = self.whitening
+        return np.column_stack(
+            [w[:, 0, 0] * vectors[:, 0] + w[:, 1, 0] * vectors[:, 1], w[:, 1, 1] * vectors[:, 1]]
+        )
 
     def rows(self, views: Sequence[int]) -> list[NDArray[np.int64]]:
         """Return the rows of some views, view by view."""

@@ -5,6 +5,7 @@ import pytest
 
 from calib.calibrate import CalibrationOptions
 from calib.fit import fit
+from calib.refine import refine
 from calib.resample import LeftOut, leave_one_out
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130))
@@ -47,3 +48,17 @@ def test_totals_weigh_views_by_their_stars():
     left = LeftOut(np.array([[1.0], [3.0], [2.0]]), np.array([0.1, 0.2, 0.3]), np.array([10, 10, 80]))
     assert left.total_rms_px == pytest.approx(np.sqrt((0.01 * 10 + 0.04 * 10 + 0.09 * 80) / 100))
     assert left.jackknife == pytest.approx(np.array([[2 / 3 * 2.0]]))
+
+
+def test_of_many_views_a_step_leads_where_a_refit_without_one_ends(bench):
+    rng = np.random.default_rng(104)
+    poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(10)]
+    whole = fit(bench.views(rng, 0.05, poses=poses), L2, "spherical")
+    left = leave_one_out(whole.bundle, whole.state, whole.loss)
+    sigma = np.sqrt(np.diag(whole.known.covariance))
+    moved = (left.values - whole.state.values(whole.bundle.names)) / sigma
+    assert np.abs(moved).max() > 0.3
+    for i in (0, 7):
+        others = [j for j in range(10) if j != i]
+        refit = refine(whole.bundle.only(others), whole.state.only(others), whole.loss).state
+        assert np.abs((left.values[i] - refit.values(whole.bundle.names)) / sigma).max() < 0.03
