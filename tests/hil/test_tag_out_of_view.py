@@ -2,8 +2,16 @@
 
 import json
 
+import cv2
+import numpy as np
 import pytest
 from running import journal, results, starbench
+
+from bench.pictures import measure_pictures
+from calib.errors import DegenerateViews
+from calib.grid_map import apply_homography, fit_homography
+from simulators.optics import TARGET, pose_rotation, render, star_centres
+from simulators.truth import Truth
 
 SEQUENCE = """\
 format: starbench/sequence/1
@@ -20,6 +28,24 @@ steps:
 """
 WITH_TAG = [(-6, 2), (6, 2), (0, -3)]
 WITHOUT = [(0, 8), (13.8, -2)]
+
+
+def no_pose(_size):
+    raise DegenerateViews("No earlier view tells where the stars are.")
+
+
+def test_photographs_without_the_tag_are_named_the_same_way(tmp_path):
+    truth = Truth()
+    rotation = pose_rotation({"tilt": 8.0, "roll": 9.0}, truth.optics)
+    cv2.imwrite(str(tmp_path / "p.png"), np.uint8(20 + 200 * render(truth, rotation)))
+    ids, points = star_centres(truth, rotation)
+    grid = fit_homography(TARGET.node_of(ids).astype(float), points)
+    named = measure_pictures(tmp_path / "p.png", name="p", target=TARGET, expect=lambda _size: grid)
+    assert named.facts["named_by"] == "gimbal"
+    assert np.abs(apply_homography(np.array(named.facts["grid"]), TARGET.node_of(ids)) - points).max() < 5
+    unnamed = measure_pictures(tmp_path / "p.png", name="p", target=TARGET, expect=no_pose)
+    assert unnamed.view is None
+    assert unnamed.fault.endswith("No earlier view tells where the stars are.")
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -69,6 +72,20 @@ def test_stars_of_33_ms_are_as_exact_as_wanted(waveform, noise, chosen, rms_px):
         squares.append(z)
     assert np.sqrt((np.concatenate(errors) ** 2).mean()) <= rms_px
     assert 0.85 < np.sqrt(np.concatenate(squares).mean()) < 1.2
+
+
+@pytest.mark.slow
+def test_no_star_is_taken_for_another_at_any_pose():
+    """Some of the poses of ``bench_star_names.py``; the benchmark looks at a thousand."""
+    script = Path(__file__).parents[1] / "benchmarks" / "bench_star_names.py"
+    look = runpy.run_path(str(script))["look"]
+    poses = [look(1, number) for number in range(40)]
+    found = [pose for pose in poses if "stars" in pose]
+    assert sum(pose["wrong"] for pose in found) == 0
+    assert sum(pose["missed"] for pose in found) <= 0.005 * sum(pose["whole"] for pose in found)
+    assert len(found) >= 30
+    refused = [pose for pose in poses if "refused" in pose]
+    assert all(pose["tag"] != "whole" and not pose["expected"] for pose in refused)
 
 
 @pytest.mark.slow
