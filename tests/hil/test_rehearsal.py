@@ -1,0 +1,162 @@
+"""A night on a virtual clock: hours in seconds, the same bytes for the same seed, and never taken for evidence."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from bench.batch import Batch
+from bench.batch_plan import plan_night, read_queue
+from bench.clock import BenchClock, VirtualClock
+from bench.errors import RunFolderError
+from bench.journal import read_journal
+from bench.launch import Launch, read_intentions, resume_run
+from bench.rehearsal import rehearse_run
+from bench.rehearsed_night import rehearse_batch
+from bench.run_index import read_run
+from bench.supervisor import WorkerEnd
+
+EVENING = datetime(2026, 3, 1, 18, 30, tzinfo=UTC)
+STATION = Path(__file__).parents[2] / "bench" / "stations" / "simulated.yaml"
+QUEUE = """\
+format: starbench/queue/1
+name: Night
+zone: Europe/Berlin
+start_at: "20:00"
+stop_by: "22:10"
+jobs:
+  - {name: a, sequence: three_pose, station: station.yaml, times: 3, every_min: 60}
+  - {name: b, sequence: three_pose, station: other.yaml, priority: 1}
+"""
+TWELVE = """\
+format: starbench/sequence/1
+name: Often
+poses:
+  few: [{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]
+steps:
+  - light
+  - repeat: {times: 4, steps: [{repeat: {poses: few, steps: [move, {record: {attempts: 3, on_failure: skip}}]}}]}
+  - light: off
+  - solve
+  - report
+"""
+
+
+@pytest.fixture
+def queue(tmp_path):
+    folder = tmp_path / "files"
+    folder.mkdir()
+    text = STATION.read_text(encoding="utf-8")
+    mishaps = "simulation: {rehearsal: {lost_share: 0.1, covered_share: 0.1, room_c_per_h: -1}}"
+    (folder / "station.yaml").write_text(text.replace("simulation: {}", mishaps))
+    (folder / "other.yaml").write_text(text.replace("simulation: {}", "simulation: {camera_serial: '7'}"))
+    (folder / "queue.yaml").write_text(QUEUE)
+    return read_queue(folder / "queue.yaml")
+
+
+def rehearsed(queue, folder, seed=1):
+    return rehearse_batch(queue, folder, begin=EVENING, seed=seed, say=lambda _: None)
+
+
+def journals(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("journal.jsonl"))}
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(queue, tmp_path):
+    rehearsed(queue, tmp_path / "one")
+    rehearsed(queue, tmp_path / "again")
+    rehearsed(queue, tmp_path / "other", seed=2)
+    one, again, other = (journals(tmp_path / name) for name in ("one", "again", "other"))
+    assert sorted(one) == [
+        "journal.jsonl",
+        *(f"runs/{name}/journal.jsonl" for name in ("a-001", "a-002", "a-003", "b-001")),
+    ]
+    assert one == again
+    assert one["runs/a-001/journal.jsonl"] != other["runs/a-001/journal.jsonl"]
+    assert (tmp_path / "one" / "summary.json").read_bytes() == (
+        tmp_path / "again" / "summary.json"
+    ).read_bytes()
+    assert (tmp_path / "one" / "summary.html").read_bytes() == (
+        tmp_path / "again" / "summary.html"
+    ).read_bytes()
+
+
+def test_a_night_goes_as_planned_and_tells_what_failed(queue, tmp_path):
+    summary = rehearsed(queue, tmp_path / "night")
+    planned = {slot.item.key: slot for slot in plan_night(queue.value, EVENING).slots}
+    assert {item["item"]: item["how"] for item in summary["items"]} == {
+        "a-001": "finished", "a-002": "finished", "a-003": "finished", "b-001": "failed",
+    }  # fmt: skip
+    for item in summary["items"]:
+        begun = datetime.fromisoformat(item["begun_utc"])
+        assert begun.minute % 30 in {0, 1}
+        if item["how"] == "finished" and item["recordings"] == 3:
+            expected = planned[item["item"]].end_s - planned[item["item"]].begin_s
+            assert item["took_s"] == pytest.approx(expected, rel=0.05)
+    (failed,) = (item for item in summary["items"] if item["item"] == "b-001")
+    assert "the camera says 7" in failed["why"]
+    assert failed["attempts"] == 2
+    temperatures = [item["temperature_c"] for item in summary["items"] if item["how"] == "finished"]
+    assert temperatures[1] > temperatures[0]  # it warms up, while the room cools
+    page = (tmp_path / "night" / "summary.html").read_text(encoding="utf-8")
+    assert "REHEARSAL on a virtual clock: nothing was measured" in page
+    assert "the camera says 7" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_a_rehearsal_leaves_nothing_that_passes_for_evidence(queue, tmp_path, monkeypatch):
+    home = tmp_path / "home"
+    monkeypatch.setenv("STARBENCH_HOME", str(home))
+    rehearsed(queue, tmp_path / "night")
+    run = tmp_path / "night" / "runs" / "a-001"
+    assert not home.exists()  # no key, no ledger, no message
+    assert not (run / "SHA256SUMS.sig").exists()
+    first = read_journal(run / "journal.jsonl")[0][0]
+    assert (first.data["rehearsal"], first.data["simulated"]) == (True, True)
+    assert json.loads((run / "results.json").read_text())["rehearsal"] is True
+    assert (run / "captures" / "pose-001-attempt-1.raw").read_bytes().startswith(b"% REHEARSAL")
+    with pytest.raises(RunFolderError, match="rehearsal"):
+        resume_run(run, Launch(BenchClock()))
+    with pytest.raises(RunFolderError, match="rehearsal"):
+        read_intentions(run)
+    with pytest.raises(RunFolderError, match="not empty"):
+        rehearsed(queue, tmp_path / "night")
+    real = Batch(
+        tmp_path / "night", queue, VirtualClock(EVENING), print, lambda *_: WorkerEnd("finished", "")
+    )
+    with pytest.raises(RunFolderError, match="never go on in one folder"):
+        real.run()
+
+
+def test_mishaps_are_tried_again_skipped_and_told_as_in_a_run(tmp_path):
+    (tmp_path / "often.yaml").write_text(TWELVE)
+    text = STATION.read_text(encoding="utf-8")
+    mishaps = "simulation: {rehearsal: {lost_share: 0.25, covered_share: 0.25}}"
+    (tmp_path / "station.yaml").write_text(text.replace("simulation: {}", mishaps))
+    clock = VirtualClock(EVENING)
+    end = rehearse_run(
+        str(tmp_path / "often.yaml"), str(tmp_path / "station.yaml"),
+        seed=5, operator=None, folder=tmp_path / "run", clock=clock,
+    )  # fmt: skip
+    assert end.how == "finished", end.why
+    run = read_run(tmp_path / "run")
+    events = [entry.event for entry in read_journal(tmp_path / "run" / "journal.jsonl")[0]]
+    refused = [e for e in read_journal(tmp_path / "run" / "journal.jsonl")[0] if e.event == "attempt_checked"]
+    assert run.recordings > 12 >= run.accepted >= 6
+    assert events.count("attempt_lost") >= 2
+    assert any("stars 20, wanted >= 40" in e.data["reasons"] for e in refused)
+    assert run.deviations == 12 - run.accepted
+
+
+def test_uncertainties_of_a_rehearsal_hold(tmp_path):
+    """The rehearsed numbers are worth what they say: fx of 30 runs against the truth, in its own sigmas."""
+    clock, errors = VirtualClock(EVENING), []
+    for seed in range(30):
+        end = rehearse_run(
+            "three_pose", "simulated", seed=seed, operator=None, folder=tmp_path / f"r{seed}", clock=clock
+        )
+        rows = {row["name"]: row["error_sigmas"] for row in end.outcome.results["comparison"]}
+        errors.append(rows["fx"])
+    rms = (sum(e * e for e in errors) / len(errors)) ** 0.5
+    assert 0.7 < rms < 1.35
