@@ -1,0 +1,180 @@
+"""The summary of a batch: trends that are there are found, those that are not are not, and the page shows and escapes."""
+
+import math
+from datetime import UTC, datetime, timedelta
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from bench.report.batch_page import render_batch
+from bench.run_index import IndexedRun
+from bench.trends import by_camera, slope, trends_of
+
+EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)
+
+
+def run(number, *, fx=0.0, sigma=0.5, temperature_c=40.0, camera="1", hours=None):
+    begun = EVENING + timedelta(hours=number / 2 if hours is None else hours)
+    return IndexedRun(
+        folder=f"/runs/r{number:03d}", id=f"r{number:03d}", sequence="s", station="t", camera=camera, operator=None,
+        simulated=True, begun_utc=begun.isoformat().replace("+00:00", "Z"), how="finished", sealed=True, accepted=9,
+        recordings=9, deviations=0, temperature_c=temperature_c, model="spherical", rms_px=0.05,
+        parameters={"fx": (3300.0 + fx, sigma), "k1": (0.06, 0.001)},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("drift_px_h", [0.0, 0.4])
+def test_a_drift_is_seen_where_there_is_one(drift_px_h):
+    drawn = np.random.default_rng(1)
+    runs = [run(n, fx=drift_px_h * n / 2 + 0.5 * drawn.normal()) for n in range(20)]
+    fx, k1 = trends_of(runs)
+    assert fx.per_hour.seen is (drift_px_h > 0)
+    assert fx.per_hour.value == pytest.approx(drift_px_h, abs=3 * fx.per_hour.sigma)
+    assert k1.birge == 0
+    assert fx.per_c is None  # one temperature all night
+    assert not k1.per_hour.seen
+
+
+def test_slopes_of_noise_scatter_as_their_uncertainties_say():
+    drawn = np.random.default_rng(2)
+    x, sigma = np.linspace(0, 10, 25), 0.7
+    z = [
+        (s := slope(x.tolist(), (sigma * drawn.normal(size=25)).tolist(), [sigma] * 25)).value / s.sigma
+        for _ in range(400)
+    ]
+    assert 0.85 < math.sqrt(np.mean(np.square(z))) < 1.1
+    assert sum(abs(v) > 3.5 for v in z) <= 2
+
+
+def test_points_that_scatter_more_than_they_say_widen_the_slope():
+    x, y = [0.0, 1.0, 2.0, 3.0], [0.0, 5.0, -5.0, 0.0]
+    assert slope(x, y, [0.1] * 4).sigma > 10 * slope(x, [0.0, 0.05, -0.05, 0.0], [0.1] * 4).sigma
+
+
+def test_the_temperature_is_followed_where_it_varies():
+    runs = [run(n, fx=0.8 * (n % 5), temperature_c=40.0 + n % 5, sigma=0.1) for n in range(20)]
+    fx, _ = trends_of(runs)
+    assert fx.per_c.value == pytest.approx(0.8)
+    assert fx.per_c.seen
+    assert not fx.per_hour.seen
+
+
+def test_cameras_are_kept_apart_and_runs_without_a_result_left_out():
+    none = IndexedRun(**{**vars(run(9)), "parameters": {}})
+    grouped = by_camera([run(1, camera="2"), run(0), none])
+    assert {key: len(runs) for key, runs in grouped.items()} == {("1", "spherical"): 1, ("2", "spherical"): 1}
+
+
+# ---------------------------------------------------------------- the page
+
+
+def item(key, how="finished", why="", **facts):
+    told = {
+        "item": key, "job": key.rpartition("-")[0], "folder": f"runs/{key}", "how": how, "why": why, "attempts": 1,
+        "begun_utc": "2026-03-01T19:00:00+00:00", "ended_utc": "2026-03-01T19:10:00+00:00", "took_s": 600.0,
+        "report": None, "camera": "1", "poses": 9, "accepted": 9, "recordings": 10, "deviations": 0,
+        "temperature_c": None, "model": "spherical", "rms_px": 0.05, "sealed": True,
+        "parameters": {"fx": {"value": 3300.0, "sigma": 0.5}},
+    }  # fmt: skip
+    return {**told, **facts}
+
+
+def summary(*items, cameras=(), **facts):
+    totals = {
+        "runs": len(items), "by_end": {}, "attempts": 1, "poses": 9, "recordings": 10, "deviations": 0, "hours": 1.0,
+        "working_hours": 0.5,
+    }  # fmt: skip
+    return {
+        "schema": "starbench/batch/1", "queue": "Night", "zone": "Europe/Berlin", "how": "finished", "why": "",
+        "begun_utc": "2026-03-01T19:00:00+00:00", "ended_utc": "2026-03-02T03:00:00+00:00", "simulated": False,
+        "rehearsal": False, "totals": totals, "items": list(items), "cameras": list(cameras), "requests": [], **facts,
+    }  # fmt: skip
+
+
+class Tags(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.tags, self.links = [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [value for name, value in attrs if name in {"src", "href", "xlink:href"} and value]
+
+
+def read(html):
+    tags = Tags()
+    tags.feed(html)
+    return tags
+
+
+def of_runs(runs):
+    points = [
+        {
+            "item": r.id, "begun_utc": r.begun_utc, "temperature_c": r.temperature_c,
+            "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in r.parameters.items()},
+        }
+        for r in runs
+    ]  # fmt: skip
+    return {
+        "camera": "1",
+        "model": "spherical",
+        "runs": points,
+        "parameters": [t.to_dict() for t in trends_of(runs)],
+    }
+
+
+def test_nothing_in_a_summary_becomes_markup():
+    evil = "<script>alert(1)</script>"
+    html = render_batch(
+        summary(
+            item("a-001", "failed", evil),
+            queue=evil,
+            requests=[{"word": "add", "by": evil, "taken": True, "why": "", "job": "x"}],
+        )
+    )
+    assert "script" not in read(html).tags
+    assert html.count("&lt;script&gt;") >= 3
+
+
+def test_the_page_needs_nothing_from_elsewhere_and_links_only_to_reports():
+    html = render_batch(
+        summary(item("a-001", report="runs/a-001/report.html"), cameras=[of_runs([run(n) for n in range(4)])])
+    )
+    links = [link for link in read(html).links if not link.startswith("#")]
+    assert links == ["runs/a-001/report.html"]
+    assert "@import" not in html
+
+
+def test_the_page_tells_failures_and_what_was_not_begun_with_local_times():
+    html = render_batch(
+        summary(
+            item("a-001", "failed", "the lamp is dark"),
+            item("b-001", "not begun", begun_utc=None, ended_utc=None, took_s=None),
+        )
+    )
+    assert "the lamp is dark" in html
+    assert "<b>Not begun:</b> b-001." in html
+    assert "2026-03-01 20:00 to 2026-03-02 04:00" in html  # Berlin
+    assert "REHEARSAL" not in html
+    assert "SIMULATED" not in html
+
+
+def test_the_page_says_in_words_what_changed_and_what_did_not():
+    steady = render_batch(summary(cameras=[of_runs([run(n) for n in range(12)])]))
+    assert "All 12 results agree within their uncertainties" in steady
+    drifting = render_batch(summary(cameras=[of_runs([run(n, fx=2.0 * n) for n in range(12)])]))
+    assert "fx changed over the night" in drifting
+    single = render_batch(summary(cameras=[of_runs([run(0)])]))
+    assert "nothing to compare it with" in single
+
+
+def test_the_same_summary_gives_the_same_page():
+    told = summary(item("a-001"), cameras=[of_runs([run(n, temperature_c=40 + n / 10) for n in range(5)])])
+    assert render_batch(told) == render_batch(told)
+
+
+@pytest.mark.parametrize("flag", ["rehearsal", "simulated"])
+def test_what_is_not_measured_says_so_at_the_top(flag):
+    html = render_batch(summary(item("a-001"), **{flag: True}))
+    assert '<div class="simulated-bar">' + flag.upper() in html
