@@ -178,17 +178,51 @@ def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words
 )
 def export(recording: Path, output: Path, kind: str) -> int:
     """Write the events of a RAW RECORDING to a new file for other programs. The RAW stays the evidence."""
-    from drivers.camera import event_files
-    from drivers.camera.raw_file import RawFile
+    return _convert(recording, output, kind)
 
-    ways = {
-        "metavision": event_files.export_metavision,
-        "hdf5": event_files.export_hdf5,
-        "numpy": event_files.export_numpy,
-    }
-    written = ways[kind](RawFile.open(recording), output)
-    click.echo(f"{output}: {written.events} events, {written.triggers} triggers")
+
+@click.command()
+@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("output", type=click.Path(path_type=Path))
+@click.option(
+    "--as",
+    "kind",
+    type=click.Choice(["raw", "metavision", "hdf5", "numpy"]),
+    help="Kind of OUTPUT, where its name does not tell: .raw, .hdf5 (Metavision's, ECF), .h5 (plain), .npz.",
+)
+def convert(source: Path, output: Path, kind: str | None) -> int:
+    """Convert a file of events, of any kind and told by what it holds, to a new file OUTPUT of another kind.
+
+    RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5 and NumPy's .npz. A RAW file that was converted says so in its
+    header: it is no camera's own bytes.
+    """
+    from bench.errors import UsageError
+    from drivers.camera.event_conversion import kind_of_name
+
+    kind = kind or kind_of_name(output)
+    if kind is None:
+        raise UsageError(
+            "Its name does not tell what kind of file it shall be.",
+            where=str(output),
+            remedy="Let it end in .raw, .hdf5, .h5 or .npz, or say it by --as.",
+        )
+    return _convert(source, output, kind)
+
+
+def _convert(source: Path, output: Path, kind: str) -> int:
+    from datetime import UTC, datetime
+
+    from drivers.camera import event_conversion
+
+    written = event_conversion.convert(
+        source,
+        output,
+        kind,  # type: ignore[arg-type]
+        utc_now=lambda: datetime.now(UTC),
+    )
+    moved = f", {written.moved_events} with their predecessor's time" if written.moved_events else ""
+    click.echo(f"{output}: {written.events} events{moved}, {written.triggers} triggers")
     return 0
 
 
-ENGINE_COMMANDS = (calibrate, passport, study, export)
+ENGINE_COMMANDS = (calibrate, passport, study, export, convert)

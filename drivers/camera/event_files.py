@@ -1,7 +1,7 @@
-"""Events in files for analysis: Metavision's HDF5, plain HDF5 and NumPy; out of a RAW file, and back to arrays.
+"""Events in files for analysis: Metavision's HDF5, plain HDF5 and NumPy; out of a RAW file.
 
 The RAW file stays the evidence: all these are computed from it, hold less (no counters of the sensor, and in
-Metavision's HDF5 no time may step back), and are never overwritten. Layouts:
+Metavision's HDF5 no time may step back), are never overwritten, and appear whole or not at all. Layouts:
 
 - Metavision: ``/CD/events`` (x, y, p, t; ECF-compressed chunks of 16384), ``/EXT_TRIGGER/events`` (p, t, id), to
   each ``indexes`` (id, ts): entry k tells the first event of the last 2 ms window before window k that has any,
@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from drivers.camera import ecf
 from drivers.camera.evt3 import Events, Triggers, empty_events, join_triggers
+from drivers.camera.new_file import new_file
 from drivers.camera.raw_file import RawFile
-from drivers.errors import RecordingFileError
 
 CHUNK_EVENTS: Final = 16384
 WINDOW_US: Final = 2000
@@ -118,7 +118,7 @@ def export_hdf5(recording: RawFile, path: Path) -> Exported:
 def export_numpy(recording: RawFile, path: Path) -> Exported:
     """Write an ``.npz`` file; all events are in memory meanwhile. Raises as ``export_metavision``."""
     events, triggers = recording.read()
-    with _removed_on_failure(path), path.open("xb") as file:
+    with new_file(path) as part, part.open("xb") as file:
         np.savez_compressed(
             file,
             **events._asdict(),
@@ -218,26 +218,5 @@ class _Index:
 
 @contextmanager
 def _new_hdf5(path: Path) -> Iterator[Any]:
-    with _removed_on_failure(path), h5py.File(path, "x") as file:
+    with new_file(path) as part, h5py.File(part, "x") as file:
         yield file
-
-
-@contextmanager
-def _removed_on_failure(path: Path) -> Iterator[None]:
-    """Refuse a file that is there; leave none behind that is half written."""
-    if path.exists():
-        raise RecordingFileError(
-            "There is such a file already.", where=str(path), remedy="Choose another name, or remove it."
-        )
-    try:
-        yield
-    except OSError as error:
-        path.unlink(missing_ok=True)
-        raise RecordingFileError(
-            f"It cannot be written ({error.strerror or error}).",
-            where=str(path),
-            remedy="Check that its folder exists, may be written and has space.",
-        ) from error
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise

@@ -1,8 +1,11 @@
 """Our EVT3 decoder beside the PyPI package ``evt3``, written by others: the same events from the same words."""
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 
+from drivers.camera.event_conversion import convert
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingCorrupt
 from simulators.evt3_writer import Evt3Writer
@@ -142,3 +145,16 @@ def test_a_damaged_real_recording_never_gives_events_outside_the_sensor(referenc
             assert abs(int(events.t[0]) - 14_224_870) < 1 << 24
     assert 50 < len(refused_at) < 200
     assert all(300 <= offset < len(whole) for offset in refused_at)
+
+
+def test_a_recording_converted_from_events_is_read_alike(reference_data, tmp_path):
+    """Out of the recording, through a file of arrays, and back into words that we made ourselves."""
+    source = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+    now = datetime(2026, 3, 1, tzinfo=UTC)
+    convert(source, tmp_path / "events.npz", "numpy", utc_now=lambda: now)
+    convert(tmp_path / "events.npz", tmp_path / "again.raw", "raw", utc_now=lambda: now)
+    assert assert_same(tmp_path / "again.raw") == (82_469, 2)
+    for ours, theirs in zip(
+        RawFile.open(tmp_path / "again.raw").read(), RawFile.open(source).read(), strict=True
+    ):
+        assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))

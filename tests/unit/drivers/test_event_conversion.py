@@ -1,0 +1,207 @@
+"""Files of events to files of events: the same events, whatever the way, and never half a file."""
+
+import os
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.camera import event_conversion
+from drivers.camera.event_conversion import KINDS, convert
+from drivers.camera.event_files import export_numpy
+from drivers.camera.event_import import import_events
+from drivers.camera.evt3 import Events, Evt3Decoder, Triggers, empty_events, empty_triggers
+from drivers.camera.evt3_encode import MOST_US, Evt3Encoder
+from drivers.camera.new_file import new_file
+from drivers.camera.raw_file import RawFile
+from drivers.errors import DriverError, NotARecording, RecordingFileError
+
+NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
+HEADER = (
+    b"% date 2026-03-01 12:00:00\n% format EVT3;height=720;width=1280\n% integrator_name Prophesee\n"
+    b"% sensor_name IMX636\n% serial_number 00051234\n% end\n"
+)
+
+
+def stream(n=5000, seed=3):
+    """Events over three turns of the 24-bit clock with a gap between, and edges among them."""
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.integers(9_000_000, 9_100_000, n))
+    t[n // 2 :] += 45_000_000
+    events = Events(
+        t.astype(np.int64),
+        rng.integers(0, 1280, n).astype(np.uint16),
+        rng.integers(0, 720, n).astype(np.uint16),
+        rng.integers(0, 2, n).astype(np.uint8),
+    )
+    edges = np.sort(rng.integers(8_990_000, 54_200_000, 40)).astype(np.int64)
+    return events, Triggers(edges, (np.arange(40) % 2).astype(np.uint8), np.zeros(40, np.uint8))
+
+
+def same(ours, theirs):
+    return all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+@pytest.fixture
+def raw(tmp_path):
+    path = tmp_path / "pose.raw"
+    path.write_bytes(HEADER + Evt3Encoder().words(*stream()).tobytes())
+    return path
+
+
+ENDINGS = {"raw": ".raw", "metavision": ".hdf5", "hdf5": ".h5", "numpy": ".npz"}
+
+
+@pytest.mark.parametrize("first", [kind for kind in KINDS if kind != "raw"])
+@pytest.mark.parametrize("second", KINDS)
+def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first, second):
+    events, triggers = stream()
+    between, end = tmp_path / f"between{ENDINGS[first]}", tmp_path / f"end{ENDINGS[second]}"
+    convert(raw, between, first, utc_now=lambda: NOW)
+    told = convert(between, end, second, utc_now=lambda: NOW)
+    assert (told.events, told.triggers, told.moved_events) == (5000, 40, 0)
+    if second == "raw":
+        found = RawFile.open(end).read()
+    else:
+        imported = import_events(end)
+        found = imported.events, imported.triggers
+    assert same(found[0], events)
+    assert same(found[1], triggers)
+
+
+def test_a_converted_raw_file_says_so_and_keeps_whose_it_was(raw, tmp_path):
+    convert(raw, tmp_path / "pose.hdf5", "metavision", utc_now=lambda: NOW)
+    convert(tmp_path / "pose.hdf5", tmp_path / "again.raw", "raw", utc_now=lambda: NOW)
+    again = RawFile.open(tmp_path / "again.raw")
+    assert again.header["converted_from"] == "pose.hdf5; not the bytes of a camera"
+    assert (again.serial, again.width, again.height) == ("00051234", 1280, 720)
+    assert (again.header["date"], again.header["sensor_name"]) == ("2026-03-01 12:00:00", "IMX636")
+    assert again.scan().gap_count == 0
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 60_000_000), st.integers(0, 1279), st.integers(0, 719), st.integers(0, 1))
+    ),
+    st.lists(st.tuples(st.integers(0, 60_000_000), st.integers(0, 1), st.integers(0, 15))),
+    st.integers(1, 50),
+)
+def test_what_is_encoded_in_pieces_is_decoded_the_same(rows, edges, piece):
+    rows, edges = sorted(rows), sorted(edges)
+    columns = [np.array(c) for c in zip(*rows, strict=True)] or [np.zeros(0)] * 4
+    events = Events(*(c.astype(d) for c, d in zip(columns, ("i8", "u2", "u2", "u1"), strict=True)))
+    columns = [np.array(c) for c in zip(*edges, strict=True)] or [np.zeros(0)] * 3
+    triggers = Triggers(*(c.astype(d) for c, d in zip(columns, ("i8", "u1", "u1"), strict=True)))
+    encoder, decoder = Evt3Encoder(), Evt3Decoder(1280, 720)
+    words = [encoder.words(empty_events(0), triggers)] if not rows else []
+    done = 0
+    for begin in range(0, len(rows), piece):
+        part = events.part(begin, begin + piece)
+        until = int(np.searchsorted(triggers.t, part.t[-1], "right"))
+        words.append(encoder.words(part, Triggers(*(field[done:until] for field in triggers))))
+        done = until
+    if rows:
+        words.append(encoder.words(empty_events(0), Triggers(*(field[done:] for field in triggers))))
+    found = [piece for part in words for piece in decoder.decode(part)]
+    assert encoder.moved == 0
+    assert all(
+        np.array_equal(np.concatenate([getattr(e, name) for e, _ in found] or [[]]), getattr(events, name))
+        for name in Events._fields
+    )
+    assert all(
+        np.array_equal(np.concatenate([getattr(e, name) for _, e in found] or [[]]), getattr(triggers, name))
+        for name in Triggers._fields
+    )
+
+
+def test_a_step_back_of_some_us_is_kept_and_a_longer_one_counted():
+    t = np.array([10_000, 9_990, 8_000, 10_001], np.int64)
+    flat = np.zeros(4, np.uint16)
+    encoder = Evt3Encoder()
+    words = encoder.words(Events(t, flat, flat, np.zeros(4, np.uint8)), empty_triggers(0))
+    [(found, _)] = Evt3Decoder(1280, 720).decode(words)
+    assert found.t.tolist() == [10_000, 9_990, 9_990, 10_001]
+    assert encoder.moved == 1
+
+
+@pytest.mark.parametrize("t", [-1, MOST_US])
+def test_times_that_would_fill_the_disk_with_clock_words_are_refused(tmp_path, t):
+    one = np.zeros(1, np.uint16)
+    np.savez(
+        tmp_path / "a.npz", t=np.array([t]), x=one, y=one, p=one, size=np.array([1280, 720]),
+        trigger_t=np.zeros(0, int), trigger_value=np.zeros(0, int), trigger_id=np.zeros(0, int),
+    )  # fmt: skip
+    with pytest.raises(RecordingFileError, match="not within a day from 0 on"):
+        convert(tmp_path / "a.npz", tmp_path / "a.raw", "raw", utc_now=lambda: NOW)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_raw_to_raw_is_refused(raw, tmp_path):
+    with pytest.raises(NotARecording, match="RAW recording already"):
+        convert(raw, tmp_path / "again.raw", "raw", utc_now=lambda: NOW)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("content", [b"", b"hello", b"% evt 2.0\n", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04"])
+def test_what_holds_no_events_is_told_and_leaves_nothing(tmp_path, kind, content):
+    (tmp_path / "a.bin").write_bytes(content)
+    with pytest.raises(DriverError):
+        convert(tmp_path / "a.bin", tmp_path / "out", kind, utc_now=lambda: NOW)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.bin"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_that_is_there_is_never_written_over(raw, tmp_path, kind):
+    export_numpy(RawFile.open(raw), tmp_path / "pose.npz")
+    (tmp_path / "out").write_bytes(b"precious")
+    with pytest.raises(RecordingFileError, match="such a file already"):
+        convert(tmp_path / "pose.npz", tmp_path / "out", kind, utc_now=lambda: NOW)
+    assert (tmp_path / "out").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_interrupt_leaves_neither_a_file_nor_a_part_of_one(raw, tmp_path, kind, monkeypatch):
+    export_numpy(RawFile.open(raw), tmp_path / "pose.npz")
+
+    class Interrupted(Evt3Encoder):
+        def words(self, *_):
+            raise KeyboardInterrupt
+
+    if kind == "raw":
+        monkeypatch.setattr(event_conversion, "Evt3Encoder", Interrupted)
+    monkeypatch.setattr(RawFile, "pieces", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(RawFile, "read", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        convert(tmp_path / "pose.npz", tmp_path / "out", kind, utc_now=lambda: NOW)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["pose.npz", "pose.raw"]
+
+
+def test_a_name_that_somebody_takes_meanwhile_is_theirs(tmp_path):
+    with ExitStack() as writing:
+        writing.enter_context(new_file(tmp_path / "a")).write_bytes(b"ours")
+        (tmp_path / "a").write_bytes(b"theirs")
+        with pytest.raises(RecordingFileError, match="such a file already"):
+            writing.pop_all().close()
+    assert (tmp_path / "a").read_bytes() == b"theirs"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_part_that_a_killed_process_left_is_written_anew(tmp_path):
+    (tmp_path / "a.part").write_bytes(b"half")
+    with new_file(tmp_path / "a") as part:
+        part.write_bytes(b"whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_file_system_without_links_is_served_too(tmp_path, monkeypatch):
+    def no_links(*_):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(os, "link", no_links)
+    with new_file(tmp_path / "a") as part:
+        part.write_bytes(b"whole")
+    assert Path(tmp_path / "a").read_bytes() == b"whole"
