@@ -76,6 +76,19 @@ def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as
 
 
 @click.command()
+@_RUN
+@click.argument("word", type=click.Choice(["yes", "no", "continue", "abort"]))
+@_BY
+@_JSON
+def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
+    """Answer the question a RUN asks: yes (continue) or no (abort)."""
+    from bench.run_output import give_command
+
+    said = {"yes": "continue", "no": "abort"}.get(word, word)
+    return give_command(run_folder, "answer", by=by, answer=said, as_json=as_json)
+
+
+@click.command()
 @click.argument("folder", required=False, type=click.Path(path_type=Path))
 @click.option("--serial", help="Only runs of the camera with this serial number.")
 @click.option("--since", type=click.DateTime(), help="Only runs begun at or after this time (UTC).")
@@ -107,4 +120,4 @@ def messages(send_now: bool, as_json: bool) -> int:
     return show_messages(send_now=send_now, as_json=as_json)
 
 
-RUN_COMMANDS = (status, hold, release, abort, skip, runs, messages)
+RUN_COMMANDS = (status, hold, release, abort, skip, answer, runs, messages)

@@ -1,4 +1,4 @@
-"""Commands of operators to a run under way: hold, release, abort, skip; from another terminal, or by any program.
+"""Commands of operators to a run under way, from another terminal or a program: hold, release, abort, skip, answer.
 
 A command is one JSON file, written whole into ``control/`` of the run folder. A thread of the run looks there, decides,
 journals what it decided and removes the file; so the journal is the answer, and a command is never taken twice.
@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from bench.clock import BenchClock
 from bench.errors import BenchError, RunFolderError
@@ -31,13 +31,14 @@ from bench.history import Event, History, RunLog
 from bench.journal import read_journal
 from bench.run_folder import JOURNAL
 from bench.storage import is_temporary, make_folder, storing, sync_folder, write_whole
+from sequences.schema import Answer
 
 POLL_S = 0.1
 _MOST_BYTES = 4096
 _PATIENCE_S = 10.0
 _SUFFIX = ".json"
 
-Word = Literal["hold", "release", "abort", "skip"]
+Word = Literal["hold", "release", "abort", "skip", "answer"]
 Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 
 
@@ -54,6 +55,8 @@ class Command(BaseModel):
         Who wants it.
     pose
         Which pose to skip; None for the one at work.
+    answer
+        To the question a run asks: ``continue`` or ``abort``.
     take_over
         Whether to become the owner of a run that somebody else holds.
     """
@@ -65,7 +68,14 @@ class Command(BaseModel):
     word: Word
     by: Line
     pose: Annotated[int, Field(ge=1)] | None = None
+    answer: Answer | None = None
     take_over: bool = False
+
+    @model_validator(mode="after")
+    def _answers(self) -> Command:
+        if (self.word == "answer") != (self.answer is not None):
+            raise ValueError("an answer, and nothing else, says continue or abort")
+        return self
 
 
 def who_is_there() -> str:
@@ -93,6 +103,8 @@ def refusal(command: Command, history: History, poses: Mapping[int, str]) -> str
         return ""
     if history.holder not in {"", command.by} and not command.take_over:
         return f"the run is held by {history.holder}; --take-over makes you its owner"
+    if command.word == "answer":
+        return "" if history.question and history.answer is None else "nothing is asked"
     if command.word == "release" and not history.holder:
         return "nobody holds the run"
     return _skip_refusal(command.pose, history, poses) if command.word == "skip" else ""
@@ -297,5 +309,6 @@ def command_text(answer: Mapping[str, Any]) -> str:
         "hold": "Taken: the run holds at its next safe point, with the light off, until `starbench release`.",
         "release": "Taken: the run goes on.",
         "abort": "Taken: the run ends now, safely; it can be resumed.",
+        "answer": f"Taken: {answer.get('answer')}.",
         "skip": f"Taken: pose {answer.get('pose')} is skipped.",
     }[answer["word"]]

@@ -8,6 +8,7 @@ BenchError
 ├── StorageError         disk full, no permission, a write that failed
 ├── PreflightFailed      the bench is not as the station file says
 ├── PoseFailed           a pose failed all its attempts
+├── InterlockHeld        an interlock has held a run for longer than it may
 ├── EvidenceError        a bundle that does not verify, a key that cannot be used
 └── SimulationError      the simulated bench did not start, or died
 Aborted                  not an error: the operator or the system asked to stop (see bench.clock)
@@ -75,6 +76,10 @@ class PreflightFailed(BenchError):
 
 class PoseFailed(BenchError):
     """A pose failed all its attempts."""
+
+
+class InterlockHeld(BenchError):
+    """An interlock has held a run for longer than it may."""
 
 
 class EvidenceError(BenchError):

@@ -22,10 +22,12 @@ SUPERVISOR = "STARBENCH_SUPERVISOR"
 """Variable of the environment: the number of the process that watches this one."""
 WORKING_S = 0.5
 """No sign is given for work that has neither waited nor checked for so long; drivers do that 20 times a second."""
-COMPUTING_S = 600.0
-"""As long in a state that computes, or while the disk takes its time."""
-COMPUTING = frozenset({"idle", "preflight", "checking", "solving", "reporting", "recovering", "finished"})
-"""States whose work does not pass the clock; in preflight devices start up, with the light off and nothing moving."""
+UNHURRIED_S = 600.0
+"""As long in a state in which nothing moves, or while the disk takes its time."""
+UNHURRIED = frozenset(
+    {"idle", "preflight", "holding", "checking", "solving", "reporting", "recovering", "finished"}
+)
+"""States in which nothing moves: what computes does not pass the clock, and devices take their time to start up."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Pulse:
 
     def beat(self) -> None:
         """Give a sign, unless the work stands still. Raises StorageError."""
-        if self.standing_s() > (COMPUTING_S if self._may_take_long() else WORKING_S):
+        if self.standing_s() > (UNHURRIED_S if self._may_take_long() else WORKING_S):
             return
         sign = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
         with storing(self._path), suppress(FileNotFoundError):
@@ -89,8 +91,8 @@ class Pulse:
         return gone
 
     def _may_take_long(self) -> bool:
-        """Whether it computes, or the kernel has it wait for the disk (state D), which no driver's wait does."""
-        if self._state in COMPUTING:
+        """Whether nothing moves, or the kernel has it wait for the disk (state D), which no driver's wait does."""
+        if self._state in UNHURRIED:
             return True
         with suppress(OSError, IndexError):
             return self._worker.read_text().rpartition(")")[2].split()[0] == "D"

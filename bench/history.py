@@ -44,12 +44,16 @@ class Event(StrEnum):
     """A calibration stands: its main numbers."""
     RECOVERED = "recovered"
     """What a crash had left of the run folder (RecoveryNotes)."""
+    ASKED = "asked"
+    """A prompt is asked: its text, default and time-out."""
     ANSWERED = "answered"
     """An operator's (or the default) answer to a prompt."""
     COMMANDED = "commanded"
     """An operator's command (`bench.control`): its id and word, by whom, and whether and why not it was taken."""
     POSE_SKIPPED = "pose_skipped"
     """A pose that will not be recorded any more, and why; a deviation."""
+    INTERLOCK_RELEASED = "interlock_released"
+    """An interlock (``rule``) lets go, after ``held_s``; that it held stands in the line ``entering``."""
     SUPERVISOR_LOST = "supervisor_lost"
     """The process that watched this one is gone; the run goes on to its own end."""
     DEVIATION = "deviation"
@@ -108,6 +112,12 @@ class History:
     """Main numbers of its calibration; empty while it has none."""
     holder: str = ""
     """Who holds the run; empty while nobody does."""
+    rule: str = ""
+    """The interlock that holds the run, and why, in words; empty while none does."""
+    question: str = ""
+    """What is being asked; empty while nothing is."""
+    answer: tuple[str, str] | None = None
+    """What was answered to it from another terminal, and by whom."""
 
     def accepted(self) -> dict[int, Attempt]:
         """The accepted recording of each pose that has one, by pose index."""
@@ -199,11 +209,13 @@ def _take(history: History, entry: Entry) -> None:
         case Event.RUN_RESUMED:
             history.resumed += 1
             history.ledger = data.get("ledger", history.ledger)
-            history.ended = history.why = history.holder = ""
+            history.ended = history.why = ""
+            _let_go(history)
             count_crash(history, data.get("crash"))
         case Event.DEVICES:
             history.devices = data
         case Event.ENTERING:
+            history.rule = f"{data['rule']}: {data['why']}" if "rule" in data else ""
             history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
             history.at_pose = data.get("pose", history.at_pose) if data["state"] in _POSE_STATES else None
         case Event.STEP_DONE:
@@ -215,7 +227,8 @@ def _take(history: History, entry: Entry) -> None:
         case Event.COMMANDED:
             _obey(history, data)
         case Event.RUN_ENDED:
-            history.ended, history.why, history.holder = str(data["how"]), str(data["why"]), ""
+            history.ended, history.why = str(data["how"]), str(data["why"])
+            _let_go(history)
             count_crash(history, data.get("crashed"))
         case _:
             _take_of_pose(history, entry)
@@ -224,6 +237,10 @@ def _take(history: History, entry: Entry) -> None:
 def _take_of_pose(history: History, entry: Entry) -> None:
     data = entry.data
     match entry.event:
+        case Event.ASKED:
+            history.question, history.answer = str(data["text"]), None
+        case Event.ANSWERED:
+            history.question, history.answer = "", None
         case Event.POSE_SKIPPED:
             history.skipped[int(data["pose"])] = str(data["what"])
             history.deviations.append(str(data["what"]))
@@ -244,6 +261,12 @@ def count_crash(history: History, crash: object) -> None:
     history.at_pose = None
 
 
+def _let_go(history: History) -> None:
+    """A run that ends, or is taken up again, is held by nobody and asks nothing."""
+    history.holder = history.rule = history.question = ""
+    history.answer = None
+
+
 def _obey(history: History, data: Mapping[str, Any]) -> None:
     if not data["taken"]:
         return
@@ -252,6 +275,8 @@ def _obey(history: History, data: Mapping[str, Any]) -> None:
             history.holder = str(data["by"])
         case "release":
             history.holder = ""
+        case "answer":
+            history.answer = str(data["answer"]), str(data["by"])
         case "skip":
             history.to_skip[int(data["pose"])] = str(data["by"])
 

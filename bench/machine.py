@@ -38,7 +38,7 @@ _BUSY = tuple(s for s in STATES if s not in {*END_STATES, "aborting"})
 
 EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("recover", ("idle",), "recovering"),
-    ("preflight", ("idle", "recovering", "checking"), "preflight"),
+    ("preflight", ("idle", "recovering", "checking", "holding"), "preflight"),
     ("home", ("preflight",), "homing"),
     ("set_light", READY, "lighting"),
     ("slew", READY, "slewing"),
@@ -47,7 +47,7 @@ EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("check", ("recording", "recovering", "checking"), "checking"),
     ("back_off", ("recording", "checking"), "backing_off"),
     ("wait", READY, "waiting"),
-    ("hold", READY, "holding"),
+    ("hold", (*READY, "idle", "preflight", "recording"), "holding"),
     ("park", READY, "parking"),
     ("solve", (*READY, "solving"), "solving"),
     ("report", (*READY, "solving", "reporting"), "reporting"),

@@ -1,4 +1,4 @@
-"""Questions to the operator: answered at the terminal, or by their default once their time is up."""
+"""Questions to the operator: answered at this terminal or from another, or by their default once their time is up."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NO = {"a", "abort", "n", "no"}
 
 @dataclass(frozen=True)
 class Reply:
-    """``word`` is ``continue`` or ``abort``; ``by`` says who gave it: operator, time-out, or nobody there."""
+    """``word`` is ``continue`` or ``abort``; ``by`` says who gave it: operator, a name, or time-out."""
 
     word: str
     by: str
@@ -31,6 +31,7 @@ def ask(
     clock: BenchClock,
     say: Callable[[str], None],
     terminal: TextIO | None = None,
+    elsewhere: Callable[[], Reply | None] = lambda: None,
 ) -> Reply:
     """Ask and wait.
 
@@ -39,7 +40,7 @@ def ask(
     text
         The question.
     default
-        The answer that counts when nobody answers in time, or nobody is there (standard input is no terminal).
+        The answer that counts when nobody answers in time.
     timeout_s
         How long to wait.
     clock
@@ -47,16 +48,20 @@ def ask(
     say
         Shows a line to the operator.
     terminal
-        Where answers come from; standard input by default.
+        Where answers come from; standard input by default. Where it is no terminal, they only come from elsewhere.
+    elsewhere
+        Gives the answer from another terminal (`starbench answer`), once there is one.
     """
     source = sys.stdin if terminal is None else terminal
-    if not source.isatty():
-        say(f"{text}  [no terminal: {default}]")
-        return Reply(default, "nobody there")
-    say(f"{text}  [c]ontinue / [a]bort, {default} after {timeout_s:g} s:")
+    here = source.isatty()
+    how = "[c]ontinue / [a]bort" if here else "`starbench answer`"
+    say(f"{text}  {how}, {default} after {timeout_s:g} s:")
     deadline = clock.monotonic() + timeout_s
     while clock.monotonic() < deadline:
-        if select.select([source], [], [], 0)[0]:
+        if (reply := elsewhere()) is not None:
+            say(f"{reply.by}: {reply.word}")
+            return reply
+        if here and select.select([source], [], [], 0)[0]:
             word = source.readline().strip().lower()
             if word in _YES | _NO:
                 return Reply("abort" if word in _NO else "continue", "operator")

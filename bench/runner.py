@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.clock import Aborted, BenchClock
+from bench.clock import Aborted, BenchClock, Interrupted
 from bench.control import Inbox
 from bench.devices import Devices
 from bench.errors import BenchError, PoseFailed, StorageError
 from bench.heartbeat import Pulse
 from bench.history import Event, RunLog
+from bench.interlocks import Trip, words
 from bench.job import DEVICE_STEPS, Job, ParkStep, ScriptStep
 from bench.journal import Journal
 from bench.machine import RunMachine
@@ -26,7 +28,7 @@ from bench.resumption import crash_looped, ground, remaining, steps_of_pose
 from bench.run_folder import RunFolder
 from bench.state_work import StateWork
 from calib.errors import CalibrationError
-from drivers.errors import DriverError, RecordingFailed
+from drivers.errors import CameraLost, DriverError, PortLost, RecordingFailed, ReplyTimeout
 from sequences.script import (
     LightStep,
     MoveStep,
@@ -38,6 +40,8 @@ from sequences.script import (
     WaitStep,
 )
 
+LOST = (PortLost, CameraLost, ReplyTimeout)
+"""A device went away, or says nothing any more."""
 _FORESEEN = (BenchError, DriverError, CalibrationError)
 
 _TRIGGERS: Mapping[type, str] = {
@@ -119,7 +123,9 @@ class Runner:
         self._machine = RunMachine(self._work.table(), self._tell)
         names = {pose.index: pose.name for pose in job.plan.poses}
         self._pulse = Pulse(folder.path, clock)
-        self._inbox = Inbox(folder.path, self._log, names, clock, (self._pulse.beat, self._see_supervisor))
+        self._interlocks = self._work.interlocks
+        looks = (self._pulse.beat, self._see_supervisor, self._interlocks.look)
+        self._inbox = Inbox(folder.path, self._log, names, clock, looks)
 
     def run(self) -> RunEnd:
         """Do every step not yet done.
@@ -160,16 +166,30 @@ class Runner:
                 self._skip(pose_index, why)
         steps = remaining(self._job.steps, history.done_steps)
         if any(isinstance(step, DEVICE_STEPS) for step in steps):
-            self._machine.fire("preflight")
-            self._machine.fire("home")
-            self._rearm(steps)
+            self._guarded(None, partial(self._machine.fire, "preflight"))
+            self._guarded(None, partial(self._make_ready, steps))
         for step in steps:
-            self._safe_point(step)
-            if step.number in self._skipped_steps():
-                self._leave_out(step)
+            if isinstance(step, (*DEVICE_STEPS, WaitStep)):
+                self._guarded(step, partial(self._next, step))
             else:
-                self._do(step)
+                self._next(step)
         self._machine.fire("finish")
+
+    def _make_ready(self, steps: list[ScriptStep]) -> None:
+        """Find the stage's reference, and set the light as the script last set it."""
+        self._interlocks.heed()
+        if self._machine.state != "preflight":  # an interlock held meanwhile
+            self._machine.fire("preflight")
+        self._machine.fire("home")
+        self._rearm(steps)
+
+    def _next(self, step: ScriptStep) -> None:
+        """Do a step, unless its pose is skipped."""
+        self._safe_point(step)
+        if step.number in self._skipped_steps():
+            self._leave_out(step)
+        else:
+            self._do(step)
 
     def _end_early(self, how: str, why: str, last_edge: str, *, crashed: bool = False) -> RunEnd:
         """Make the bench safe and tell the journal, which may be what failed."""
@@ -189,7 +209,7 @@ class Runner:
 
     def _rearm(self, steps: list[ScriptStep]) -> None:
         """Set the light as the script last set it, where a resumed run goes on with recordings."""
-        if self._log.history.resumed:
+        if self._log.history.resumed and steps:
             first = next((step for step in steps if isinstance(step, RecordStep)), None)
             light = self._job.light_before(first)
             if light is not None and light not in steps:
@@ -209,11 +229,44 @@ class Runner:
                 if step.pose.index in history.accepted():
                     self._log.tell(Event.STEP_DONE, step=step.number)
 
+    # ------------------------------------------------------------------ what interlocks ask for
+
+    def _guarded(self, step: ScriptStep | None, work: Callable[[], None]) -> None:
+        """Do work with devices; where an interlock holds before or in the midst of it, wait, and do it again."""
+        again = False
+        while True:
+            try:
+                if again and step is not None:
+                    self._interlocks.heed()
+                    self._prepare_again(step)
+                work()
+            except Interrupted:
+                self._hold_by_rule(step, self._interlocks.take())
+            except LOST as error:
+                trip = self._interlocks.lost(str(error))
+                if trip is None:
+                    raise
+                self._hold_by_rule(step, trip)
+                if step is not None:
+                    self._guarded(None, partial(self._make_ready, []))
+            else:
+                return
+            again = True
+
+    def _hold_by_rule(self, step: ScriptStep | None, trip: Trip) -> None:
+        if self._machine.state == "recording" and isinstance(step, RecordStep):
+            self._lose(step, self._log.history.next_attempt(step.pose.index), trip.text)
+        self._work.step, self._work.holding.trip = step, trip
+        self._progress.say(f"Held by {trip.text}; the run goes on by itself once that is over.")
+        number = {} if step is None else {"step": step.number}
+        self._machine.fire("hold", **number, rule=trip.interlock.name, why=trip.why)
+
     # ------------------------------------------------------------------ what operators ask for
 
     def _safe_point(self, step: ScriptStep) -> None:
         """Between two pieces of work, before ``step``: stop, hold, or skip poses, as asked."""
         self._clock.check()
+        self._interlocks.heed()
         holder = self._log.history.holder
         if holder and self._machine.can("hold"):
             self._hold(step, holder)
@@ -320,16 +373,17 @@ class Runner:
                 self._fire("check", step, attempt=attempt)
             except RecordingFailed as error:
                 reasons = [str(error)]
-                self._lose(step, attempt, error)
+                self._lose(step, attempt, str(error))
                 continue
             if pose.index in history.accepted():
                 return None
             reasons = list((history.attempts_at(pose.index)[-1].checked or {}).get("reasons", []))
             self._progress.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {'; '.join(reasons)}")
         self._fire("back_off", step, wait_s=0.0)
+        self._interlocks.heed()
         return reasons
 
-    def _lose(self, step: RecordStep, attempt: int, error: RecordingFailed) -> None:
+    def _lose(self, step: RecordStep, attempt: int, why: str) -> None:
         """Keep what there is of a recording that the camera could not complete."""
         kept = self._folder.set_part_aside(step.pose.index, attempt)
         self._log.tell(
@@ -337,7 +391,7 @@ class Runner:
             pose=step.pose.index,
             pose_name=step.pose.name,
             attempt=attempt,
-            why=str(error),
+            why=why,
             kept=kept,
         )
 
@@ -356,9 +410,18 @@ class Runner:
         self._log.tell(Event(event), **facts)
         if event == Event.ENTERING:
             self._pulse.entering(facts["state"])
+            self._interlocks.entering(facts["state"])
             self._progress.show(
                 facts["state"], pose=facts.get("pose"), detail=str(facts.get("pose_name", ""))
             )
             if facts["state"] == "holding":
-                waits = f"is held by {facts['by']}" if "by" in facts else "asks the operator"
-                self._notify("hold", waits, self._log.journal.head)
+                self._notify("hold", _waits_for(facts), self._log.journal.head)
+        else:
+            self._interlocks.left_off()
+
+
+def _waits_for(facts: Mapping[str, Any]) -> str:
+    """Say what a run that holds waits for."""
+    if "rule" in facts:
+        return f"is held by the {words(facts['rule'])} interlock: {facts['why']}"
+    return f"is held by {facts['by']}" if "by" in facts else "asks the operator"

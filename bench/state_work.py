@@ -8,32 +8,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, cast
 
-from bench.clock import Aborted, BenchClock
+from bench.clock import BenchClock
 from bench.devices import Devices
 from bench.expectation import by_earlier_poses
 from bench.gates import failures
 from bench.history import Event, RunLog
+from bench.holding import Holding
+from bench.interlocks import Interlocks, interlocks_of
 from bench.job import Job, ScriptStep
 from bench.measure import Measurement
 from bench.preflight import preflight, refuse, stage_faults
-from bench.prompt import ask
 from bench.result import ResultWriter
 from bench.run_folder import RunFolder
+from bench.storage import storing
+from drivers.camera import EventCamera
+from drivers.errors import DriverError, WrongDevice
 from sequences.script import (
     LightStep,
     MoveStep,
-    PromptStep,
     RecordStep,
     SettleStep,
     SolveStep,
     WaitStep,
 )
 
-MOST_HOLD_S = 8 * 3600.0
-"""An operator who holds a run for longer has gone home: the run is then aborted, safely."""
-HOLD_POLL_S = 0.1
+PROBE = "probe.raw"
+"""A short recording in the dark, never kept."""
 
 
 class StateWork:
@@ -60,6 +62,19 @@ class StateWork:
         self._say = say
         self._devices: Devices | None = None
         self._made_safe = False
+        self._rate_heeded = 0
+        self.interlocks = Interlocks(
+            interlocks_of(
+                job.station.interlocks,
+                folder.path,
+                read_c=self._camera_c,
+                last_mev_s=self._last_mev_s,
+                dark_mev_s=self._dark_mev_s,
+                reopen=self.reopen,
+            ),
+            clock,
+        )
+        self.holding = Holding(self, log, self.interlocks, clock, say)
         self._measured: dict[int, Measurement] = {}
 
     def table(self) -> Mapping[str, Callable[..., None]]:
@@ -100,8 +115,9 @@ class StateWork:
             )
 
     def preflight(self, **_: Any) -> None:
-        """Open the devices and see that they are those of the station file, and fit to begin."""
-        self._devices = self._open_devices()
+        """Open the devices, unless they are, and see that they are those of the station file, and fit to begin."""
+        if self._devices is None:
+            self._devices = self._open_devices()
         self._log.tell(Event.DEVICES, **preflight(self._devices, self._job))
 
     def home(self, **_: Any) -> None:
@@ -182,32 +198,9 @@ class StateWork:
         """Let time pass after a recording that does not count, so that its cause may pass too."""
         self._clock.sleep(wait_s)
 
-    def hold(self, *, by: str = "", **_: Any) -> None:
-        """Hold for an operator who asked for it (``by``); else ask the step's question, and do as answered."""
-        if by:
-            self._hold_until_released()
-            return
-        assert isinstance(self.step, PromptStep)
-        answer = ask(
-            self.step.text,
-            default=self.step.default,
-            timeout_s=self.step.timeout_s,
-            clock=self._clock,
-            say=self._say,
-        )
-        self._log.tell(Event.ANSWERED, step=self.step.number, answer=answer.word, by=answer.by)
-        if answer.word == "abort":
-            raise Aborted(f"{self.step.text} was answered with abort ({answer.by})")
-
-    def _hold_until_released(self) -> None:
-        """Light off, stage at rest, until the owner releases the run; not longer than ``MOST_HOLD_S``."""
-        if self._devices is not None:
-            self._devices.light.off()
-        history, begin_s = self._log.history, self._clock.monotonic()
-        while history.holder:
-            if self._clock.monotonic() - begin_s > MOST_HOLD_S:
-                raise Aborted(f"held by {history.holder} for more than {MOST_HOLD_S / 3600:g} h")
-            self._clock.sleep(HOLD_POLL_S)
+    def hold(self, *, by: str = "", rule: str = "", **_: Any) -> None:
+        """Hold for an operator (``by``), by an interlock (``rule``), or for the answer to the step's question."""
+        self.holding.hold(self.step, by=by, rule=rule)
 
     def park(self, **_: Any) -> None:
         """Light off, stage back to zero: nothing more is needed of them."""
@@ -241,6 +234,70 @@ class StateWork:
         """Let the devices go; nothing moves."""
         if self._devices is not None:
             self._devices.close()
+
+    # ------------------------------------------------------------------ while an interlock holds
+
+    def switch_off_light(self) -> None:
+        """Switch the light off, where devices are open."""
+        if self._devices is not None:
+            self._devices.light.off()
+
+    def come_to_rest(self) -> None:
+        """Stop the stage, switch the light off, stop the camera; what cannot be is told, and not raised."""
+        if self._devices is not None:
+            for fault in self._devices.make_safe():
+                self._say(f"CHECK THE BENCH: {fault}")
+                self._log.tell(Event.DEVIATION, what=f"Held, and {fault}")
+
+    def reopen(self) -> str:
+        """Open all devices anew, each the one it was; say why that failed. Nothing moves.
+
+        Raises
+        ------
+        WrongDevice
+            When another device stands in the place of one.
+        """
+        if self._devices is not None:
+            self._devices.close()
+            self._devices = None
+        try:
+            self._devices = self._open_devices()
+        except WrongDevice:
+            raise
+        except DriverError as error:
+            return str(error)
+        self.come_to_rest()
+        return ""
+
+    def _camera_c(self) -> float | None:
+        if self._devices is None or self._job.camera_kind.name != "event":
+            return None
+        return cast("EventCamera", self._devices.camera).temperature_c()
+
+    def _last_mev_s(self) -> float:
+        """Event rate of the last recording; 0 where that has been heeded already."""
+        attempts = self._log.history.attempts
+        if len(attempts) <= self._rate_heeded:
+            return 0.0
+        return self._rate_mev_s(attempts[-1].stored["facts"])
+
+    def _dark_mev_s(self, duration_s: float) -> float:
+        """Event rate of a short recording in the dark, which is not kept; 0 of a camera that sends no events."""
+        self._rate_heeded = len(self._log.history.attempts)
+        if self._job.camera_kind.name != "event":
+            return 0.0
+        part = self._folder.part_of(PROBE)
+        try:
+            facts = cast("EventCamera", self.devices.camera).record(part, duration_s)
+        finally:
+            with storing(part):
+                part.unlink(missing_ok=True)
+        return self._rate_mev_s(asdict(facts))
+
+    @staticmethod
+    def _rate_mev_s(facts: Mapping[str, Any]) -> float:
+        duration_s = facts.get("duration_s") or 0.0
+        return facts.get("events", 0) / duration_s / 1e6 if duration_s else 0.0
 
     def _position(self) -> dict[str, float]:
         stage = self.devices.stage

@@ -27,6 +27,7 @@ from bench.station_devices import (
     Stage,
     Text,
 )
+from bench.station_interlocks import InterlockWords
 from bench.station_messages import Messages
 from calib.errors import InputMismatch
 from calib.target import StarTarget
@@ -128,6 +129,7 @@ class Station(Words):
     expected: Expected | None = None
     disk: Disk = Disk()
     messages: Messages = Messages()
+    interlocks: InterlockWords = InterlockWords()
     simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
 
     @property

@@ -16,6 +16,7 @@ from typing import Any
 from bench.errors import RunFolderError, StorageError
 from bench.folder_lock import is_worked_on
 from bench.history import Event, History, replay
+from bench.interlocks import words
 from bench.journal import Entry, read_journal
 from bench.progress import clock_text
 from bench.run_folder import JOURNAL, PLAN, is_sealed
@@ -46,7 +47,9 @@ class Status:
     left_s
         Expected time to its end, s; None where none is expected.
     held_by
-        Who holds it; empty while nobody does.
+        Who, or which interlock, holds it, and why; empty while nothing does.
+    question
+        What it asks the operator; empty while it asks nothing.
     resumed, deviations
         How often it was taken up again; what went otherwise than the sequence says.
     last
@@ -71,6 +74,7 @@ class Status:
     attempts: int
     left_s: float | None
     held_by: str
+    question: str
     resumed: int
     deviations: Sequence[str]
     last: Sequence[str]
@@ -122,7 +126,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
     history, plan = replay(entries), _plan_of(folder)
     running, sealed = is_worked_on(folder), is_sealed(folder)
     names = {pose["index"]: pose["name"] for pose in plan["poses"]}
-    held_by = history.holder if running else ""
+    held_by = _held_by(history) if running else ""
     going_on = running and not history.ended
     return Status(
         run_id=str(history.started.get("id", folder.name)),
@@ -141,6 +145,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
         attempts=len(history.attempts) + sum(history.lost.values()),
         left_s=_left_s(history, plan, entries, now) if going_on else None,
         held_by=held_by,
+        question=history.question if running else "",
         resumed=history.resumed,
         deviations=tuple(history.deviations),
         last=tuple(line for line in map(line_text, entries) if line)[-LAST_LINES:],
@@ -171,9 +176,22 @@ def _left_s(history: History, plan: Mapping[str, Any], entries: Sequence[Entry],
     return round(max(0.0, plan["duration_s"] - begun_s - max(0.0, since)), 1)
 
 
+def _held_by(history: History) -> str:
+    if history.rule:
+        name, _, why = history.rule.partition(":")
+        return f"the {words(name)} interlock:{why}"
+    return history.holder
+
+
 def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> str:
     if sealed:
         return f"Finished and sealed; check it with: starbench verify {folder}"
+    if running and history.rule:
+        return (
+            "Nothing: it goes on by itself once that is over, or ends safely when it has held for too long."
+        )
+    if running and history.question:
+        return f"It asks: {history.question} Answer with: starbench answer {folder} yes (or no)"
     if running and history.holder:
         return f"Held by {history.holder}; let it go on with: starbench release {folder}"
     if running:
@@ -196,6 +214,8 @@ def _words(entry: Entry) -> str:
         case Event.RUN_RESUMED:
             crash = data.get("crash")
             text = f"the run was taken up again{f', after a crash: {crash}' if crash else ''}"
+        case Event.ENTERING if "rule" in data:
+            text = f"held by the {words(data['rule'])} interlock: {data['why']}"
         case Event.ENTERING:
             text = f"{data['state']}{pose}"
         case Event.LEFT_OFF if "error" in data:
@@ -212,6 +232,22 @@ def _words(entry: Entry) -> str:
             text = f"deviation: {data['what']}"
         case Event.RUN_ENDED:
             text = f"{data['how']}{': ' if data['why'] else ''}{data['why']}"
+        case _:
+            text = _words_of_waiting(entry)
+    return text
+
+
+def _words_of_waiting(entry: Entry) -> str:
+    data, text = entry.data, ""
+    match entry.event:
+        case Event.ASKED:
+            text = f"asks: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
+        case Event.ANSWERED:
+            text = f"answered: {data['answer']} ({data['by']})"
+        case Event.INTERLOCK_RELEASED:
+            text = f"the {words(data['rule'])} interlock lets go after {data['held_s']:.0f} s"
+        case Event.SUPERVISOR_LOST:
+            text = "what watched this process is gone; the run goes on"
     return text
 
 
@@ -219,7 +255,7 @@ def status_text(status: Status) -> str:
     """Say how a run stands, for people."""
     at = f", pose {status.pose} of {status.poses} ({status.pose_name})" if status.pose else ""
     if status.running:
-        held = f", HELD by {status.held_by}" if status.held_by else ""
+        held = f", HELD by {status.held_by}" if status.held_by else ", ASKS" if status.question else ""
         left = "" if status.left_s is None else f", {clock_text(status.left_s)} left"
         head = f"running: {status.state}{at}{held}{left}"
     elif status.ended:

@@ -90,6 +90,7 @@ def test_a_skipped_pose_is_left_out_and_the_report_says_who_asked(home, tmp_path
 def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tmp_path, process):
     folder = tmp_path / "run"
     wait_for(process, folder, entering("slewing", 2))
+    assert send(folder, Command(word="hold", by="ada"))["taken"]  # so that it is there, however slow a command starts
     assert starbench("abort", folder, "--operator", "ben", home=home).returncode == 0
     assert process.wait(PATIENCE_S) == 3
     assert states(folder)[-2:] == ["aborting", "aborted"]

@@ -14,7 +14,7 @@ defaults:
 steps:
   - light
 """
-IMPOSSIBLE = "record: {gates: {min_stars: 100000}, on_failure: %s}"
+IMPOSSIBLE = "record: {gates: {min_stars: 100000}, on_failure: %s, hold_s: 1}"
 TWO_POSES = """\
   - repeat:
       poses: [{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}]

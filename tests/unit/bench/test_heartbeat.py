@@ -42,14 +42,14 @@ def test_signs_are_given_while_the_work_waits_or_checks(pulse, tmp_path):
     assert moments(pulse, tmp_path)
 
 
-@pytest.mark.parametrize("state", ["slewing", "recording", "homing", "aborting", "holding"])
+@pytest.mark.parametrize("state", ["slewing", "recording", "homing", "aborting", "parking"])
 def test_no_sign_is_given_for_a_driver_that_never_returns(pulse, tmp_path, state):
     pulse._state, pulse._clock.quiet = state, 0.6
     assert not moments(pulse, tmp_path)
 
 
-@pytest.mark.parametrize("state", ["checking", "solving", "reporting", "preflight"])
-def test_computing_may_take_its_time_but_not_for_ever(pulse, tmp_path, state):
+@pytest.mark.parametrize("state", ["checking", "solving", "reporting", "preflight", "holding"])
+def test_where_nothing_moves_work_may_take_its_time_but_not_for_ever(pulse, tmp_path, state):
     pulse._state, pulse._clock.quiet = state, 500.0
     assert moments(pulse, tmp_path)
     pulse._clock.quiet = 601.0

@@ -1,12 +1,13 @@
 """What the operator sees and is asked."""
 
 import io
+from datetime import UTC, datetime
 
 import pytest
 
-from bench.clock import Aborted, BenchClock
+from bench.clock import Aborted, BenchClock, VirtualClock
 from bench.progress import Progress, clock_text
-from bench.prompt import ask
+from bench.prompt import Reply, ask
 
 
 class Terminal(io.StringIO):
@@ -39,13 +40,37 @@ def test_time_left_never_falls_below_zero():
     assert clock_text(progress.left_s()) == "0:00"
 
 
-def test_where_nobody_is_there_the_default_counts_at_once():
-    said = []
+class Night(VirtualClock):
+    """A clock on which nothing takes time."""
+
+    def __init__(self):
+        super().__init__(datetime(2026, 3, 1, 20, tzinfo=UTC))
+
+
+def test_where_nobody_is_there_the_default_counts_after_the_time_out():
+    said, clock = [], Night()
     reply = ask(
-        "Cap on?", default="abort", timeout_s=600, clock=BenchClock(), say=said.append, terminal=io.StringIO()
+        "Cap on?", default="abort", timeout_s=600, clock=clock, say=said.append, terminal=io.StringIO()
     )
-    assert (reply.word, reply.by) == ("abort", "nobody there")
+    assert (reply.word, reply.by) == ("abort", "time-out")
     assert "Cap on?" in said[0]
+    assert 600 <= clock.monotonic() < 601
+
+
+def test_an_answer_from_another_terminal_counts_at_once():
+    said, clock = [], Night()
+    reply = ask(
+        "Cap on?",
+        default="abort",
+        timeout_s=600,
+        clock=clock,
+        say=said.append,
+        terminal=io.StringIO(),
+        elsewhere=lambda: Reply("continue", "ada") if clock.monotonic() > 30 else None,
+    )
+    assert (reply.word, reply.by) == ("continue", "ada")
+    assert clock.monotonic() < 31
+    assert said[1:] == ["ada: continue"]
 
 
 def test_the_default_counts_after_the_time_out(monkeypatch):

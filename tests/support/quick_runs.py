@@ -1,0 +1,46 @@
+"""A simulated bench with a small sensor and a fast stage, and sequences for it: runs that take seconds."""
+
+from bench.station import SHIPPED
+
+SIMULATION = (
+    "simulation: {%sports: pty, paced: false, noise: clean, "
+    "camera: {width: 640, height: 360, fx: 1672, fy: 1672, cx: 320, cy: 180}}"
+)
+SEQUENCE = """\
+format: starbench/sequence/1
+name: Quick poses
+defaults:
+  light: {frequency_hz: 120}
+  settle: {duration_s: 0.3}
+  record: {window_ms: 8.4, attempts: %(attempts)d, backoff_s: 0.1}
+steps:
+  - light
+  - repeat:
+      poses: %(poses)s
+      steps: [move, settle, record]
+%(end)s"""
+END = "  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
+TWELVE = "{pan_deg: {first: -6, last: 6, count: 4}, tilt_deg: {first: -3, last: 3, count: 3}}"
+
+
+def write_station(path, more="", simulation=""):
+    """A station file with the small sensor; ``more`` is put at its end, ``simulation`` into its simulation."""
+    text = (SHIPPED / "simulated.yaml").read_text()
+    for old, new in (
+        ("simulation: {}", SIMULATION % simulation),
+        ("speed_deg_s: 40", "speed_deg_s: 90"),
+        ("acceleration_deg_s2: 200", "acceleration_deg_s2: 2000"),
+        (
+            "expected: {focal_px: 3300, r_mm: 255, half_angle_deg: 12}",
+            "expected: {focal_px: 1672, r_mm: 255, half_angle_deg: 12, image_size: [640, 360]}",
+        ),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text + more)
+    return path
+
+
+def write_sequence(path, poses=TWELVE, *, attempts=2, end=END):
+    path.write_text(SEQUENCE % {"poses": poses, "attempts": attempts, "end": end})
+    return path

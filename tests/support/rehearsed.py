@@ -1,0 +1,104 @@
+"""Runs in this process, on a virtual clock, on virtual devices that do as a test says; and what they leave."""
+
+from datetime import UTC, datetime
+from functools import partial
+
+from quick_runs import write_sequence, write_station
+
+import bench.rehearsal
+from bench.clock import VirtualClock
+from bench.history import Event
+from bench.job import Job
+from bench.journal import Journal, read_journal
+from bench.plan import load, plan
+from bench.rehearsal import RehearsedJob, rehearse_job
+from bench.runner import Runner
+from bench.unsynced_journal import UnsyncedJournal
+from bench.virtual_devices import VirtualDevices
+
+BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)
+TWO = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}]"
+
+
+class Hooked:
+    """A device whose every method first tells a test of it, which may raise."""
+
+    def __init__(self, device, name, hook):
+        self._device, self._name, self._hook = device, name, hook
+
+    def __getattr__(self, attribute):
+        value = getattr(self._device, attribute)
+        return partial(self._call, value, f"{self._name}.{attribute}") if callable(value) else value
+
+    def _call(self, method, name, *words, **more):
+        self._hook(name)
+        return method(*words, **more)
+
+
+class Scene:
+    """A station, a sequence and a hook: called with what is about to happen, as ``stage.move_to``."""
+
+    def __init__(self, folder, *, station="", poses=TWO, end="", attempts=2):
+        self.folder = folder / "run"
+        sequence = write_sequence(folder / "sequence.yaml", poses, attempts=attempts, end=end)
+        planned = plan(*load(str(sequence), str(write_station(folder / "station.yaml", station))))
+        assert not planned.faults, [str(fault) for fault in planned.faults]
+        self._task = Job.from_plan(planned, seed=1, operator=None)
+        self.hook = lambda _name: None
+        self.opened = []
+        self.calls = []
+        self.runner = None
+        self.clock = VirtualClock(BEGIN)
+
+    def run(self, *, journal_type=UnsyncedJournal):
+        """Run, or go on; on a clock of its own, as a new process has."""
+        task = self._task
+        self.clock = VirtualClock(self.clock.utc_now())
+        job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, self.clock)
+        return rehearse_job(job, self.folder, partial(self._open, job), journal_type)
+
+    def _open(self, job):
+        self._happens("open")
+        devices = VirtualDevices(job.station, seed=1, clock=self.clock)
+        if self.opened:  # what has power keeps its reference and its light
+            devices.stage._at_deg = self.light_and_stage()[1]._at_deg
+            devices.light._on = self.light_and_stage()[0]._on
+        self.opened.append((devices.light, devices.stage))
+        for name in ("stage", "light", "camera"):
+            setattr(devices, name, Hooked(getattr(devices, name), name, self._happens))
+        return devices
+
+    def _happens(self, name):
+        self.calls.append(name)
+        self.hook(name)
+
+    def light_and_stage(self):
+        return self.opened[-1]
+
+    def light_is_on(self):
+        """Asked of the light itself."""
+        return bool(self.opened) and self.light_and_stage()[0]._on
+
+    def events(self):
+        return [(e.event, e.data) for e in read_journal(self.folder / "journal.jsonl")[0]]
+
+    def told(self, event):
+        return [data for name, data in self.events() if name == event]
+
+    def states(self):
+        return [data["state"] for data in self.told(Event.ENTERING)]
+
+
+def with_runner(scene, monkeypatch):
+    """Let a scene know the runner at work, for tests that play the thread of interlocks and commands."""
+
+    class Known(Runner):
+        def __init__(self, *words, **more):
+            super().__init__(*words, **more)
+            scene.runner = self
+
+    monkeypatch.setattr(bench.rehearsal, "Runner", Known)
+    return scene
+
+
+__all__ = ["BEGIN", "TWO", "Hooked", "Journal", "Scene", "with_runner"]
