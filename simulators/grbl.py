@@ -55,6 +55,11 @@ class GrblController:
         Called with an axis's letter and every new course of it.
     pull_off_deg
         Distance from the switch at which homing ends.
+
+    Attributes
+    ----------
+    name
+        What somebody has called it by ``$I=``.
     """
 
     def __init__(
@@ -65,6 +70,7 @@ class GrblController:
         pull_off_deg: float = 1.0,
     ) -> None:
         self._clock = clock
+        self.name = ""
         self._factory = _factory_settings(models, pull_off_deg)
         self.settings = dict(self._factory)
         self._planner = Planner(models, self.settings, clock(), publish)
@@ -159,13 +165,18 @@ class GrblController:
 
     def _system(self, command: str) -> None:
         if command == "I":
-            self._say += "[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\n"
+            self._need_rest()
+            self._say += f"[VER:1.1h.20190830:{self.name}]\r\n[OPT:V,15,128]\r\n"
+        elif command.startswith("I="):
+            self._need_rest()
+            self.name = command[2:].replace(" ", "").upper()
         elif command == "G":
             self._say += (
                 f"[GC:{self._motion} G54 G17 G21 {self._distance} G94 M5 M9 T0 F{self._feed:g} S0]\r\n"
             )
         elif command == "$":
-            self._need_rest()
+            if self._state != "Jog":
+                self._need_rest()
             self._say += "".join(
                 f"${number}={_shown(number, value)}\r\n" for number, value in self.settings.items()
             )
@@ -329,8 +340,9 @@ class GrblController:
             axis.restart(t_s)
         self._begin_anew("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
 
-    def exchange(self, t_s: float) -> None:
-        """Be another board from now on: settings that somebody has made are gone."""
+    def exchange(self, name: str, t_s: float) -> None:
+        """Be another board from now on, of another name: settings that somebody has made are gone."""
+        self.name = name
         self.settings.clear()
         self.settings.update(self._factory)
         self.restart(t_s)
@@ -367,9 +379,8 @@ class GrblAxis:
         self.controller.emergency_stop(t_s, released=released)
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Be another board from now on; GRBL has no serial numbers, but its settings, which are the factory's."""
-        del serial
-        self.controller.exchange(t_s)
+        """Be another board from now on; GRBL has no serial number, but the name that somebody gave it by ``$I=``."""
+        self.controller.exchange(serial, t_s)
 
 
 def _factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:

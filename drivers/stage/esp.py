@@ -154,6 +154,7 @@ class EspStage(WatchedStage[EspAxis]):
             )
             self._errors()
             self.identify()
+            self._bring_to_rest()
             for axis in axes:
                 self._program(axis)
         except BaseException:

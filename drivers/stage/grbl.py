@@ -102,6 +102,7 @@ class GrblStage(WatchedStage[GrblAxis]):
         self._homing = False
         try:
             self._board = GrblController(port, clock=clock, wire_log=wire_log)
+            self._bring_to_rest()  # in motion, a board does not tell who it is
             self.identify()
             self._program()
         except BaseException:
@@ -238,11 +239,12 @@ class GrblStage(WatchedStage[GrblAxis]):
         return self._board.restarts, len(self._board.alarms)
 
     def _trouble(self, state: str, *, homing: bool) -> str:
-        if not homing and self._homed_at is not None and self._homed_at[0] != self._board.restarts:
+        homed_at = None if homing else self._homed_at
+        if homed_at is not None and homed_at[0] != self._board.restarts:
             return "the board restarted in mid-move: its position is lost"
         if state in grbl_protocol.STATES:
             return self._in_words(state)
-        if not homing and self._homed_at != self._history():
+        if homed_at is not None and homed_at != self._history():
             return f"the board raised ALARM:{self._board.alarms[-1]} in mid-move: its position is lost"
         return ""
 

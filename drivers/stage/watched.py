@@ -244,6 +244,11 @@ class WatchedStage(ABC, Generic[A]):
 
     # ------------------------------------------------------------ a move, step by step
 
+    def _bring_to_rest(self) -> None:
+        """Stop what is found moving at opening: the port is ours, so whoever set it moving is gone."""
+        if any(self._look(axis).busy for axis in self._axes.values()):
+            self.stop()
+
     def _begin(self) -> GoOn:
         stops = self._stops
 

@@ -100,6 +100,7 @@ class XimcStage(WatchedStage[XimcAxis]):
                 for axis, port in zip(axes, ports, strict=True)
             }
             self.identify()
+            self._bring_to_rest()
             for axis in axes:
                 self._program_speed(axis)
                 self._program_borders(axis)

@@ -51,6 +51,7 @@ class ZaberStage(WatchedStage[ZaberAxis]):
         self._chain = ZaberChain(port, [axis.device for axis in axes], clock=clock, wire_log=wire_log)
         try:
             self.identify()
+            self._bring_to_rest()
             for axis in axes:
                 zaber_axis.check_scale(self._chain, axis)
             for axis in axes:

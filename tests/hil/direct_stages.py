@@ -150,8 +150,9 @@ def grbl(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
     model = GrblAxisModel(mechanics(640.0, home_deg=15.0, stall_detection=False), 32.0)
     board = GrblController({"X": model}, clock.monotonic)
     axis = GrblAxis(name="pan", letter="X", steps_per_deg=640.0, zero_deg=16.0, limits=LIMITS)
+    board.name = "GIMBAL"
     line = DirectLine(FaultLine(board, clock.monotonic, rng), clock)
-    return DirectStage(GrblStage(line, [axis], clock=clock), line, BoardAxis(board, "X"))
+    return DirectStage(GrblStage(line, [axis], serial="gimbal", clock=clock), line, BoardAxis(board, "X"))
 
 
 def esp(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:

@@ -163,8 +163,6 @@ def test_a_pulled_cable_is_lost_and_put_back_needs_the_port_opened_anew(rig) -> 
 
 
 def test_another_controller_in_its_place_is_refused_before_anything_moves(rig) -> None:
-    if rig.family == "grbl":
-        pytest.skip("a GRBL board has no serial number; its name given by $I= is in the drivers' own tests")
     rig.order("pan exchange serial=777")
     rig.line.clock.sleep(5.0)
     stood = rig.true_deg()

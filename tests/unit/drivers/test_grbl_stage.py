@@ -278,6 +278,20 @@ def test_a_stop_cancels_the_jog_and_keeps_the_position(homed, peer) -> None:
     assert homed.is_homed()
 
 
+def test_a_stop_needs_no_reference(stage, peer) -> None:
+    stage.stop()
+    assert b"\x85" in peer.sent
+    assert not stage.is_homed()
+
+
+def test_a_board_found_moving_is_stopped_before_anything_is_asked_of_it(peer, clock) -> None:
+    peer.state = "Idle"
+    peer.go((-20.0, -20.0), 600.0)
+    GrblStage(peer, axes(), clock=clock)
+    assert peer.now() == "Idle"
+    assert -20.0 < peer.machine()[0] < 0.0
+
+
 def test_a_stop_does_not_wait_for_the_line_to_come_into_step(homed, peer) -> None:
     peer.spoil = lambda line: b""
     with pytest.raises(ReplyError):

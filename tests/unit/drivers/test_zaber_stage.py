@@ -57,6 +57,14 @@ def test_opening_programs_limits_speed_and_acceleration(stage, peer) -> None:
     assert peer.pan.settings["accel"] == "8"
 
 
+def test_an_axis_found_moving_is_stopped_at_opening(peer, clock) -> None:
+    peer.tilt.go(9000.0)
+    ZaberStage(peer, axes(), clock=clock)
+    assert not peer.tilt.busy()
+    assert peer.tilt.position() < 9000
+    assert peer.motions() == []
+
+
 def test_settings_that_are_right_already_are_not_written_again(stage, peer, clock) -> None:
     peer.sent.clear()
     ZaberStage(peer, axes(), clock=clock)
@@ -522,7 +530,7 @@ def test_a_controller_with_one_thing_wrong_is_refused_at_opening_or_moving(peer,
         stage.home()
         stage.move_to({"pan": 9.0})
 
-    with pytest.raises((ReplyError, MoveFailed)):
+    with pytest.raises((ReplyError, MoveFailed, MoveTimeout)):
         open_home_and_move()
     if name not in {"always idle", "never idle"}:
         assert peer.motions() == []
