@@ -289,7 +289,8 @@ def test_a_board_found_moving_is_stopped_before_anything_is_asked_of_it(peer, cl
     peer.go((-20.0, -20.0), 600.0)
     GrblStage(peer, axes(), clock=clock)
     assert peer.now() == "Idle"
-    assert -20.0 < peer.machine()[0] < 0.0
+    assert peer.machine()[0] > -20.0
+    assert peer.sent.index(b"\x85") < peer.sent.index(b"$I\n")
 
 
 def test_a_stop_does_not_wait_for_the_line_to_come_into_step(homed, peer) -> None:
