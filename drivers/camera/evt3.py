@@ -78,6 +78,9 @@ class StreamTally:
     lost_events, odd_windows
         The sensor reports how many events it sent in each 200 us: those that did not arrive, and the windows in
         which the numbers differ. Zero when it does not report.
+    missing_windows
+        Windows whose report did not arrive either: nobody knows how many events were sent in them, and
+        ``lost_events`` is the least that it can be.
     gaps
         The clock before and after each step of TIME_HIGH by more than one, us: words are missing there.
     gap_count
@@ -97,6 +100,7 @@ class StreamTally:
     rate_controller_out: int | None
     lost_events: int
     odd_windows: int
+    missing_windows: int
     gaps: tuple[tuple[int, int], ...]
     gap_count: int
     unplaced_events: int
@@ -112,7 +116,13 @@ class StreamTally:
         said = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
         if self.gap_count > len(self.gaps):
             said.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
-        if self.odd_windows:
+        if self.missing_windows:
+            said.append(
+                f"{self.missing_windows} of the sensor's reports are missing, one every 200 us: at least "
+                f"{self.lost_events} events are lost, and all that were sent in these "
+                f"{self.missing_windows * 0.2:.1f} ms."
+            )
+        elif self.odd_windows:
             said.append(
                 f"In {self.odd_windows} of the sensor's windows of 200 us other events arrived than it counted: "
                 f"{self.lost_events} are missing."
@@ -265,6 +275,7 @@ class Evt3Decoder:
             rate_controller_out=state[S.RATE_OUT] if reported else None,
             lost_events=state[S.LOST],
             odd_windows=state[S.ODD_WINDOWS],
+            missing_windows=state[S.MISSING_WINDOWS],
             gaps=tuple((int(a), int(b)) for a, b in kept),
             gap_count=state[S.GAPS],
             unplaced_events=state[S.UNPLACED],

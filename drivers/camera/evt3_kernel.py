@@ -46,6 +46,8 @@ _PLACE: Final = np.array(
 
 _RATE_IN: Final = 0x014
 _RATE_OUT: Final = 0x016
+_WINDOW_US: Final = 200
+"""Between two reports."""
 
 
 class Fault(IntEnum):
@@ -113,6 +115,10 @@ class S(IntEnum):
     """Events that the sensor counted in its windows and that did not arrive."""
     ODD_WINDOWS = 26
     """Windows in which the sensor's count is not that of the events that arrived."""
+    REPORT_T = 27
+    """Clock at the last report, us."""
+    MISSING_WINDOWS = 28
+    """Windows whose report has not arrived, by the time between two that have."""
 
 
 def new_state(width: int, height: int) -> NDArray[np.int64]:
@@ -167,7 +173,9 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
 
     Parts are added as they come, so that a payload without its last four bits counts as well. The sensor
     counts exactly the events that it sends between two reports, so what did not arrive is noticed. (The last
-    four bits stay zero below 16 million events in 200 us.)
+    four bits stay zero below 16 million events in 200 us.) Where reports are missing, the one that follows is of
+    the last window alone, and what arrived since the report before is of all of them: the events lost are then
+    more than counted.
     """
     if kind == 0xE:
         state[S.SUBTYPE] = payload
@@ -175,7 +183,11 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
         if payload == _RATE_OUT:
             sent = state[S.EVENTS] + state[S.TAKEN]
             state[S.WINDOW] = sent - state[S.REPORTED_AT] if state[S.REPORTED_AT] >= 0 else -1
+            if state[S.REPORTED_AT] >= 0:
+                windows = (state[S.T] - state[S.REPORT_T] + _WINDOW_US // 2) // _WINDOW_US
+                state[S.MISSING_WINDOWS] += max(windows - 1, 0)
             state[S.REPORTED_AT] = sent
+            state[S.REPORT_T] = state[S.T]
             state[S.COUNTED] = 0
         return
     parts = state[S.PARTS]

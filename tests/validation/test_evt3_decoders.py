@@ -158,3 +158,28 @@ def test_a_recording_converted_from_events_is_read_alike(reference_data, tmp_pat
         RawFile.open(tmp_path / "again.raw").read(), RawFile.open(source).read(), strict=True
     ):
         assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+@pytest.mark.parametrize("reports", [1, 2, 7, 40])
+def test_whole_windows_lost_are_counted_and_their_events_said_to_be_at_least(
+    reference_data, tmp_path, reports
+):
+    """A stretch of the real recording is cut out, with the sensor's own reports in it."""
+    whole = (reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw").read_bytes()
+    start = RawFile.open(
+        reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+    ).raw_header.size_bytes
+    words = np.frombuffer(whole, "<u2", offset=start)
+    reported = np.flatnonzero(words == 0xE016)
+    clocks = np.flatnonzero(words >> 12 == 0x8)
+    begin, end = clocks[np.searchsorted(clocks, reported[[1000, 1000 + reports]])]
+    path = tmp_path / "lossy.raw"
+    path.write_bytes(whole[:start] + words[:begin].tobytes() + words[end:].tobytes())
+    scan = RawFile.open(path).scan()
+    lost = 82_469 - scan.events
+    assert lost > 5 * reports
+    assert scan.missing_windows == reports
+    assert scan.lost_events <= lost
+    said = " ".join(scan.losses_in_words())
+    assert f"{reports} of the sensor's reports are missing" in said
+    assert f"at least {scan.lost_events} events" in said
