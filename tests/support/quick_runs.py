@@ -10,7 +10,7 @@ SEQUENCE = """\
 format: starbench/sequence/1
 name: Quick poses
 defaults:
-  light: {frequency_hz: 120}
+  light: {frequency_hz: 240}
   settle: {duration_s: 0.3}
   record: {window_ms: 8.4, attempts: %(attempts)d, backoff_s: 0.1}
 steps:
