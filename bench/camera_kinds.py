@@ -75,13 +75,15 @@ class EventKind:
     ----------
     biases
         Offsets from the factory values.
+    roi
+        The only part of the sensor that sends events; None for all of it.
     """
 
     name = "event"
     ending = ".raw"
 
-    def __init__(self, biases: Mapping[str, int]) -> None:
-        self._biases = biases
+    def __init__(self, biases: Mapping[str, int], roi: tuple[int, int, int, int] | None = None) -> None:
+        self._settings = CameraSettings(biases, trigger_in=True, roi=roi)
 
     def lit_by(self, flicker: Flicker) -> Flicker:
         """The flicker itself."""
@@ -90,7 +92,7 @@ class EventKind:
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
         """Set biases and trigger input, and see that no filter eats flicker."""
         event_camera = cast("EventCamera", camera)
-        settings = event_camera.apply(CameraSettings(biases=self._biases, trigger_in=True))
+        settings = event_camera.apply(self._settings)
         filters = event_camera.filters()
         reasons = [
             f"camera: its {f.upper()} filter cannot be switched off"
@@ -224,4 +226,4 @@ def camera_kind(station: Station) -> CameraKind:
     said = station.camera
     if isinstance(said, FrameCameraWords):
         return FrameKind(said.pictures, said.settings())
-    return EventKind(said.biases.model_dump())
+    return EventKind(said.biases.model_dump(), said.roi)

@@ -314,6 +314,10 @@ Light = Annotated[ScpiLight | GardasoftLight, Field(discriminator="driver")]
 # ---------------------------------------------------------------- cameras
 
 
+NotNegative = Annotated[int, Field(ge=0, le=8191)]
+Pixels = Annotated[int, Field(gt=0, le=8192)]
+
+
 class Biases(Words):
     """Offsets from the factory values, within what an IMX636 takes; those not named stay at 0."""
 
@@ -329,6 +333,12 @@ class CameraWords(Words):
 
     serial: Serial
     biases: Biases = Biases()
+    roi: Annotated[
+        tuple[NotNegative, NotNegative, Pixels, Pixels] | None,
+        Field(
+            description="Only part of the sensor: column, row, width, height, px. `metavision` alone sets it."
+        ),
+    ] = None
     lens: Text | None = None
 
     @property

@@ -38,10 +38,15 @@ class FoundCamera:
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What is set before recording. Biases are offsets from the factory value."""
+    """What is set before recording.
+
+    Biases are offsets from the factory value; ``roi`` the only part of the sensor that sends events: column and row
+    of its upper left pixel, width and height; None for all of it.
+    """
 
     biases: Mapping[str, int] = field(default_factory=dict)
     trigger_in: bool = True
+    roi: tuple[int, int, int, int] | None = None
 
 
 @dataclass(frozen=True)

@@ -56,15 +56,11 @@ def read_monitoring(device: Any, call: str) -> float | None:
 def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: str) -> CameraSettings:
     """Set everything and return what was read back. Raises CameraSettingRefused."""
     _set_biases(device, settings.biases, where)
-    for getter in (
-        "get_i_antiflicker_module",
-        "get_i_event_trail_filter_module",
-        "get_i_erc_module",
-        "get_i_roi",
-    ):
+    for getter in ("get_i_antiflicker_module", "get_i_event_trail_filter_module", "get_i_erc_module"):
         if (facility := getattr(device, getter)()) is not None:
             with _refusal(f"switch off {getter.removeprefix('get_i_')}", where):
                 facility.enable(False)
+    _set_roi(device, hal, settings.roi, where)
     if left_on := [name for name, on in read_filters(device, hal, where=where).items() if on]:
         raise CameraSettingRefused(
             f"Its filter {', '.join(left_on)} stays on.",
@@ -72,7 +68,7 @@ def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: st
             remedy="A filter falsifies the recording: reconnect the camera.",
         )
     trigger_in = _set_trigger_in(device, hal, settings.trigger_in, where)
-    return CameraSettings(read_biases(device, where=where), trigger_in)
+    return CameraSettings(read_biases(device, where=where), trigger_in, settings.roi)
 
 
 def _set_biases(device: Any, wanted: Mapping[str, int], where: str) -> None:
@@ -108,6 +104,38 @@ def _set_biases(device: Any, wanted: Mapping[str, int], where: str) -> None:
                 where=where,
                 remedy="Reconnect the camera, or use another value.",
             )
+
+
+def _set_roi(device: Any, hal: Any, roi: tuple[int, int, int, int] | None, where: str) -> None:
+    """Let only a window of the sensor send events, or all of it. The HAL cannot be asked for the window it has."""
+    facility = device.get_i_roi()
+    if facility is None:
+        if roi is not None:
+            raise CameraSettingRefused(
+                "It has no region of interest.", where=where, remedy="Leave roi out of the station file."
+            )
+        return
+    with _refusal("set its region of interest", where):
+        taken = True
+        if roi is not None:
+            x, y, width, height = roi
+            geometry = device.get_i_geometry()
+            if x + width > geometry.get_width() or y + height > geometry.get_height():
+                raise CameraSettingRefused(
+                    f"The region of interest {roi} reaches beyond its {geometry.get_width()} x "
+                    f"{geometry.get_height()} px.",
+                    where=where,
+                    remedy="Correct roi in the station file.",
+                )
+            taken = facility.set_mode(hal.I_ROI.Mode.ROI) is not False
+            taken &= facility.set_window(hal.I_ROI.Window(x, y, width, height)) is not False
+        taken &= facility.enable(roi is not None) is not False
+    if not taken:
+        raise CameraSettingRefused(
+            f"It did not take the region of interest {roi or 'off'}.",
+            where=where,
+            remedy="Reconnect the camera.",
+        )
 
 
 def _set_trigger_in(device: Any, hal: Any, on: bool, where: str) -> bool:

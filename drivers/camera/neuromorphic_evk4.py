@@ -21,7 +21,7 @@ from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, Recordin
 from drivers.camera.evt3 import first_time_high
 from drivers.camera.hold import CameraHold, event_camera
 from drivers.camera.raw_header import render_header
-from drivers.camera.recording import Watch, check_duration, record_words, recording_facts
+from drivers.camera.recording import Watch, check_duration, record_words, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import (
     CameraLost,
@@ -161,6 +161,7 @@ class NeuromorphicEvk4:
 
         Returns what was sent: this camera's software cannot read it back. Raises CameraSettingRefused.
         """
+        refuse_roi(settings, self._where)
         biases = {name: settings.biases.get(name, 0) for name in BIASES}
         if unknown := sorted(set(settings.biases) - set(BIASES)):
             raise CameraSettingRefused(

@@ -17,7 +17,7 @@ from typing import Final
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.evt3 import first_time_high
 from drivers.camera.raw_file import RawFile
-from drivers.camera.recording import Watch, check_duration, record_words, recording_facts
+from drivers.camera.recording import Watch, check_duration, record_words, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
 
@@ -95,6 +95,7 @@ class RecordedCamera:
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Take settings that change nothing. Raises CameraSettingRefused for a bias: it cannot be set any more."""
+        refuse_roi(settings, self._where)
         if changed := sorted(name for name, value in settings.biases.items() if value):
             raise CameraSettingRefused(
                 f"The {', '.join(changed)} of a recording cannot be changed any more.",

@@ -16,11 +16,11 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.camera import CameraIdentity, RecordingFacts
+from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.evt3 import Evt3Decoder, StreamTally
 from drivers.camera.raw_writer import RawWriter
 from drivers.clock import Clock
-from drivers.errors import CameraError, CameraLost, DriverError, RecordingFailed
+from drivers.errors import CameraError, CameraLost, CameraSettingRefused, DriverError, RecordingFailed
 
 
 class WordSource(Protocol):
@@ -77,6 +77,14 @@ def check_duration(duration_s: float, *, where: str) -> None:
             f"A recording of {duration_s} s was asked for.",
             where=where,
             remedy="Ask for some milliseconds at least.",
+        )
+
+
+def refuse_roi(settings: CameraSettings, where: str) -> None:
+    """Raise CameraSettingRefused for a region of interest, where a driver sets none."""
+    if settings.roi is not None:
+        raise CameraSettingRefused(
+            "Its driver sets no region of interest.", where=where, remedy="Leave roi out of the station file."
         )
 
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.evk4_line import Evk4Line
 from drivers.camera.raw_header import render_header
-from drivers.camera.recording import Watch, check_duration, record_words, recording_facts
+from drivers.camera.recording import Watch, check_duration, record_words, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import (
     CameraSettingRefused,
@@ -121,6 +121,7 @@ class SimulatedEvk4Camera:
         CameraSettingRefused
             When a value is refused, or another one is read back.
         """
+        refuse_roi(settings, self._where)
         unknown = sorted(set(settings.biases) - set(BIASES))
         if unknown:
             raise CameraSettingRefused(

@@ -6,6 +6,7 @@ error, the calls that block are forbidden, and the log is written as the vendor 
 
 import enum
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from types import ModuleType
 from typing import ClassVar
@@ -16,8 +17,10 @@ import pytest
 from drivers.camera import CameraSettings, FoundCamera
 from drivers.camera import metavision as metavision_driver
 from drivers.camera.metavision import MetavisionEvk4, discover
+from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.raw_file import RawFile
 from drivers.errors import (
+    CameraBusy,
     CameraLost,
     CameraNotFound,
     CameraSettingRefused,
@@ -65,13 +68,34 @@ class Switch:
         return self._on
 
 
+class RoiMode(enum.Enum):
+    ROI = 0
+    RONI = 1
+
+
+class Window:
+    def __init__(self, x, y, width, height):
+        self.place = (x, y, width, height)
+
+
 class Region:
     def __init__(self):
         self.on = True
+        self.mode = None
+        self.window = None
+        self.takes = True
+
+    def set_mode(self, mode):
+        self.mode = RoiMode(mode)
+        return self.takes
+
+    def set_window(self, window):
+        self.window = window.place
+        return self.takes
 
     def enable(self, on):
         self.on = on
-        return True
+        return self.takes
 
 
 class Trail(Switch):
@@ -315,6 +339,7 @@ class Hal(ModuleType):
 
         self.DeviceDiscovery = DeviceDiscovery
         self.DeviceConfig = DeviceConfig
+        self.I_ROI = type("I_ROI", (), {"Mode": RoiMode, "Window": Window})
         self.I_TriggerIn = type("I_TriggerIn", (), {"Channel": Channel})
         self.I_EventTrailFilterModule = type("I_EventTrailFilterModule", (), {"Type": TrailType})
 
@@ -393,6 +418,32 @@ def test_another_camera_under_that_name_is_refused(devices, clock):
         MetavisionEvk4.open(serial=SERIAL, clock=clock)
 
 
+@pytest.mark.usefixtures("camera")
+def test_a_second_opener_is_refused_before_the_camera_is_touched(devices, clock):
+    devices[SERIAL] = RuntimeError("it was touched")
+    with pytest.raises(CameraBusy, match="Another program of this bench holds it"):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+
+
+def test_a_camera_is_free_again_after_closing_and_after_a_failed_opening(devices, device, camera, clock):
+    camera.close()
+    devices[SERIAL] = RuntimeError("Error 103000: device busy")
+    with pytest.raises(CameraNotFound):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+    devices[SERIAL] = device
+    MetavisionEvk4.open(serial=SERIAL, clock=clock).close()
+    first_found = MetavisionEvk4.open(clock=clock)
+    with pytest.raises(CameraBusy):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+    first_found.close()
+
+
+def test_the_other_driver_of_the_same_camera_is_kept_out_too(camera, clock, monkeypatch):
+    monkeypatch.setitem(sys.modules, "neuromorphic_drivers", ModuleType("neuromorphic_drivers"))
+    with pytest.raises(CameraBusy):
+        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: datetime.now(UTC))
+
+
 def test_a_camera_that_does_not_send_evt3_is_refused(device, devices, clock):
     device.facilities["hw_identification"].encoding = "EVT21"
     with pytest.raises(CameraSettingRefused, match="EVT21, not EVT3"):
@@ -437,6 +488,30 @@ def test_a_filter_that_stays_on_is_noticed(device, camera):
     device.facilities["antiflicker_module"].sticks = True
     with pytest.raises(CameraSettingRefused, match="afk stays on"):
         camera.apply(CameraSettings())
+
+
+def test_a_region_of_interest_is_set_and_taken_away_again(device, camera):
+    region = device.facilities["roi"]
+    assert camera.apply(CameraSettings(roi=(320, 180, 640, 360))).roi == (320, 180, 640, 360)
+    assert (region.on, region.mode, region.window) == (True, RoiMode.ROI, (320, 180, 640, 360))
+    camera.apply(CameraSettings())
+    assert not region.on
+
+
+def test_a_region_beyond_the_sensor_is_refused_before_it_is_set(device, camera):
+    with pytest.raises(CameraSettingRefused, match="beyond its 1280 x 720 px"):
+        camera.apply(CameraSettings(roi=(640, 0, 641, 720)))
+    assert device.facilities["roi"].window is None
+
+
+def test_a_region_that_is_not_taken_or_that_there_is_none_of_is_told(device, camera):
+    device.facilities["roi"].takes = False
+    for roi in ((0, 0, 10, 10), None):
+        with pytest.raises(CameraSettingRefused, match="did not take the region of interest"):
+            camera.apply(CameraSettings(roi=roi))
+    device.facilities["roi"] = None
+    with pytest.raises(CameraSettingRefused, match="has no region of interest"):
+        camera.apply(CameraSettings(roi=(0, 0, 10, 10)))
 
 
 def test_a_bias_out_of_range_is_refused_with_the_range(device, camera):

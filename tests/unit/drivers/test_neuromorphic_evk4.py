@@ -1,6 +1,7 @@
 """EVK4 through neuromorphic-drivers, against a strict fake of that package's device."""
 
 import dataclasses
+import inspect
 import sys
 from datetime import UTC, datetime
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from drivers.camera import CameraSettings, FoundCamera
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4, discover
 from drivers.camera.raw_file import RawFile
 from drivers.errors import (
+    CameraBusy,
     CameraLost,
     CameraNotFound,
     CameraSettingRefused,
@@ -209,6 +211,30 @@ def test_another_camera_is_refused_and_given_back(device, clock):
     assert device.closed
 
 
+def test_a_second_opener_is_refused_before_the_camera_is_touched(package, camera, clock):
+    package.open = lambda *_, **__: pytest.fail("it was opened")
+    with pytest.raises(CameraBusy, match="Another program of this bench holds it"):
+        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
+
+
+def test_a_camera_that_was_let_go_or_could_not_be_opened_can_be_opened_again(package, camera, clock):
+    camera.close()
+    package.trouble = "Device busy"
+    with pytest.raises(CameraNotFound):
+        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
+    package.trouble = ""
+    NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW).close()
+    NeuromorphicEvk4.open(clock=clock, utc_now=lambda: NOW).close()
+
+
+@pytest.mark.usefixtures("package")
+def test_a_camera_taken_as_the_first_found_is_held_by_its_number_too(clock):
+    first = NeuromorphicEvk4.open(clock=clock, utc_now=lambda: NOW)
+    with pytest.raises(CameraBusy):
+        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
+    first.close()
+
+
 def test_the_trigger_input_is_off_until_settings_switch_it_on(device, camera):
     assert not device.configuration.enable_external_trigger
     camera.apply(CameraSettings(trigger_in=True))
@@ -352,6 +378,21 @@ def test_the_fake_has_the_fields_of_the_real_package():
         hasattr(evk4.PropheseeEvk4DeviceRawOptional, call) for call in (*calls, "clear_backlog", "close")
     )
     assert real.Name.PROPHESEE_EVK4
+    assert {"configuration", "iterator_timeout", "raw", "serial"} <= set(
+        inspect.signature(real.open).parameters
+    )
+    named = {"Properties": {"width", "height"}, "Bounds": {"minimum", "maximum"}, "BiasesBounds": set(BIASES)}
+    for name, wanted in named.items():
+        assert wanted <= {f.name for f in dataclasses.fields(getattr(evk4, name))}
+    assert {"name", "serial", "error"} <= {f.name for f in dataclasses.fields(real.ListedDevice)}
+    device = evk4.PropheseeEvk4DeviceRawOptional
+    for call, ours in (
+        ("clear_backlog", Device.clear_backlog),
+        ("update_configuration", Device.update_configuration),
+    ):
+        assert list(inspect.signature(getattr(device, call)).parameters) == list(
+            inspect.signature(ours).parameters
+        )
 
 
 def test_without_a_camera_the_real_package_gives_a_clear_error(clock):
