@@ -74,6 +74,11 @@ class Queue(Words):
     stop_after_h: Annotated[float, Field(gt=0, le=1000)] | None = None
     jobs: Annotated[list[JobWords], Field(min_length=1, max_length=200)]
 
+    @property
+    def tzinfo(self) -> zoneinfo.ZoneInfo | None:
+        """Whose clocks its times of day are read on; None for those of this machine."""
+        return zoneinfo.ZoneInfo(self.zone) if self.zone else None
+
     @model_validator(mode="after")
     def _names_differ(self) -> Queue:
         names = [job.name for job in self.jobs]
