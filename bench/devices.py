@@ -13,6 +13,7 @@ from typing import Any
 from bench import station_devices as words
 from bench.camera_kinds import Camera
 from bench.clock import BenchClock
+from bench.device_identities import held
 from bench.errors import SimulationError
 from bench.simulated import SimulatedBench
 from bench.station import Station
@@ -63,6 +64,7 @@ class Devices:
         with ExitStack() as opened:
             if station.needs_simulated_bench:
                 self._simulation = opened.enter_context(SimulatedBench(station.simulation or {}, seed))
+            opened.enter_context(held(station))
             self.stage: Stage = _open_stage(station, self._port, clock, wire_log)
             opened.callback(self.stage.close)
             self.light: Light = _open_light(station, self._port, clock, wire_log)

@@ -13,7 +13,7 @@ PATIENCE_S = 240.0
 
 
 def environment(home: Path) -> dict[str, str]:
-    return {**os.environ, "STARBENCH_HOME": str(home)}
+    return {**os.environ, "STARBENCH_HOME": str(home), "STARBENCH_LOCKS": str(home / "locks")}
 
 
 def starbench(*words, home: Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.camera import hold
+from drivers.device_hold import FOLDER_VARIABLE
 
 
 class ScriptedPort:
@@ -51,7 +51,7 @@ class TurnedClock:
 def locks(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of locks for this test alone: tests of other processes have cameras of the same numbers."""
     folder = tmp_path_factory.mktemp("locks")
-    monkeypatch.setattr(hold, "locks_folder", lambda: folder)
+    monkeypatch.setenv(FOLDER_VARIABLE, str(folder))
     return folder
 
 

@@ -1,0 +1,90 @@
+"""One device reached by two ports: the second process is refused by the serial number, whoever of the two was first."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from bench.clock import BenchClock
+from bench.device_identities import serial_devices
+from bench.devices import Devices
+from bench.station import SHIPPED, Station
+from drivers.device_hold import FOLDER_VARIABLE, DeviceHold
+from drivers.errors import PortBusy
+from sequences.reader import check_document
+from simulators.axis_motion import Mechanics
+from simulators.pseudo_terminal import PseudoTerminal
+from simulators.serial_device import SerialDevice
+from simulators.tcp_port import TcpPort
+from simulators.zaber import ZaberChain
+from simulators.zaber_controller import ZaberController, ZaberModel
+
+HOLD = """
+import sys
+from drivers.device_hold import DeviceHold
+hold = DeviceHold(sys.argv[1])
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture(autouse=True)
+def locks(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "locks"))
+
+
+@pytest.fixture
+def ports(tmp_path: Path) -> Iterator[list[str]]:
+    """The same controllers by two ports: a terminal, and the network."""
+    now_s = time.monotonic()
+    models = [
+        ZaberModel(Mechanics(6400, -end - 2.0, end + 2.0), serial, int(-end * 6400), int(end * 6400))
+        for serial, end in (("100101", 15.0), ("100102", 10.0))
+    ]
+    chain = ZaberChain([ZaberController(model, now_s) for model in models], time.monotonic)
+    with ExitStack() as stack:
+        yield [
+            stack.enter_context(SerialDevice(port, chain)).address
+            for port in (PseudoTerminal(tmp_path / "gimbal"), TcpPort("gimbal"))
+        ]
+
+
+def station(port: str) -> Station:
+    text = (SHIPPED / "simulated.yaml").read_text(encoding="utf-8").replace("sim:gimbal", port)
+    return check_document(text.encode(), "station.yaml", Station).value
+
+
+def opened(port: str) -> Devices:
+    return Devices(station(port), seed=1, clock=BenchClock(), wire_log=None)
+
+
+def test_a_station_s_devices_are_named_by_family_and_number(ports) -> None:
+    assert serial_devices(station(ports[0])) == ("Zaber 100101", "Zaber 100102")
+    assert serial_devices(station("sim:gimbal")) == ()
+
+
+def test_the_same_stage_by_another_port_is_refused_until_the_first_is_closed(ports) -> None:
+    first = opened(ports[0])
+    try:
+        with pytest.raises(PortBusy, match=r"Zaber 100101: Another program .* perhaps by another port"):
+            opened(ports[1])
+    finally:
+        first.close()
+    opened(ports[1]).close()
+
+
+def test_a_killed_process_leaves_no_hold(ports) -> None:
+    command = [sys.executable, "-c", HOLD, "Zaber 100102"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(PortBusy, match="Zaber 100102"):
+            opened(ports[0])
+        holder.kill()
+    DeviceHold("Zaber 100101").release()
+    opened(ports[0]).close()
