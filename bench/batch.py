@@ -18,7 +18,7 @@ from typing import Any
 from bench.batch_plan import planned_s
 from bench.batch_record import BatchEvent, BatchRecord
 from bench.batch_requests import Desk, Request, refusal
-from bench.batch_summary import write_summary
+from bench.batch_summary import RUNS, write_summary
 from bench.clock import Aborted, BenchClock
 from bench.errors import RunFolderError
 from bench.folder_lock import hold_folder
@@ -26,14 +26,13 @@ from bench.history import replay
 from bench.journal import Journal, read_journal
 from bench.run_folder import JOURNAL, is_sealed
 from bench.schedule import NEVER_S, Item, choose
+from bench.run_index import QUEUE_COPY
 from bench.storage import make_folder, storing, sync_folder, write_whole
 from bench.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.unsynced_journal import UnsyncedJournal
 from sequences.queue import Queue
 from sequences.reader import Located, check_document
 
-QUEUE_COPY = "queue.yaml"
-RUNS = "runs"
 LOOK_S = 1.0
 """While the batch waits for a time, it looks so often whether a job was added."""
 
@@ -156,11 +155,11 @@ class Batch:
         """Decide on a request, once, and journal it."""
         with self._lock:
             if request is None:
-                self._tell(BatchEvent.ASKED, id=name, word="unknown", taken=False, why="it is no request")
+                self._tell(BatchEvent.REQUESTED, id=name, word="unknown", taken=False, why="it is no request")
             elif request.id not in self._record.answered:
                 why = refusal(request, self._record)
                 said = request.model_dump(exclude={"format"}, exclude_none=True)
-                self._tell(BatchEvent.ASKED, **said, taken=not why, why=why)
+                self._tell(BatchEvent.REQUESTED, **said, taken=not why, why=why)
                 what = request.name or (request.job.name if request.job else "")
                 self._say(f"{request.word} {what} by {request.by}: {why or 'taken'}")
 

@@ -30,10 +30,24 @@ class BatchEvent(StrEnum):
     """A run begins, or is taken up again (``again``), for the so-and-so-many-th time (``attempt``)."""
     ITEM_ENDED = "item_ended"
     """It ended (a ``WorkerEnd``)."""
-    ASKED = "asked"
+    REQUESTED = "requested"
     """An operator's request (`bench.batch_requests`): what, by whom, whether and why not it was taken."""
     ENDED = "batch_ended"
     """The batch ended: how and why. It may be called again, and goes on."""
+
+
+@dataclass(frozen=True)
+class Try:
+    """One try of a run: from when to when its worker worked, and how that ended."""
+
+    begun: datetime
+    ended: datetime
+    how: str
+
+    @property
+    def took_s(self) -> float:
+        """How long, s."""
+        return (self.ended - self.begun).total_seconds()
 
 
 @dataclass(frozen=True)
@@ -70,8 +84,7 @@ class BatchRecord:
     at_work: str = ""
     """The run at work; empty between runs."""
     at_work_since: datetime | None = None
-    took_s: dict[str, list[float]] = field(default_factory=dict)
-    """How long runs took that were done at the first attempt, by job."""
+    ended_tries: dict[str, list[Try]] = field(default_factory=dict)
     answered: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     """What became of each request, by its id."""
     ended: str = ""
@@ -95,11 +108,19 @@ class BatchRecord:
         end = self.ends.get(item.key)
         if end is None:
             return False
-        return end.how == "finished" or self.in_vain.get(item.key, 0) >= item.job.attempts
+        if end.how in {"finished", "aborted"}:  # whoever aborted a run does not want it taken up again
+            return True
+        return self.in_vain.get(item.key, 0) >= item.job.attempts
 
     def lasts_s(self, item: Item, planned_s: float) -> float:
         """Expect a run to take as long as others of its job took; before there are such, as planned."""
-        took = self.took_s.get(item.job.name)
+        took = [
+            self.ended_tries[key][0].took_s
+            for key, end in self.ends.items()
+            if end.how == "finished"
+            and self.tries.get(key) == 1
+            and self.items[key].job.name == item.job.name
+        ]
         return fmean(took) if took else planned_s
 
     def withdrawable(self, job: str) -> list[Item]:
@@ -154,7 +175,7 @@ class BatchRecord:
                 self.ended = self.why = ""
             case BatchEvent.ITEM_ENDED:
                 self._end(data["item"], data["how"], data["why"], now)
-            case BatchEvent.ASKED:
+            case BatchEvent.REQUESTED:
                 self._answer(data, now)
             case BatchEvent.ENDED:
                 self.ended, self.why = data["how"], data["why"]
@@ -168,10 +189,9 @@ class BatchRecord:
     def _end(self, key: str, how: str, why: str, now: datetime) -> None:
         begun = self.begun_at.get(key, now)
         self.ends[key] = ItemEnd(how, why, begun, now)
+        since = self.at_work_since if self.at_work == key and self.at_work_since else now
+        self.ended_tries.setdefault(key, []).append(Try(since, now, how))
         self.at_work, self.at_work_since = "", None
-        if how == "finished" and self.tries.get(key) == 1:
-            job = self.items[key].job.name
-            self.took_s.setdefault(job, []).append((now - begun).total_seconds())
 
     def _answer(self, data: Mapping[str, Any], now: datetime) -> None:
         self.answered[data["id"]] = data

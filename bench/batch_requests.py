@@ -24,6 +24,7 @@ from bench.errors import BenchError, RunFolderError
 from bench.folder_lock import is_worked_on
 from bench.journal import read_journal
 from bench.run_folder import JOURNAL
+from bench.run_index import QUEUE_COPY
 from bench.storage import is_temporary, make_folder, storing, write_whole
 from sequences.queue import JobWords, Key
 
@@ -155,7 +156,7 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
     StorageError
         When it cannot be written.
     """
-    if not (folder / JOURNAL).is_file() or not (folder / "queue.yaml").is_file():
+    if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
         raise RunFolderError(
             "There is no batch in this folder.",
             where=str(folder),
@@ -174,7 +175,7 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
 
 def _answer_in(folder: Path, request_id: str) -> dict[str, Any] | None:
     entries, _ = read_journal(folder / JOURNAL)
-    found = (e for e in reversed(entries) if e.event == BatchEvent.ASKED and e.data["id"] == request_id)
+    found = (e for e in reversed(entries) if e.event == BatchEvent.REQUESTED and e.data["id"] == request_id)
     entry = next(found, None)
     return dict(entry.data) if entry is not None else None
 

@@ -17,7 +17,7 @@ from bench.errors import BenchError, RunFolderError
 from bench.journal import read_journal
 from bench.report.batch_page import render_batch
 from bench.run_folder import JOURNAL, PLAN, REPORT
-from bench.run_index import IndexedRun, read_run
+from bench.run_index import QUEUE_COPY, IndexedRun, read_run
 from bench.schedule import Item, in_order
 from bench.storage import storing, write_whole
 from bench.trends import by_camera, hours_after, trends_of
@@ -25,7 +25,6 @@ from sequences.errors import DocumentFaults
 from sequences.queue import Queue
 from sequences.reader import read_document
 
-QUEUE_COPY = "queue.yaml"
 RUNS = "runs"
 SUMMARY, PAGE = "summary.json", "summary.html"
 SCHEMA = "starbench/batch/1"
@@ -126,6 +125,7 @@ def _item(
     end = record.ends.get(item.key)
     how = end.how if end else "cut off" if item.key in record.tries else "not begun"
     begun = record.begun_at.get(item.key)
+    tries = record.ended_tries.get(item.key, [])
     return {
         "item": item.key,
         "job": item.job.name,
@@ -135,7 +135,10 @@ def _item(
         "attempts": record.tries.get(item.key, 0),
         "begun_utc": _iso(begun),
         "ended_utc": _iso(end.ended) if end else None,
-        "took_s": round((end.ended - begun).total_seconds(), 1) if end and begun else None,
+        "took_s": round(sum(one.took_s for one in tries), 1) if tries else None,
+        "tries": [
+            {"begun_utc": _iso(one.begun), "ended_utc": _iso(one.ended), "how": one.how} for one in tries
+        ],
         "report": f"{RUNS}/{item.key}/{REPORT}" if (folder / RUNS / item.key / REPORT).is_file() else None,
         "camera": run.camera if run else "",
         "poses": _poses(folder / RUNS / item.key),

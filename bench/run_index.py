@@ -22,6 +22,8 @@ from bench.run_folder import JOURNAL, is_sealed
 from bench.storage import make_folder, storing
 
 INDEX = "runs.sqlite3"
+QUEUE_COPY = "queue.yaml"
+"""What a batch's folder has, and no run's."""
 VERSION = 2
 _COLUMNS = (
     "id", "sequence", "station", "camera", "operator", "simulated", "begun_utc", "ended", "accepted", "recordings",
@@ -87,7 +89,7 @@ class IndexedRun:
 
 
 def run_folders(root: Path) -> list[Path]:
-    """Find the run folders in a folder: itself, those in it, and those one level deeper.
+    """Find the run folders in a folder: itself, those in it, and those one level deeper; a batch's own is none.
 
     Raises
     ------
@@ -98,7 +100,7 @@ def run_folders(root: Path) -> list[Path]:
         raise StorageError("There is no such folder.", where=str(root), remedy="Name one that holds runs.")
     with storing(root):
         found = [path for pattern in ("", "*/", "*/*/") for path in root.glob(pattern + JOURNAL)]
-    return sorted(path.parent for path in found)
+    return sorted(path.parent for path in found if not (path.parent / QUEUE_COPY).exists())
 
 
 class RunIndex:

@@ -6,6 +6,7 @@ Knows the structure of ``summary.json`` and nothing else; formats by `bench.repo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, tzinfo
 from typing import Any, NamedTuple
@@ -15,11 +16,11 @@ from markupsafe import Markup
 
 from bench.report.html import environment
 from bench.report.text import NOTHING, duration, fixed, meaning_of, number, unit_of, with_uncertainty
-from bench.report.trend_plots import Series, against_temperature, over_time, span_of, timeline
+from bench.report.trend_plots import Series, against_temperature, bars_of, over_time, timeline
 
 _K = 2.0
-_BIRGE_SCATTERED = 1.4
-"""Above this, points scatter more than chance lets points of their uncertainties, for some ten runs and more."""
+_SCATTER_SIGMAS = 3.0
+"""A Birge ratio that exceeds 1 by more than that many of its own standard deviations is more than chance."""
 _LEAST_RANGE_C = 0.2
 """Temperatures that vary by less are one temperature."""
 _HEADLINE = "fx"
@@ -75,7 +76,7 @@ def render_batch(summary: Json) -> str:
         A complete HTML document that needs nothing from anywhere else; a function of ``summary`` alone.
     """
     zone = _zone(summary)
-    bars = span_of(summary["items"])
+    bars = bars_of(summary["items"])
     failures = [
         item for item in summary["items"] if item["how"] not in {"finished", "not begun", "withdrawn"}
     ]
@@ -183,7 +184,7 @@ def _camera(camera: Json, place: int, zone: tzinfo | None) -> dict[str, Any]:
         "model": camera["model"],
         "runs": len(runs),
         "range": f"{min(temperatures):.1f} to {max(temperatures):.1f} °C" if warm else "",
-        "trends": [_trend(trend, warm=warm) for trend in trends],
+        "trends": [_trend(trend, len(runs), warm=warm) for trend in trends],
         "time_plot": Markup(time_plot),  # noqa: S704
         "warm_plot": Markup(warm_plot),  # noqa: S704
         "verdict": _verdict(trends, len(runs)),
@@ -204,13 +205,18 @@ def _series(runs: Sequence[Json], trends: Sequence[Json], slope: str) -> list[Se
     ]
 
 
-def _trend(trend: Json, *, warm: bool) -> TrendRow:
+def _scatters(trend: Json, runs: int) -> bool:
+    """Whether runs scatter more than their uncertainties say: the Birge ratio's own scatter is 1 / sqrt(2 (n - 1))."""
+    return bool(trend["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1)))
+
+
+def _trend(trend: Json, runs: int, *, warm: bool) -> TrendRow:
     name = trend["name"]
     unit = "" if unit_of(name) == "1" else unit_of(name)
     mean, expanded = with_uncertainty(trend["mean"], _K * trend["sigma"])
     moves = trend["per_hour"] is not None and trend["per_hour"]["seen"]
     follows = warm and trend["per_c"] is not None and trend["per_c"]["seen"]
-    scattered = trend["birge"] > _BIRGE_SCATTERED
+    scattered = _scatters(trend, runs)
     if moves or follows:
         verdict, words = "marginal", "changes" if moves else "follows temperature"
     elif scattered:
@@ -243,7 +249,7 @@ def _verdict(trends: Sequence[Json], runs: int) -> str:
     if not trends:
         return "One run has a result: there is nothing to compare it with."
     moving = [t["name"] for t in trends if t["per_hour"] is not None and t["per_hour"]["seen"]]
-    scattered = [t["name"] for t in trends if t["birge"] > _BIRGE_SCATTERED and t["name"] not in moving]
+    scattered = [t["name"] for t in trends if _scatters(t, runs) and t["name"] not in moving]
     said = []
     if moving:
         said.append(f"{', '.join(moving)} changed over the night by more than 3.5 standard uncertainties")

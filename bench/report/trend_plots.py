@@ -26,6 +26,7 @@ _K = 2.0
 _WIDTH_IN, _ROW_IN = 11.6, 2.05
 _COLUMNS = 3
 _MOST_TICKS = 8
+_STEPS_H = (1 / 60, 1 / 30, 1 / 12, 1 / 6, 0.25, 0.5, 1, 2, 3, 6, 12, 24)
 _BEFORE = 0.02
 """Of the span: an axis of times begins so much before the first, where a round time of day lies there."""
 _POINT, _LINE_COLOUR = POSE_COLOURS[0], POSE_COLOURS[1]
@@ -85,7 +86,9 @@ def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
             axes.barh(
                 jobs.index(bar.job), width_s / 3600.0,
                 left=_hours(bar.begun, first), height=0.62,
-                color=END_COLOURS.get(bar.how, MUTED), linewidth=0,
+                color=END_COLOURS.get(bar.how, MUTED),
+                edgecolor="white",
+                linewidth=0.3,
             )  # fmt: skip
         axes.set(ylim=(len(jobs) - 0.4, -0.6), yticks=range(len(jobs)), yticklabels=jobs)
         axes.tick_params(axis="y", length=0, labelcolor=INK)
@@ -185,7 +188,7 @@ def _hours(moment: datetime, begin: datetime) -> float:
 
 def _clock(axes: Axes, begin: datetime, last_h: float) -> None:
     """Label an axis of hours after a local moment with times of day."""
-    step_h = next((s for s in (0.25, 0.5, 1, 2, 3, 6, 12, 24) if last_h / s <= _MOST_TICKS), 48.0)
+    step_h = next((s for s in _STEPS_H if last_h / s <= _MOST_TICKS), 48.0)
     midnight = begin.replace(hour=0, minute=0, second=0, microsecond=0)
     since_h = _hours(begin, midnight)
     number = math.ceil((since_h - _BEFORE * last_h) / step_h)
@@ -198,15 +201,15 @@ def _clock(axes: Axes, begin: datetime, last_h: float) -> None:
     axes.set_xticklabels([f"{moment + timedelta(seconds=30):%H:%M}" for moment in shown])
 
 
-def span_of(items: Sequence[Mapping[str, Any]]) -> list[Bar]:
-    """Take the bars of the timeline from a summary's items."""
+def bars_of(items: Sequence[Mapping[str, Any]]) -> list[Bar]:
+    """Take the bars of the timeline from a summary's items: one a try."""
     return [
         Bar(
             item["job"],
-            datetime.fromisoformat(item["begun_utc"]),
-            datetime.fromisoformat(item["ended_utc"] or item["begun_utc"]),
-            item["how"],
+            datetime.fromisoformat(one["begun_utc"]),
+            datetime.fromisoformat(one["ended_utc"]),
+            one["how"],
         )
         for item in items
-        if item["begun_utc"]
+        for one in item["tries"]
     ]

@@ -77,6 +77,7 @@ def item(key, how="finished", why="", **facts):
         "temperature_c": None, "model": "spherical", "rms_px": 0.05, "sealed": True,
         "parameters": {"fx": {"value": 3300.0, "sigma": 0.5}},
     }  # fmt: skip
+    told["tries"] = [{"begun_utc": told["begun_utc"], "ended_utc": told["ended_utc"], "how": how}]
     return {**told, **facts}
 
 
@@ -150,7 +151,7 @@ def test_the_page_tells_failures_and_what_was_not_begun_with_local_times():
     html = render_batch(
         summary(
             item("a-001", "failed", "the lamp is dark"),
-            item("b-001", "not begun", begun_utc=None, ended_utc=None, took_s=None),
+            item("b-001", "not begun", begun_utc=None, ended_utc=None, took_s=None, tries=[]),
         )
     )
     assert "the lamp is dark" in html

@@ -47,7 +47,7 @@ class Asked(Workers):
 
 
 def asked(folder):
-    return [e.data for e in read_journal(folder / "journal.jsonl")[0] if e.event == "asked"]
+    return [e.data for e in read_journal(folder / "journal.jsonl")[0] if e.event == "requested"]
 
 
 def test_a_job_added_while_a_run_is_under_way_is_done_and_one_withdrawn_is_not(tmp_path):
