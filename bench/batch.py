@@ -15,6 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from bench.batch_messages import BatchMessages
 from bench.batch_plan import planned_s
 from bench.batch_record import BatchEvent, BatchRecord
 from bench.batch_requests import Desk, Request, refusal
@@ -22,11 +23,11 @@ from bench.batch_summary import RUNS, write_summary
 from bench.clock import Aborted, BenchClock
 from bench.errors import RunFolderError
 from bench.folder_lock import hold_folder
-from bench.history import replay
+from bench.history import History, replay
 from bench.journal import Journal, read_journal
 from bench.run_folder import JOURNAL, is_sealed
-from bench.schedule import NEVER_S, Item, choose
 from bench.run_index import QUEUE_COPY
+from bench.schedule import NEVER_S, Item, choose
 from bench.storage import make_folder, storing, sync_folder, write_whole
 from bench.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.unsynced_journal import UnsyncedJournal
@@ -76,6 +77,7 @@ class Batch:
         self._look_s = NEVER_S if rehearsal else LOOK_S
         self._record = BatchRecord(queue.value)
         self._lock = threading.RLock()
+        self._messages = BatchMessages(clock, say)
 
     def run(self) -> dict[str, Any]:
         """Do every run that is not done yet.
@@ -105,6 +107,7 @@ class Batch:
                 self._held()
             return write_summary(self.folder, self._record)
         finally:
+            self._messages.close()
             os.close(lock)
 
     def _keep_queue(self) -> None:
@@ -131,6 +134,8 @@ class Batch:
                 remedy="Choose another --output.",
             )
         self._begun_s = self._clock.monotonic() - max(0.0, self._record.seconds(self._clock.utc_now()))
+        if not self._rehearsal:
+            self._messages.hear(job.station for job in self._queue.value.jobs)
         desk = Desk(self.folder, self._answer, self._clock)
         desk.drain()
         desk.watch()
@@ -139,6 +144,14 @@ class Batch:
         finally:
             desk.close()
         self._tell(BatchEvent.ENDED, how=how, why=why)
+        if not self._rehearsal:
+            runs = [
+                f"{key}: {end.how}{': ' if end.why else ''}{end.why}"
+                for key, end in self._record.ends.items()
+            ]
+            self._messages.batch_ended(
+                self._queue.value.name, how, why, runs, self.folder, self._journal.head
+            )
 
     def _files(self) -> dict[str, str]:
         """Say which files the queue means by the names in it, where it does not name them in full."""
@@ -206,19 +219,19 @@ class Batch:
     def _one(self, item: Item) -> None:
         """Begin a run, or take it up again, and wait for its end."""
         run = self.folder / RUNS / item.key
-        if run.is_dir() and (
-            silent_s := adopt(run, self._clock, self._say)
-        ):  # a worker that outlived its supervisor
-            self._say(f"{item.key}: gave no sign of life for {silent_s:.1f} s, and was ended")
+        if run.is_dir() and (silent_s := adopt(run, self._clock, self._say)):  # it outlived its supervisor
+            self._alarm(item, WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s))
         if is_sealed(run):  # done, but cut off before that was told
             self._end(item, WorkerEnd("finished", ""))
             return
         record = self._record
-        if (
-            item.key in record.tries and item.key not in record.ends
-        ):  # its worker and we died: nobody made safe
-            for fault in make_safe_after(run, self._clock):
+        if item.key in record.tries and item.key not in record.ends:  # we died while it was at work
+            ended = _history_of(run).ended
+            unsafe = [] if ended else make_safe_after(run, self._clock)
+            for fault in unsafe:
                 self._say(f"CHECK THE BENCH: {fault}")
+            if not ended:
+                self._alarm(item, WorkerEnd("died", "together with what watched it", 0.0, unsafe))
         _set_aside_unbegun(run)
         again = (run / JOURNAL).exists()
         attempt = record.tries.get(item.key, 0) + 1
@@ -229,7 +242,14 @@ class Batch:
 
     def _end(self, item: Item, end: WorkerEnd) -> None:
         self._tell(BatchEvent.ITEM_ENDED, item=item.key, **asdict(end))
+        self._alarm(item, end)
+
+    def _alarm(self, item: Item, end: WorkerEnd) -> None:
+        """Say how a run ended; and tell those who are away, where it should not have ended so."""
         self._say(f"{item.key}: {end.how}{': ' if end.why else ''}{end.why}")
+        if not self._rehearsal:
+            run = self.folder / RUNS / item.key
+            self._messages.run_ended(item.key, item.job.station, run, end, self._journal.head)
 
     def _in_a_process(self, item: Item, run: Path, log: Path) -> WorkerEnd:
         command = [sys.executable, "-m", "bench", *command_of(item, run)]
@@ -245,11 +265,13 @@ def command_of(item: Item, run: Path) -> list[str]:
     return words + ([] if item.job.operator is None else ["--operator", item.job.operator])
 
 
+def _history_of(run: Path) -> History:
+    return replay(read_journal(run / JOURNAL)[0] if (run / JOURNAL).is_file() else ())
+
+
 def _poses_recorded(run: Path) -> int:
     """Count the poses of a run that are done with: recorded and accepted, or skipped."""
-    if not (run / JOURNAL).is_file():
-        return 0
-    history = replay(read_journal(run / JOURNAL)[0])
+    history = _history_of(run)
     return len(history.accepted().keys() | history.skipped.keys())
 
 

@@ -141,18 +141,32 @@ class Courier:
         key
             Stands for this message for ever: the hash of the journal's line that gave occasion to it.
         """
-        if occasion not in self._occasions or not self._channels:
-            return
-        try:
-            status = read_status(folder)
+        if self._is_wanted(occasion):
+            try:
+                status = read_status(folder)
+            except BenchError as error:
+                self._say(f"A message could not be written: {error}")
+                return
             simulated = " (SIMULATED)" if status.simulated else ""
-            subject = " ".join(f"Starbench: run {status.run_id}{simulated} {what}".split())[:200]
-            utc = self._clock.utc_now().isoformat()
-            message = Message(key, occasion, subject, status_text(status), status.run_id, str(folder), utc)
-            self._outbox.put(message, self._channels)
+            subject = f"Starbench: run {status.run_id}{simulated} {what}"
+            self.write(occasion, subject, status_text(status), run=status.run_id, folder=folder, key=key)
+
+    def write(self, occasion: str, subject: str, text: str, *, run: str, folder: Path, key: str) -> None:
+        """Put a message into the outbox, where the station file wants that told; returns at once. As ``tell``."""
+        if not self._is_wanted(occasion):
+            return
+        utc = self._clock.utc_now().isoformat()
+        try:
+            self._outbox.put(
+                Message(key, occasion, " ".join(subject.split())[:200], text, run, str(folder), utc),
+                self._channels,
+            )
         except BenchError as error:
             self._say(f"A message could not be kept: {error}")
         self._wake.set()
+
+    def _is_wanted(self, occasion: str) -> bool:
+        return occasion in self._occasions and bool(self._channels)
 
     def close(self, patience_s: float = 2 * TIMEOUT_S) -> None:
         """Try once more what is waiting, for no longer than that; what does not go through stays in the outbox."""

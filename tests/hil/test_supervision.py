@@ -3,43 +3,67 @@
 import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
 
+import pytest
+from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, entering, journal, results, start
+from servers import WebServer, serving
 
-from bench.clock import BenchClock
+from bench.clock import Aborted, BenchClock
+from bench.crash_log import read_crash
 from bench.devices import _open_light, make_orphans_safe
 from bench.simulated import SimulatedBench
 from bench.station import SHIPPED, load_station
-from bench.supervisor import supervise
+from bench.supervisor import OUT_OF_MEMORY, adopt, out_of_memory_kills, supervise
 from drivers.light import LightSettings
 
 QUEUE = """\
 format: starbench/queue/1
 name: Night
 jobs:
-  - {name: cam, sequence: three_pose, station: simulated, seed: 7, attempts: 3}
+  - {name: cam, sequence: %s, station: %s, seed: 7, attempts: 3}
 """
+THREE = "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2}, {name: below, tilt_deg: -3}]"
 
 
 def children(pid):
     return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_and_the_run_is_finished(tmp_path):
-    queue, folder = tmp_path / "queue.yaml", tmp_path / "night"
-    queue.write_text(QUEUE)
+def wait_until(process, run, reached, seen=0):
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(map(reached, journal(run)[seen:])):
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def night(tmp_path):
+    """A queue of one run, whose station tells a web server; the folder of its batch."""
+    with serving(WebServer()) as server:
+        hook = f"\nmessages: {{webhooks: [{{url: '{server.url}'}}]}}\n"
+        station = write_station(tmp_path / "station.yaml", hook)
+        sequence = write_sequence(tmp_path / "sequence.yaml", THREE)
+        (tmp_path / "queue.yaml").write_text(QUEUE % (sequence, station))
+        yield tmp_path / "queue.yaml", tmp_path / "night", server
+
+
+def subjects(server):
+    return [told["subject"] for _, told in server.posts]
+
+
+def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run_is_finished(tmp_path, night):
+    queue, folder, server = night
     process = start("batch", queue, "-o", folder, "--json", home=tmp_path / "home")
     run, seen = folder / "runs" / "cam-001", 0
     try:
         for number in (signal.SIGKILL, signal.SIGSTOP):
-            deadline = time.monotonic() + PATIENCE_S
-            while not any(map(entering("recording", 2), journal(run)[seen:])):
-                assert process.poll() is None, process.communicate()[1]
-                assert time.monotonic() < deadline
-                time.sleep(0.01)
+            wait_until(process, run, entering("recording", 2), seen)
             seen = len(journal(run))
             (worker,) = children(process.pid)
             os.kill(worker, number)
@@ -56,6 +80,107 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_and_the_run_is_f
     assert results(run)["run"]["resumed"] == 2
     crashes = [line.get("crash") for line in journal(run) if line["event"] == "run_resumed"]
     assert crashes == [None, "Fatal Python error: Aborted"]
+    told = subjects(server)
+    assert told[0] == "Starbench: run cam-001 died: by SIGKILL"
+    assert told[1].startswith("Starbench: run cam-001 hung: gave no sign of life for 4.")
+    assert sorted(told[2:]) == [
+        "Starbench: batch Night finished",
+        "Starbench: run cam-001 (SIMULATED) finished",
+    ]
+    assert "its light is off" in server.posts[0][1]["text"]
+
+
+def test_a_worker_whose_supervisor_is_killed_goes_on_says_so_and_is_found_again(tmp_path, night):
+    queue, folder, server = night
+    process = start("batch", queue, "-o", folder, home=tmp_path / "home")
+    run = folder / "runs" / "cam-001"
+    wait_until(process, run, entering("recording", 1))
+    process.kill()
+    process.communicate()
+    again = start("batch", queue, "-o", folder, "--json", home=tmp_path / "home")
+    out, err = again.communicate(timeout=PATIENCE_S)
+    assert again.returncode == 0, err
+    (item,) = json.loads(out)["items"]
+    assert (item["how"], item["attempts"]) == ("finished", 1)
+    assert results(run)["run"]["resumed"] == 0
+    assert sum(line["event"] == "supervisor_lost" for line in journal(run)) == 1
+    assert [s for s in subjects(server) if "what watched it is gone" in s]
+
+
+WORKER = """
+import os, sys
+from datetime import UTC, datetime
+from pathlib import Path
+from bench.clock import BenchClock
+from bench.control import Inbox
+from bench.heartbeat import Pulse
+from bench.history import Event, RunLog
+from bench.journal import Journal
+from bench.run_folder import RunFolder
+clock = BenchClock()
+with RunFolder.create(Path(sys.argv[1])) as folder:
+    with Journal.create(folder.journal_path, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
+        pulse = Pulse(folder.path, clock)
+        with Inbox(folder.path, RunLog(journal), {}, clock, (pulse.beat,)):
+            pulse.entering("recording")
+            clock.sleep(1.5)
+            journal.append(Event.DEVIATION, what="hangs now")
+            os.read(os.pipe()[0], 1)  # a driver that never returns, while all threads go on
+"""
+
+
+def test_a_driver_that_never_returns_is_noticed_within_five_seconds(tmp_path):
+    folder = tmp_path / "run"
+    end = supervise(
+        [sys.executable, "-c", WORKER, str(folder)], folder, tmp_path / "log", BenchClock(), print
+    )
+    assert end.how == "hung", (tmp_path / "log").read_text()
+    assert 4.0 < end.noticed_s < 5.0
+    assert journal(folder)[-1]["what"] == "hangs now"
+
+
+def test_a_driver_that_never_returns_is_noticed_though_its_supervisor_was_killed(tmp_path):
+    folder = tmp_path / "run"
+    with subprocess.Popen([sys.executable, "-c", WORKER, str(folder)]) as worker:
+        while not any(line["event"] == "deviation" for line in journal(folder)):
+            time.sleep(0.01)
+            assert worker.poll() is None
+        assert 4.0 < adopt(folder, BenchClock(), print) < 5.0
+        assert worker.wait(10) == -signal.SIGABRT
+    assert adopt(folder, BenchClock(), print) == 0.0
+
+
+def test_a_stop_asked_of_the_next_supervisor_reaches_the_worker_it_found(tmp_path):
+    folder, clock = tmp_path / "run", BenchClock()
+    with subprocess.Popen([sys.executable, "-c", WORKER, str(folder)]) as worker:
+        while not (folder / "control" / ".heartbeat").exists():
+            time.sleep(0.01)
+            assert worker.poll() is None
+        clock.request_stop("SIGTERM received")
+        with pytest.raises(Aborted):
+            adopt(folder, clock, print)
+        assert worker.wait(10) == -signal.SIGTERM
+
+
+def test_what_the_system_ended_for_want_of_memory_counts_as_a_crash(tmp_path, monkeypatch):
+    kills = iter([3, 4])
+    monkeypatch.setattr("bench.supervisor.out_of_memory_kills", lambda: next(kills))
+    folder = tmp_path / "run"
+    folder.mkdir()
+    command = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"]
+    end = supervise(command, folder, tmp_path / "log", BenchClock(), print)
+    assert (end.how, end.why) == ("died", OUT_OF_MEMORY)
+    assert read_crash(folder) == OUT_OF_MEMORY
+    kills = iter([4, 4])
+    (folder / "crash.txt").unlink()
+    assert supervise(command, folder, tmp_path / "log", BenchClock(), print).why == "by SIGKILL"
+    assert read_crash(folder) is None
+
+
+def test_kills_for_want_of_memory_are_counted_where_the_kernel_tells_them(tmp_path):
+    (tmp_path / "vmstat").write_text("pgfault 7\noom_kill 12\nswap_ra 0\n")
+    assert out_of_memory_kills(tmp_path / "vmstat") == 12
+    assert out_of_memory_kills(tmp_path / "none") == 0
 
 
 def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):

@@ -41,7 +41,7 @@ def test_seeds_of_repetitions_differ(tmp_path):
     assert words[0][-2:] == ["--operator", "Ada"]
 
 
-@pytest.mark.parametrize("how", ["failed", "died", "hung", "aborted"])
+@pytest.mark.parametrize("how", ["failed", "died", "hung"])
 def test_a_run_without_a_result_is_taken_up_again_and_then_given_up(tmp_path, how):
     batch, workers = night(tmp_path, queue(("a", ""), ("b", "")), how, how)
     summary = batch.run()
@@ -158,3 +158,9 @@ def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, beg
     summary = Batch(tmp_path, queue(("a", ", attempts: 2")), clock, lambda _: None, workers).run()
     assert len(workers.begun) == begun_times
     assert hows(summary) == {"a-001": how}
+
+
+def test_a_run_that_somebody_aborted_is_not_taken_up_again(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", attempts: 5")), "aborted")
+    assert hows(batch.run()) == {"a-001": "aborted"}
+    assert begun(workers) == ["run a-001"]
