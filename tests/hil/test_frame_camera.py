@@ -80,6 +80,7 @@ def test_its_seal_holds_and_its_results_follow_from_its_pictures(finished, home)
     assert json.loads(again.stdout)["camera"] == results(finished)["calibration"]["camera"]
 
 
+@pytest.mark.slow
 def test_bare_pictures_calibrate_to_the_same_numbers(finished, home):
     again = starbench("calibrate", *sorted((finished / "captures").iterdir()), "--json", home=home)
     assert again.returncode == 0, again.stderr
