@@ -163,12 +163,17 @@ def station() -> None:
     show_default=True,
     help="Family of the stage.",
 )
-def station_new(path: Path, name: str, stage: str) -> int:
+@click.option(
+    "--camera",
+    type=click.Choice(["metavision", "neuromorphic_evk4", "opencv", "recorded", "pictures"]),
+    help="Family of the camera.  [default: what is connected]",
+)
+def station_new(path: Path, name: str, stage: str, camera: str | None) -> int:
     """Write a new station file to PATH, with what is connected filled in."""
     from bench.discovery import discover
     from bench.output import write_station
 
-    return write_station(path, name, stage, discover())
+    return write_station(path, name, stage, camera, discover())
 
 
 @cli.group(invoke_without_command=True)

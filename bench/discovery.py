@@ -63,6 +63,10 @@ def discover(by_id: Path = BY_ID) -> Discovery:
     cameras, missing = find_cameras()
     if not ports:
         missing.append("No serial port was found: plug in the stage's and the light's adapters.")
+    if not cameras:
+        missing.append(
+            "No camera was found: plug one in; a network camera is named by its URL (driver: opencv)."
+        )
     return Discovery(ports, tuple(cameras), tuple(missing))
 
 

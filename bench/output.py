@@ -259,22 +259,23 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
         click.echo(f"serial port  {port.name}  {port.what}{note}")
     for camera in found.cameras:
         trouble = f"  ({camera.trouble})" if camera.trouble else ""
-        click.echo(
-            f"camera       driver: {camera.driver}  serial: {camera.serial}  {camera.description}{trouble}"
-        )
+        told = {"driver": camera.driver, "source": camera.source, "serial": camera.serial}
+        words = "  ".join(f"{name}: {value}" for name, value in told.items() if value)
+        click.echo(f"camera       {words}  # {camera.description}{trouble}")
     for sentence in found.missing:
         click.echo(f"missing      {sentence}")
+    click.echo("simulated    -s simulated, -s simulated_frames: stations that need no device")
     return 0
 
 
-def write_station(path: Path, name: str, stage: str, found: Discovery) -> int:
+def write_station(path: Path, name: str, stage: str, camera: str | None, found: Discovery) -> int:
     """Write a new station file; never over another."""
     from bench.errors import UsageError
     from bench.station_draft import ASK, draft_station
 
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write(draft_station(name, found, stage=stage))
+            file.write(draft_station(name, found, stage=stage, camera=camera))
     except FileExistsError as error:
         raise UsageError(
             "There is a file of this name.", where=str(path), remedy="Choose another."

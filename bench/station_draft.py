@@ -44,7 +44,18 @@ STAGES = {
 }
 
 
-def draft_station(name: str, found: Discovery, *, stage: str) -> str:
+CAMERAS = {
+    "metavision": "serial: {serial}   # text: the zeros count",
+    "neuromorphic_evk4": "serial: {serial}   # text: the zeros count",
+    "opencv": "source: {source}   # or a network camera's URL\n{known}  pictures: 8   # at each pose, averaged",
+    "recorded": "path: recordings   # *.raw, played in the order of their names\n  serial: {serial}",
+    "pictures": "path: pictures   # played in the order of their names\n  pictures: 8   # at each pose",
+}
+"""What each family of cameras needs besides its driver."""
+_NO_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
+
+
+def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None = None) -> str:
     """Write a new station file.
 
     Parameters
@@ -55,6 +66,8 @@ def draft_station(name: str, found: Discovery, *, stage: str) -> str:
         What is connected: the first port is taken for the stage, the second for the light.
     stage
         Family of the stage: a key of ``STAGES``.
+    camera
+        Family of the camera: a key of ``CAMERAS``; None for what is connected, event cameras first.
 
     Returns
     -------
@@ -63,14 +76,6 @@ def draft_station(name: str, found: Discovery, *, stage: str) -> str:
     """
     ports = [port.name for port in found.ports]
     stage_port, light_port = [*ports, _NO_PORT, _NO_PORT][:2]
-    driver, serial = next(
-        (
-            (c.driver, c.serial)
-            for c in found.cameras
-            if c.driver in {"metavision", "neuromorphic_evk4"} and c.serial
-        ),
-        ("metavision", ASK),
-    )
     others = "".join(f"# connected: {port.name}  {port.what}\n" for port in found.ports)
     return (
         f"format: starbench/station/1\nname: {name}\nlaboratory: Your laboratory\n\n"
@@ -78,8 +83,22 @@ def draft_station(name: str, found: Discovery, *, stage: str) -> str:
         f"stage:   {_SERIAL_NOTE}\n{STAGES[stage].format(stage_port=stage_port)}\n"
         f"light:\n  driver: scpi\n  port: {light_port}\n  serial: {ASK}\n"
         "  low_v: 0\n  high_v: 2.5   # what the lamp's driver takes for full brightness\n\n"
-        f"camera:\n  driver: {driver}\n  serial: {serial}   # text: the zeros count\n"
+        f"camera:\n{_camera(found, camera)}"
         "  lens: which, and how it is locked\n\n"
         "target: {squares: [50, 72], pitch_mm: 4.0138889, tag_id: 3, tag_square: [23, 34]}\n"
         "disk: {min_free_gb: 5}\n"
     )
+
+
+def _camera(found: Discovery, family: str | None) -> str:
+    """Fill in the camera's words with the first that is connected and can be used."""
+    usable = [one for one in found.cameras if not one.trouble and (one.serial or one.source)]
+    first = next((one for wanted in CAMERAS for one in usable if one.driver == (family or wanted)), None)
+    driver = family or (first.driver if first else "metavision")
+    serial = first.serial if first else ""
+    words = CAMERAS[driver].format(
+        serial=serial or ASK,
+        source=first.source if first else _NO_SOURCE,
+        known=f"  serial: {serial}\n" if serial else "",
+    )
+    return f"  driver: {driver}\n  {words}\n"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
@@ -24,6 +25,7 @@ from drivers.camera.raw_header import render_header
 from drivers.camera.recording import Watch, check_duration, record_words, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import (
+    CameraError,
     CameraLost,
     CameraNotFound,
     CameraSettingRefused,
@@ -41,12 +43,16 @@ BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_r
 
 
 def discover() -> tuple[FoundCamera, ...]:
-    """List the EVK4 that are connected. Raises CameraSoftwareMissing."""
+    """List the EVK4 that are connected. Raises CameraSoftwareMissing, and CameraError where there is no USB."""
     package = _package()
     try:
         listed = package.list_devices()
-    except RuntimeError:  # how it says that there is no USB on this machine
-        return ()
+    except RuntimeError as error:
+        raise CameraError(
+            f"USB cannot be looked through for EVK4 ({error}).",
+            where="neuromorphic-drivers",
+            remedy="A computer without USB has none; else see that this user may use it.",
+        ) from error
     return tuple(
         FoundCamera("neuromorphic_evk4", device.serial or "", "Prophesee EVK4, USB", device.error or "")
         for device in listed
@@ -133,9 +139,11 @@ class NeuromorphicEvk4:
         try:
             return package.open(configuration, iterator_timeout=POLL_S, raw=True, serial=serial)
         except RuntimeError as error:
-            seen = ", ".join(
-                f"{found.serial or 'without number'} {found.trouble}".strip() for found in discover()
-            )
+            seen = ""
+            with suppress(CameraError):
+                seen = ", ".join(
+                    f"{found.serial or 'without number'} {found.trouble}".strip() for found in discover()
+                )
             raise CameraNotFound(
                 f"Camera {serial or 'of any number'} cannot be opened ({error}); connected EVK4: {seen or 'none'}.",
                 remedy="Check its cable and power and the serial number in the station file; on Linux, run "

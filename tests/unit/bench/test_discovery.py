@@ -1,13 +1,17 @@
 """What is connected, and the station file drafted from it."""
 
 import types
+from typing import get_args
 
 import pytest
 
 from bench import discovery
+from bench.cli import station_new
 from bench.discovery import Discovery, FoundPort, discover
+from bench.output import show_devices
 from bench.station import load_station
-from bench.station_draft import ASK, STAGES, draft_station
+from bench.station_devices import Camera
+from bench.station_draft import ASK, CAMERAS, STAGES, draft_station
 from drivers.camera import FoundCamera
 
 PORTS = (
@@ -38,6 +42,7 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
     assert found.missing == (
         "OpenEB is not installed.",
         "No serial port was found: plug in the stage's and the light's adapters.",
+        "No camera was found: plug one in; a network camera is named by its URL (driver: opencv).",
     )
 
 
@@ -53,3 +58,45 @@ def test_a_draft_reads_without_a_fault_and_names_what_is_connected(tmp_path, sta
     if ports:
         assert station.stage.ports[0] == "/dev/serial/by-id/zaber"
         assert station.light.port == "/dev/ttyS1"
+
+
+WEBCAM = FoundCamera("opencv", "8A0A3C5F", "video device", source="/dev/v4l/by-id/usb-Maker")
+TROUBLED = FoundCamera("metavision", "00051", "EVK4", trouble="access denied")
+
+
+@pytest.mark.parametrize(
+    ("cameras", "family", "driver", "named"),
+    [
+        ((), None, "metavision", ASK),
+        ((WEBCAM,), None, "opencv", "8A0A3C5F"),
+        ((WEBCAM, FoundCamera("neuromorphic_evk4", "00051", "EVK4")), None, "neuromorphic_evk4", "00051"),
+        ((WEBCAM, TROUBLED), None, "opencv", "8A0A3C5F"),
+        ((), "opencv", "opencv", ""),
+        ((WEBCAM,), "metavision", "metavision", ASK),
+        ((), "recorded", "recorded", ASK),
+        ((), "pictures", "pictures", ""),
+    ],
+)
+def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, cameras, family, driver, named):
+    path = tmp_path / "bench.yaml"
+    path.write_text(draft_station("Cellar", Discovery((), cameras, ()), stage="zaber_ascii", camera=family))
+    camera = load_station(str(path)).value.camera
+    assert (camera.driver, camera.serial) == (driver, named)
+    if driver == "opencv":
+        assert camera.source == (WEBCAM.source if cameras else "/dev/v4l/by-id/CHOOSE-A-CAMERA")
+
+
+def test_every_family_of_cameras_can_be_drafted():
+    assert set(CAMERAS) == set(next(p for p in station_new.params if p.name == "camera").type.choices)
+    families = {
+        model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(Camera)[0])
+    }
+    assert set(CAMERAS) == families - {"simulated_evk4"}
+
+
+def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
+    show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)), as_json=False)
+    said = capsys.readouterr().out
+    assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in said
+    assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in said
+    assert "missing      Something." in said

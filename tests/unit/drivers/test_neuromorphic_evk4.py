@@ -14,6 +14,7 @@ from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4, discover
 from drivers.camera.raw_file import RawFile
 from drivers.errors import (
     CameraBusy,
+    CameraError,
     CameraLost,
     CameraNotFound,
     CameraSettingRefused,
@@ -191,9 +192,13 @@ def test_connected_evk4_are_listed_with_their_troubles():
     )
 
 
-def test_a_machine_without_usb_has_no_cameras(package):
+def test_a_machine_without_usb_says_so_instead_of_having_no_cameras(package, clock):
     package.no_usb = True
-    assert discover() == ()
+    with pytest.raises(CameraError, match=r"USB cannot be looked through for EVK4 \(Other error\)"):
+        discover()
+    package.trouble = "Other error"
+    with pytest.raises(CameraNotFound, match="connected EVK4: none"):
+        NeuromorphicEvk4.open(serial="1", clock=clock, utc_now=lambda: NOW)
 
 
 def test_a_camera_that_cannot_be_opened_is_told_with_those_that_are_there(package, clock):
