@@ -247,9 +247,13 @@ def checks(results: Json) -> list[tuple[str, str]]:
         told += f"their uncertainties let one expect {number(halves['expected_px'], 3)} px"
         rows.append(("Every other pose against the rest", told))
     if gimbal := results.get("gimbal"):
-        rows.append(
-            ("Rotations against the gimbal", f"RMS {number(gimbal['rms_arcsec'], 3)}\N{DOUBLE PRIME}")
-        )
+        told = f"RMS {number(gimbal['rms_arcsec'], 3)}\N{DOUBLE PRIME}"
+        if gimbal.get("agrees") is False:
+            told += (
+                ", more than the stars' uncertainty explains: the gimbal repeats worse than the camera sees,"
+            )
+            told += " or an axis slipped; the result does not rest on its readings"
+        rows.append(("Rotations against the gimbal", told))
         for axis, scale in gimbal["scale"].items():
             value, expanded = with_uncertainty(scale, 2 * gimbal["scale_sigma"][axis])
             rows.append(

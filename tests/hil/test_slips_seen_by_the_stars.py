@@ -1,0 +1,56 @@
+"""An axis without encoder that slips between two poses: its driver cannot know, but the stars do, and the result holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from running import results, starbench
+
+STATION = """\
+format: starbench/station/1
+name: Simulated bench with a home-built gimbal
+simulation:
+  stage:
+    kind: grbl
+    pan: {{limit_deg: 15, microsteps_per_deg: 6400}}
+    tilt: {{limit_deg: 10, microsteps_per_deg: 6400}}
+  faults: [{faults}]
+stage:
+  driver: grbl
+  port: sim:gimbal
+  axes:
+    pan: {{letter: X, steps_per_deg: 6400, zero_deg: 16, limits_deg: [-15, 15], speed_deg_s: 40, acceleration_deg_s2: 200}}
+    tilt: {{letter: Y, steps_per_deg: 6400, zero_deg: 11, limits_deg: [-10, 10], speed_deg_s: 40, acceleration_deg_s2: 200}}
+light: {{driver: scpi, port: sim:light, serial: SG0042}}
+camera: {{driver: simulated_evk4, address: sim:camera, serial: 00050423}}
+"""
+SLIP = "{device: pan, fault: slip, share: 0.98, skip: 2}"
+"""About a tenth of a degree, in the move to the second pose."""
+
+
+def run(tmp_path: Path, faults: str) -> Path:
+    station, folder = tmp_path / "station.yaml", tmp_path / "run"
+    station.write_text(STATION.format(faults=faults))
+    said = starbench("run", "three_pose", "-s", station, "--seed", 7, "-o", folder, home=tmp_path / "home")
+    assert said.returncode == 0, said.stderr
+    return folder
+
+
+@pytest.mark.slow
+def test_a_slip_that_no_encoder_saw_is_told_and_spoils_no_result(tmp_path) -> None:
+    folder = run(tmp_path, SLIP)
+    found = results(folder)
+    assert not found["gimbal"]["agrees"]
+    assert found["gimbal"]["rms_arcsec"] > 60
+    assert "an axis slipped" in (folder / "report.html").read_text()
+    assert max(abs(row["error_sigmas"]) for row in found["comparison"]) < 4
+
+
+@pytest.mark.slow
+def test_without_a_slip_readings_and_stars_agree(tmp_path) -> None:
+    folder = run(tmp_path, "")
+    found = results(folder)
+    assert found["gimbal"]["agrees"]
+    assert found["gimbal"]["rms_arcsec"] < 1
+    assert "an axis slipped" not in (folder / "report.html").read_text()
