@@ -55,7 +55,7 @@ def agreements(runs: Sequence[IndexedRun]) -> list[Agreement]:
     Parameters
     ----------
     runs
-        Two or more with a calibration, of one camera and one model.
+        Two or more with a calibration, of one camera and one model, all measured, all simulated or all rehearsed.
 
     Raises
     ------
@@ -67,7 +67,12 @@ def agreements(runs: Sequence[IndexedRun]) -> list[Agreement]:
             f"{len(runs)} runs with a result were chosen; two or more can be compared.",
             remedy="Choose others, by FOLDER, --serial or --since.",
         )
-    for what, kinds in (("cameras", {r.camera for r in runs}), ("models", {str(r.model) for r in runs})):
+    differing = (
+        ("cameras", {r.camera for r in runs}),
+        ("models", {str(r.model) for r in runs}),
+        ("kinds", {_kind(r) for r in runs}),
+    )
+    for what, kinds in differing:
         if len(kinds) > 1:
             raise UsageError(
                 f"These are runs of different {what}: {', '.join(sorted(kinds))}.",
@@ -77,6 +82,10 @@ def agreements(runs: Sequence[IndexedRun]) -> list[Agreement]:
         name for name in runs[0].parameters if all(run.parameters.get(name, (0, 0))[1] > 0 for run in runs)
     ]
     return [agreement(name, [run.parameters[name] for run in runs]) for name in shared]
+
+
+def _kind(run: IndexedRun) -> str:
+    return "rehearsed" if run.rehearsal else "simulated" if run.simulated else "measured"
 
 
 def agreement(name: str, values: Sequence[tuple[float, float]]) -> Agreement:

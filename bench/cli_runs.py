@@ -13,6 +13,7 @@ import click
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 _RUN = click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
 _BY = click.option("--operator", "by", help="Who you are; by default user@machine.")
+_MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
 _TAKE_OVER = click.option("--take-over", is_flag=True, help="Even where somebody else holds the run.")
 
 
@@ -91,7 +92,9 @@ def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
 @click.command()
 @click.argument("folder", required=False, type=click.Path(path_type=Path))
 @click.option("--serial", help="Only runs of the camera with this serial number.")
-@click.option("--since", type=click.DateTime(), help="Only runs begun at or after this time (UTC).")
+@click.option("--since", type=_MOMENT, help="Only runs begun at or after this time (UTC).")
+@click.option("--until", type=_MOMENT, help="Only runs begun before this time (UTC).")
+@click.option("--sequence", help="Only runs of sequences with these words in their name.")
 @click.option("--how", type=click.Choice(["finished", "aborted", "failed", "running", "cut off"]))
 @click.option("--compare", is_flag=True, help="Compare the parameters of the runs that have a result.")
 @_JSON
@@ -99,6 +102,8 @@ def runs(
     folder: Path | None,
     serial: str | None,
     since: datetime | None,
+    until: datetime | None,
+    sequence: str | None,
     how: str | None,
     compare: bool,
     as_json: bool,
@@ -106,8 +111,13 @@ def runs(
     """List, filter and compare runs: those in FOLDER, else all in the laboratory's ledger."""
     from bench.run_output import show_runs
 
-    moment = since.replace(tzinfo=UTC) if since else None
-    return show_runs(folder, camera=serial, since=moment, how=how, compare=compare, as_json=as_json)
+    begun = {
+        "since": since.replace(tzinfo=UTC) if since else None,
+        "until": until.replace(tzinfo=UTC) if until else None,
+    }
+    return show_runs(
+        folder, camera=serial, **begun, sequence=sequence, how=how, compare=compare, as_json=as_json
+    )
 
 
 @click.command()

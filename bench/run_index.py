@@ -24,10 +24,10 @@ from bench.storage import make_folder, storing
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """What a batch's folder has, and no run's."""
-VERSION = 2
+VERSION = 3
 _COLUMNS = (
-    "id", "sequence", "station", "camera", "operator", "simulated", "begun_utc", "ended", "accepted", "recordings",
-    "deviations", "temperature_c", "model", "rms_px",
+    "id", "sequence", "station", "camera", "operator", "simulated", "rehearsal", "begun_utc", "ended", "accepted",
+    "recordings", "deviations", "temperature_c", "model", "rms_px",
 )  # fmt: skip
 _SCHEMA = f"""
 CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, {", ".join(_COLUMNS)}) WITHOUT ROWID;
@@ -45,7 +45,7 @@ class IndexedRun:
     ----------
     folder, id
         Where it is, and its name.
-    sequence, station, camera, operator, simulated
+    sequence, station, camera, operator, simulated, rehearsal
         What it was; ``camera`` is the serial number, empty while no camera has answered.
     begun_utc
         When it was begun, ISO 8601.
@@ -71,6 +71,7 @@ class IndexedRun:
     camera: str
     operator: str | None
     simulated: bool
+    rehearsal: bool
     begun_utc: str
     how: str
     sealed: bool
@@ -121,6 +122,8 @@ class RunIndex:
         *,
         camera: str | None = None,
         since: datetime | None = None,
+        until: datetime | None = None,
+        sequence: str | None = None,
         how: str | None = None,
     ) -> tuple[list[IndexedRun], list[str]]:
         """List runs, oldest first.
@@ -129,8 +132,9 @@ class RunIndex:
         ----------
         folders
             Run folders to consider.
-        camera, since, how
-            Only runs of this camera, begun at or after this moment, that stand like this.
+        camera, since, until, sequence, how
+            Only runs of this camera, begun at or after this moment, before that one, whose sequence's name holds these
+            words, that stand like this.
 
         Returns
         -------
@@ -149,12 +153,12 @@ class RunIndex:
                     found.append(_run(index, folder))
                 except BenchError as error:
                     faults.append(str(error))
-        moment = since.isoformat() if since else ""
         chosen = [
             run
             for run in found
-            if (camera is None or run.camera == camera)
-            and run.begun_utc.replace("Z", "+00:00") >= moment
+            if camera in {None, run.camera}
+            and _is_between(run.begun_utc, since, until)
+            and (sequence is None or sequence.casefold() in run.sequence.casefold())
             and how in {None, run.how}
         ]
         return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
@@ -178,6 +182,13 @@ class RunIndex:
                 where=str(self.path),
                 remedy="Delete it; it is made anew from the journals.",
             ) from error
+
+
+def _is_between(begun_utc: str, since: datetime | None, until: datetime | None) -> bool:
+    if not begun_utc:  # cut off before its first line
+        return since is None and until is None
+    begun = datetime.fromisoformat(begun_utc)
+    return (since is None or begun >= since) and (until is None or begun < until)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -205,13 +216,13 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
         _index(index, folder, stamp)
     row = index.execute(f"SELECT {', '.join(_COLUMNS)} FROM runs WHERE folder = ?", (str(folder),)).fetchone()  # noqa: S608
     facts = dict(zip(_COLUMNS, row, strict=True))
-    ended, simulated = facts.pop("ended"), bool(facts.pop("simulated"))
+    ended = facts.pop("ended")
+    facts |= {name: bool(facts[name]) for name in ("simulated", "rehearsal")}
     rows = index.execute(
         "SELECT name, value, sigma FROM parameters WHERE folder = ? ORDER BY place", (str(folder),)
     )
     return IndexedRun(
         folder=str(folder),
-        simulated=simulated,
         how=ended or ("running" if is_worked_on(folder) else "cut off"),
         sealed=is_sealed(folder),
         parameters={name: (value, sigma) for name, value, sigma in rows},
@@ -262,6 +273,7 @@ def _facts(history: History, folder: Path) -> dict[str, Any]:
         "camera": history.devices.get("camera", {}).get("serial", ""),
         "operator": started.get("operator"),
         "simulated": bool(started.get("simulated", False)),
+        "rehearsal": bool(started.get("rehearsal", False)),
         "begun_utc": history.started_utc,
         "ended": history.ended,
         "accepted": len(history.accepted()),

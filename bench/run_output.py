@@ -77,13 +77,17 @@ def show_runs(
     *,
     camera: str | None,
     since: datetime | None,
+    until: datetime | None,
+    sequence: str | None,
     how: str | None,
     compare: bool,
     as_json: bool,
 ) -> int:
     """List runs, or compare their parameters; status 1 where the ledger and the folders do not agree."""
     folders, missing = (run_folders(folder), []) if folder else _ledger_folders()
-    found, faults = RunIndex(home_folder()).runs(folders, camera=camera, since=since, how=how)
+    found, faults = RunIndex(home_folder()).runs(
+        folders, camera=camera, since=since, until=until, sequence=sequence, how=how
+    )
     faults += missing
     solved = [run for run in found if run.parameters]
     compared = agreements(solved) if compare else None
@@ -119,7 +123,8 @@ def _runs_text(runs: Sequence[IndexedRun]) -> str:
     lines = [f"{'begun (UTC)':<17} {'camera':<10} {'how':<9} {'poses':>5}  {'rms px':>7}  run"]
     for run in runs:
         rms = "" if run.rms_px is None else f"{run.rms_px:.4f}"
-        marks = ("  SIMULATED" if run.simulated else "") + ("" if run.sealed else "  not sealed")
+        marks = "  REHEARSAL" if run.rehearsal else "  SIMULATED" if run.simulated else ""
+        marks += "" if run.sealed else "  not sealed"
         marks += f"  {run.deviations} deviations" if run.deviations else ""
         begun = run.begun_utc[:16].replace("T", " ")
         lines.append(

@@ -18,7 +18,7 @@ def run(number, *, fx=0.0, sigma=0.5, temperature_c=40.0, camera="1", hours=None
     begun = EVENING + timedelta(hours=number / 2 if hours is None else hours)
     return IndexedRun(
         folder=f"/runs/r{number:03d}", id=f"r{number:03d}", sequence="s", station="t", camera=camera, operator=None,
-        simulated=True, begun_utc=begun.isoformat().replace("+00:00", "Z"), how="finished", sealed=True, accepted=9,
+        simulated=True, rehearsal=False, begun_utc=begun.isoformat().replace("+00:00", "Z"), how="finished", sealed=True, accepted=9,
         recordings=9, deviations=0, temperature_c=temperature_c, model="spherical", rms_px=0.05,
         parameters={"fx": (3300.0 + fx, sigma), "k1": (0.06, 0.001)},
     )  # fmt: skip

@@ -11,19 +11,29 @@ from bench.errors import StorageError, UsageError
 from bench.history import Event
 from bench.journal import Journal
 from bench.run_folder import RunFolder
-from bench.run_index import INDEX, RunIndex, run_folders
+from bench.run_index import INDEX, RunIndex, read_run, run_folders
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
 
 
 def make(
-    path, begun=DAYS[0], *, camera="00050423", ended="finished", fx=3345.0, sigma=0.5, model="spherical"
+    path,
+    begun=DAYS[0],
+    *,
+    camera="00050423",
+    ended="finished",
+    fx=3345.0,
+    sigma=0.5,
+    model="spherical",
+    **said,
 ):
     with (
         RunFolder.create(path) as folder,
         Journal.create(folder.journal_path, utc_now=lambda: begun, monotonic=lambda: 0.0) as journal,
     ):
-        journal.append(Event.RUN_STARTED, id=path.name, sequence="Three", station="Bench", simulated=True)
+        journal.append(
+            Event.RUN_STARTED, id=path.name, sequence="Three", station="Bench", **{"simulated": True, **said}
+        )
         journal.append(Event.DEVICES, camera={"serial": camera})
         for pose, temperature in ((1, 40.0), (2, 41.0)):
             facts = {"temperature_c": temperature}
@@ -78,11 +88,22 @@ def test_runs_come_oldest_first_and_as_chosen(index, three):
     assert ids() == ["a", "b", "c"]
     assert ids(camera="00050999") == ["c"]
     assert ids(since=DAYS[1]) == ["b", "c"]
+    assert ids(since=DAYS[1], until=DAYS[2]) == ["b"]
+    assert ids(sequence="hre") == ["a", "b", "c"]
+    assert ids(sequence="four") == []
     assert ids(how="failed") == ["b"]
     assert ids(how="failed", camera="00050999") == []
 
 
+@pytest.mark.parametrize("name", ["a", "b", "c"])
+def test_the_journal_alone_says_the_same_as_the_index(index, three, name):
+    folder = next(path for path in three if path.name == name)
+    assert read_run(folder) == index.runs([folder])[0][0]
+
+
 def test_the_folders_of_runs_are_found_two_deep(tmp_path, three):
+    (tmp_path / "runs" / "journal.jsonl").write_text("")  # a batch's
+    (tmp_path / "runs" / "queue.yaml").write_text("")
     assert run_folders(tmp_path / "runs") == sorted(three)
     assert run_folders(three[0]) == [three[0]]
     with pytest.raises(StorageError, match="no such folder"):
@@ -162,5 +183,12 @@ def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, thr
         agreements([runs["a"], runs["c"]])
     with pytest.raises(UsageError, match="different models: planar, spherical"):
         agreements([runs["a"], runs["e"]])
+    real = make(tmp_path / "runs" / "f", simulated=False)
+    rehearsed = make(tmp_path / "runs" / "g", rehearsal=True)
+    more = {run.id: run for run in index.runs([real, rehearsed])[0]}
+    with pytest.raises(UsageError, match="different kinds: measured, simulated"):
+        agreements([runs["a"], more["f"]])
+    with pytest.raises(UsageError, match="different kinds: rehearsed, simulated"):
+        agreements([runs["a"], more["g"]])
     with pytest.raises(UsageError, match="two or more"):
         agreements([runs["a"]])
