@@ -11,6 +11,9 @@ from drivers.light import Light
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from simulators.config import LightConfig
+from simulators.fault_injection import Parts, prepare
+from simulators.faults import order_from_text
+from simulators.lamp import Lamp
 from simulators.lights import LightDriver, make_light
 from simulators.line_faults import FaultLine
 from simulators.world import LightState
@@ -24,7 +27,22 @@ class DirectLight:
     light: Light
     line: DirectLine
     driver: LightDriver
+    lamp: Lamp
     states: list[LightState]
+
+    def order(self, text: str) -> None:
+        """Let something go wrong, as it is ordered on a bench."""
+        parts = Parts(
+            axes={},
+            ports={"light": self.line},
+            lines={"light": self.line.device},
+            axis_ports={},
+            light=self.driver,
+            lamp=self.lamp,
+            camera=None,
+            clock=self.line.clock.monotonic,
+        )
+        prepare(order_from_text(f"light {text}"), parts)()
 
 
 OPENED: dict[str, Callable[..., Light]] = {
@@ -38,6 +56,7 @@ OPENED: dict[str, Callable[..., Light]] = {
 def direct_light(kind: str, clock: VirtualClock, rng: np.random.Generator) -> DirectLight:
     """Open a light of that kind on a line of faults without faults yet."""
     states: list[LightState] = []
-    driver = make_light(LightConfig(kind), clock.monotonic, states.append)
+    lamp = Lamp(states.append)
+    driver = make_light(LightConfig(kind), clock.monotonic, lamp.drive)
     line = DirectLine(FaultLine(driver, clock.monotonic, rng), clock)
-    return DirectLight(OPENED[kind](line, clock), line, driver, states)
+    return DirectLight(OPENED[kind](line, clock), line, driver, lamp, states)
