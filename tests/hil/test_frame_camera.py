@@ -1,9 +1,12 @@
 """Frame cameras: the same run as with an event camera, on pictures; and the simulated one as OpenCV sees it."""
 
 import json
+import socket
 import subprocess
 import sys
+import threading
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -11,7 +14,9 @@ from running import end_when, entering, journal, numbers, results, starbench, st
 
 from bench.measure import Measurement
 from bench.pictures import measure_pictures, picture_gates
+from bench.station import SHIPPED
 from calib.target import StarTarget
+from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera
 from drivers.camera.frames import read_frames, write_frames
 from drivers.clock import SystemClock
@@ -213,3 +218,43 @@ def test_a_second_process_is_refused_the_camera_until_the_first_is_dead(simulate
             OpenCvFrameCamera.open(simulated.address, clock=SystemClock())
         holder.kill()
     OpenCvFrameCamera.open(simulated.address, clock=SystemClock()).close()
+
+
+@pytest.mark.parametrize("frames", [None, 0, 2], ids=["says nothing", "no picture", "two pictures"])
+def test_a_network_camera_that_falls_silent_is_given_up_within_its_deadline(tmp_path, monkeypatch, frames):
+    monkeypatch.setattr(frame_cameras, "SILENCE_S", 1.0)
+    sent = b"" if frames is None else b"YUV4MPEG2 W64 H48 F25:1 Ip A1:1 Cmono\n"
+    sent += (b"FRAME\n" + bytes(64 * 48)) * (frames or 0)
+    with ExitStack() as links, socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve():
+            while True:
+                try:
+                    link = links.enter_context(server.accept()[0])
+                except OSError:
+                    return
+                link.sendall(sent)
+
+        threading.Thread(target=serve, daemon=True).start()
+        began = time.monotonic()
+        with pytest.raises((CameraLost, CameraNotFound)):
+            OpenCvFrameCamera.open(f"tcp://127.0.0.1:{server.getsockname()[1]}", clock=SystemClock()).capture(
+                tmp_path / "pose.tif", 8
+            )
+        assert time.monotonic() - began < 20.0
+        server.shutdown(socket.SHUT_RDWR)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_frame_camera_of_another_number_is_refused_before_anything_moves(tmp_path, home):
+    text = (SHIPPED / "simulated_frames.yaml").read_text()
+    station = tmp_path / "station.yaml"
+    station.write_text(
+        text.replace("source: sim:frame-camera", "source: sim:frame-camera\n  serial: 8A0A3C5F")
+    )
+    folder = tmp_path / "refused"
+    said = starbench("run", "three_pose", "-s", station, "-o", folder, home=home)
+    assert said.returncode == 1
+    assert "tells no serial number, not 8A0A3C5F" in said.stderr
+    assert not any(line.get("state") in {"homing", "slewing"} for line in journal(folder))
