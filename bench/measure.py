@@ -7,7 +7,7 @@ recording is made here, from the file alone, so that it can be made again from t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from calib.errors import (
     TooFewEvents,
     TooFewStars,
 )
-from calib.event_image import BestImage, EventImages, make_images
+from calib.event_image import BestImage, EventImages, SliceFacts, make_images
 from calib.flicker import Flicker, flicker_from_events, flicker_from_triggers
 from calib.grid_map import fit_homography
 from calib.motion import half_windows, motion_between
@@ -114,26 +114,12 @@ def measure(
         span_us = _span_us(events.t, triggers)
         facts.update(_flicker_facts(flicker, triggers, span_us))
         facts.update(_agreement(flicker, events))
-        images = make_images(
-            events.t,
-            events.x,
-            events.y,
-            events.p,
-            size,
-            flicker,
-            window_us=span_us,
-            periods=periods,
-        )
+        images = make_images(*_arrays(events), size, flicker, window_us=span_us, periods=periods)
         chosen = _choose(images, image)
         picture = chosen.image
         facts.update(_image_facts(images, chosen))
         view = mistrust_rim(named(chosen.image, target, name, expect, facts), target)
-        halves = (
-            make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=half).named(
-                chosen.name
-            )
-            for half in half_windows(images.facts)
-        )
+        halves = _halves(events, size, flicker, images.facts, chosen.name)
         facts["motion_px"] = motion_px(halves, target, facts)
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, picture, _plain(facts), str(error))
@@ -183,6 +169,21 @@ def _agreement(flicker: Flicker, events: Events) -> dict[str, Any]:
         "flicker_disagreement_percent": 100 * abs(told.frequency_hz / flicker.frequency_hz - 1.0),
         "flicker_lag_periods": told.lag_us(flicker) / flicker.period_us,
     }
+
+
+def _arrays(
+    events: Events,
+) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
+    """Times, columns, rows and polarities, as images are made of them."""
+    return events.t, events.x, events.y, events.p
+
+
+def _halves(
+    events: Events, size: tuple[int, int], flicker: Flicker, whole: SliceFacts, kind: str
+) -> Iterator[NDArray[np.float32]]:
+    """Images of the first and the second half; raises TooFewEvents where there are none."""
+    for half in half_windows(whole):
+        yield make_images(*_arrays(events), size, flicker, window_us=half).named(kind)
 
 
 def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Mapping[str, Any]) -> float | None:

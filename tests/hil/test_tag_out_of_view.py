@@ -70,6 +70,7 @@ def finished(tmp_path_factory, home):
     return json.loads(said.stdout), folder
 
 
+@pytest.mark.slow
 def test_poses_without_the_tag_calibrate_and_the_result_says_what_named_their_stars(finished):
     told, folder = finished
     poses = results(folder)["poses"]
@@ -80,12 +81,14 @@ def test_poses_without_the_tag_calibrate_and_the_result_says_what_named_their_st
     assert "named by the gimbal" in (folder / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_motion_is_judged_in_poses_without_the_tag_too(finished):
     _, folder = finished
     checked = [line["measured"] for line in journal(folder) if line["event"] == "attempt_checked"]
     assert all(measured["motion_px"] < 0.05 for measured in checked)
 
 
+@pytest.mark.slow
 def test_looking_at_the_recordings_again_gives_the_same_numbers(finished, home):
     told, folder = finished
     again = starbench("calibrate", folder, "--json", home=home)
@@ -93,6 +96,7 @@ def test_looking_at_the_recordings_again_gives_the_same_numbers(finished, home):
     assert json.loads(again.stdout)["camera"] == told["camera"]
 
 
+@pytest.mark.slow
 def test_without_earlier_poses_that_show_the_tag_the_stars_stay_unnamed(tmp_path, home):
     said, folder = run(tmp_path, home, [WITHOUT[0], *WITH_TAG])
     assert said.returncode == 1

@@ -1,5 +1,7 @@
 """Gates: what is refused, and in which words."""
 
+from dataclasses import replace
+
 import pytest
 
 from bench.gates import recording_gates, refusals
@@ -53,3 +55,35 @@ def test_triggers_are_not_demanded_where_the_sequence_says_so():
 
 def test_an_empty_recording_has_no_rate_and_does_not_divide_by_zero():
     assert "stars 0, wanted >= 40" in reasons(stars=0, duration_s=0.0, events=0)
+
+
+LAGGED = MEASURED | {"flicker_lag_periods": 0.5}
+
+
+def test_a_sync_signal_half_a_period_off_is_refused_whatever_the_sequence_says():
+    assert "events after sync 0.5 periods, wanted -0.28 to 0.2" in reasons(measured=LAGGED)
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"min_on_share": 0.5}, "on share 0.4, wanted >= 0.5"),
+        ({"max_on_share": 0.3}, "on share 0.4, wanted <= 0.3"),
+        ({"max_first_on_spread_us": 100}, "first on spread 139 us, wanted <= 100"),
+        ({"max_flicker_off_percent": 0.0001}, "flicker off nominal 0.001 %, wanted <= 0.0001"),
+        ({"max_trigger_jitter_us": 1}, "trigger jitter 2 us, wanted <= 1"),
+        ({"max_silent_rows": 0}, ""),
+        ({"max_hot_pixels": 1}, ""),
+    ],
+)
+def test_a_limit_of_a_sequence_is_judged_where_the_recording_tells_the_number(limits, words):
+    told = {"on_share": 0.4, "first_on_spread_us": 139.0, "silent_rows": 0, "hot_pixels": None}
+    measured = MEASURED | {"image": told, "flicker_hz": 60.0006, "trigger_jitter_us": 2.0}
+    refused = reasons(gates=replace(GATES, limits=limits), measured=measured)
+    assert refused == ([words] if words else [])
+
+
+def test_events_that_the_rate_controller_dropped_are_refused_by_its_own_counters():
+    assert reasons(rate_controller_in=1000, rate_controller_out=999) == []
+    dropped = reasons(rate_controller_in=1000, rate_controller_out=900)
+    assert dropped == ["rate controller loss 10 %, wanted <= 1"]

@@ -101,6 +101,10 @@ def test_a_row_without_events_between_others_is_told():
     assert images(events).facts.silent_rows == 1
 
 
+def test_rows_beside_what_is_lit_are_not_missed():
+    assert images([*lit_square(), (4000, 0, 11, 1)]).facts.silent_rows == 0
+
+
 def test_several_events_an_edge_choose_lock_in_and_few_choose_fired_per_edge():
     few, several = images(lit_square(burst=1)).best(), images(lit_square(burst=4)).best()
     assert few.name == "fired-per-edge"
