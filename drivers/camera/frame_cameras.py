@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -216,16 +219,8 @@ class OpenCvFrameCamera:
 
     def _opened(self) -> Any:
         """Open the source anew. Raises CameraNotFound."""
-        if self._network:
-            silence_ms = int(1e3 * SILENCE_S)
-            waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, silence_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, silence_ms]
-            opened = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, waits)
-        elif self._device is None:
-            opened = cv2.VideoCapture(self._name)
-        elif sys.platform == "linux":
-            opened = cv2.VideoCapture(str(self._device), cv2.CAP_V4L2)
-        else:
-            opened = cv2.VideoCapture(int(self._name))
+        with _quietly():
+            opened = self._capture()
         if not opened.isOpened():
             opened.release()
             raise CameraNotFound(
@@ -233,6 +228,17 @@ class OpenCvFrameCamera:
                 remedy="Check the number, path or URL, the cable, and that no other program uses it.",
             )
         return opened
+
+    def _capture(self) -> Any:
+        if self._network:
+            silence_ms = int(1e3 * SILENCE_S)
+            waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, silence_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, silence_ms]
+            return cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, waits)
+        if self._device is None:
+            return cv2.VideoCapture(self._name)
+        if sys.platform == "linux":
+            return cv2.VideoCapture(str(self._device), cv2.CAP_V4L2)
+        return cv2.VideoCapture(int(self._name))
 
     def _see_serial(self) -> str:
         found = usb_serial(self._device, self._system) if self._device is not None else ""
@@ -262,3 +268,15 @@ class OpenCvFrameCamera:
                 remedy="Check its cable and power; a video may have come to its end.",
             )
         return grey(picture, where=self._where)
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Keep OpenCV and FFmpeg from writing to the terminal what the error says anyway."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when it first uses FFmpeg
+    logging = cv2.utils.logging
+    before = logging.setLogLevel(logging.LOG_LEVEL_ERROR)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(before)

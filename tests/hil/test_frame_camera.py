@@ -258,3 +258,10 @@ def test_a_frame_camera_of_another_number_is_refused_before_anything_moves(tmp_p
     assert said.returncode == 1
     assert "tells no serial number, not 8A0A3C5F" in said.stderr
     assert not any(line.get("state") in {"homing", "slewing"} for line in journal(folder))
+
+
+def test_a_source_that_is_not_there_is_told_in_our_words_alone(capfd):
+    for name in ("tcp://127.0.0.1:1", "/dev/video77"):
+        with pytest.raises(CameraNotFound, match="cannot open the video source"):
+            OpenCvFrameCamera.open(name, clock=SystemClock())
+    assert capfd.readouterr() == ("", "")
