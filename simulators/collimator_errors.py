@@ -10,7 +10,8 @@ the gradient of the wave aberration along b), in units of r:
     + astigmatism 2 (h.b) h + field_curvature 2 |h|^2 b + distortion |h|^2 h
 
 Defocus is finite collimation: all points move together, as if c moved with the disc. A bowed reticle acts as
-distortion. Besides, near the disc's edge the camera's pupil is only partly filled, and points roll outwards.
+distortion. Besides, the camera's pupil is only partly filled towards the disc's edge, and points roll outwards (or
+inwards) with the fourth power of their distance from its centre; and what no law says of glass, `irregularity` does.
 Knows the target plane only: no camera, no image.
 """
 
@@ -23,12 +24,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simulators.irregularity import coefficients, field, wandering
 from simulators.truth import CollimatorTruth
 
 FloatArray = NDArray[np.float64]
 
-ROLL_FROM = 0.8
-"""Share of the disc's radius from which on points roll outwards."""
+ROLL_TO = 1.2
+"""Distance from the disc's centre, in radii, from which on the rim's roll grows no more than in proportion."""
 
 
 class Disc(NamedTuple):
@@ -57,28 +59,47 @@ class Bending(NamedTuple):
     disc_x: float
     disc_y: float
     disc_radius: float
+    irregular: FloatArray
 
 
+_NOTHING: Final = np.zeros((0, 2))
 NO_BENDING: Final = Bending(
-    *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 1.0)
+    *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 1.0), _NOTHING
 )
 """That of no collimator at all."""
 
 
 def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
-    """Disc of light in a pose: it walks as the camera turns, unless its pupil stands on the turning point.
+    """Disc of light in a pose: it moves as the camera turns, unless its pupil stands on the turning point.
+
+    It walks in proportion to the turn, and wanders about that, as the pupil does on a mount that is moved by hand.
 
     Parameters
     ----------
     rotation
         (3, 3), camera <- target.
     """
-    axis = rotation[2]  # the optical axis in the target's frame
+    along = _axis(rotation)
+    x, y = collimator.x + collimator.disc_x, collimator.y + collimator.disc_y
+    radius = collimator.r * math.tan(math.radians(collimator.half_angle_deg))
+    if collimator.disc_wander_mm != 0.0 or collimator.disc_breathing != 0.0:
+        wander = wandering(along, 3, collimator.glass_seed)
+        x, y = (
+            x + collimator.disc_wander_mm * float(wander[0]),
+            y + collimator.disc_wander_mm * float(wander[1]),
+        )
+        radius *= 1.0 + collimator.disc_breathing * float(wander[2])
     return Disc(
-        collimator.x + collimator.disc_x + collimator.disc_walk * axis[0] / axis[2],
-        collimator.y + collimator.disc_y + collimator.disc_walk * axis[1] / axis[2],
-        collimator.r * math.tan(math.radians(collimator.half_angle_deg)),
+        x + collimator.disc_walk * along[0],
+        y + collimator.disc_walk * along[1],
+        radius,
     )
+
+
+def _axis(rotation: FloatArray) -> tuple[float, float]:
+    """Tangents of the camera's turn: where its optical axis points in the target's frame."""
+    axis = rotation[2]
+    return float(axis[0] / axis[2]), float(axis[1] / axis[2])
 
 
 def bending_of(collimator: CollimatorTruth, rotation: FloatArray) -> Bending:
@@ -100,7 +121,16 @@ def bending_of(collimator: CollimatorTruth, rotation: FloatArray) -> Bending:
         disc.x,
         disc.y,
         disc.radius,
+        _irregular(collimator, rotation),
     )
+
+
+def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
+    """Coefficients of what follows no law, none if all does."""
+    c = collimator
+    if c.irregularity_mm == 0.0 and c.rim_irregularity_mm == 0.0:
+        return _NOTHING
+    return coefficients(_axis(rotation), c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
 
 
 def apparent(points_mm: FloatArray, bending: Bending) -> FloatArray:
@@ -117,12 +147,12 @@ def displacement(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
     along_h = e.coma * bb + 2.0 * e.astigmatism * hb + e.distortion * hh
     dx, dy = e.r * (along_b * e.b_x + along_h * h_x), e.r * (along_b * e.b_y + along_h * h_y)
     from_x, from_y = x_mm - e.disc_x, y_mm - e.disc_y
+    own_x, own_y = field(from_x / e.disc_radius, from_y / e.disc_radius, e.irregular)
+    dx, dy = dx + own_x, dy + own_y
     rho = math.sqrt(from_x * from_x + from_y * from_y)
-    near = (rho / e.disc_radius - ROLL_FROM) / (1.0 - ROLL_FROM)
-    if near > 0.0:
-        roll = e.roll_mm * min(near, 1.5) ** 2 / rho
-        dx, dy = dx + roll * from_x, dy + roll * from_y
-    return dx, dy
+    near = min(rho / e.disc_radius, ROLL_TO)
+    roll = e.roll_mm * near**3 / e.disc_radius
+    return dx + roll * from_x, dy + roll * from_y
 
 
 @njit(cache=True, nogil=True)
@@ -146,6 +176,7 @@ def is_ideal(e: Bending) -> bool:
         and e.field_curvature == 0.0
         and e.distortion == 0.0
         and e.roll_mm == 0.0
+        and e.irregular.shape[0] == 0
     )
 
 

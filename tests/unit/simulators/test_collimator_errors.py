@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators import optics
-from simulators.collimator_errors import ROLL_FROM, apparent, bending_of, disc_of, reticle_point
+from simulators.collimator_errors import apparent, bending_of, disc_of, reticle_point
 from simulators.errors import ConfigError
 from simulators.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth, truth_from_config
 
@@ -57,21 +57,34 @@ def test_the_reticle_point_seen_somewhere_appears_there(x, y):
 
 
 def test_the_disc_walks_with_the_turn_of_the_camera():
-    collimator = COLLIMATORS["like-real"]
+    collimator = CollimatorTruth(disc_walk=40.0, disc_y=3.0)
     still, turned = disc_of(collimator, np.eye(3)), disc_of(collimator, TURN)
-    assert (still.x, still.y) == (collimator.x, collimator.y)
+    assert (still.x, still.y) == (collimator.x, collimator.y + 3.0)
     axis = TURN.T @ [0.0, 0.0, 1.0]
-    assert turned.x - still.x == pytest.approx(collimator.disc_walk * axis[0] / axis[2])
+    assert turned.x - still.x == pytest.approx(40.0 * axis[0] / axis[2])
+    assert turned.radius == still.radius
 
 
-def test_points_roll_outwards_only_near_the_rim():
+def test_the_disc_wanders_and_breathes_by_its_sigmas_and_alike_in_like_poses():
+    collimator = CollimatorTruth(disc_wander_mm=5.0, disc_breathing=0.1)
+    poses = np.random.default_rng(1).uniform(-25.0, 25.0, (600, 2))
+    discs = np.array(
+        [disc_of(collimator, optics.pose_rotation({"pan": a, "tilt": b}, OpticsTruth())) for a, b in poses]
+    )
+    np.testing.assert_allclose(discs[:, :2].std(axis=0), 5.0, rtol=0.25)
+    assert discs[:, 2].std() / discs[:, 2].mean() == pytest.approx(0.1, rel=0.25)
+    near, there = (disc_of(collimator, optics.pose_rotation({"pan": p}, OpticsTruth())) for p in (3.0, 3.2))
+    assert np.hypot(near.x - there.x, near.y - there.y) < 1.5
+    assert near != there
+
+
+def test_points_roll_outwards_with_the_fourth_power():
     collimator = CollimatorTruth(rim_roll_mm=0.2)
     bending = bending_of(collimator, np.eye(3))
     radius = disc_of(collimator, np.eye(3)).radius
-    inside = np.array([[collimator.x + 0.99 * ROLL_FROM * radius, collimator.y]])
-    edge = np.array([[collimator.x + radius, collimator.y]])
-    np.testing.assert_array_equal(apparent(inside, bending), inside)
-    np.testing.assert_allclose(apparent(edge, bending) - edge, [[0.2, 0.0]], atol=1e-12)
+    points = np.array([[collimator.x + share * radius, collimator.y] for share in (0.0, 0.5, 1.0)])
+    moved = apparent(points, bending) - points
+    np.testing.assert_allclose(moved, [[0.0, 0.0], [0.2 / 16, 0.0], [0.2, 0.0]], atol=1e-12)
 
 
 def test_picture_and_star_positions_agree_through_a_real_collimator():
