@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bench.camera_kinds import CameraKind, EventKind
 from bench.clock import BenchClock
 from bench.comparison import compare
 from bench.devices import Devices
@@ -27,6 +28,7 @@ from bench.progress import Progress
 from bench.result import Outcome, ResultWriter, main_numbers, software
 from bench.run_folder import JOURNAL, PLAN, RESULTS, SEQUENCE_COPY, STATION_COPY, RunFolder
 from bench.runner import RunEnd, Runner
+from bench.station import Station
 from bench.unsynced_journal import UnsyncedJournal
 from bench.virtual_devices import VirtualDevices, read_view
 from calib.calibrate import Calibration, calibrate
@@ -51,9 +53,21 @@ class RehearsedJob(Job):
     clock: BenchClock
 
     @property
+    def station(self) -> Station:
+        """What the station file says, but for interlocks that look at this room and this machine's disk."""
+        said = self.plan.station.value
+        kept = said.interlocks.model_copy(update={"door": None, "disk_space": None})
+        return said.model_copy(update={"interlocks": kept})
+
+    @property
     def simulated(self) -> bool:
         """Always: nothing is measured."""
         return True
+
+    @property
+    def camera_kind(self) -> CameraKind:
+        """One kind for all: files of stars stand for recordings and for pictures."""
+        return EventKind({})
 
     def measure(self, path: Path, step: RecordStep, expect: Expect | None = None) -> Measurement:  # noqa: ARG002
         """Read the stars of a rehearsed recording."""

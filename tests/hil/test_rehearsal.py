@@ -149,6 +149,34 @@ def test_mishaps_are_tried_again_skipped_and_told_as_in_a_run(tmp_path):
     assert run.deviations == 12 - run.accepted
 
 
+INTERLOCKS = """
+interlocks:
+  door: {path: /no/such/door, max_hold_s: 60}
+  disk_space: {min_free_gb: 1000000, release_gb: 1000000}
+  camera_temperature: {max_c: 39.5, release_c: 39.0, max_hold_s: 20000}
+"""
+
+
+def test_interlocks_of_the_bench_hold_in_virtual_time_those_of_this_room_do_not(tmp_path):
+    text = STATION.read_text(encoding="utf-8")
+    cooling = "simulation: {rehearsal: {room_c: 25, room_c_per_h: -2, warm_up_min: 0}}"  # 43 C, then less
+    (tmp_path / "station.yaml").write_text(text.replace("simulation: {}", cooling) + INTERLOCKS)
+    clock = VirtualClock(EVENING)
+    end = rehearse_run(
+        "three_pose",
+        str(tmp_path / "station.yaml"),
+        seed=1,
+        operator=None,
+        folder=tmp_path / "run",
+        clock=clock,
+    )
+    assert end.how == "finished", end.why
+    held = [e for e in read_journal(tmp_path / "run" / "journal.jsonl")[0] if e.event == "interlock_released"]
+    assert [e.data["rule"] for e in held] == ["camera_temperature"]
+    assert held[0].data["held_s"] == pytest.approx(2 * 3600, rel=0.01)
+
+
+@pytest.mark.slow
 def test_uncertainties_of_a_rehearsal_hold(tmp_path):
     """The rehearsed numbers are worth what they say: fx of 30 runs against the truth, in its own sigmas."""
     clock, errors = VirtualClock(EVENING), []
