@@ -20,6 +20,7 @@ from bench.devices import Devices
 from bench.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
 from bench.simulated import rehearsed_world
 from bench.station import Station
+from bench.station_devices import FrameCameraWords
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
@@ -62,7 +63,8 @@ class VirtualDevices(Devices):
         self._world = rehearsed_world(_configuration(station), seed)
         self.stage = VirtualStage({name: axis.limits for name, axis in station.axes.items()}, clock)
         self.light = VirtualLight(clock)
-        found = self._world.bench.camera_serial if station.needs_simulated_bench else station.camera.serial
+        simulated = station.needs_simulated_bench and not isinstance(station.camera, FrameCameraWords)
+        found = self._world.bench.camera_serial if simulated else station.camera.serial
         if found != station.camera.serial:
             raise WrongDevice(
                 f"The station file says serial {station.camera.serial}, and the camera says {found}.",

@@ -7,13 +7,16 @@ import sys
 import threading
 import time
 from contextlib import ExitStack
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 from running import end_when, entering, journal, numbers, results, starbench, start
 
+from bench.batch_plan import read_queue
 from bench.measure import Measurement
 from bench.pictures import measure_pictures, picture_gates
+from bench.rehearsed_night import rehearse_batch
 from bench.station import SHIPPED
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
@@ -265,3 +268,13 @@ def test_a_source_that_is_not_there_is_told_in_our_words_alone(capfd):
         with pytest.raises(CameraNotFound, match="cannot open the video source"):
             OpenCvFrameCamera.open(name, clock=SystemClock())
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_night_of_a_frame_camera_can_be_rehearsed(tmp_path):
+    queue = tmp_path / "queue.yaml"
+    jobs = "jobs:\n  - {name: a, sequence: three_pose, station: simulated_frames}\n"
+    queue.write_text(f"format: starbench/queue/1\nname: Frames\n{jobs}")
+    begin = datetime(2026, 3, 1, 18, 30, tzinfo=UTC)
+    rehearse_batch(read_queue(queue), tmp_path / "night", begin=begin, seed=1, say=lambda _: None)
+    ended = journal(tmp_path / "night" / "runs" / "a-001")[-1]
+    assert (ended["event"], ended["how"]) == ("run_ended", "finished")
