@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,9 +18,10 @@ from bench.errors import UsageError
 from bench.output import STOPPED, print_json, unit_text
 from bench.plan_text import duration_text, size_text
 from bench.report.text import with_uncertainty
-from bench.studies import expected_worth
-from calib.planning import Forecast
 from sequences.queue import Queue
+
+if TYPE_CHECKING:
+    from calib.planning import Forecast
 
 _SHOWN = ("fx", "cx", "cy", "r")
 _MOST_LINES = 80
@@ -135,6 +136,8 @@ def do_rehearsal(
 
 def show_night(queue: Path, *, begin: datetime | None, as_json: bool) -> int:
     """Say when each run of a queue would begin and end, what there is no time for, and what the runs will be worth."""
+    from bench.studies import expected_worth
+
     read = read_queue(queue)
     night = plan_night(read.value, _begin(read.value, begin))
     worth = {name: expected_worth(planned) for name, planned in night.plans.items()}
@@ -150,7 +153,7 @@ def _begin(queue: Queue, begin: datetime | None) -> datetime:
     """Take a moment without a zone as the queue's clocks show it; now where there is none."""
     if begin is None:
         return datetime.now(UTC)
-    return begin.replace(tzinfo=queue.tzinfo) if queue.tzinfo else begin.astimezone()
+    return (begin.replace(tzinfo=queue.tzinfo) if queue.tzinfo else begin).astimezone(UTC)
 
 
 def _night_text(night: NightPlan, worth: Mapping[str, Forecast | None]) -> str:

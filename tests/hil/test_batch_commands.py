@@ -1,0 +1,109 @@
+"""Commands about batches, as an operator types them: a night planned, rehearsed, looked at, asked."""
+
+import json
+from pathlib import Path
+
+import pytest
+from running import starbench
+
+ROOT = Path(__file__).parents[2]
+QUEUE = """\
+format: starbench/queue/1
+name: Night
+zone: Europe/Berlin
+start_at: "21:00"
+stop_by: "21:45"
+jobs:
+  - {name: a, sequence: three_pose, station: simulated, times: 3, every_min: 30, seed: 1}
+"""
+JOB = "format: starbench/job/1\nname: more\nsequence: three_pose\nstation: simulated\n"
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory):
+    """A rehearsed night, and where."""
+    folder = tmp_path_factory.mktemp("night")
+    (folder / "queue.yaml").write_text(QUEUE)
+    (folder / "job.yaml").write_text(JOB)
+    said = starbench(
+        "rehearse", folder / "queue.yaml", "-o", folder / "out", "--begin", "2026-03-01T20:30", "--json",
+        home=folder / "home",
+    )  # fmt: skip
+    return folder, said
+
+
+def test_a_queue_is_planned_with_its_times_and_what_there_is_no_time_for(night):
+    folder, _ = night
+    words = ("plan", folder / "queue.yaml", "--begin", "2026-03-01T20:30")
+    said = starbench(*words, home=folder / "home")
+    assert said.returncode == 0, said.stderr
+    assert "Sun 21:30" in said.stdout
+    assert "No time for 1: a-003" in said.stdout
+    assert "2 runs, until Sun 21:30 CET" in said.stdout
+    told = json.loads(starbench(*words, "--json", home=folder / "home").stdout)
+    assert (told["opens_utc"], told["runs"], told["no_time_for"]) == (
+        "2026-03-01T20:00:00+00:00",
+        2,
+        ["a-003"],
+    )
+    assert 0.1 < told["expected_sigma"]["a"]["fx"] < 5
+
+
+def test_a_queue_names_its_stations_itself_and_a_sequence_needs_one(night):
+    folder, _ = night
+    both = starbench("plan", folder / "queue.yaml", "-s", "simulated", home=folder / "home")
+    assert both.returncode == 2
+    assert "names its stations itself" in both.stderr
+    none = starbench("plan", "three_pose", home=folder / "home")
+    assert none.returncode == 2
+    assert "--station" in none.stderr
+
+
+def test_a_rehearsal_ends_as_its_night_would(night):
+    folder, said = night
+    assert said.returncode == 1  # no time was left for a-003
+    told = json.loads(said.stdout)
+    assert (told["how"], told["rehearsal"]) == ("stopped", True)
+    assert told["why"] == "no time was left for 1 runs: a-003"
+    assert "hours rehearsed in" in said.stderr
+    assert (folder / "out" / "summary.html").is_file()
+
+
+def test_a_finished_batch_is_looked_at_summed_up_and_its_runs_are_listed(night):
+    folder, _ = night
+    status = starbench("status", folder / "out", home=folder / "home")
+    assert "Batch Night  REHEARSAL: stopped" in status.stdout
+    assert "2 runs with a result, 0 without" in status.stdout
+    before = (folder / "out" / "summary.json").read_bytes()
+    again = starbench("batch", "summary", folder / "out", home=folder / "home")
+    assert "Camera 00050423, spherical model, 2 results" in again.stdout
+    assert (folder / "out" / "summary.json").read_bytes() == before
+    runs = starbench("runs", folder / "out", home=folder / "home")
+    assert runs.stdout.count("REHEARSAL") == 2
+    assert runs.returncode == 0, runs.stderr
+
+
+def test_a_job_is_noted_for_a_batch_that_is_not_at_work(night):
+    folder, _ = night
+    said = starbench("batch", "add", folder / "out", folder / "job.yaml", home=folder / "home")
+    assert said.returncode == 0, said.stderr
+    assert "as soon as the batch goes on" in said.stdout
+    assert len(list((folder / "out" / "requests").iterdir())) == 1
+    nowhere = starbench("batch", "withdraw", folder, "a", home=folder / "home")
+    assert nowhere.returncode == 1
+    assert "There is no batch in this folder" in nowhere.stderr
+
+
+def test_the_demonstration_is_a_night_of_sixty_runs_of_nine_poses(night):
+    folder, _ = night
+    words = ("plan", ROOT / "demo" / "night" / "queue.yaml", "--begin", "2026-03-01T19:30", "--json")
+    told = json.loads(starbench(*words, home=folder / "home").stdout)
+    assert (told["runs"], told["no_time_for"]) == (60, [])
+    assert told["end_utc"] > "2026-03-02T04:00"
+
+
+@pytest.mark.parametrize("document", ["queue", "job"])
+def test_editors_get_the_shape_of_a_queue_and_of_a_job(night, document):
+    folder, _ = night
+    schema = json.loads(starbench("schema", document, home=folder / "home").stdout)
+    assert "start_at" in json.dumps(schema)
