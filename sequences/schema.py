@@ -219,6 +219,10 @@ class GateWords(Words):
     max_rate_controller_loss_percent: NotNegative = 1.0
     max_silent_rows: Annotated[NotNegative, Field(description="Rows without events amid lit ones.")] = 3
     max_hot_pixels: NotNegative | None = None
+    min_flicker_duty: Annotated[
+        NotNegative | None, Field(description="Share of a period for which the sync signal is high, 0 to 1.")
+    ] = None
+    max_flicker_duty: NotNegative | None = None
     min_lit_pixels: Annotated[
         NotNegative | None, Field(description="Pixels that fire at nearly every edge.")
     ] = None
