@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import re
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -144,7 +145,8 @@ def table(poses: Sequence[Pose]) -> str:
             of = [p for p in poses if (p["tag"], p["expected"]) == (tag, expected)]
             lines.append(line_of(f"tag {tag}, {'pose given' if expected else 'no pose'}", of))
     lines.append(line_of("all", poses))
-    why = Counter(p["refused"].split(": ", 1)[-1][-90:] for p in poses if "refused" in p and p["whole"] >= 40)
+    many = [p["refused"] for p in poses if "refused" in p and p["whole"] >= 40]
+    why = Counter(re.sub(r"\d+", "N", words.split(": ", 1)[-1].split(". ")[0]) for words in many)
     return "\n".join(
         [*lines, "refused, though 40 stars or more are in view:", *(f"{n:5d}  {w}" for w, n in why.items())]
     )
