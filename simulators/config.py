@@ -1,7 +1,7 @@
 """The simulated bench's configuration: which devices stand on it, and in which world.
 
 Knows every key a configuration may have, its default and its range; a fault is one sentence that names the
-key. The sections camera, collimator, optics, noise, thermal and mount are `truth`'s.
+key. The sections camera, collimator, optics, noise, thermal, mount and screen are `truth`'s.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 
 from simulators.errors import ConfigError
 from simulators.faults import Order, order
-from simulators.truth import Truth, truth_from_config
+from simulators.truth import Truth
+from simulators.truth_config import truth_from_config
 from simulators.world import AxisName
 
 #: Stages by kind, with the counts a degree that are usual for them.
@@ -27,7 +28,7 @@ LIGHT_KINDS: Final = ("keysight", "rigol", "siglent", "gardasoft")
 
 _PORTS: Final = ("pty", "tcp")
 
-_TRUTH_SECTIONS: Final = ("camera", "collimator", "optics", "noise", "thermal", "mount")
+_TRUTH_SECTIONS: Final = ("camera", "collimator", "optics", "noise", "thermal", "mount", "screen")
 _AXES: Final[tuple[AxisName, ...]] = ("pan", "tilt", "roll")
 
 
@@ -143,9 +144,9 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     Parameters
     ----------
     given
-        Sections ``camera``, ``collimator``, ``optics``, ``noise``, ``thermal`` and ``mount`` (see `truth`);
-        ``stage``, a mapping of the axes pan, tilt and roll, in the order of their addresses, and perhaps its
-        ``kind``; ``light``;
+        Sections ``camera``, ``collimator``, ``optics``, ``noise``, ``thermal``, ``mount`` and ``screen`` (see
+        `truth`); ``stage``, a mapping of the axes pan, tilt and roll, in the order of their addresses, and perhaps
+        its ``kind``; ``light``;
         ``faults``, a list of orders (see `faults`) that are carried out from the start; and the values
         ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes take their
         time on the line). All are optional. ``rehearsal`` is for `rehearsed_world`, and not looked at here.

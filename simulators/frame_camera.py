@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators import optics
+from simulators import scene
 from simulators.world import LightState, World
 
 RATE_HZ: Final = 25
@@ -87,11 +87,10 @@ class PictureMaker:
     def _scene(self, begin_s: float) -> NDArray[np.float32]:
         """Share of the light in each pixel; what moves meanwhile is blurred."""
         moments = (begin_s,) if self._world.is_settled(begin_s) else (begin_s, begin_s + EXPOSURE_S / 2)
-        poses = [self._world.angles_deg(moment) for moment in moments]
-        if self._seen is None or self._seen[0] != poses:
-            truth = self._world.truth
-            seen = [optics.render(truth, optics.pose_rotation(pose, truth.optics)) for pose in poses]
-            self._seen = poses, np.mean(seen, axis=0, dtype=np.float32)
+        truth, poses = self._world.truth_at(begin_s), [self._world.angles_deg(moment) for moment in moments]
+        if self._seen is None or self._seen[0] != (truth, poses):
+            seen = [scene.picture(truth, pose) for pose in poses]
+            self._seen = (truth, poses), np.mean(seen, axis=0, dtype=np.float32)
         return self._seen[1]
 
 

@@ -1,6 +1,6 @@
 """What leaves the sensor from one start to one stop: the world's pose and light, as EVT3 words.
 
-Brings the world, the optics, the pixels and the words together, 2 ms of sensor time a frame. Knows no socket.
+Brings the world, the scene, the pixels and the words together, 2 ms of sensor time a frame. Knows no socket.
 
 A stream's content is a function of the seed, the resting pose, the light's and the camera's settings (where they
 are simulated, of the camera's warmth and of how far the mount has crept), and of how many streams were taken at
@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators import mount, optics, temperature
+from simulators import mount, scene, temperature
 from simulators.biases import FACTORY, PixelSettings
 from simulators.event_filters import FILTERS, EventFilters
 from simulators.evt3_writer import Evt3Writer
@@ -131,8 +131,7 @@ class SensorStream:
 
     def _picture(self, *, moving: bool) -> NDArray[np.float32]:
         """What the camera sees in the present pose."""
-        rotation = optics.pose_rotation(self._angles, self._truth.optics)
-        return optics.render(self._truth, rotation, subsamples=MOVING_SUBSAMPLES if moving else 4)
+        return scene.picture(self._truth, self._angles, subsamples=MOVING_SUBSAMPLES if moving else 4)
 
     def _edges(self, first_us: int, end_us: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         """Times and values of the light's sync edges that reach the trigger input."""

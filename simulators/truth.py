@@ -1,19 +1,16 @@
 """What is true in the simulated world: the numbers a calibration is to find, and those that disturb it.
 
-Knows the parameters of camera, collimator, optics, sensor noise, warmth and mount, their defaults, and how to
-build them from a configuration. Computes nothing with them: that is for ``optics``, ``pixels``, ``temperature`` and
+Knows the parameters of camera, collimator, optics, sensor noise, warmth and mount, their defaults and
+profiles. Computes nothing with them: that is for ``optics``, ``pixels``, ``temperature`` and
 ``mount``.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeVar
-
-from simulators.errors import ConfigError
+from typing import Any, Final
 
 PITCH_MM: Final = 144.5 / 36.0
 """Side of a square of the printed target, mm."""
@@ -197,6 +194,27 @@ class ThermalTruth:
 
 
 @dataclass(frozen=True)
+class ScreenTruth:
+    """A flickering checkerboard on a screen, which may stand before the camera instead of the collimator.
+
+    Attributes
+    ----------
+    columns, rows, square_mm
+        Inner corners of the board, and the side of its squares; there is no board with 0 columns.
+    position_mm
+        Where the middle of the board stands, from the camera's centre, in the camera's axes at zero angles.
+    turn_deg
+        Rotation vector of the screen, X right and Y down on it, from facing the camera at zero angles.
+    """
+
+    columns: int = 0
+    rows: int = 8
+    square_mm: float = 30.0
+    position_mm: tuple[float, float, float] = (0.0, 0.0, 1500.0)
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class MountTruth:
     """How the camera's mount moves on its own; see ``mount``.
 
@@ -278,6 +296,7 @@ class Truth:
     noise: NoiseTruth = field(default_factory=NoiseTruth)
     thermal: ThermalTruth = field(default_factory=ThermalTruth)
     mount: MountTruth = field(default_factory=MountTruth)
+    screen: ScreenTruth = field(default_factory=ScreenTruth)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain numbers, by section: what ``truth.json`` holds.
@@ -292,127 +311,3 @@ class Truth:
                 renamed.get(k, k): v for k, v in values["camera"].items() if k not in ("p1", "p2")
             }
         return values
-
-
-_Section = TypeVar(
-    "_Section", CameraTruth, CollimatorTruth, OpticsTruth, NoiseTruth, ThermalTruth, MountTruth
-)
-
-
-def truth_from_config(config: Mapping[str, Any]) -> Truth:
-    """Truth from the sections "camera", "collimator", "optics", "noise", "thermal" and "mount" of a configuration.
-
-    Every section and every key in it is optional; other sections are not looked at. ``noise`` is the name
-    of a level or a mapping, which starts from the typical level; ``collimator`` may be the name of a profile, or
-    name it as ``profile`` beside the keys that differ from it.
-
-    Raises
-    ------
-    ConfigError
-        Naming the key that is unknown or whose value is no finite number in its range.
-
-    Examples
-    --------
-    >>> truth_from_config({"collimator": {"r": 700}, "noise": "clean"}).collimator.r
-    700.0
-    """
-    noise = config.get("noise", "typical")
-    if isinstance(noise, str):
-        if noise not in NOISE_LEVELS:
-            names = ", ".join(NOISE_LEVELS)
-            raise ConfigError(f"No noise level {noise!r}.", where="noise", remedy=f"Use one of: {names}.")
-        level = NOISE_LEVELS[noise]
-    else:
-        level = _section("noise", NoiseTruth(), noise)
-    return Truth(
-        camera=_camera(config.get("camera", {})),
-        collimator=_collimator(config.get("collimator", {})),
-        optics=_section("optics", OpticsTruth(), config.get("optics", {})),
-        noise=level,
-        thermal=_section("thermal", ThermalTruth(), config.get("thermal", {})),
-        mount=_section("mount", MountTruth(), config.get("mount", {})),
-    )
-
-
-def _camera(given: object) -> CameraTruth:
-    """Read the camera's section: what is not said depends on the kind of lens."""
-    kind = given.get("projection", "pinhole") if isinstance(given, Mapping) else "pinhole"
-    if not isinstance(kind, str) or kind not in CAMERAS:
-        names = ", ".join(CAMERAS)
-        raise ConfigError(f"No lens {kind!r}.", where="camera.projection", remedy=f"Use one of: {names}.")
-    camera = _section("camera", CAMERAS[kind], given)
-    foreign = ("p1", "p2") if kind == "fisheye" else ("k4",)
-    for name in foreign:
-        if getattr(camera, name) != 0.0:
-            raise ConfigError(f"A {kind} lens has no {name}.", where=f"camera.{name}", remedy="Leave it out.")
-    return camera
-
-
-def _collimator(given: object) -> CollimatorTruth:
-    """Read the collimator's section: a profile and what differs from it."""
-    if isinstance(given, str):
-        given = {"profile": given}
-    name, rest = "ideal", given
-    if isinstance(given, Mapping):
-        name, rest = given.get("profile", name), {k: v for k, v in given.items() if k != "profile"}
-    if not isinstance(name, str) or name not in COLLIMATORS:
-        names = ", ".join(COLLIMATORS)
-        raise ConfigError(f"No profile {name!r}.", where="collimator.profile", remedy=f"Use one of: {names}.")
-    return _section("collimator", COLLIMATORS[name], rest)
-
-
-def _section(name: str, default: _Section, given: object) -> _Section:
-    """``default`` with the given keys replaced, each checked against the type of its default."""
-    if not isinstance(given, Mapping):
-        raise ConfigError(f"A mapping is expected, not {given!r}.", where=name)
-    known = {f.name: getattr(default, f.name) for f in dataclasses.fields(default)}
-    values: dict[str, Any] = {}
-    for key, value in given.items():
-        where = f"{name}.{key}"
-        if key not in known:
-            raise ConfigError("Unknown key.", where=where, remedy=f"Known are: {', '.join(known)}.")
-        values[key] = _like(known[key], value, where)
-    return dataclasses.replace(default, **values)
-
-
-def _like(default: object, value: object, where: str) -> object:
-    """Check the value and give it its default's type (float, int or a tuple of floats)."""
-    if isinstance(default, tuple):
-        if not isinstance(value, (list, tuple)) or len(value) != len(default):
-            raise ConfigError(f"{len(default)} numbers are expected, not {value!r}.", where=where)
-        return tuple(_number(v, where) for v in value)
-    if isinstance(default, str):
-        return value  # the projection: looked at before
-    number = _number(value, where)
-    if isinstance(default, int):
-        if number != int(number) or number < 1:
-            raise ConfigError(f"A whole number of at least 1 is expected, not {value!r}.", where=where)
-        return int(number)
-    if (where in _POSITIVE and number <= 0) or (where in _NOT_NEGATIVE and number < 0):
-        raise ConfigError(f"{value!r} is outside its range.", where=where, remedy="Give a positive number.")
-    return number
-
-
-_POSITIVE: Final = {"camera.fx", "camera.fy", "collimator.r", "collimator.half_angle_deg"}
-_NOT_NEGATIVE: Final = {
-    "collimator.rim",
-    "collimator.disc_wander_mm",
-    "collimator.disc_breathing",
-    "collimator.irregularity_mm",
-    "collimator.rim_irregularity_mm",
-    "optics.psf_px",
-    "optics.psf_rim_px",
-    "optics.black",
-    "optics.stray",
-    "thermal.warm_up_min",
-    "mount.vibration_arcsec",
-    "mount.vibration_hz",
-    *(f"noise.{f.name}" for f in dataclasses.fields(NoiseTruth)),
-}
-
-
-def _number(value: object, where: str) -> float:
-    """Check that it is a finite number."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigError(f"A finite number is expected, not {value!r}.", where=where)
-    return float(value)

@@ -10,7 +10,7 @@ import pytest
 
 from simulators.evk4 import SimulatedEvk4
 from simulators.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
-from simulators.truth import truth_from_config
+from simulators.truth_config import truth_from_config
 from simulators.world import AxisMotion, LightState, World
 
 SMALL = truth_from_config(

@@ -12,7 +12,7 @@ from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.clock import SystemClock
 from drivers.errors import CameraError, CameraSettingRefused
 from simulators.evk4 import SimulatedEvk4
-from simulators.truth import truth_from_config
+from simulators.truth_config import truth_from_config
 from simulators.world import LightState, World
 
 NOW = datetime(2026, 11, 20, tzinfo=UTC)

@@ -4,9 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
+from drivers.camera.evt3 import Evt3Decoder
+from simulators import scene
+from simulators.biases import FACTORY
+from simulators.config import bench_config
 from simulators.errors import SimulationMisuse
 from simulators.screen import Checkerboard, project_board, render_board
+from simulators.sensor_stream import CameraState, SensorStream
 from simulators.truth import CameraTruth
+from simulators.world import AxisMotion, LightState, World
 
 CAMERA = CameraTruth(fx=420.0, fy=421.0, cx=159.0, cy=91.0, k1=-0.1, k2=0.05, width=320, height=180)
 BOARD = Checkerboard(columns=7, rows=4, square_mm=20.0)
@@ -46,3 +52,23 @@ def test_the_screen_is_dark_around_the_board():
 def test_a_board_behind_the_camera_is_a_mistake():
     with pytest.raises(SimulationMisuse):
         render_board(BOARD, CAMERA, TILTED, -PLACE)
+
+
+def test_the_camera_streams_the_board_that_its_station_puts_before_it():
+    camera = {"fx": 420, "fy": 421, "cx": 159, "cy": 91, "k1": -0.1, "k2": 0.05, "width": 320, "height": 180}
+    screen = {"columns": 7, "rows": 4, "square_mm": 20, "position_mm": [5, -3, 300], "turn_deg": [10, -15, 6]}
+    truth = bench_config({"camera": camera, "screen": screen, "noise": "none"}).truth
+    world = World(truth)
+    world.set_axis("pan", AxisMotion.resting(2.0, 12_800))
+    world.set_light(LightState(output=True))
+    stream = SensorStream(world, CameraState(dict(FACTORY)), {})
+    words = np.frombuffer(b"".join(stream.next_frame() for _ in range(10)), "<u2")
+    shown = scene.picture(truth, {"pan": 2.0})
+    fired = np.zeros(shown.shape, bool)
+    for events, _ in Evt3Decoder(320, 180).decode(words):
+        fired[events.y, events.x] = True
+    assert fired[shown > 0.9].mean() > 0.99
+    assert not fired[shown < 0.02].any()
+    corners = scene.corners(truth, {"pan": 2.0})
+    assert corners.shape == (28, 2)
+    assert ((corners > 0) & (corners < [320, 180])).all()

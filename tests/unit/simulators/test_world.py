@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.errors import ConfigError, SimulationMisuse
-from simulators.truth import NOISE_LEVELS, Truth, truth_from_config
+from simulators.truth import NOISE_LEVELS, Truth
+from simulators.truth_config import truth_from_config
 from simulators.world import AxisMotion, LightState, World
 
 
