@@ -82,7 +82,8 @@ def picture_gates(facts: Mapping[str, Any], gates: Gates, found: Measurement) ->
         at_most("saturated pixels", 100 * float(facts["saturated_share"]), 100 * MOST_SATURATED, "%"),
     ]
     if found.facts.get("motion_px") is not None:
-        judged.append(at_most("stars moved", float(found.facts["motion_px"]), MOVING_PX, "px"))
+        most_px = gates.limits.get("max_motion_px", MOVING_PX)
+        judged.append(at_most("stars moved", float(found.facts["motion_px"]), most_px, "px"))
     return judged
 
 
