@@ -1,0 +1,147 @@
+"""What a run does otherwise for a frame camera: light, settings, gates, plan."""
+
+from pathlib import Path
+from unittest.mock import create_autospec
+
+import numpy as np
+import pytest
+
+from bench import devices
+from bench.camera_kinds import EventKind, FrameKind, camera_kind
+from bench.clock import BenchClock
+from bench.job import Job
+from bench.measure import Measurement
+from bench.pictures import measure_pictures, picture_gates, picture_refusals
+from bench.plan import load, plan
+from bench.station import SHIPPED, Station
+from calib.target import StarTarget
+from drivers.camera import CameraSettings, EventCamera
+from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
+from drivers.camera.frames import FrameCamera, FrameSettings, write_frames
+from sequences.reader import check_document
+from sequences.script import Gates, LightStep
+
+FRAMES = (SHIPPED / "simulated_frames.yaml").read_text(encoding="utf-8")
+STEADY = """\
+format: starbench/sequence/1
+name: Steady
+poses: {two: [{pan_deg: -5, tilt_deg: 1}, {pan_deg: 5}]}
+steps:
+  - light: {waveform: steady, level_percent: 50}
+  - repeat: {poses: two, steps: [move, settle, {record: {window_ms: 1, gates: {require_triggers: true}}}]}
+  - light: off
+  - solve
+  - report
+"""
+
+
+@pytest.fixture
+def steady(tmp_path) -> str:
+    path = tmp_path / "steady.yaml"
+    path.write_text(STEADY)
+    return str(path)
+
+
+def station_of(camera: str) -> Station:
+    text = FRAMES.replace("driver: opencv\n  source: sim:frame-camera", camera)
+    return check_document(text.encode(), "b.yaml", Station).value
+
+
+def test_the_station_s_camera_decides_which_kind_a_run_is_of():
+    assert isinstance(camera_kind(station_of("driver: pictures\n  path: p")), FrameKind)
+    event = "driver: recorded\n  path: p\n  serial: 0005"
+    assert isinstance(camera_kind(station_of(event)), EventKind)
+
+
+def test_a_flicker_burns_steadily_at_its_brighter_level_for_a_frame_camera():
+    job = Job.from_plan(plan(*load("three_pose", "simulated_frames")), seed=1, operator=None)
+    [flicker] = [s.flicker for s in job.steps if isinstance(s, LightStep) and s.flicker is not None]
+    settings = job.light_settings(flicker)
+    assert (settings.waveform, settings.high_v) == ("steady", 5.0)
+    assert job.camera_name == "opencv"
+    event = Job.from_plan(plan(*load("three_pose", "simulated")), seed=1, operator=None)
+    assert event.light_settings(flicker).waveform == "square"
+
+
+def test_a_plan_says_that_a_flicker_will_be_none():
+    planned = plan(*load("three_pose", "simulated_frames"))
+    assert not planned.faults
+    assert [r.message for r in planned.remarks] == [
+        "the station's camera takes pictures: the light burns steadily instead."
+    ]
+    assert planned.size_bytes > 3 * 8 * 1280 * 720
+
+
+def test_a_sequence_of_steady_light_is_for_frame_cameras_alone(steady):
+    for_frames = plan(*load(steady, "simulated_frames"))
+    assert (for_frames.faults, for_frames.remarks) == ((), ())
+    for_events = plan(*load(steady, "simulated"))
+    assert {f.message for f in for_events.faults} == {
+        "an event camera sees nothing of a steady light: let it flicker (waveform: square)."
+    }
+
+
+@pytest.mark.parametrize(
+    ("camera", "driver", "given"),
+    [
+        ("driver: opencv\n  source: /dev/video3\n  serial: A7", OpenCvFrameCamera, ("/dev/video3",)),
+        ("driver: pictures\n  path: a/b\n  serial: A7", FolderFrameCamera, (Path("a/b"),)),
+    ],
+)
+def test_each_frame_camera_s_driver_gets_what_the_file_says(monkeypatch, camera, driver, given):
+    double = create_autospec(driver.open)
+    monkeypatch.setattr(driver, "open", double)
+    clock = BenchClock()
+    assert devices._open_camera(station_of(camera), str, clock) is double.return_value
+    double.assert_called_once_with(*given, serial="A7", clock=clock)
+
+
+def test_the_settings_of_a_station_reach_its_camera():
+    camera = create_autospec(FrameCamera, instance=True)
+    camera.apply.return_value = FrameSettings(120.0, None)
+    kind = camera_kind(station_of("driver: opencv\n  source: /dev/video3\n  exposure: 120\n  pictures: 5"))
+    assert kind.prepare(camera) == ({"exposure": 120.0, "gain": None}, [])
+    camera.apply.assert_called_once_with(FrameSettings(120.0, None))
+    told = {"frames": 5, "bits": 12, "saturated_share": 0.0002}
+    assert kind.conditions([told]) == {"pictures": 5, "bits": 12, "exposure": 120.0}
+    assert kind.counts(told) == {"pictures": 5, "bits": 12, "saturated_percent": pytest.approx(0.02)}
+
+
+def test_what_speaks_against_an_event_camera_is_told_before_a_run():
+    camera = create_autospec(EventCamera, instance=True)
+    camera.apply.return_value = CameraSettings({}, trigger_in=False)
+    camera.filters.return_value = {"afk": True, "erc": False}
+    settings, reasons = EventKind({"bias_fo": 3}, (0, 0, 10, 10)).prepare(camera)
+    camera.apply.assert_called_once_with(CameraSettings({"bias_fo": 3}, True, (0, 0, 10, 10)))
+    assert settings["trigger_in"] is False
+    assert reasons == [
+        "camera: its AFK filter cannot be switched off",
+        "camera: its trigger input cannot be enabled",
+    ]
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.0, "pass"), (0.00095, "marginal"), (0.02, "fail")])
+def test_saturated_pictures_are_refused(share, verdict):
+    gates = picture_gates({"saturated_share": share}, Gates(0, 200.0, True), Measurement(None, None))
+    assert {gate.name: gate.verdict for gate in gates}["saturated pixels"] == verdict
+
+
+def test_pictures_that_moved_further_than_the_sequence_lets_them_are_refused():
+    found = Measurement(None, None, {"motion_px": 0.2})
+    for most, verdict in ((0.1, "fail"), (0.5, "pass")):
+        gates = picture_gates({"saturated_share": 0.0}, Gates(0, 1.0, True, {"max_motion_px": most}), found)
+        assert {gate.name: gate.verdict for gate in gates}["stars moved"] == verdict
+
+
+def test_pictures_that_ended_early_do_not_count():
+    assert picture_refusals({"complete": False}) == ["the pictures ended before their number"]
+    assert picture_refusals({"complete": True}) == []
+
+
+def test_pictures_without_a_target_and_files_that_are_none_say_why(tmp_path):
+    write_frames(tmp_path / "dark.tif", [np.zeros((240, 320), np.uint8)] * 2)
+    found = measure_pictures(tmp_path / "dark.tif", name="dark", target=StarTarget())
+    assert (found.view, found.facts["image"]["pictures"]) == (None, 2)
+    assert found.fault
+    (tmp_path / "bad.tif").write_bytes(b"hello")
+    assert "no pictures" in measure_pictures(tmp_path / "bad.tif", name="bad", target=StarTarget()).fault
