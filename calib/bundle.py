@@ -79,6 +79,21 @@ class Bundle:
         """What binds a centre, in the residuals' unit over mm^2."""
         return self.noise_variance / self.drift_mm**2
 
+    @property
+    def local_stiffness(self) -> Array:
+        """(L, L) what binds a view's own parameters beforehand, in the residuals' unit."""
+        free = 6 if self.free_centres else 3
+        return np.diag([0.0] * 3 + [self._drift_stiffness] * 3) if self.drifts else np.zeros((free, free))
+
+    @property
+    def prior_information(self) -> Array:
+        """(G, G) what is known of the shared parameters beforehand, in the residuals' unit."""
+        information = np.zeros((len(self.names), len(self.names)))
+        if self.prior is not None:
+            at = [self.names.index(name) for name in self.prior.names]
+            information[np.ix_(at, at)] = self.noise_variance * self.prior.information
+        return information
+
     def only(self, kept: Sequence[int]) -> Bundle:
         """Return the same with some of its views."""
         rows = self.observations.rows(kept)
@@ -139,7 +154,7 @@ class Bundle:
         for i, (normal, gradient) in enumerate(zip(*self._view_equations(state, pull, root), strict=True)):
             local, local_gradient, coupling = normal[n:, n:], gradient[n:], normal[:n, n:]
             if self.drifts:
-                local[[3, 4, 5], [3, 4, 5]] += self._drift_stiffness
+                local = local + self.local_stiffness
                 local_gradient[3:] -= self._drift_stiffness * state.offsets[i]
             solved = np.linalg.solve(local, np.column_stack([coupling.T, local_gradient]))
             yield normal[:n, :n] - coupling @ solved[:, :-1], gradient[:n] - coupling @ solved[:, -1]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.camera import PINHOLE
 from calib.collimator import CENTRE, Collimator
 from calib.contradiction import require_agreement
+from calib.disagreement import disagreement
 from calib.drift import WORRYING, centre_drift
 from calib.errors import DegenerateViews, NotConverged
 from calib.homography import fit_homography
@@ -226,7 +228,8 @@ def _uncertainty(
     if len(views) >= MIN_VIEWS and (leave_out or known.disagree):
         left_out = leave_one_out(bundle, state, loss)
     if options.passport is None:
-        return uncertainty.inflated(known, left_out), left_out
+        found = partial(disagreement, bundle, state, loss)
+        return uncertainty.inflated(known, left_out, found), left_out
     known = uncertainty.with_passport(bundle, state, known, options.passport)
     degeneracy.require_constrained(state, known.names, known.covariance, "The passport knows no better.")
     return known, left_out

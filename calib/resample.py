@@ -93,8 +93,12 @@ def _steps_without(bundle: Bundle, state: State, loss: Loss) -> Iterator[State]:
     information = equations.reduced()
     answers = np.linalg.solve(equations.local, np.swapaxes(equations.coupling, 1, 2))
     for own, score in bundle.scores(state, pull, root):
-        shared = -np.linalg.lstsq(information - own, score, rcond=None)[0]
-        yield state.moved(bundle.names, shared, np.asarray(-answers @ shared, np.float64))
+        left = information - own
+        # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
+        step = np.linalg.lstsq(left * np.outer(scale, scale), scale * score, rcond=None)[0]
+        shared = np.asarray(-scale * step, np.float64)
+        yield state.moved(bundle.names, shared, -answers @ shared)
 
 
 def _cost(bundle: Bundle, state: State, loss: Loss) -> float:

@@ -3,13 +3,13 @@
 Knows residuals and normal equations. The covariance rests on what the residuals show, not on what the stars'
 covariances promise: J^T J inverted, times the variance of the influence function over the square of its mean slope
 (Huber's formula for M-estimators). That holds when the model does. Whether it does, the views tell: each alone would
-like other shared parameters, and when they differ by more than their stars' noise allows, the covariance is
-inflated - by the jackknife, and where there are few views by the Birge ratio at least.
+like other shared parameters, and when they differ by more than their stars' noise allows, the covariance is that of
+the jackknife, and where there are fewer than ten views that of `calib.disagreement`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from calib.bundle import Bundle
+from calib.disagreement import Disagreement
 from calib.errors import DegenerateViews
 from calib.passport import Passport
 from calib.refine import Loss
@@ -205,26 +206,39 @@ def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
     return {"stars": variances - pulled, "known beforehand": pulled}
 
 
-def inflated(known: Uncertainty, left_out: LeftOut | None) -> Uncertainty:
+def inflated(known: Uncertainty, left_out: LeftOut | None, found: Callable[[], Disagreement]) -> Uncertainty:
     """Return the uncertainty with what the views disagree on; unchanged when they agree.
 
-    Each sigma grows to that of the jackknife, correlations kept. A jackknife of few views can be small by chance: with
-    fewer than 10, no sigma grows by less than the Birge ratio, and with two, all grow by that.
+    Parameters
+    ----------
+    known
+        The uncertainty were the model right.
+    left_out
+        What leaving out views showed. From 10 views on each sigma grows to that of the jackknife, correlations kept.
+    found
+        Measures what views disagree on (`calib.disagreement`); asked where they disagree and are fewer.
     """
     if not known.disagree:
         return known
-    sigmas = np.sqrt(np.diag(known.covariance))
-    growth, freedom = np.full(len(sigmas), known.disagreement), known.effective_freedom
-    if left_out is not None:
-        least = 1.0 if len(left_out.values) >= _JACKKNIFE_VIEWS else known.disagreement
-        growth = np.maximum(np.sqrt(np.diag(left_out.jackknife)) / sigmas, least)
-        freedom = float(len(left_out.values) - 1)
-    more = (growth**2 - 1.0) * np.diag(known.covariance)
+    if left_out is None or len(left_out.values) < _JACKKNIFE_VIEWS:
+        shared = found()
+        budget = {"stars": np.diag(shared.stars), "known beforehand": np.diag(shared.prior)}
+        return replace(
+            known,
+            covariance=shared.covariance,
+            effective_freedom=max(1.0, min(shared.effective_freedom, known.effective_freedom)),
+            budget={
+                **{source: budget[source] for source in known.budget},
+                "disagreement of the views": np.diag(shared.fields),
+            },
+        )
+    variances = np.diag(known.covariance)
+    growth = np.sqrt(np.maximum(np.diag(left_out.jackknife) / variances, 1.0))
     return replace(
         known,
         covariance=known.covariance * np.outer(growth, growth),
-        effective_freedom=freedom,
-        budget={**known.budget, "disagreement of the views": more},
+        effective_freedom=float(len(left_out.values) - 1),
+        budget={**known.budget, "disagreement of the views": (growth**2 - 1.0) * variances},
     )
 
 
