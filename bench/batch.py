@@ -261,6 +261,7 @@ def command_of(item: Item, run: Path) -> list[str]:
     if (run / JOURNAL).exists():
         return ["resume", str(run)]
     words = ["run", item.job.sequence, "--station", item.job.station, "--output", str(run)]
+    words += [word for path, text in item.job.settings.items() for word in ("--set", f"{path}={text}")]
     words += [] if item.job.seed is None else ["--seed", str(item.job.seed + item.number)]
     return words + ([] if item.job.operator is None else ["--operator", item.job.operator])
 

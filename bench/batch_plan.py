@@ -48,7 +48,7 @@ def read_queue(path: Path) -> Located[Queue]:
         raise ScriptError([str(fault) for fault in error.faults]) from error
     jobs = [_in_full(job, path.parent) for job in read.value.jobs]
     queue = dataclasses.replace(read, value=read.value.model_copy(update={"jobs": jobs}))
-    pairs = {(job.sequence, job.station): job for job in queue.value.jobs}
+    pairs = {_key(job): job for job in queue.value.jobs}
     faults = [fault for job in pairs.values() for fault in job_faults(job)]
     if faults:
         raise ScriptError(list(dict.fromkeys(faults)))
@@ -86,19 +86,24 @@ def _in_full(job: JobWords, base: Path) -> JobWords:
 def job_faults(job: JobWords) -> list[str]:
     """Say what is wrong with the files a job names; empty when nothing is."""
     try:
-        return [str(fault) for fault in plan(*load(job.sequence, job.station)).faults]
+        return [str(fault) for fault in plan(*load(job.sequence, job.station, job.settings)).faults]
     except ScriptError as error:
         return error.faults
 
 
 def plan_of(job: JobWords) -> Plan:
     """Plan one run of a job, once a process. Raises ScriptError where a file cannot be read."""
-    return _plan_of(job.sequence, job.station)
+    return _plan_of(*_key(job))
 
 
-@functools.lru_cache(maxsize=64)
-def _plan_of(sequence: str, station: str) -> Plan:
-    return plan(*load(sequence, station))
+def _key(job: JobWords) -> tuple[str, str, tuple[tuple[str, str], ...]]:
+    """Give what the plan of a job depends on."""
+    return job.sequence, job.station, tuple(job.settings.items())
+
+
+@functools.lru_cache(maxsize=256)
+def _plan_of(sequence: str, station: str, settings: tuple[tuple[str, str], ...]) -> Plan:
+    return plan(*load(sequence, station, dict(settings)))
 
 
 def planned_s(job: JobWords) -> float:

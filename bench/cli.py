@@ -22,6 +22,13 @@ from bench.cli_runs import RUN_COMMANDS
 from bench.errors import UsageError
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+_SET = click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="PATH=VALUE",
+    help="Set something otherwise than the files say: station.camera.biases.bias_diff_on=20. As often as needed.",
+)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -42,9 +49,16 @@ def cli(debug: bool) -> None:
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="New folder for the run.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Seed of a simulated bench.")
 @click.option("--operator", help="Who runs it; printed in the report.")
+@_SET
 @_JSON
 def run(
-    sequence: str, station: str, output: Path | None, seed: int | None, operator: str | None, as_json: bool
+    sequence: str,
+    station: str,
+    output: Path | None,
+    seed: int | None,
+    operator: str | None,
+    settings: tuple[str, ...],
+    as_json: bool,
 ) -> int:
     """Run a SEQUENCE on a station, up to the sealed report.
 
@@ -55,7 +69,15 @@ def run(
     from bench.output import ask_passphrase, show_run
 
     launch = Launch(BenchClock(), ask_passphrase=ask_passphrase)
-    end = start_run(sequence, station, output=output, seed=seed, operator=operator, launch=launch)
+    end = start_run(
+        sequence,
+        station,
+        output=output,
+        seed=seed,
+        operator=operator,
+        launch=launch,
+        settings=_settings(settings),
+    )
     return show_run(end, as_json=as_json)
 
 
@@ -81,8 +103,16 @@ def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
 @click.option("--station", "-s", help="Station file, or the name of a shipped one; not with a queue.")
 @click.option("--suggest", type=click.IntRange(0, 50), default=0, help="Suggest so many further poses.")
 @BEGIN
+@_SET
 @_JSON
-def plan(sequence: str, station: str | None, suggest: int, begin: datetime | None, as_json: bool) -> int:
+def plan(
+    sequence: str,
+    station: str | None,
+    suggest: int,
+    begin: datetime | None,
+    settings: tuple[str, ...],
+    as_json: bool,
+) -> int:
     """Check a SEQUENCE against a station, or a queue file, without touching anything.
 
     Shows every fault of both files, the poses, the time and disk a run will take, and what its poses will be worth.
@@ -100,7 +130,8 @@ def plan(sequence: str, station: str | None, suggest: int, begin: datetime | Non
         return show_night(Path(sequence), begin=begin, as_json=as_json)
     if station is None:
         raise click.UsageError("Missing option '--station' / '-s'.")
-    return show_plan(make_plan(*load(sequence, station)), suggest=suggest, as_json=as_json)
+    planned = make_plan(*load(sequence, station, _settings(settings)))
+    return show_plan(planned, suggest=suggest, as_json=as_json)
 
 
 @cli.command()
@@ -224,6 +255,14 @@ for engine_command in ENGINE_COMMANDS:
     cli.add_command(engine_command)
 for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
     cli.add_command(run_command)
+
+
+def _settings(words: tuple[str, ...]) -> dict[str, str]:
+    """Take PATH=VALUE words apart."""
+    for word in words:
+        if "=" not in word:
+            raise click.BadParameter(f"{word!r} is not PATH=VALUE.", param_hint="--set")
+    return {path.strip(): value for path, _, value in (word.partition("=") for word in words)}
 
 
 def main(arguments: list[str] | None = None) -> None:

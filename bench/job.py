@@ -68,15 +68,23 @@ class Job:
     operator: str | None
 
     @classmethod
-    def from_files(cls, sequence: str, station: str, *, seed: int, operator: str | None) -> Job:
-        """Read, check and unfold a sequence on a station, each a path or the name of a shipped one.
+    def from_files(
+        cls,
+        sequence: str,
+        station: str,
+        *,
+        seed: int,
+        operator: str | None,
+        settings: Mapping[str, str] | None = None,
+    ) -> Job:
+        """Read, check and unfold a sequence on a station, as ``plan.load`` takes them.
 
         Raises
         ------
         ScriptError
             With everything that is wrong with either.
         """
-        planned = plan(*load(sequence, station))
+        planned = plan(*load(sequence, station, settings))
         if planned.faults:
             raise ScriptError([str(fault) for fault in planned.faults])
         return cls.from_plan(planned, seed=seed, operator=operator)

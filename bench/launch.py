@@ -79,6 +79,7 @@ def start_run(
     seed: int | None,
     operator: str | None,
     launch: Launch,
+    settings: Mapping[str, str] | None = None,
 ) -> RunEnd:
     """Run a sequence on a station, from plan to sealed report.
 
@@ -92,6 +93,8 @@ def start_run(
         Seed of a simulated bench; drawn, and recorded, when not given.
     operator
         Who runs it.
+    settings
+        What is set otherwise than the files say (``plan.load``); the run folder keeps both files with that in them.
 
     Raises
     ------
@@ -103,7 +106,7 @@ def start_run(
         When the signing key cannot be used.
     """
     seed = secrets.randbits(31) if seed is None else seed
-    job = Job.from_files(sequence, station, seed=seed, operator=operator)
+    job = Job.from_files(sequence, station, seed=seed, operator=operator, settings=settings)
     plan = job.plan
     folder_path = output or default_folder(plan, launch.clock.utc_now())
     needed = plan.size_bytes + int(plan.station.value.disk.min_free_gb * 1e9)

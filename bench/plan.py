@@ -192,22 +192,33 @@ class Plan:
         return said
 
 
-def load(sequence: str, station: str) -> tuple[Located[Sequence], Located[Station]]:
+def load(
+    sequence: str, station: str, settings: Mapping[str, str] | None = None
+) -> tuple[Located[Sequence], Located[Station]]:
     """Read a sequence and a station, each a path or the name of a shipped one.
+
+    Parameters
+    ----------
+    sequence, station
+        The files.
+    settings
+        What is set otherwise than they say, as YAML texts by path: ``sequence.defaults.record.window_ms``,
+        ``station.camera.biases.bias_diff_on``.
 
     Raises
     ------
     ScriptError
         With every fault of both files, where one of them cannot be used.
     """
+    of_sequence, of_station = _by_document(settings or {})
     faults: list[Fault] = []
     read_sequence = read_station = None
     try:
-        read_station = load_station(station)
+        read_station = load_station(station, of_station)
     except DocumentFaults as error:
         faults += error.faults
     try:
-        read_sequence = read_document(find_document(sequence, SHIPPED_SEQUENCES), Sequence)
+        read_sequence = read_document(find_document(sequence, SHIPPED_SEQUENCES), Sequence, of_sequence)
         faults += unfold(read_sequence)[1] if faults else []
     except DocumentFaults as error:
         against_station = angle_faults(error.tree, read_station.value) if error.tree and read_station else []
@@ -215,6 +226,17 @@ def load(sequence: str, station: str) -> tuple[Located[Sequence], Located[Statio
     if read_sequence is None or read_station is None:
         raise ScriptError([str(fault) for fault in faults])
     return read_sequence, read_station
+
+
+def _by_document(settings: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Tell the settings of the sequence from those of the station."""
+    found: dict[str, dict[str, str]] = {"sequence": {}, "station": {}}
+    for path, text in settings.items():
+        document, _, rest = path.partition(".")
+        if document not in found or not rest:
+            raise ScriptError([f"setting {path}: it must begin with sequence. or station."])
+        found[document][rest] = text
+    return found["sequence"], found["station"]
 
 
 def plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:

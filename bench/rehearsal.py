@@ -133,7 +133,14 @@ class RehearsedResults(ResultWriter):
 
 
 def rehearse_run(
-    sequence: str, station: str, *, seed: int, operator: str | None, folder: Path, clock: BenchClock
+    sequence: str,
+    station: str,
+    *,
+    seed: int,
+    operator: str | None,
+    folder: Path,
+    clock: BenchClock,
+    settings: Mapping[str, str] | None = None,
 ) -> RunEnd:
     """Rehearse a run, or go on with one that did not finish.
 
@@ -149,6 +156,8 @@ def rehearse_run(
         The run folder: new, or that of a rehearsed run that did not finish.
     clock
         Usually a ``VirtualClock``.
+    settings
+        What is set otherwise than the files say.
 
     Raises
     ------
@@ -157,7 +166,7 @@ def rehearse_run(
     RunFolderError, StorageError
         When the folder cannot be used.
     """
-    planned = plan(*load(sequence, station))
+    planned = plan(*load(sequence, station, settings))
     task = Job.from_plan(planned, seed=seed, operator=operator)
     job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, clock)
 

@@ -92,7 +92,13 @@ def _rehearse(
         job = item.job
         try:
             end = rehearse_run(
-                job.sequence, job.station, seed=own_seed, operator=job.operator, folder=run, clock=clock
+                job.sequence,
+                job.station,
+                seed=own_seed,
+                operator=job.operator,
+                folder=run,
+                clock=clock,
+                settings=job.settings,
             )
         except BenchError as error:
             return WorkerEnd("failed", str(error))

@@ -149,12 +149,12 @@ class Station(Words):
         return self.needs_simulated_bench or isinstance(self.camera, RecordedCamera | PictureFolder)
 
 
-def load_station(name_or_path: str) -> Located[Station]:
-    """Read a station file, or a shipped station by its name (``simulated``).
+def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -> Located[Station]:
+    """Read a station file, or a shipped station by its name (``simulated``), with ``settings`` in it.
 
     Raises
     ------
     DocumentFaults
         With every fault found.
     """
-    return read_document(find_document(name_or_path, SHIPPED), Station)
+    return read_document(find_document(name_or_path, SHIPPED), Station, settings)

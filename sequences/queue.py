@@ -15,6 +15,8 @@ from pydantic_core import PydanticCustomError
 from sequences.schema import Name, Words
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
+SettingPath = Annotated[str, Field(max_length=200, pattern=r"^(sequence|station)(\.[A-Za-z0-9_]+)+$")]
+Value = Annotated[str, Field(max_length=1000, pattern=r"^[^\r\n]*$")]
 File = Annotated[str, Field(min_length=1, max_length=500)]
 TimeOfDay = Annotated[
     str,
@@ -43,6 +45,9 @@ class JobWords(Words):
     name: Key
     sequence: File
     station: File
+    settings: dict[SettingPath, Value] = Field(
+        default_factory=dict, description="What is set otherwise than the files say, as YAML by path."
+    )
     operator: Name | None = None
     seed: Annotated[int, Field(ge=0, le=2**62)] | None = None
     priority: Annotated[int, Field(ge=-100, le=100)] = 0

@@ -6,6 +6,7 @@ Knows how a file is opened and checked. Knows no particular model: sequences and
 from __future__ import annotations
 
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -13,6 +14,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from sequences.errors import DocumentFaults, Fault
+from sequences.settings import with_settings
 from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, DocumentPath, Spot, Tree, parse, path_text
 
@@ -53,7 +55,9 @@ class Located(Generic[Model]):
         return Fault(self.file, spot.line, spot.column, path_text(path), message)
 
 
-def read_document(path: Path | str, model: type[Model]) -> Located[Model]:
+def read_document(
+    path: Path | str, model: type[Model], settings: Mapping[str, str] | None = None
+) -> Located[Model]:
     """Read and check a YAML file.
 
     Parameters
@@ -62,6 +66,8 @@ def read_document(path: Path | str, model: type[Model]) -> Located[Model]:
         The file.
     model
         The pydantic model it must fit.
+    settings
+        What is set otherwise than the file says (`sequences.settings`); the text given back has it in it.
 
     Raises
     ------
@@ -69,7 +75,8 @@ def read_document(path: Path | str, model: type[Model]) -> Located[Model]:
         With every fault found: a file that cannot be opened, text that is not plain YAML, values that do
         not fit.
     """
-    return check_document(_bytes_of(Path(path)), str(path), model)
+    data = with_settings(_bytes_of(Path(path)), str(path), settings or {})
+    return check_document(data, f"{path} with settings" if settings else str(path), model)
 
 
 def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]:

@@ -176,6 +176,23 @@ def test_interlocks_of_the_bench_hold_in_virtual_time_those_of_this_room_do_not(
     assert held[0].data["held_s"] == pytest.approx(2 * 3600, rel=0.01)
 
 
+def test_the_run_folder_keeps_the_files_with_the_settings_in_them(tmp_path):
+    settings = {"sequence.defaults.record.window_ms": "50", "sequence.name": "Longer"}
+    end = rehearse_run(
+        "three_pose", "simulated", seed=1, operator=None, folder=tmp_path / "run",
+        clock=VirtualClock(EVENING), settings=settings,
+    )  # fmt: skip
+    assert end.how == "finished", end.why
+    text = (tmp_path / "run" / "sequence.yaml").read_text(encoding="utf-8")
+    assert "window_ms: '50'" in text
+    assert "name: Longer" in text
+    assert (tmp_path / "run" / "station.yaml").read_bytes() == STATION.read_bytes()
+    stored = [
+        e.data for e in read_journal(tmp_path / "run" / "journal.jsonl")[0] if e.event == "capture_stored"
+    ]
+    assert stored[0]["facts"]["duration_s"] == pytest.approx(4 / 60 + 1e-3)
+
+
 @pytest.mark.slow
 def test_uncertainties_of_a_rehearsal_hold(tmp_path):
     """The rehearsed numbers are worth what they say: fx of 30 runs against the truth, in its own sigmas."""

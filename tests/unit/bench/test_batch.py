@@ -9,7 +9,7 @@ import pytest
 from nights import JOB, NightClock, Workers, begun, hows, night, queue
 
 from bench.batch import Batch, command_of
-from bench.batch_plan import read_queue
+from bench.batch_plan import plan_of, read_queue
 from bench.clock import Aborted
 from bench.errors import RunFolderError, ScriptError
 from bench.history import Event
@@ -39,6 +39,22 @@ def test_seeds_of_repetitions_differ(tmp_path):
     words = [command_of(item, tmp_path / item.key) for item in items]
     assert [w[w.index("--seed") + 1] for w in words] == ["7", "8"]
     assert words[0][-2:] == ["--operator", "Ada"]
+
+
+def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path):
+    jobs = queue(("a", ", settings: {station.camera.biases.bias_diff_on: 20, sequence.name: 'x, y'}"))
+    (item,) = items_of(jobs.value.jobs, NightClock().utc_now())
+    words = command_of(item, tmp_path / "a")
+    assert words[-4:] == ["--set", "station.camera.biases.bias_diff_on=20", "--set", "sequence.name=x, y"]
+    path = tmp_path / "queue.yaml"
+    path.write_bytes(jobs.text)
+    assert plan_of(read_queue(path).value.jobs[0]).station.value.camera.biases.bias_diff_on == 20
+    path.write_bytes(jobs.text.replace(b"bias_diff_on", b"bias_dif"))
+    with pytest.raises(ScriptError, match=r"with settings:\d+:\d+: camera.biases.bias_dif: unknown key"):
+        read_queue(path)
+    path.write_bytes(jobs.text.replace(b"station.camera", b"camera"))
+    with pytest.raises(ScriptError, match="settings"):
+        read_queue(path)
 
 
 @pytest.mark.parametrize("how", ["failed", "died", "hung"])
