@@ -8,7 +8,7 @@ see ``photoreceptor``), where each of its rows turns, and about when it crosses 
 from __future__ import annotations
 
 import math
-from math import exp, log
+from math import exp, log, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,22 +22,22 @@ from simulators.world import LightState
 SQUARE: Final = 0
 SMOOTH: Final = 1
 
-# Columns of Drive.turns.
-X_DARK: Final = 0  # bin of the largest u, and of the smallest, up to one period later
-X_BRIGHT: Final = 1
-U_DARK: Final = 2  # u there
-U_BRIGHT: Final = 3
-LN_BRIGHT: Final = 4  # ln u, and steps of ``Drive.when`` for each unit of it
-LN_STEPS: Final = 5
-N_TURNS: Final = 6
+# Rows of Drive.turns.
+LN_BRIGHT: Final = 0  # smallest ln u of a period
+LN_DARK: Final = 1  # largest
+T_BRIGHT: Final = 2  # phase of the smallest, after the largest: up to a period later
+T_DARK: Final = 3
+N_TURNS: Final = 4
 
 ATLAS_LEVELS: Final = 128
 ATLAS_BINS: Final = 2048
 WHEN_STEPS: Final = 256
+"""Steps of ``Drive.when`` from one turn of the curve to the other."""
 BRIGHTEST: Final = 1.5
 """Highest light of a pixel that the atlas covers."""
 LOWEST_CONTRAST: Final = 0.02
 """Relative change of brightness below which no pixel is ever near its threshold."""
+LEAST: Final = 1.0 + LOWEST_CONTRAST
 
 
 class Drive(NamedTuple):
@@ -51,12 +51,17 @@ class Drive(NamedTuple):
     ambient: float
     q_us: float
     start_us: float  # sensor time at which a period begins
-    atlas: NDArray[np.float32]  # smooth: (levels, bins + 1) ln u over a period, light rising from row to row
-    by_bin: NDArray[np.float32]  # the same, transposed
-    turns: NDArray[np.float32]  # (levels, N_TURNS) where each row turns
-    when: NDArray[np.float32]  # (2, levels, steps) bin at which ln u crosses a value, falling and rising
+    atlas: NDArray[
+        np.float32
+    ]  # smooth: (bins + 1, levels) ln u over a period, light rising from level to level
+    flat: NDArray[np.float32]  # the same, one row after the other
+    turns: NDArray[np.float32]  # (N_TURNS, levels) where each level's curve turns
+    when: NDArray[
+        np.float32
+    ]  # (2 * levels * (WHEN_STEPS + 2),) phase of a crossing, ON and OFF, by light and height
     lowest: float  # light of the first row; below, nothing ever crosses
-    log_step: float  # ln of the ratio of light from one row to the next
+    contrast: float  # relative change of brightness for a light of 1; levels are evenly spaced in
+    log_step: float  # ln of 1 + light * contrast: ln u is nearly linear in it
 
 
 def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
@@ -78,49 +83,46 @@ def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> D
 
 
 _Atlas = tuple[
-    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float, float
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float, float, float
 ]
 
 
 def _no_atlas() -> _Atlas:
     """Placeholders where u is closed form."""
     one = np.zeros((1, 1), np.float32)
-    return one, one, one, np.zeros((1, 1, 1), np.float32), 1.0, 1.0
+    flat = np.zeros(1, np.float32)
+    return one, flat, one, flat, 1.0, 1.0, 1.0
 
 
 def _atlas(light: LightState, settings: PixelSettings) -> _Atlas:
     """Atlas of a sine's periodic steady states, as ``Drive`` has it."""
     lowest = LOWEST_CONTRAST * settings.ambient / light.high
-    log_step = math.log(BRIGHTEST / lowest) / (ATLAS_LEVELS - 1)
-    lights = lowest * np.exp(log_step * np.arange(ATLAS_LEVELS))
+    first = math.log(LEAST)
+    log_step = (math.log1p(BRIGHTEST * light.high / settings.ambient) - first) / (ATLAS_LEVELS - 1)
+    lights = np.expm1(first + log_step * np.arange(ATLAS_LEVELS)) * settings.ambient / light.high
     phase = (np.arange(ATLAS_BINS) + 0.5) / ATLAS_BINS
     wave = 0.5 * (light.high + light.low) + 0.5 * (light.high - light.low) * np.sin(2.0 * np.pi * phase)
-    atlas = np.empty((ATLAS_LEVELS, ATLAS_BINS + 1), np.float32)
-    turns = np.empty((ATLAS_LEVELS, N_TURNS), np.float32)
-    when = np.empty((2, ATLAS_LEVELS, WHEN_STEPS), np.float32)
+    curves = np.empty((ATLAS_LEVELS, ATLAS_BINS + 1))
+    turns = np.empty((N_TURNS, ATLAS_LEVELS), np.float32)
+    when = np.empty((2, ATLAS_LEVELS, WHEN_STEPS + 2), np.float32)
     bin_q = light.period_us / ATLAS_BINS / settings.q_us
-    fill_atlas(atlas, turns, when, lights, wave, settings.ambient, bin_q)
-    return atlas, np.ascontiguousarray(atlas.T), turns, when, lowest, log_step
+    fill_curves(curves, lights, wave, settings.ambient, bin_q)
+    fill_when(curves, turns, when, light.period_us)
+    contrast = light.high / settings.ambient
+    atlas = np.ascontiguousarray(curves.T, np.float32)
+    return atlas, atlas.ravel(), turns, when.ravel(), lowest, contrast, log_step
 
 
 @njit(**JIT)
-def fill_atlas(
-    atlas: NDArray,
-    turns: NDArray,
-    when: NDArray,
-    lights: NDArray,
-    wave: NDArray,
-    ambient: float,
-    bin_q: float,
-) -> None:
-    """Tabulate the periodic steady state of ln u for each light, its turns, and where it crosses values.
+def fill_curves(curves: NDArray, lights: NDArray, wave: NDArray, ambient: float, bin_q: float) -> None:
+    """Tabulate the periodic steady state of ln u for each light.
 
     Parameters
     ----------
-    atlas, turns, when
-        As in ``Drive``; filled in.
+    curves
+        (levels, bins + 1) ln u at the bins' edges; filled in.
     lights
-        (levels,) light of each row.
+        (levels,) light of each level.
     wave
         (bins,) w in the middle of each bin: within a bin I is taken as constant, which is exact for steps and
         of second order in the bin's length for smooth waves.
@@ -139,45 +141,49 @@ def fill_atlas(
             offset = offset * decay + (1.0 - decay) / intensity
         u = offset / (1.0 - scale)
         for i in range(bins + 1):
-            atlas[j, i] = log(u)
+            curves[j, i] = log(u)
             intensity = ambient + lights[j] * wave[i % bins]
             u = 1.0 / intensity + (u - 1.0 / intensity) * exp(-intensity * bin_q)
-        _fill_turns(atlas, turns, j, when.shape[2])
-        for branch in range(2):
-            _fill_when(atlas, turns, when, j, branch)
 
 
 @njit(**JIT)
-def _fill_turns(atlas: NDArray, turns: NDArray, j: int, steps: int) -> None:
-    """Where a row of the atlas has its largest u, and after that its smallest."""
-    bins = atlas.shape[1] - 1
-    dark = bright = 0
-    for i in range(bins):
-        if atlas[j, i] > atlas[j, dark]:
-            dark = i
-        if atlas[j, i] < atlas[j, bright]:
-            bright = i
-    turns[j, U_DARK], turns[j, U_BRIGHT] = exp(atlas[j, dark]), exp(atlas[j, bright])
-    turns[j, LN_BRIGHT], turns[j, LN_STEPS] = (
-        atlas[j, bright],
-        (steps - 1) / (atlas[j, dark] - atlas[j, bright]),
-    )
-    turns[j, X_DARK], turns[j, X_BRIGHT] = dark, bright if bright > dark else bright + bins
+def fill_when(curves: NDArray, turns: NDArray, when: NDArray, period: float) -> None:
+    """Find where each curve turns, and when it crosses the heights between its turns; as in ``Drive``."""
+    bins = curves.shape[1] - 1
+    bin_us = period / bins
+    for j in range(curves.shape[0]):
+        curve = curves[j]
+        dark = bright = 0
+        for i in range(bins):
+            if curve[i] > curve[dark]:
+                dark = i
+            if curve[i] < curve[bright]:
+                bright = i
+        lowest, span = curve[bright], curve[dark] - curve[bright]
+        if bright < dark:
+            bright += bins
+        turns[LN_BRIGHT, j], turns[LN_DARK, j] = lowest, lowest + span
+        turns[T_BRIGHT, j], turns[T_DARK, j] = bright * bin_us, dark * bin_us
+        for off in range(2):
+            first, last = (bright, dark + bins) if off else (dark, bright)
+            for k in range(WHEN_STEPS + 2):
+                s = min(k / WHEN_STEPS, 1.0) * sqrt(2.0)
+                height = s * s if s < sqrt(0.5) else 1.0 - (sqrt(2.0) - s) ** 2
+                x = crossing_bin(curve, first, last, lowest + span * height, off == 1)
+                when[off, j, k] = x * bin_us
 
 
 @njit(**JIT)
-def _fill_when(atlas: NDArray, turns: NDArray, when: NDArray, j: int, branch: int) -> None:
-    """Bins at which a row crosses values evenly spaced in ln u, from bright to dark."""
-    bins, steps = atlas.shape[1] - 1, when.shape[2]
-    dark, bright = int(turns[j, X_DARK]), int(turns[j, X_BRIGHT])
-    for a in range(steps):
-        target = turns[j, LN_BRIGHT] + a / turns[j, LN_STEPS]
-        low, high = (dark, bright) if branch == 0 else (bright, dark + bins)
-        while high - low > 1:
-            middle = (low + high) // 2
-            if (atlas[j, middle % bins] >= target) == (branch == 1):
-                high = middle
-            else:
-                low = middle
-        here, there = atlas[j, low % bins], atlas[j, high % bins]
-        when[branch, j, a] = low + ((target - here) / (there - here) if there != here else 0.0)
+def crossing_bin(curve: NDArray, first: int, last: int, target: float, off: bool) -> float:
+    """Bin at which a curve crosses the target, sought by halving on the branch between two bins."""
+    bins = curve.size - 1
+    low, high = first, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if (curve[middle % bins] >= target) == off:
+            high = middle
+        else:
+            low = middle
+    here, there = curve[low % bins], curve[high % bins]
+    share = (target - here) / (there - here) if there != here else 0.0
+    return low + min(max(share, 0.0), 1.0)

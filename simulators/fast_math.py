@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 from numba import njit
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
 JIT: Final[dict[str, Any]] = {
     "cache": True,
@@ -23,6 +24,20 @@ JIT: Final[dict[str, Any]] = {
 Infinity stays infinity (a pixel that never requests again). Arrays are not counted references to
 (``_nrt``): the loops neither make nor return any, and counting them cost four times the work itself.
 """
+
+
+class _NoAlias(CompilerBase):
+    """Compiles a function whose array arguments do not overlap: only so do loops with table look-ups vectorise."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Numba's usual passes, with the arguments marked."""
+        self.state.flags.noalias = True
+        usual: Any = DefaultPassBuilder.define_nopython_pipeline
+        return [usual(self.state)]
+
+
+KERNEL: Final[dict[str, Any]] = {**JIT, "pipeline_class": _NoAlias}
+"""How their loops over a batch of pixels are compiled: no array passed may overlap another."""
 
 _LOG2_E: Final = np.float32(1.0 / math.log(2.0))
 _LN_2_HIGH: Final = np.float32(355.0 / 512.0)

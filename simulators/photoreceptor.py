@@ -15,7 +15,8 @@ is in microseconds after the start of a period of the light.
 
 from __future__ import annotations
 
-from math import exp, floor, log
+import math
+from math import floor, log
 from typing import Any, Final
 
 import numpy as np
@@ -23,23 +24,22 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.drive import (
+    ATLAS_LEVELS,
+    LEAST,
     LN_BRIGHT,
-    LN_STEPS,
+    LN_DARK,
     SMOOTH,
     SQUARE,
-    U_BRIGHT,
-    U_DARK,
-    X_BRIGHT,
-    X_DARK,
+    T_BRIGHT,
+    T_DARK,
+    WHEN_STEPS,
     Drive,
 )
-from simulators.fast_math import JIT, exp32, log32
+from simulators.fast_math import JIT, KERNEL, exp32, log32
 
 # Rows of a batch.
-LIGHT: Final = 0  # share of the drive that reaches the pixel
-U_RISE: Final = (
-    1  # square: u at the rising edge; smooth: row position on the atlas, -1 = too dark ever to fire
-)
+LIGHT: Final = 0  # its place: square: share of the drive that reaches the pixel; smooth: level on the atlas
+U_RISE: Final = 1  # square: u at the rising edge; smooth: level on the atlas, -1 = too dark ever to fire
 U_FALL: Final = 2  # square: u at the falling edge
 ON_AT: Final = 3  # an ON event comes when u has fallen to this
 OFF_AT: Final = 4  # an OFF event comes when u has risen to this
@@ -48,14 +48,14 @@ T: Final = 6  # phase of the next crossing; may exceed a period; inf = none
 IS_ON: Final = 7  # its polarity
 N_BATCH: Final = 8
 
-STRAIGHT: Final = np.float32(1.0)
-"""Half the number of bins over which the atlas may be taken for straight."""
-
 _ZERO: Final = np.float32(0.0)
 _ONE: Final = np.float32(1.0)
 _NEVER: Final = np.float32(np.inf)
 _HUGE: Final = np.float32(1e30)
 _TINY: Final = np.float32(1e-30)
+_ROOT_2: Final = np.float32(math.sqrt(2.0))
+_HALF: Final = np.float32(0.5)
+_NEXT: Final = np.uint32(1)
 
 
 @njit(**JIT)
@@ -66,19 +66,33 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
 
 
 @njit(**JIT)
-def steady_levels(drive: Drive, batch: NDArray, n: int) -> None:
-    """Fill in U_RISE and U_FALL for the light of each pixel."""
+def place(drive: Drive, light: float) -> float:
+    """What is kept of a pixel's light: itself under a square light, its level on the atlas under another."""
     if drive.kind == SQUARE:
+        return light
+    if light < drive.lowest:
+        return -1.0
+    level = log((1.0 + light * drive.contrast) / LEAST) / drive.log_step
+    return min(level, ATLAS_LEVELS - 1.001)
+
+
+@njit(inline="always", **JIT)
+def steady(d: Drive, placed: Any) -> tuple[Any, Any]:
+    """U_RISE and U_FALL of a pixel, from its place."""
+    if d.kind == SMOOTH:
+        return placed, _ZERO
+    return _steady_square(d, placed)
+
+
+@njit(**KERNEL)
+def steady_levels(drive: Drive, batch: NDArray, n: int) -> None:
+    """Fill in U_RISE and U_FALL from the place of each pixel."""
+    if drive.kind == SMOOTH:
+        for k in range(n):
+            batch[U_RISE, k] = batch[LIGHT, k]
+    else:
         for k in range(n):
             batch[U_RISE, k], batch[U_FALL, k] = _steady_square(drive, batch[LIGHT, k])
-    else:
-        top = np.float32(drive.atlas.shape[0] - 1.001)
-        for k in range(n):
-            light = batch[LIGHT, k]
-            level = np.float32(-1.0)
-            if light >= drive.lowest:
-                level = min(np.float32(log(light / drive.lowest) / drive.log_step), top)
-            batch[U_RISE, k] = level
 
 
 @njit(inline="always", **JIT)
@@ -100,7 +114,7 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
     return _square_crossing(d, light, u_rise, u_fall, on_at, off_at, phase)
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     """Fill in U at a phase below one period."""
     if drive.kind == SMOOTH:
@@ -111,17 +125,13 @@ def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
             batch[U, k] = _square_level(drive, batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k], phase)
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     """Fill in T and IS_ON: the first crossing of ON_AT or OFF_AT at or after a phase below one period."""
     if drive.kind == SMOOTH:
         for k in range(n):
             on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
-            batch[T, k], batch[IS_ON, k] = _smooth_guess(drive, batch[U_RISE, k], on_at, off_at, phase)
-        for k in range(n):
-            if batch[T, k] == -_ONE:
-                on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
-                batch[T, k] = _smooth_sought(drive, batch[U_RISE, k], on_at, off_at, phase)
+            batch[T, k], batch[IS_ON, k] = _smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase)
     else:
         for k in range(n):
             light, u_rise, u_fall = batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k]
@@ -134,15 +144,16 @@ def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
 # ---------------------------------------------------------------- square
 
 
-@njit(**JIT)
-def _steady_square(drive: Drive, light: float) -> tuple[float, float]:
+@njit(inline="always", **JIT)
+def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
     """Values of u at the rising and the falling edge in the periodic steady state, in closed form."""
-    i_high, i_low = drive.ambient + light * drive.w_high, drive.ambient + light * drive.w_low
-    decay_high = exp(-i_high * drive.high_us / drive.q_us)
-    decay_low = exp(-i_low * (drive.period_us - drive.high_us) / drive.q_us)
-    bright, dark = 1.0 / i_high, 1.0 / i_low
-    both = decay_high * decay_low
-    u_rise = (dark * (1.0 - decay_low) + bright * (1.0 - decay_high) * decay_low) / (1.0 - both)
+    i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
+    i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
+    decay_high = exp32(-i_high * np.float32(d.high_us / d.q_us))
+    decay_low = exp32(-i_low * np.float32((d.period_us - d.high_us) / d.q_us))
+    bright, dark = _ONE / i_high, _ONE / i_low
+    rise = dark * (_ONE - decay_low) + bright * (_ONE - decay_high) * decay_low
+    u_rise = rise / (_ONE - decay_high * decay_low)
     return u_rise, bright + (u_rise - bright) * decay_high
 
 
@@ -191,114 +202,71 @@ def _square_crossing(
 @njit(inline="always", **JIT)
 def _smooth_level(drive: Drive, level: Any, phase: float) -> Any:
     """Interpolate u at a phase on the atlas."""
-    bins = drive.atlas.shape[1] - 1
+    bins = drive.atlas.shape[0] - 1
     x = phase / drive.period_us * bins
     i = min(int(x), bins - 1)
     g = np.float32(x - i)
-    j = int(max(level, _ZERO))
+    here, there = drive.atlas[i], drive.atlas[i + 1]
+    j = np.uint32(np.int32(max(level, _ZERO)))
     f = level - np.float32(j)
-    a = drive.by_bin[i, j] + f * (drive.by_bin[i, j + 1] - drive.by_bin[i, j])
-    b = drive.by_bin[i + 1, j] + f * (drive.by_bin[i + 1, j + 1] - drive.by_bin[i + 1, j])
+    a = here[j] + f * (here[j + _NEXT] - here[j])
+    b = there[j] + f * (there[j + _NEXT] - there[j])
     return exp32(a + g * (b - a)) if level >= _ZERO else np.float32(1.0 / drive.ambient)
 
 
 @njit(inline="always", **JIT)
-def _between(table: NDArray, j: int, f: float, column: int) -> float:
-    """Interpolate between rows j and j + 1."""
-    return table[j, column] + f * (table[j + 1, column] - table[j, column])
+def _between(table: NDArray, j: Any, f: Any) -> Any:
+    """Interpolate between the entries j and j + 1 of a table."""
+    return table[j] + f * (table[j + _NEXT] - table[j])
 
 
 @njit(inline="always", **JIT)
-def _smooth_target(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> Any:
-    """Decide which threshold is crossed next: the present branch of the atlas is searched, then the one after it.
+def _on_curve(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
+    """Phase near ``at`` at which the atlas itself, as ``_smooth_level`` interpolates it, meets the target.
 
-    Returns ln u at the crossing, whether it is OFF, the bin before which it cannot lie, bins to add to its
-    place on the branch for its place after the phase's period start, and whether it never comes.
+    Each event takes its reference where the last one left it: were the two taken from curves that differ by a
+    trifle, it would add up from event to event.
     """
-    bins = np.float32(d.atlas.shape[1] - 1)
-    j = np.int32(max(level, _ZERO))
-    f = level - np.float32(j)
-    dark, bright = _between(d.turns, j, f, X_DARK), _between(d.turns, j, f, X_BRIGHT)
-    x = np.float32(phase / d.period_us) * bins
-    turn = bins if x < dark else _ZERO  # into the period that begins in the dark: dark <= x < dark + bins
-    rising = x + turn >= bright
-    can_on = _between(d.turns, j, f, U_BRIGHT) <= on_at
-    can_off = _between(d.turns, j, f, U_DARK) >= off_at
-    in_now = can_off if rising else can_on
-    off = rising == in_now
-    never = not (can_on or can_off) or level < _ZERO
-    earliest = x + turn if in_now else _ZERO
-    add = (bins if rising and not in_now else _ZERO) - turn
-    return log32(off_at if off else on_at), off, earliest, add, never
-
-
-@njit(inline="always", **JIT)
-def _along_slope(d: Drive, j: Any, f: Any, target: Any, at: Any) -> tuple[Any, Any]:
-    """Bin at which a straight line through the atlas near ``at`` meets the target, and how far that is."""
-    bins = np.int32(d.atlas.shape[1] - 1)
-    i = min(max(np.int32(at), np.int32(0)), 2 * bins - 1)
-    c = i - bins if i >= bins else i
-    here, there = _between(d.atlas, j, f, c), _between(d.atlas, j, f, c + 1)
-    slope = there - here
-    step = (target - here) / (slope if slope != _ZERO else _TINY)
-    return np.float32(i) + step, step
-
-
-@njit(inline="always", **JIT)
-def _smooth_guess(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> tuple[Any, Any]:
-    """Phase and polarity of a pixel's next crossing; -1 where the curve turns too close by to tell.
-
-    Errors would add up from event to event, each taking its reference where the last one left it: references
-    and crossings are taken from the very same curve, interpolated on the atlas. A table says about where; from
-    there it goes along the slope, twice.
-    """
-    bins = np.float32(d.atlas.shape[1] - 1)
-    j = np.int32(max(level, _ZERO))
-    f = level - np.float32(j)
-    target, off, earliest, add, never = _smooth_target(d, level, on_at, off_at, phase)
-    steps = np.float32(d.when.shape[2] - 1)
-    s = (target - _between(d.turns, j, f, LN_BRIGHT)) * _between(d.turns, j, f, LN_STEPS)
-    s = min(max(s, _ZERO), steps)
-    at = d.when[1 if off else 0, j, np.int32(s + np.float32(0.5))]
-    first, _ = _along_slope(d, j, f, target, at)
-    cross, step = _along_slope(d, j, f, target, first)
-    straight = abs(step - np.float32(0.5)) <= STRAIGHT and s > _ONE and s < steps - _ONE
-    t = (max(cross, earliest) + add) * np.float32(d.period_us) / bins
-    return _NEVER if never else t if straight else -_ONE, _ZERO if off else _ONE
-
-
-@njit(**JIT)
-def _smooth_sought(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> Any:
-    """Phase of a pixel's next crossing near a turn: sought by halving."""
-    j = np.int32(level)
-    f = level - np.float32(j)
-    target, off, earliest, add, _ = _smooth_target(d, level, on_at, off_at, phase)
-    cross = max(_crossing_bin(d, j, f, target, off), earliest)
-    return (cross + add) * np.float32(d.period_us / (d.atlas.shape[1] - 1))
+    bins = np.int32(d.atlas.shape[0] - 1)
+    levels = np.uint32(ATLAS_LEVELS)
+    bin_us = np.float32(d.period_us) / np.float32(bins)
+    i = min(np.int32(at / bin_us), 2 * bins - 1)
+    c = np.uint32(i - bins if i >= bins else i) * levels + j
+    flat = d.flat
+    here, there = _between(flat, c, f), _between(flat, c + levels, f)
+    share = (target - here) / (there - here)
+    return (np.float32(i) + share) * bin_us if abs(share - _HALF) <= _ONE else at
 
 
 @njit(inline="always", **JIT)
 def _smooth_crossing(d: Drive, level: Any, on_at: Any, off_at: Any, phase: float) -> tuple[Any, Any]:
-    """Phase and polarity of a pixel's next crossing on the atlas."""
-    t, on = _smooth_guess(d, level, on_at, off_at, phase)
-    if t == -_ONE:
-        t = _smooth_sought(d, level, on_at, off_at, phase)
-    return t, on
+    """Phase and polarity of a pixel's next crossing: on the present branch of the curve, or on the one after it.
 
-
-@njit(**JIT)
-def _crossing_bin(drive: Drive, j: int, f: float, target: float, off: bool) -> float:
-    """Bin at which ln u crosses the target, sought by halving on the branch of the atlas."""
-    bins = drive.atlas.shape[1] - 1
-    dark, bright = _between(drive.turns, j, f, X_DARK), _between(drive.turns, j, f, X_BRIGHT)
-    first, last = (bright, dark + bins) if off else (dark, bright)
-    low, high = int(first), int(last) + 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if (_between(drive.atlas, j, f, middle % bins) >= target) == off:
-            high = middle
-        else:
-            low = middle
-    here, there = _between(drive.atlas, j, f, low % bins), _between(drive.atlas, j, f, high % bins)
-    share = (target - here) / (there - here) if there != here else _ZERO
-    return min(max(low + min(max(share, _ZERO), _ONE), first), last)
+    ``Drive.when`` has the phase of a crossing over the light and the height of the target between the curve's
+    turns, in a scale that grows as the root of the distance from either turn, in which the phase is smooth.
+    """
+    j = np.uint32(np.int32(max(level, _ZERO)))
+    f = level - np.float32(j)
+    bright, dark = _between(d.turns[LN_BRIGHT], j, f), _between(d.turns[LN_DARK], j, f)
+    t_bright, t_dark = _between(d.turns[T_BRIGHT], j, f), _between(d.turns[T_DARK], j, f)
+    period = np.float32(d.period_us)
+    turn = period if np.float32(phase) < t_dark else _ZERO  # the period that begins in the dark
+    now = np.float32(phase) + turn
+    rising = now >= t_bright
+    on_ln, off_ln = log32(on_at), log32(off_at)
+    can_on, can_off = on_ln >= bright, off_ln <= dark
+    in_now = can_off if rising else can_on
+    off = rising == in_now
+    never = not (can_on or can_off) or level < _ZERO
+    target = off_ln if off else on_ln
+    above, below = max(target - bright, _ZERO), max(dark - target, _ZERO)
+    root = np.sqrt(min(above, below) / (dark - bright))
+    s = (root if above <= below else _ROOT_2 - root) * np.float32(WHEN_STEPS / math.sqrt(2.0))
+    k = np.uint32(np.int32(s))
+    g = s - np.float32(k)
+    i = (j + (np.uint32(ATLAS_LEVELS) if off else np.uint32(0))) * np.uint32(WHEN_STEPS + 2) + k
+    here, there = _between(d.when, i, g), _between(d.when, i + np.uint32(WHEN_STEPS + 2), g)
+    cross = _on_curve(d, j, f, target, here + f * (there - here))
+    cross = max(cross, now if in_now else _ZERO)
+    cross += (period if rising and not in_now else _ZERO) - turn
+    return _NEVER if never else cross, _ZERO if off else _ONE

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
@@ -22,12 +21,15 @@ from simulators.biases import PixelSettings
 from simulators.drive import Drive, make_drive
 from simulators.errors import SimulationMisuse
 from simulators.photoreceptor import N_BATCH
+from simulators.pixel_noise import fill_alias
 from simulators.sensor_state import BLOCK, GROUP, Pixels, Readout
 from simulators.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world import LightState
 
 EPOCH_US: Final = 16384.0
 """The pixels' times are counted from a multiple of this: float32 then resolves 4 ns."""
+GAIN_ONE: Final = 1 << sensor_state.ON_BITS
+"""The gain that is no threshold at all, as it is stored."""
 BUFFER_EVENTS: Final = 1 << 20
 
 PEAK_EVENTS_US: Final = 1066.0
@@ -114,6 +116,13 @@ class Sensor:
         self._drive: Drive | None = None
         self._picture = np.zeros((height, width), np.float32)
         self._now_us = 0.0
+
+    @property
+    def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Thresholds of this camera's pixels, ON and OFF, (height, width) each, in units of log intensity."""
+        gains = self._pixels.gains[:, : self.width, sensor_state.GAINS]
+        on, off = gains & np.uint32(GAIN_ONE - 1), gains >> np.uint32(sensor_state.ON_BITS)
+        return -np.log(on / GAIN_ONE), -np.log(off / GAIN_ONE)
 
     @property
     def stalled_us(self) -> float:
@@ -263,25 +272,27 @@ def _make_pixels(
     shape = (height, blocks * BLOCK)
     pattern = np.random.default_rng([camera_seed, 1])
 
-    def gain(threshold: float) -> NDArray[np.float32]:
+    def share(threshold: float) -> NDArray[np.uint32]:
         spread = 1.0 + noise.mismatch * pattern.standard_normal((height, width), np.float32)
-        return np.asarray(np.exp(threshold * np.maximum(spread, THINNEST_THRESHOLD)), np.float32)
+        gain = np.exp(-threshold * np.maximum(spread, THINNEST_THRESHOLD))
+        return np.clip(np.rint(gain * GAIN_ONE), 1, GAIN_ONE - 1).astype(np.uint32)
 
     cell = np.zeros((*shape, sensor_state.N_CELL), np.float32)
     cell[:, :, sensor_state.U_REF] = 1.0
-    cell[:, :, sensor_state.GAIN_ON] = 0.5
-    cell[:, :, sensor_state.GAIN_OFF] = 2.0
-    cell[:, :width, sensor_state.GAIN_ON] = 1.0 / gain(settings.threshold_on)
-    cell[:, :width, sensor_state.GAIN_OFF] = gain(settings.threshold_off)
+    gains = cell.view(np.uint32)
+    gains[:, :width, sensor_state.GAINS] = share(settings.threshold_on)
+    gains[:, :width, sensor_state.GAINS] |= share(settings.threshold_off) << np.uint32(sensor_state.ON_BITS)
     groups = -(-height // GROUP)
     return Pixels(
         t_next=np.full(shape, np.inf, np.float32),
+        is_on=np.zeros(shape, np.uint8),
         cell=cell,
+        gains=gains,
         block_min=np.full((height, blocks), np.inf, np.float32),
         row_min=np.full(groups * GROUP, np.inf, np.float32),
         group_min=np.full(groups, np.inf, np.float32),
         batch=np.zeros((N_BATCH, shape[1]), np.float32),
-        column=np.zeros(shape[1], np.int32),
+        column=np.zeros(shape[1], np.uint32),
         noise_t=np.zeros(sensor_state.AHEAD),
         noise_at=np.zeros(sensor_state.AHEAD, np.int64),
     )
@@ -298,9 +309,9 @@ def _make_readout(
     hot = pattern.choice(n, round(noise.hot_share * n), replace=False)
     rates[hot] = noise.hot_hz
     total = float(rates.sum())
-    share, other = np.ones(n, np.float32), np.arange(n, dtype=np.int32)
+    alias = np.zeros(n, np.uint64)
     if total > 0.0:
-        _fill_alias(rates * (n / total), share, other)
+        fill_alias(rates * (n / total), alias)
     return Readout(
         settings.dead_us,
         noise.reset_noise,
@@ -309,31 +320,6 @@ def _make_readout(
         float(link.words_us),
         float(link.fifo_words),
         total * 1e-6,
-        share,
-        other,
+        alias,
         ndtri((np.arange(4096) + 0.5) / 4096).astype(np.float32),
     )
-
-
-@njit(cache=True, nogil=True)
-def _fill_alias(scaled: NDArray, share: NDArray, other: NDArray) -> None:
-    """Fill Walker's alias table of rates scaled to a mean of 1 (Vose 1991); ``scaled`` is used up."""
-    n = scaled.size
-    small, large = np.empty(n, np.int32), np.empty(n, np.int32)
-    n_small = n_large = 0
-    for i in range(n):
-        if scaled[i] < 1.0:
-            small[n_small] = i
-            n_small += 1
-        else:
-            large[n_large] = i
-            n_large += 1
-    while n_small > 0 and n_large > 0:
-        n_small -= 1
-        i, j = small[n_small], large[n_large - 1]
-        share[i], other[i] = scaled[i], j
-        scaled[j] -= 1.0 - scaled[i]
-        if scaled[j] < 1.0:
-            n_large -= 1
-            small[n_small] = j
-            n_small += 1

@@ -9,7 +9,7 @@ times of the pixels are relative.
 
 from __future__ import annotations
 
-from math import floor, log
+from math import floor
 from typing import Any, Final
 
 import numpy as np
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from simulators import photoreceptor as pr
 from simulators.drive import Drive
-from simulators.fast_math import JIT
-from simulators.photoreceptor import crossings, levels_at, period_start
+from simulators.fast_math import JIT, KERNEL
+from simulators.photoreceptor import crossings, levels_at, period_start, steady_levels
+from simulators.pixel_noise import draw_arrivals, reset_error, reset_errors, uniform
 from simulators.sensor_state import (
     AHEAD,
     BLOCK,
@@ -28,24 +29,25 @@ from simulators.sensor_state import (
     FIFO_T,
     FREE,
     FULL,
-    GAIN_OFF,
-    GAIN_ON,
+    GAINS,
     GROUP,
-    IS_ON,
-    LIGHT,
     NOISE,
+    ON_BITS,
+    PLACE,
     QUEUE,
     STALL,
     T_LIVE,
-    U_FALL,
     U_REF,
-    U_RISE,
     Pixels,
     Readout,
-    oldest_row,
+    count_bits,
+    lowest_bit,
+    retime,
+    row_at,
     smallest,
     update_minima,
     update_row,
+    waiting,
 )
 
 VECTOR_FROM: Final = 5
@@ -53,25 +55,13 @@ VECTOR_FROM: Final = 5
 VECTOR_WORDS: Final = 4
 FEW: Final = 4
 """Events of a row below which they are worked on one by one, not as a batch."""
+LANES: Final = 16
+"""Pixels are worked on in multiples of this many."""
+LONE_WORDS: Final = 3
+"""EVT3 words of an event that is read alone."""
 LONGEST_ROW_WORDS: Final = 512
 """Room the link must have before a row is read."""
-
-
-@njit(inline="always", **JIT)
-def _random(s: NDArray) -> np.uint64:
-    """Next 64 random bits (xorshift128+; Vigna 2014)."""
-    a, b = s[0], s[1]
-    s[0] = b
-    a ^= a << np.uint64(23)
-    a ^= (a >> np.uint64(18)) ^ b ^ (b >> np.uint64(5))
-    s[1] = a
-    return a + b
-
-
-@njit(inline="always", **JIT)
-def _uniform(s: NDArray) -> float:
-    """Uniform in (0, 1)."""
-    return (np.int64(_random(s) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
+_GAIN: Final = np.float32(1.0 / 65536.0)
 
 
 @njit(**JIT)
@@ -81,20 +71,11 @@ def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArra
     They are drawn many at a time, and their pixels touched: memory then serves many at once, and has them
     ready when their time comes.
     """
-    n = ro.alias_share.size
-    t = after
-    for k in range(AHEAD):
-        t -= log(_uniform(random)) / ro.noise_rate_us
-        bits = _random(random)
-        i = np.int64(((bits >> np.uint64(32)) * np.uint64(n)) >> np.uint64(32))
-        share = np.float32(np.int64(bits & np.uint64(0xFFFFFF)) * (1.0 / 16777216.0))
-        px.noise_t[k] = t
-        px.noise_at[k] = 2 * (i if share < ro.alias_share[i] else np.int64(ro.alias_other[i]))
-        px.noise_at[k] += np.int64((bits >> np.uint64(24)) & np.uint64(1))
+    draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
     touched = np.float32(0.0)
     for k in range(AHEAD):
-        i = px.noise_at[k] >> 1
-        touched += px.cell[i // width, i % width, T_LIVE] + px.t_next[i // width, i % width]
+        r, c = (px.noise_at[k] >> 1) // width, (px.noise_at[k] >> 1) % width
+        touched += px.cell[r, c, T_LIVE] + px.t_next[r, c]
     return touched
 
 
@@ -105,7 +86,7 @@ def _place_noise(px: Pixels, at: int, width: int, t: float) -> None:
     if t < px.cell[r, c, T_LIVE] or px.t_next[r, c] <= t:
         return
     px.t_next[r, c] = t
-    px.cell[r, c, IS_ON] = at & 1
+    px.is_on[r, c] = at & 1
     b = c // BLOCK
     t32 = px.t_next[r, c]
     px.block_min[r, b] = min(px.block_min[r, b], t32)
@@ -120,43 +101,42 @@ def _block_words(n: int) -> int:
 
 
 @njit(forceinline=True, **JIT)
-def _gather_row(px: Pixels, r: int, t: float) -> tuple[int, int]:
-    """List the waiting pixels of a row in ``px.column``; return their number and that of their EVT3 words."""
-    n, words = 0, 2
+def _gather_row(px: Pixels, r: int, t: float) -> tuple[int, int, int]:
+    """List the waiting pixels of a row in ``px.column``; return their number, how many are ON, and their words."""
+    n, n_on, words = 0, 0, 2
     t32 = np.float32(t)
     for b in range(px.block_min.shape[1]):
         if px.block_min[r, b] > t32:
             continue
-        before, n_on = n, 0
-        for c in range(b * BLOCK, (b + 1) * BLOCK):
-            if px.t_next[r, c] <= t32:
-                px.column[n] = c
-                n += 1
-                n_on += px.cell[r, c, IS_ON] != 0.0
-        words += _block_words(n_on) + _block_words(n - before - n_on)
-    return n, words
+        first, last = b * BLOCK, (b + 1) * BLOCK
+        asking, on = waiting(px.t_next[r, first:last], px.is_on[r, first:last], t32)
+        all_here, on_here = int(count_bits(asking)), int(count_bits(on))
+        for _ in range(all_here):
+            px.column[n] = np.uint32(first) + lowest_bit(asking)
+            asking &= asking - np.uint32(1)
+            n += 1
+        n_on += on_here
+        words += _block_words(on_here) + _block_words(all_here - on_here)
+    return n, n_on, words
 
 
 @njit(forceinline=True, **JIT)
-def _emit_row(px: Pixels, r: int, n: int, stamp: int, out: tuple, first: int) -> None:
+def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: tuple, first: int) -> None:
     """Write a row's events: ON first, then OFF, each from left to right."""
     ts, xs, ys, ps = out
-    i = first
-    for on in (1, 0):
-        for k in range(n):
-            if (px.cell[r, px.column[k], IS_ON] != 0.0) == (on == 1):
-                ts[i], xs[i], ys[i], ps[i] = stamp, px.column[k], r, on
-                i += 1
-
-
-@njit(inline="always", **JIT)
-def _reset_error(ro: Readout, random: NDArray) -> Any:
-    """Factor on u of a new reference: noise of the reset, in units of log intensity."""
-    if ro.reset_noise == 0.0:
-        return np.float32(1.0)
-    return (
-        np.float32(1.0) + np.float32(ro.reset_noise) * ro.normals[np.int64(_random(random) >> np.uint64(52))]
-    )
+    i_on, i_off = first, first + n_on
+    for k in range(n):
+        c = px.column[k]
+        on = int(px.is_on[r, c])
+        xs[i_on if on else i_off] = c
+        i_on += on
+        i_off += 1 - on
+    for i in range(first, first + n):
+        ts[i] = stamp
+    for i in range(first, first + n):
+        ys[i] = r
+    for i in range(first, first + n):
+        ps[i] = i < first + n_on
 
 
 @njit(forceinline=True, **JIT)
@@ -164,15 +144,51 @@ def _reset_pixel(
     px: Pixels, drive: Drive, ro: Readout, r: int, c: int, phase: float, start: float, random: NDArray
 ) -> None:
     """Give one pixel its new reference at a phase, and its next crossing: ``_reset_row`` for a row of one."""
-    light, u_rise, u_fall = px.cell[r, c, LIGHT], px.cell[r, c, U_RISE], px.cell[r, c, U_FALL]
-    u = pr.level_at(drive, light, u_rise, u_fall, phase) * _reset_error(ro, random)
-    on_at, off_at = u * px.cell[r, c, GAIN_ON], u * px.cell[r, c, GAIN_OFF]
+    light = px.cell[r, c, PLACE]
+    u_rise, u_fall = pr.steady(drive, light)
+    u = pr.level_at(drive, light, u_rise, u_fall, phase) * reset_error(ro.normals, ro.reset_noise, random)
+    on_at, off_at = _targets(u, px.gains[r, c, GAINS])
     cross, on = pr.crossing(drive, light, u_rise, u_fall, on_at, off_at, phase)
     live = np.float32(start + phase)
     px.cell[r, c, U_REF] = u
     px.cell[r, c, T_LIVE] = live
-    px.cell[r, c, IS_ON] = on
+    px.is_on[r, c] = np.uint8(on)
     px.t_next[r, c] = max(live, np.float32(start) + cross)
+
+
+@njit(inline="always", **JIT)
+def _targets(u: Any, gains: Any) -> tuple[Any, Any]:
+    """Levels at which a pixel fires, from its reference and its gains."""
+    on = np.float32(np.int32(gains & np.uint32(0xFFFF))) * _GAIN
+    off = np.float32(np.int32(gains >> np.uint32(ON_BITS))) * _GAIN
+    return u * on, u / off
+
+
+@njit(**KERNEL)
+def _load(cell: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
+    """Fetch the places of the listed pixels of a row into the batch."""
+    for k in range(n):
+        batch[pr.LIGHT, k] = cell[column[k], PLACE]
+
+
+@njit(**KERNEL)
+def _aim(gains: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
+    """Fill in the levels at which the pixels of the batch fire."""
+    for k in range(n):
+        batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = _targets(batch[pr.U, k], gains[column[k], GAINS])
+
+
+@njit(**KERNEL)
+def _store(px_row: tuple, column: NDArray, batch: NDArray, n: int, start: float, live: float) -> None:
+    """Put the references and the next crossings of the batch back to the listed pixels of a row."""
+    cell, t_next, is_on = px_row
+    start32, live32 = np.float32(start), np.float32(live)
+    for k in range(n):
+        c = column[k]
+        cell[c, U_REF] = batch[pr.U, k]
+        cell[c, T_LIVE] = live32
+        t_next[c] = max(live32, start32 + batch[pr.T, k])
+        is_on[c] = np.uint8(batch[pr.IS_ON, k])
 
 
 @njit(forceinline=True, **JIT)
@@ -193,27 +209,16 @@ def _reset_row(
     phase = t_live - start
     if n < FEW:
         for k in range(n):
-            _reset_pixel(px, drive, ro, r, px.column[k], phase, start, random)
+            _reset_pixel(px, drive, ro, r, np.int64(px.column[k]), phase, start, random)
         return
-    batch, column = px.batch, px.column
-    for k in range(n):
-        c = column[k]
-        batch[pr.LIGHT, k], batch[pr.U_RISE, k] = px.cell[r, c, LIGHT], px.cell[r, c, U_RISE]
-        batch[pr.U_FALL, k] = px.cell[r, c, U_FALL]
-        batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = px.cell[r, c, GAIN_ON], px.cell[r, c, GAIN_OFF]
-    levels_at(drive, batch, n, phase)
-    for k in range(n):
-        batch[pr.U, k] *= _reset_error(ro, random)
-        batch[pr.ON_AT, k] *= batch[pr.U, k]
-        batch[pr.OFF_AT, k] *= batch[pr.U, k]
-    crossings(drive, batch, n, phase)
-    start32, live32 = np.float32(start), np.float32(t_live)
-    for k in range(n):
-        c = column[k]
-        px.cell[r, c, U_REF] = batch[pr.U, k]
-        px.cell[r, c, T_LIVE] = live32
-        px.cell[r, c, IS_ON] = batch[pr.IS_ON, k]
-        px.t_next[r, c] = max(live32, start32 + batch[pr.T, k])
+    whole = -(-n // LANES) * LANES  # the rest of the batch holds pixels of former rows: harmless
+    _load(px.cell[r], px.column, px.batch, whole)
+    steady_levels(drive, px.batch, whole)
+    levels_at(drive, px.batch, whole, phase)
+    reset_errors(ro.normals, ro.reset_noise, random, px.batch[pr.U], n)
+    _aim(px.gains[r], px.column, px.batch, whole)
+    crossings(drive, px.batch, whole, phase)
+    _store((px.cell[r], px.t_next[r], px.is_on[r]), px.column, px.batch, n, start, t_live)
 
 
 @njit(forceinline=True, **JIT)
@@ -224,6 +229,46 @@ def _update_blocks(px: Pixels, r: int, t: float) -> None:
         if px.block_min[r, b] <= t32:
             px.block_min[r, b] = smallest(px.t_next[r, b * BLOCK : (b + 1) * BLOCK])
     update_row(px, r)
+
+
+@njit(forceinline=True, **JIT)
+def _next_noise(px: Pixels, ro: Readout, width: int, state: NDArray, random: NDArray) -> None:
+    """Go on to the next background or hot-pixel event."""
+    queue = int(state[QUEUE])
+    if queue + 1 == AHEAD:
+        draw_noise(px, ro, width, state[NOISE], random)
+        queue = -1
+    state[QUEUE] = queue + 1
+    state[NOISE] = px.noise_t[queue + 1]
+
+
+@njit(forceinline=True, **JIT)
+def _read_alone(
+    px: Pixels, drive: Drive, ro: Readout, at: int, width: int, state: NDArray, start: float, random: NDArray,
+    out: tuple, n: int,
+) -> int:  # fmt: skip
+    """Read the one pixel that a noise event makes request while nothing else waits; return the events written."""
+    r, c = (at >> 1) // width, (at >> 1) % width
+    t = state[NOISE]
+    if t < px.cell[r, c, T_LIVE]:
+        return 0
+    ts, xs, ys, ps = out
+    ts[n], xs[n], ys[n], ps[n] = np.int64(floor(state[EPOCH] + t)), c, r, at & 1
+    t_live = t + ro.dead_us
+    start += floor((t_live - start) / drive.period_us) * drive.period_us
+    before = px.t_next[r, c]
+    _reset_pixel(px, drive, ro, r, c, t_live - start, start, random)
+    retime(px, r, c, before)
+    _account(state, ro, t, 1, LONE_WORDS)
+    return 1
+
+
+@njit(forceinline=True, **JIT)
+def _account(state: NDArray, ro: Readout, t: float, n: int, words: int) -> None:
+    """Keep the arbiter and the link busy for a row read at t."""
+    state[FREE] = t + ro.row_us + n * ro.event_us
+    state[FIFO] = max(0.0, state[FIFO] - (t - state[FIFO_T]) * ro.link_words_us) + words
+    state[FIFO_T] = t
 
 
 @njit(**JIT)
@@ -258,37 +303,33 @@ def read_rows(
     n = 0
     state[FULL] = 0.0
     while True:
-        r = oldest_row(px)
-        t = max(np.float64(px.row_min[r]), state[FREE])
+        oldest = np.float64(smallest(px.group_min))
         # The link drains while the arbiter waits for room for the longest row.
         t_link = state[FIFO_T] + (state[FIFO] + LONGEST_ROW_WORDS - ro.fifo_words) / ro.link_words_us
-        stall = max(0.0, t_link - t)
-        t += stall
+        t = max(oldest, state[FREE], t_link)
         if min(t, state[NOISE]) >= until:
             break
-        if state[NOISE] <= t:
-            queue = int(state[QUEUE])
-            _place_noise(px, px.noise_at[queue], width, state[NOISE])
-            if queue + 1 == AHEAD:
-                draw_noise(px, ro, width, state[NOISE], random)
-                queue = -1
-            state[QUEUE] = queue + 1
-            state[NOISE] = px.noise_t[queue + 1]
-            continue
         if n > room:
             state[FULL] = 1.0
             break
-        if t - start >= drive.period_us:
-            start = period_start(drive, state[EPOCH], t)
-        n_row, words = _gather_row(px, r, t)
-        _emit_row(px, r, n_row, np.int64(floor(state[EPOCH] + t)), out, n)
+        if min(t, state[NOISE]) - start >= drive.period_us:
+            start = period_start(drive, state[EPOCH], min(t, state[NOISE]))
+        if state[NOISE] <= t:
+            at = px.noise_at[int(state[QUEUE])]
+            if state[NOISE] < oldest and max(state[FREE], t_link) <= state[NOISE]:
+                n += _read_alone(px, drive, ro, at, width, state, start, random, out, n)
+            else:
+                _place_noise(px, at, width, state[NOISE])
+            _next_noise(px, ro, width, state, random)
+            continue
+        r = row_at(px, smallest(px.group_min))
+        n_row, n_on, words = _gather_row(px, r, t)
+        _emit_row(px, r, n_row, n_on, np.int64(floor(state[EPOCH] + t)), out, n)
         _reset_row(px, drive, ro, r, n_row, t, start, random)
         _update_blocks(px, r, t)
         n += n_row
-        state[FREE] = t + ro.row_us + n_row * ro.event_us
-        state[FIFO] = max(0.0, state[FIFO] - (t - state[FIFO_T]) * ro.link_words_us) + words
-        state[FIFO_T] = t
-        state[STALL] += stall
+        state[STALL] += max(0.0, t_link - max(oldest, state[FREE]))
+        _account(state, ro, t, n_row, words)
     return n
 
 
@@ -297,16 +338,10 @@ def read_rows(
 
 @njit(**JIT)
 def see(px: Pixels, drive: Drive, picture: NDArray) -> None:
-    """Take over a picture, (rows, width), and find each pixel's steady state under the light."""
-    batch = px.batch
-    width = picture.shape[1]
+    """Take over a picture, (rows, width)."""
     for r in range(picture.shape[0]):
-        for c in range(width):
-            batch[pr.LIGHT, c] = picture[r, c]
-        pr.steady_levels(drive, batch, width)
-        for c in range(width):
-            px.cell[r, c, LIGHT] = batch[pr.LIGHT, c]
-            px.cell[r, c, U_RISE], px.cell[r, c, U_FALL] = batch[pr.U_RISE, c], batch[pr.U_FALL, c]
+        for c in range(picture.shape[1]):
+            px.cell[r, c, PLACE] = pr.place(drive, picture[r, c])
 
 
 @njit(**JIT)
@@ -333,10 +368,10 @@ def redrive(
     start = period_start(drive, state[EPOCH], t)
     for r in range(px.t_next.shape[0]):
         for c in range(width):
-            batch[pr.LIGHT, c] = px.cell[r, c, LIGHT]
-            batch[pr.U_RISE, c], batch[pr.U_FALL, c] = px.cell[r, c, U_RISE], px.cell[r, c, U_FALL]
-            batch[pr.ON_AT, c] = px.cell[r, c, U_REF] * px.cell[r, c, GAIN_ON]
-            batch[pr.OFF_AT, c] = px.cell[r, c, U_REF] * px.cell[r, c, GAIN_OFF]
+            batch[pr.LIGHT, c] = px.cell[r, c, PLACE]
+            targets = _targets(px.cell[r, c, U_REF], px.gains[r, c, GAINS])
+            batch[pr.ON_AT, c], batch[pr.OFF_AT, c] = targets
+        steady_levels(drive, batch, width)
         levels_at(drive, batch, width, t - start)
         crossings(drive, batch, width, t - start)
         for c in range(width):
@@ -345,7 +380,7 @@ def redrive(
             cross, on = start + batch[pr.T, c], batch[pr.IS_ON, c]
             u = batch[pr.U, c]
             if u <= batch[pr.ON_AT, c] or u >= batch[pr.OFF_AT, c]:
-                cross, on = t + step_us * _uniform(random), np.float32(u <= batch[pr.ON_AT, c])
+                cross, on = t + step_us * uniform(random), np.float32(u <= batch[pr.ON_AT, c])
             px.t_next[r, c] = max(np.float64(px.cell[r, c, T_LIVE]), cross)
-            px.cell[r, c, IS_ON] = on
+            px.is_on[r, c] = np.uint8(on)
     update_minima(px)

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from simulators import sensor_state
 from simulators.biases import ALLOWED, PixelSettings
 from simulators.errors import SimulationMisuse
 from simulators.pixels import Link, Sensor, simulate
@@ -74,13 +73,13 @@ def test_events_are_those_of_the_differential_equation(light, shape, tolerance_u
     sensor = Sensor(width, height, noise=MISMATCH_ONLY, settings=setting, camera_seed=3, link=Link.ideal())
     sensor.begin(scene, light, phase)
     events = sensor.run(duration)
-    gains = sensor._pixels.cell[:, 0, [sensor_state.GAIN_ON, sensor_state.GAIN_OFF]].astype(float)
+    on, off = sensor.thresholds
     period = light.period_us
     compared = 0
     for y in range(height):
         times, polarities = solve_step_by_step(
             float(scene[y, 0]), period, phase * period, shape, light.low, light.high, 0.5, setting.ambient,
-            q_us, -np.log(gains[y, 0]), np.log(gains[y, 1]), setting.dead_us, -2 * period, duration,
+            q_us, on[y, 0], off[y, 0], setting.dead_us, -2 * period, duration,
         )  # fmt: skip
         expected = [(t, p) for t, p in zip(times, polarities, strict=True) if t >= 0.0]
         found_t, found_p = by_pixel(events, 0, y)
