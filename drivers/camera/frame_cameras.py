@@ -159,7 +159,7 @@ class OpenCvFrameCamera:
         return cls(source, serial=serial, clock=clock, system=system)
 
     def identify(self) -> CameraIdentity:
-        """Tell the source's name and the size it sends. Raises WrongDevice when it is another one by now."""
+        """Tell the source's name and size. Raises CameraLost, and WrongDevice when it is another one by now."""
         serial = self._see_serial()
         width = int(self._source.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = int(self._source.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -192,7 +192,10 @@ class OpenCvFrameCamera:
         if self._network:
             # Any number of pictures may wait on the way from a network camera: a new connection has none of them.
             self._source.release()
-            self._source = self._opened()
+            try:
+                self._source = self._opened()
+            except CameraNotFound as error:
+                raise CameraLost(error.what, where=error.where, remedy=error.remedy) from error
         for _ in range(STALE_FRAMES if self._device is not None else 0):
             self._clock.sleep(0.0)
             self._source.grab()
@@ -241,7 +244,16 @@ class OpenCvFrameCamera:
         return cv2.VideoCapture(int(self._name))
 
     def _see_serial(self) -> str:
-        found = usb_serial(self._device, self._system) if self._device is not None else ""
+        found = ""
+        if self._device is not None:
+            if self._system.is_dir() and not (self._system / self._device.name).exists():
+                gone = CameraNotFound if self._source is None else CameraLost
+                raise gone(
+                    "There is no such video device.",
+                    where=self._where,
+                    remedy="Plug the camera in; `starbench devices` lists those that are there.",
+                )
+            found = usb_serial(self._device, self._system)
         if self._serial and found != self._serial:
             told = f"camera {found}" if found else "a camera that tells no serial number"
             raise WrongDevice(

@@ -193,7 +193,7 @@ def test_a_network_camera_that_goes_away_is_told_within_its_deadline(simulated, 
     camera = OpenCvFrameCamera.open(simulated.address, clock=SystemClock())
     simulated.close()
     began = time.monotonic()
-    with pytest.raises((CameraLost, CameraNotFound)):
+    with pytest.raises(CameraLost):
         camera.capture(tmp_path / "pose.tif", 2)
     assert time.monotonic() - began < 3 * SILENCE_S
     assert not list(tmp_path.iterdir())
@@ -259,7 +259,7 @@ def test_a_frame_camera_of_another_number_is_refused_before_anything_moves(tmp_p
 
 def test_a_source_that_is_not_there_is_told_in_our_words_alone(capfd):
     for name in ("tcp://127.0.0.1:1", "/dev/video77"):
-        with pytest.raises(CameraNotFound, match="cannot open the video source"):
+        with pytest.raises(CameraNotFound, match=r"cannot open the video source|no such video device"):
             OpenCvFrameCamera.open(name, clock=SystemClock())
     assert capfd.readouterr() == ("", "")
 

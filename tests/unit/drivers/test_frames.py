@@ -280,6 +280,16 @@ def test_an_unplugged_video_device_is_told_and_leaves_no_file(video, webcam, tmp
     assert not list(tmp_path.glob("a*"))
 
 
+def test_a_video_device_that_is_gone_is_lost_and_not_taken_for_another_one(video, webcam, tmp_path):
+    _, system = video
+    (system / "video7").rename(system / "video8")
+    with pytest.raises(CameraLost, match="no such video device"):
+        webcam.capture(tmp_path / "a.tiff", 1)
+    webcam.close()
+    with pytest.raises(CameraNotFound, match="no such video device"):
+        OpenCvFrameCamera.open("/dev/video7", serial="8A0A3C5F", clock=SystemClock(), system=system)
+
+
 def test_every_capture_of_a_network_camera_is_a_new_connection(monkeypatch, tmp_path):
     opened = []
     monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: opened.append(Live()) or opened[-1])
