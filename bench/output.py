@@ -288,11 +288,11 @@ def write_station(path: Path, name: str, stage: str, camera: str | None, found: 
 
 def print_schema(document: str) -> int:
     """Print the JSON Schema of a kind of file."""
-    from bench.station import Station
     from pydantic import BaseModel
 
-    from sequences.schema import Sequence
+    from bench.station import Station
     from sequences.queue import JobFile, Queue
+    from sequences.schema import Sequence
 
     models: dict[str, type[BaseModel]] = {
         "sequence": Sequence,
