@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 #: The robust loss's limit in robust standard deviations per axis, and how often it is measured anew.
 _LIMIT_SIGMAS = 2.5
 _LIMIT_ROUNDS = 3
+#: From this 1-sigma of a focal length on, as a share of it, views count as weak and are named so.
+_WEAK = 0.01
 #: Median length of a residual vector over its standard deviation per axis (Rayleigh): sqrt(2 ln 2).
 _RAYLEIGH_MEDIAN = 1.1774100225154747
 
@@ -278,10 +280,13 @@ def summary(fitted: Fit) -> Calibration:
 
 def _notes(fitted: Fit) -> tuple[str, ...]:
     """Say what the reader should know."""
+    notes = _weakness(fitted)
     if not fitted.known.disagree:
-        return ()
+        return tuple(notes)
     ratio = f"{fitted.known.disagreement:.1f} times more than their stars' noise explains"
-    notes = [f"The views disagree {ratio}; the uncertainties say so. A {fitted.model} collimator is not all."]
+    notes.append(
+        f"The views disagree {ratio}; the uncertainties say so. A {fitted.model} collimator is not all."
+    )
     if fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:
         drift = centre_drift(fitted.bundle, fitted.state, fitted.loss)
         if np.linalg.norm(drift) > WORRYING:
@@ -291,6 +296,18 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
                 "is biased. Let the data choose a model, or use a passport with the collimator's imperfections."
             )
     return tuple(notes)
+
+
+def _weakness(fitted: Fit) -> list[str]:
+    """Name views that leave a focal length hardly known, and why they do."""
+    sigmas = np.sqrt(np.diag(fitted.known.covariance))
+    known = dict(zip(fitted.known.names, sigmas / fitted.state.values(fitted.known.names), strict=True))
+    name = max(("fx", "fy"), key=lambda focal: known[focal])
+    if known[name] < _WEAK:
+        return []
+    why = degeneracy.reason(fitted.views, fitted.state)
+    text = f"Weak geometry: {name} is known to {100 * known[name]:.1f} % only (1 sigma). {why}".strip()
+    return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
 
 
 def _rms(lengths: Array) -> float:

@@ -119,3 +119,14 @@ def test_a_refinement_cut_short_says_so(bench):
 def test_an_option_without_meaning_is_refused(option):
     with pytest.raises(InputMismatch):
         CalibrationOptions(**option)
+
+
+def test_views_that_hardly_tell_the_focal_length_are_named_weak(make_bench):
+    narrow = make_bench(half_angle_deg=4.0, poses=((-4, 0), (4, 0.3, 20)))
+    result = calibrate(narrow.views(np.random.default_rng(27), 0.05))
+    assert result.sigma["fx"] > 0.01 * result.camera.fx
+    (note,) = [note for note in result.notes if "Weak geometry" in note]
+    assert note.startswith("Weak geometry: f")
+    assert "too narrow a beam" in note
+    strong = calibrate(make_bench().views(np.random.default_rng(28), 0.05))
+    assert not [note for note in strong.notes if "Weak" in note]
