@@ -104,9 +104,12 @@ class RunMachine:
         transitions.MachineError
             When there is no such edge from the present state.
         Exception
-            Whatever the work raises; the machine then stays in the state whose work failed.
+            Whatever the work raises, or the telling; the machine then stays in the state whose work failed.
         """
+        self._untold: Exception | None = None
         self.trigger(trigger, **facts)  # type: ignore[attr-defined]
+        if self._untold is not None:
+            raise self._untold
 
     def can(self, trigger: str) -> bool:
         """Whether that edge leaves the present state."""
@@ -127,4 +130,7 @@ class RunMachine:
         facts: dict[str, Any] = {"state": self.state}
         if event.error is not None:
             facts["error"] = f"{type(event.error).__name__}: {event.error}"
-        self._tell("left_off", facts)
+        try:
+            self._tell("left_off", facts)
+        except Exception as error:  # noqa: BLE001 - `transitions` would only log it; `fire` raises it
+            self._untold = error

@@ -196,8 +196,9 @@ class Runner:
         with self._clock.shielded():
             try:
                 self._folder.release_reserve()
-                self._machine.fire("abort")
-                self._machine.fire(last_edge)
+                if self._machine.can("abort"):  # not where it had finished, and only that could not be told
+                    self._machine.fire("abort")
+                    self._machine.fire(last_edge)
                 self._log.tell(Event.RUN_ENDED, how=how, why=why, **({"crashed": True} if crashed else {}))
             except StorageError as error:
                 why = f"{why} Besides, the journal could not be told: {error}"

@@ -81,6 +81,21 @@ def is_ours(pid):
     return b"bench" in words and (b"run" in words or b"resume" in words)
 
 
+def lines_written(night):
+    """How many lines the journals of a batch and its runs have."""
+    journals = [night.folder / "journal.jsonl", *(run / "journal.jsonl" for run in night.runs())]
+    return sum(path.read_bytes().count(b"\n") for path in journals if path.exists())
+
+
+def wait_for_lines(night, chance):
+    """Wait until so many lines have been written, drawn by chance, and a moment more; however fast the machine is."""
+    wanted = lines_written(night) + chance.randint(0, 40)
+    deadline = time.monotonic() + PATIENCE_S
+    while lines_written(night) < wanted and not night.done() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    time.sleep(chance.uniform(0.0, 0.5))
+
+
 def stored(run):
     return [(e["pose"], e["attempt"], e["sha256"]) for e in journal(run) if e["event"] == "capture_stored"]
 
@@ -124,7 +139,7 @@ def test_a_batch_killed_at_random_moments_loses_nothing_doubles_nothing_and_ends
         night, told = Night(queue, tmp_path / f"night-{batches}", home), {}
         killed_here = 0
         while not night.done():
-            time.sleep(chance.uniform(0.2, 6.0))
+            wait_for_lines(night, chance)
             if kills.total() < KILLS and not night.done():
                 kind = chance.choice(("worker", "supervisor", "both"))
                 if night.kill(kind):
@@ -135,6 +150,11 @@ def test_a_batch_killed_at_random_moments_loses_nothing_doubles_nothing_and_ends
                         {"event": "nothing"},
                     )
                     at_state[last.get("state", last["event"])] += 1
+                    if kills.total() % 10 == 0:
+                        print(
+                            f"{kills.total()} kills after {(time.monotonic() - began) / 60:.1f} min",
+                            flush=True,
+                        )
                 see_that_nothing_is_lost(night, told)
         out, err = night.process.communicate()
         assert night.process.returncode == 0, out + err

@@ -43,7 +43,7 @@ class Scene:
         sequence = write_sequence(folder / "sequence.yaml", poses, attempts=attempts, end=end)
         planned = plan(*load(str(sequence), str(write_station(folder / "station.yaml", station))))
         assert not planned.faults, [str(fault) for fault in planned.faults]
-        self._task = Job.from_plan(planned, seed=1, operator=None)
+        self.task = Job.from_plan(planned, seed=1, operator=None)
         self.hook = lambda _name: None
         self.opened = []
         self.calls = []
@@ -52,7 +52,7 @@ class Scene:
 
     def run(self, *, journal_type=UnsyncedJournal):
         """Run, or go on; on a clock of its own, as a new process has."""
-        task = self._task
+        task = self.task
         self.clock = VirtualClock(self.clock.utc_now())
         job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, self.clock)
         return rehearse_job(job, self.folder, partial(self._open, job), journal_type)

@@ -87,6 +87,17 @@ def test_a_state_whose_intent_cannot_be_told_is_not_entered():
     assert did == []
 
 
+def test_an_outcome_that_cannot_be_told_is_an_error():
+    def full(event, facts):
+        if event == "left_off":
+            raise OSError("disk full")
+
+    machine = RunMachine({}, full)
+    with pytest.raises(OSError, match="disk full"):
+        machine.fire("preflight")
+    assert machine.state == "preflight"
+
+
 def test_work_for_an_unknown_state_is_refused():
     with pytest.raises(ValueError, match="dancing"):
         RunMachine({"dancing": lambda **_: None}, lambda *_: None)

@@ -1,0 +1,154 @@
+"""Whatever a journal was cut off at, whatever the disk or the clock does in the midst of a run: it goes on, or says why not."""
+
+import errno
+import os
+import shutil
+from datetime import timedelta
+
+import pytest
+from rehearsed import Journal, Scene
+
+from bench.clock import VirtualClock
+from bench.errors import BenchError, RunFolderError, StorageError
+from bench.history import Event, replay
+from bench.journal import CLOCK_JUMPED, read_journal
+from bench.launch import read_intentions
+from bench.resumption import intentions
+
+END = "  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
+
+
+def accepted(scene):
+    return sorted(d["pose"] for d in scene.told(Event.ATTEMPT_CHECKED) if d["accepted"])
+
+
+# ---------------------------------------------------------------- cut off at any byte
+
+
+@pytest.fixture
+def lived(tmp_path):
+    """A run that ended, and its journal."""
+    scene = Scene(tmp_path)
+    assert scene.run().how == "finished"
+    return scene, (scene.folder / "journal.jsonl").read_bytes()
+
+
+def test_every_prefix_of_a_journal_reads_as_its_whole_lines_and_says_what_comes_next(lived):
+    scene, data = lived
+    path, ends = scene.folder / "journal.jsonl", [i + 1 for i, byte in enumerate(data) if byte == ord("\n")]
+    entries, _ = read_journal(path)
+    said = set()
+    for size in range(len(data) + 1):
+        path.write_bytes(data[:size])
+        whole = sum(end <= size for end in ends)
+        found, torn = read_journal(path)
+        assert found == entries[:whole]
+        assert torn == data[([0, *ends][whole]) : size]
+        if size in {0, *ends} or size + 1 in ends:  # nothing else comes of the bytes between
+            said.add(next_of(scene, found))
+    assert len(said) > 5
+
+
+def next_of(scene, entries):
+    """What resuming would do; a run without a line cannot, and says so."""
+    if not entries:
+        with pytest.raises(RunFolderError, match="Start it anew") as caught:
+            read_intentions(scene.folder)
+        return str(caught.value)
+    return " ".join(intentions(scene.task, replay(entries), None))
+
+
+def test_a_run_cut_off_after_any_line_goes_on_to_the_same_end(lived, tmp_path):
+    scene, data = lived
+    lines = data.splitlines(keepends=True)
+    for count in range(1, len(lines)):
+        folder = tmp_path / f"cut-{count}"
+        shutil.copytree(scene.folder, folder)
+        (folder / "journal.jsonl").write_bytes(b"".join(lines[:count]) + lines[count][:7])  # and one torn
+        again = Scene(tmp_path)
+        again.folder = folder
+        assert again.run().how == "finished", count
+        assert accepted(again) == [1, 2]
+        assert again.told(Event.RUN_RESUMED)[0]["torn_bytes"] == 7
+        told = b"".join(lines[:count]).count(b'"event":"capture_stored"')
+        kept = [d["sha256"] for d in again.told(Event.CAPTURE_STORED)]
+        assert kept[:told] == [d["sha256"] for d in scene.told(Event.CAPTURE_STORED)][:told]
+        assert len(list((folder / "captures").iterdir())) == 2
+
+
+# ---------------------------------------------------------------- the system's time is set in the midst
+
+
+@pytest.mark.parametrize("hours", [-5, 5])
+def test_a_clock_that_is_set_is_told_and_changes_nothing_else(tmp_path, monkeypatch, hours):
+    scene = Scene(tmp_path)
+    utc_now = VirtualClock.utc_now
+    set_by = [timedelta()]
+    monkeypatch.setattr(VirtualClock, "utc_now", lambda clock: utc_now(clock) + set_by[0])
+
+    def hook(name):
+        if name == "camera.record":
+            set_by[0] = timedelta(hours=hours)
+
+    scene.hook = hook
+    assert scene.run().how == "finished"
+    (jump,) = scene.told(CLOCK_JUMPED)
+    assert jump["jump_s"] == pytest.approx(3600 * hours, abs=2)
+    assert accepted(scene) == [1, 2]
+    entries, _ = read_journal(scene.folder / "journal.jsonl")
+    assert [e.mono_s for e in entries] == sorted(e.mono_s for e in entries)
+    assert entries[-1].mono_s - entries[0].mono_s < 60
+
+
+# ---------------------------------------------------------------- the disk refuses in the midst
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("call", ["fsync", "write"])
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC], ids=errno.errorcode.get)
+def test_a_disk_that_refuses_any_one_call_ends_the_run_dark_and_told_and_it_goes_on(
+    tmp_path, monkeypatch, call, number
+):
+    ends = set()
+    for passing in range(1000):
+        (tmp_path / f"{passing}").mkdir()
+        scene = Scene(tmp_path / f"{passing}")
+        refused = []
+        with monkeypatch.context() as patch:
+            refuse_once(patch, call, passing, number, refused)
+            try:
+                ends.add(scene.run(journal_type=Journal).how)
+            except StorageError:  # before there was a run that could tell it
+                ends.add("told")
+        if not refused:
+            break
+        assert not scene.light_is_on()
+        see_that_it_goes_on(scene)
+    assert passing > 20
+    assert {"failed", "told"} <= ends
+
+
+def refuse_once(patch, call, passing, number, refused):
+    """Let so many calls pass and refuse one; syncs cost nothing here, no process dies."""
+    real = {"fsync": lambda _descriptor: None, "write": os.write}
+    calls = [0]
+
+    def refusing(*words):
+        calls[0] += 1
+        if calls[0] == passing + 1:
+            refused.append(words)
+            raise OSError(number, os.strerror(number))
+        return real[call](*words)
+
+    patch.setattr(os, "fsync", real["fsync"])
+    patch.setattr(os, call, refusing)
+
+
+def see_that_it_goes_on(scene):
+    begun = (scene.folder / "journal.jsonl").exists() and read_journal(scene.folder / "journal.jsonl")[0]
+    if begun and scene.told(Event.RUN_ENDED)[-1:] != [{"how": "finished", "why": ""}]:
+        assert scene.run().how == "finished"
+        assert accepted(scene) == [1, 2]
+    elif not begun:
+        with pytest.raises(BenchError):
+            read_intentions(scene.folder)
