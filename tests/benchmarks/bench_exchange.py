@@ -1,12 +1,15 @@
-"""Round trips a second over a pseudo-terminal: bare pyserial, our driver, the maker's own client.
+"""Round trips a second over a pseudo-terminal: bare pyserial, our driver, the maker's own client; and how fast a stop is.
 
 The simulated controller answers without the baud rate's delay, so that what is measured is the client; the ratios
-count, not the figures. (A real line of 115200 baud takes 3.8 ms a round trip, whoever asks.)
+count, not the figures. (A real line of 115200 baud takes 3.8 ms a round trip, whoever asks.) The stop is one of a
+move that another thread watches, on a line paced by its baud rate: from the call until the controller has it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,15 +17,20 @@ from pathlib import Path
 import serial
 
 from drivers.clock import SystemClock
+from drivers.errors import MoveFailed
 from drivers.serial_port import SerialPort
+from drivers.stage import Stage
 from drivers.stage.zaber_chain import ZaberChain
 from drivers.stage.zaber_protocol import parse_reply, request
 from drivers.wire_log import WireLogFile
 from simulators.axis_motion import Mechanics
+from simulators.config import bench_config
 from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
+from simulators.serial_device import Dialect, SerialDevice
+from simulators.stages import make_stage
 from simulators.zaber import ZaberChain as SimulatedChain
 from simulators.zaber_controller import ZaberController, ZaberModel
+from tests.hil.holder import OPENED
 
 ROUNDS = 2000
 
@@ -72,8 +80,67 @@ def makers(address: str, folder: Path) -> float | None:
         return rate(lambda: axis.generic_command("get pos"))
 
 
+STOPS = {"zaber": b" stop:", "ximc": b"sstp", "grbl": b"\x85", "esp": b"ST"}
+"""What a controller hears when it is stopped."""
+
+
+class Listener:
+    """A device that notes when it hears a stop."""
+
+    def __init__(self, device: Dialect, word: bytes) -> None:
+        self.device = device
+        self.word = word
+        self.heard_s: list[float] = []
+
+    @property
+    def baud(self) -> int:
+        """Baud rate of the device."""
+        return self.device.baud
+
+    def receive(self, data: bytes) -> bytes:
+        """Note the time of a stop, and pass everything on."""
+        if self.word in data:
+            self.heard_s.append(time.perf_counter())
+        return self.device.receive(data)
+
+    def unsolicited(self) -> bytes:
+        """Pass on what it says of its own accord."""
+        return self.device.unsolicited()
+
+
+def stop_ms(family: str, folder: Path) -> list[float]:
+    """Stop ten moves that another thread watches; return the times to the controller, in ms, sorted."""
+    kind = "esp301" if family == "esp" else family
+    stage = make_stage(kind, bench_config({"stage": {"kind": kind}}).axes, time.monotonic, lambda *_: None)
+    dialect = Listener(next(iter(stage.dialects.values())), STOPS[family])
+    found = []
+    with SerialDevice(PseudoTerminal(folder / family), dialect) as port:
+        driver = OPENED[family](port.address)
+        driver.home()
+        for number in range(10):
+            goal = {"pan": 14.0 if number % 2 else -14.0}
+            mover = threading.Thread(target=lambda goal=goal: suppressed(driver, goal))
+            before = driver.position_deg()
+            mover.start()
+            while driver.position_deg() == before:
+                time.sleep(0.01)
+            dialect.heard_s.clear()
+            called_s = time.perf_counter()
+            driver.stop()
+            mover.join()
+            found.append(1e3 * (dialect.heard_s[0] - called_s))
+        driver.close()
+    return sorted(found)
+
+
+def suppressed(driver: Stage, goal: dict[str, float]) -> None:
+    """Move until somebody stops it."""
+    with contextlib.suppress(MoveFailed):
+        driver.move_to(goal)
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         now_s = time.monotonic()
@@ -90,6 +157,11 @@ def main() -> None:
     for label, figure in rows.items():
         told = "not installed" if figure is None else f"{figure:7.0f} /s   {figure / base:5.2f} x"
         print(f"{label:32}{told}")
+    print("stop, from the call until the controller has it")
+    with tempfile.TemporaryDirectory() as name:
+        for family in STOPS:
+            times = stop_ms(family, Path(name))
+            print(f"{family:32}{times[len(times) // 2]:6.1f} ms   at most {times[-1]:.1f} ms")
 
 
 if __name__ == "__main__":
