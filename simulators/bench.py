@@ -93,7 +93,9 @@ class Bench:
             frame_camera.start()
             stack.callback(frame_camera.close)
             self._write_truth()
-            self._parts = Parts(stage.controllers, ports, lines, stage.ports, light, lamp, camera, clock)
+            self._parts = Parts(
+                stage.controllers, ports, lines, stage.ports, light, lamp, camera, clock, frame_camera
+            )
             self.endpoints = {name: port.address for name, port in ports.items()}
             self.endpoints |= {"camera": camera.address, "frame-camera": frame_camera.address}
             self._running = stack.pop_all()

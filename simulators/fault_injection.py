@@ -74,6 +74,14 @@ class Camera(Protocol):
         ...
 
 
+class FrameCamera(Protocol):
+    """What a fault needs of the frame camera."""
+
+    def go_wrong(self, fault: str) -> None:
+        """Let it happen from now on."""
+        ...
+
+
 @dataclass(frozen=True)
 class Parts:
     """The bench, as far as things can go wrong with it.
@@ -92,6 +100,8 @@ class Parts:
         The light's driver, what hangs on it, and the camera.
     clock
         Time in seconds.
+    frame_camera
+        The other camera, where there is one.
     """
 
     axes: Mapping[str, AxisController]
@@ -102,6 +112,7 @@ class Parts:
     lamp: Lamp
     camera: Camera
     clock: Callable[[], float]
+    frame_camera: FrameCamera | None = None
 
 
 def prepare(one: Order, parts: Parts) -> Callable[[], None]:
@@ -116,6 +127,8 @@ def prepare(one: Order, parts: Parts) -> Callable[[], None]:
         return _on_port(one, parts)
     if one.device == "camera":
         return _on_camera(one, parts.camera)
+    if one.device == "frame-camera" and (frame_camera := parts.frame_camera) is not None:
+        return lambda: frame_camera.go_wrong(one.fault)
     if one.device in parts.axes:
         name = parts.axis_ports[one.device]
         controller, port, line = parts.axes[one.device], parts.ports[name], parts.lines[name]

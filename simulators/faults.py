@@ -2,8 +2,8 @@
 
 Knows the catalogue and checks orders against it; `fault_injection` carries them out.
 
-An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera), ``fault``,
-perhaps ``after_s``, and the fault's parameters; or the same as text: ``pan stall share=0.3``.
+An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera, frame-camera),
+``fault``, perhaps ``after_s``, and the fault's parameters; or the same as text: ``pan stall share=0.3``.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from simulators.errors import ConfigError
+from simulators.frame_camera import FRAME_CAMERA_FAULTS
 from simulators.lamp import LAMP_FAULTS
 from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS
 from simulators.stream_faults import STREAM_FAULTS
@@ -107,6 +108,10 @@ CAMERA_FAULTS: Final[Mapping[str, Fault]] = {
     "mend": Fault("nothing more goes wrong with the camera's stream", {}),
 }
 
+_FRAME_CAMERA: Final[Mapping[str, Fault]] = {
+    name: Fault(what, {}) for name, what in FRAME_CAMERA_FAULTS.items()
+}
+
 
 @dataclass(frozen=True)
 class Order:
@@ -131,6 +136,7 @@ def catalogue(device: str) -> Mapping[str, Fault]:
         **dict.fromkeys(("gimbal", "gimbal-pan", "gimbal-tilt", "gimbal-roll"), LINE_FAULTS),
         "light": {**LIGHT_FAULTS, **LINE_FAULTS},
         "camera": CAMERA_FAULTS,
+        "frame-camera": _FRAME_CAMERA,
     }
     if device not in by_device:
         raise ConfigError(

@@ -107,6 +107,15 @@ def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> flo
     return float(np.mean(light.low + (light.high - light.low) * shares))
 
 
+#: What can go wrong with the camera, by name.
+FRAME_CAMERA_FAULTS: Final = {
+    "unplug": "the camera goes away, and answers no more",
+    "silence": "pictures no longer come, and nobody says why",
+    "frozen": "the last picture comes again and again",
+    "mend": "all is well again",
+}
+
+
 class SimulatedFrameCamera:
     """The camera, listening for hosts, one after another.
 
@@ -121,6 +130,8 @@ class SimulatedFrameCamera:
     def __init__(self, world: World, *, host: str = "127.0.0.1", port: int = 0) -> None:
         self._pictures = PictureMaker(world)
         self._closing = threading.Event()
+        self._fault = ""
+        self._last = b""
         self._listener = socket.create_server((host, port))
         self._thread = threading.Thread(target=self._listen, name="simulated-frame-camera", daemon=True)
 
@@ -141,12 +152,19 @@ class SimulatedFrameCamera:
             self._thread.join()
         self._listener.close()
 
+    def go_wrong(self, fault: str) -> None:
+        """Let one of `FRAME_CAMERA_FAULTS` happen from now on, in place of any before."""
+        self._fault = "" if fault == "mend" else fault
+
     def _listen(self) -> None:
         while not self._closing.is_set():
             if not select.select([self._listener], [], [], WAIT_S)[0]:
                 continue
             link, _ = self._listener.accept()
             link.settimeout(WAIT_S)
+            if self._fault == "unplug":
+                link.close()
+                continue
             with link, suppress(OSError):  # the host has hung up: that is how it says that it has enough
                 self._stream(link)
 
@@ -155,14 +173,18 @@ class SimulatedFrameCamera:
         width, height = self._pictures.size
         rng = np.random.default_rng(self._pictures.begin())
         self._send(link, f"YUV4MPEG2 W{width} H{height} F{RATE_HZ}:1 Ip A1:1 Cmono\n".encode())
-        while not self._closing.wait(1.0 / RATE_HZ):
-            self._send(link, b"FRAME\n" + self._pictures.picture(rng).tobytes())
+        while not self._closing.wait(1.0 / RATE_HZ) and self._fault != "unplug":
+            if self._fault == "silence":
+                continue
+            if self._fault != "frozen" or not self._last:
+                self._last = self._pictures.picture(rng).tobytes()
+            self._send(link, b"FRAME\n" + self._last)
 
     def _send(self, link: socket.socket, data: bytes) -> None:
         """Send all, however slowly the host reads; raises OSError when it has gone or the camera is closed."""
         rest = memoryview(data)
         while rest:
-            if self._closing.is_set():
+            if self._closing.is_set() or self._fault == "unplug":
                 raise ConnectionAbortedError
             with suppress(TimeoutError):
                 rest = rest[link.send(rest) :]

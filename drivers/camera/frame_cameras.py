@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import cv2
+import numpy as np
 
 from drivers.camera import CameraIdentity
 from drivers.camera.frames import Frame, FrameFacts, FrameSettings, capture_frames, grey, read_frames
@@ -133,8 +134,9 @@ class OpenCvFrameCamera:
         self._network = "://" in name
         self._stop_asked = threading.Event()
         self._source: Any = None
+        self._last: Frame | None = None
         self._hold: CameraHold | None = None
-        if self._device is not None or self._network:
+        if self._is_live:
             self._hold = CameraHold(str(self._device.resolve() if self._device else name))
         try:
             self._see_serial()
@@ -187,7 +189,10 @@ class OpenCvFrameCamera:
         return settings
 
     def capture(self, path: Path, frames: int) -> FrameFacts:
-        """Take pictures; see ``FrameCamera.capture``. Those that were waiting from before are dropped."""
+        """Take pictures; see ``FrameCamera.capture``. Those that were waiting from before are dropped.
+
+        Raises RecordingFailed also where the camera repeats a picture.
+        """
         self._stop_asked.clear()
         if self._network:
             # Any number of pictures may wait on the way from a network camera: a new connection has none of them.
@@ -199,9 +204,17 @@ class OpenCvFrameCamera:
         for _ in range(STALE_FRAMES if self._device is not None else 0):
             self._clock.sleep(0.0)
             self._source.grab()
-        return capture_frames(
-            path, frames, self._next, self.identify(), clock=self._clock, stop_asked=self._stop_asked
+        seen = _Seen(self._last, frames, where=self._where)
+        facts = capture_frames(
+            path,
+            frames,
+            lambda: seen.look(self._next()) if self._is_live else self._next(),
+            self.identify(),
+            clock=self._clock,
+            stop_asked=self._stop_asked,
         )
+        self._last = seen.latest
+        return facts
 
     def stop(self) -> None:
         """End a capture after the present picture."""
@@ -215,6 +228,10 @@ class OpenCvFrameCamera:
             self._hold.release()
 
     # ------------------------------------------------------------- inside
+
+    @property
+    def _is_live(self) -> bool:
+        return self._device is not None or self._network
 
     @property
     def _where(self) -> str:
@@ -280,6 +297,44 @@ class OpenCvFrameCamera:
                 remedy="Check its cable and power; a video may have come to its end.",
             )
         return grey(picture, where=self._where)
+
+
+class _Seen:
+    """Sees that a live camera does not repeat itself: no two pictures of a sensor are the same, noise sees to that.
+
+    Parameters
+    ----------
+    before
+        The last picture of the capture before.
+    frames
+        How many are to come.
+    where
+        The camera, for messages.
+    """
+
+    def __init__(self, before: Frame | None, frames: int, *, where: str) -> None:
+        self.latest: Frame | None = None
+        self._before = before
+        self._frames = frames
+        self._repeats = 0
+        self._where = where
+
+    def look(self, frame: Frame) -> Frame:
+        """Pass a picture on. Raises RecordingFailed when it is the one from before, or all are alike."""
+        if self._before is not None and np.array_equal(frame, self._before):
+            raise self._frozen("It sent the last picture of the recording before once more")
+        self._repeats += self.latest is not None and np.array_equal(frame, self.latest)
+        self.latest = frame
+        if 0 < self._repeats == self._frames - 1:
+            raise self._frozen("All its pictures are the same to the last bit")
+        return frame
+
+    def _frozen(self, what: str) -> RecordingFailed:
+        return RecordingFailed(
+            f"{what}: it has frozen, or holds pictures back.",
+            where=self._where,
+            remedy="Restart the camera; see that its exposure and compression let the sensor's noise show.",
+        )
 
 
 @contextmanager

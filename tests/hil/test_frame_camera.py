@@ -22,9 +22,9 @@ from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera
 from drivers.camera.frames import read_frames, write_frames
 from drivers.clock import SystemClock
-from drivers.errors import CameraBusy, CameraLost, CameraNotFound
+from drivers.errors import CameraBusy, CameraLost, CameraNotFound, RecordingFailed
 from sequences.script import Gates
-from simulators.frame_camera import SimulatedFrameCamera, mean_brightness
+from simulators.frame_camera import FRAME_CAMERA_FAULTS, SimulatedFrameCamera, mean_brightness
 from simulators.world import AxisMotion, LightState, World
 
 SEED = 7
@@ -272,3 +272,42 @@ def test_a_night_of_a_frame_camera_can_be_rehearsed(tmp_path):
     rehearse_batch(read_queue(queue), tmp_path / "night", begin=begin, seed=1, say=lambda _: None)
     ended = journal(tmp_path / "night" / "runs" / "a-001")[-1]
     assert (ended["event"], ended["how"]) == ("run_ended", "finished")
+
+
+FAULTS = {
+    "unplug": (CameraLost, "cannot open the video source|sends no more pictures"),
+    "silence": (CameraLost, "cannot open the video source|sends no more pictures"),
+    "frozen": (RecordingFailed, "it has frozen, or holds pictures back"),
+}
+
+
+@pytest.mark.parametrize("fault", [name for name in FRAME_CAMERA_FAULTS if name != "mend"])
+def test_each_fault_of_the_camera_is_noticed_and_over_when_it_is_mended(
+    simulated, camera, tmp_path, monkeypatch, fault
+):
+    monkeypatch.setattr(frame_cameras, "SILENCE_S", 1.0)
+    camera.capture(tmp_path / "before.tif", 2)
+    simulated.go_wrong(fault)
+    kind, words = FAULTS[fault]
+    began = time.monotonic()
+    with pytest.raises(kind, match=words):
+        camera.capture(tmp_path / "during.tif", 2)
+    assert time.monotonic() - began < 20.0
+    simulated.go_wrong("mend")
+    camera.capture(tmp_path / "after.tif", 2)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["after.tif", "before.tif"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["unplug", "frozen"])
+def test_a_fault_in_mid_run_ends_it_in_our_words_and_safely(tmp_path, home, fault):
+    text = (SHIPPED / "simulated_frames.yaml").read_text()
+    station = tmp_path / "station.yaml"
+    order = f"{{faults: [{{device: frame-camera, fault: {fault}, after_s: 11}}]}}"
+    station.write_text(text.replace("simulation: {}", f"simulation: {order}"))
+    folder = tmp_path / "run"
+    said = starbench("run", "nine_pose", "-s", station, "-o", folder, home=home)
+    assert said.returncode == 1
+    assert "Traceback" not in said.stderr
+    assert "The bench is safe: stage stopped, light off." in said.stderr
+    assert not (folder / "results.json").exists()

@@ -160,8 +160,9 @@ def test_a_source_that_cannot_be_opened_is_told(tmp_path):
 class Live:
     """A video device as OpenCV shows it: counts its pictures in their grey value."""
 
-    def __init__(self):
-        self.shown = 0
+    def __init__(self, shown=0):
+        self.shown = shown
+        self.frozen = False
         self.pictures = 10**9
         self.values = {cv2.CAP_PROP_FRAME_WIDTH: 64.0, cv2.CAP_PROP_FRAME_HEIGHT: 48.0}
         self.deaf_to = set()
@@ -186,7 +187,7 @@ class Live:
         self.shown += 1
         if self.shown > self.pictures:
             return False, None
-        return True, np.full((48, 64, 3), self.shown, np.uint8)
+        return True, np.full((48, 64, 3), 7 if self.frozen else self.shown, np.uint8)
 
     def release(self):
         self.released += 1
@@ -290,15 +291,47 @@ def test_a_video_device_that_is_gone_is_lost_and_not_taken_for_another_one(video
         OpenCvFrameCamera.open("/dev/video7", serial="8A0A3C5F", clock=SystemClock(), system=system)
 
 
+def network_camera(monkeypatch, lives):
+    """A network camera whose connections are these, one after the other; the first is that of opening."""
+    coming = iter(lives)
+    monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: next(coming))
+    return OpenCvFrameCamera.open("rtsp://camera/1", clock=SystemClock())
+
+
 def test_every_capture_of_a_network_camera_is_a_new_connection(monkeypatch, tmp_path):
-    opened = []
-    monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: opened.append(Live()) or opened[-1])
-    camera = OpenCvFrameCamera.open("rtsp://camera/1", clock=SystemClock())
+    lives = [Live(10 * n) for n in range(3)]
+    camera = network_camera(monkeypatch, lives)
     camera.capture(tmp_path / "a.tiff", 1)
     camera.capture(tmp_path / "b.tiff", 1)
     camera.close()
-    assert [one.released for one in opened] == [1, 1, 1]
-    assert (read_frames(tmp_path / "b.tiff") == 1).all()
+    assert [one.released for one in lives] == [1, 1, 1]
+    assert (read_frames(tmp_path / "b.tiff") == 21).all()
+
+
+def test_a_camera_that_sends_an_old_picture_is_noticed(monkeypatch, tmp_path):
+    camera = network_camera(monkeypatch, [Live(), Live(10), Live(9)])
+    camera.capture(tmp_path / "a.tiff", 1)
+    with pytest.raises(RecordingFailed, match="the last picture of the recording before once more"):
+        camera.capture(tmp_path / "b.tiff", 2)
+    assert not (tmp_path / "b.tiff").exists()
+
+
+def test_a_camera_that_has_frozen_is_noticed(monkeypatch, tmp_path):
+    frozen = Live(10)
+    frozen.frozen = True
+    camera = network_camera(monkeypatch, [Live(), frozen])
+    with pytest.raises(RecordingFailed, match="All its pictures are the same to the last bit"):
+        camera.capture(tmp_path / "a.tiff", 3)
+    assert not (tmp_path / "a.tiff").exists()
+
+
+@pytest.mark.usefixtures("folder")
+def test_pictures_of_files_may_repeat_themselves(tmp_path):
+    for k in range(2):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), pictures(1)[0])
+    camera = OpenCvFrameCamera.open(str(tmp_path / "%d.png"), clock=SystemClock())
+    assert camera.capture(tmp_path / "a.tiff", 2).complete
+    camera.close()
 
 
 def test_pictures_of_a_folder_cannot_be_exposed_again(folder):
