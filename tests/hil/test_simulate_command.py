@@ -25,8 +25,8 @@ def simulated(tmp_path):
 
 
 def test_it_prints_its_ports_obeys_orders_and_leaves_nothing_behind(simulated):
-    ports = dict(simulated.stdout.readline().split() for _ in range(3))
-    assert set(ports) == {"gimbal", "light", "camera"}
+    ports = dict(simulated.stdout.readline().split() for _ in range(4))
+    assert set(ports) == {"gimbal", "light", "camera", "frame-camera"}
     assert Path(ports["gimbal"]).is_char_device()
     for order, ok in (("pan stall share=0.3", True), ("pan fly", False)):
         simulated.stdin.write(order + "\n")
