@@ -88,7 +88,7 @@ def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
                 left=_hours(bar.begun, first), height=0.62,
                 color=END_COLOURS.get(bar.how, MUTED),
                 edgecolor="white",
-                linewidth=0.3,
+                linewidth=0.3 if width_s > 3 * least_s else 0.0,
             )  # fmt: skip
         axes.set(ylim=(len(jobs) - 0.4, -0.6), yticks=range(len(jobs)), yticklabels=jobs)
         axes.tick_params(axis="y", length=0, labelcolor=INK)
