@@ -1,0 +1,86 @@
+"""The rehearsed world: the same stars for the same seed, pose and moment; a lens that follows the camera's temperature."""
+
+import numpy as np
+import pytest
+
+from simulators.errors import ConfigError
+from simulators.optics import pose_rotation, star_centres
+from simulators.rehearsed_world import RehearsedWorld
+
+POSE = {"pan": 3.0, "tilt": -1.5}
+
+
+def world(seed=1, **night):
+    return RehearsedWorld({"rehearsal": night}, seed)
+
+
+def test_the_same_seed_pose_moment_and_number_give_the_same_stars_and_any_other_does_not():
+    first = world().record(POSE, 100.0, 0)
+    again = world().record(POSE, 100.0, 0)
+    assert (first.ids == again.ids).all()
+    assert (first.points_px == again.points_px).all()
+    for other in (
+        world(2).record(POSE, 100.0, 0),
+        world().record({**POSE, "pan": 3.001}, 100.0, 0),
+        world().record(POSE, 101.0, 0),
+        world().record(POSE, 100.0, 1),
+    ):
+        shared = np.intersect1d(first.ids, other.ids)
+        assert len(shared) > 100
+        assert not np.isin(first.points_px, other.points_px).any()
+
+
+def test_stars_scatter_about_where_the_optics_put_them_as_they_say():
+    found = world(star_sigma_px=0.1)
+    seen = found.record(POSE, 50.0, 0)
+    truth = found.truth(50.0)
+    ids, points = star_centres(truth, pose_rotation(POSE, truth.optics), clearance=1.0, border_px=6.0)
+    assert (ids == seen.ids).all()
+    assert np.std(seen.points_px - points) == pytest.approx(0.1, rel=0.15)
+
+
+def test_the_camera_warms_up_and_follows_its_room():
+    found = world(room_c=20.0, room_c_per_h=-1.0, self_heating_c=10.0, warm_up_min=10.0)
+    assert found.temperature_c(0.0) == 20.0
+    assert found.temperature_c(600.0) == pytest.approx(20.0 - 1 / 6 + 10 * (1 - np.exp(-1)))
+    assert found.temperature_c(36_000.0) == pytest.approx(20.0, abs=1e-6)
+    assert world(self_heating_c=5.0, warm_up_min=0.0, room_c=20.0).temperature_c(0.0) == 25.0
+
+
+def test_the_focal_length_follows_the_temperature_by_what_the_lens_is_made_of():
+    found = world(focal_ppm_per_c=100.0, room_c=50.0, self_heating_c=0.0, warm_up_min=0.0)
+    camera = found.truth(0.0).camera
+    assert camera.fx == pytest.approx(3345.06 * (1 + 1e-3))  # 10 degrees above the reference of 40
+    assert camera.fy / camera.fx == pytest.approx(3345.27 / 3345.06)
+    assert world().truth(0.0).camera.fx == 3345.06
+
+
+def test_mishaps_come_as_often_as_said():
+    found = world(covered_share=0.2, lost_share=0.1)
+    mishaps = [found.record(POSE, float(n), n) for n in range(400)]
+    assert sum(m.mishap == "covered" for m in mishaps) == pytest.approx(80, abs=30)
+    assert sum(m.mishap == "lost" for m in mishaps) == pytest.approx(40, abs=22)
+    assert {len(m.ids) for m in mishaps if m.mishap == "covered"} == {20}
+    assert all(not len(m.ids) for m in mishaps if m.mishap == "lost")
+
+
+@pytest.mark.parametrize(
+    ("night", "where"),
+    [
+        ({"room": 1}, "rehearsal.room"),
+        ({"room_c": "warm"}, "rehearsal.room_c"),
+        ({"room_c": True}, "rehearsal.room_c"),
+        ({"star_sigma_px": -0.1}, "rehearsal.star_sigma_px"),
+        ({"room_c": float("nan")}, "rehearsal.room_c"),
+        ({"covered_share": 0.7, "lost_share": 0.7}, "rehearsal.covered_share"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_its_key(night, where):
+    with pytest.raises(ConfigError) as error:
+        world(**night)
+    assert error.value.where == where
+
+
+def test_a_section_that_is_no_mapping_is_refused():
+    with pytest.raises(ConfigError, match="mapping"):
+        RehearsedWorld({"rehearsal": 3}, 1)
