@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,8 @@ EPOCH_US: Final = 16384.0
 """The pixels' times are counted from a multiple of this: float32 then resolves 4 ns."""
 GAIN_ONE: Final = 1 << sensor_state.ON_BITS
 """The gain that is no threshold at all, as it is stored."""
-BUFFER_EVENTS: Final = 1 << 20
+FIRST_ROOM: Final = 1 << 16
+"""Events that a slice has room for at first; must exceed the longest row."""
 
 PEAK_EVENTS_US: Final = 1066.0
 """The sensor reads no faster (1.066 GEPS)."""
@@ -107,15 +108,10 @@ class Sensor:
         self._readout = _make_readout(width, height, noise, self.settings, camera_seed, link or Link())
         self._state = np.zeros(sensor_state.N_STATE)
         self._random = np.random.default_rng(seed).integers(1, 2**63, 2, dtype=np.uint64)
-        self._buffer = (
-            np.empty(BUFFER_EVENTS, np.int64),
-            np.empty(BUFFER_EVENTS, np.uint16),
-            np.empty(BUFFER_EVENTS, np.uint16),
-            np.empty(BUFFER_EVENTS, np.uint8),
-        )
         self._drive: Drive | None = None
         self._picture = np.zeros((height, width), np.float32)
         self._now_us = 0.0
+        self._rate_us = 0.0
 
     @property
     def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -159,7 +155,7 @@ class Sensor:
         self._see(picture)
         readout.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
         self._now_us = begin_us
-        self.run(at_us)
+        self._live(at_us, _Output(FIRST_ROOM, keep=False))
         state[sensor_state.STALL] = 0.0
 
     def change(
@@ -194,28 +190,28 @@ class Sensor:
         """
         if self._drive is None:
             raise SimulationMisuse("The sensor has seen no picture yet.", remedy="Call begin first.")
-        parts = []
+        expected = int(1.1 * self._rate_us * (until_us - self._now_us))
+        found = _Output(FIRST_ROOM + max(expected, 0))
+        self._live(until_us, found)
+        return found.events()
+
+    def _live(self, until_us: float, found: _Output) -> None:
+        """Go on to a time of the sensor's clock."""
+        begin_us = self._now_us
         while self._now_us < until_us:
             next_epoch = self._state[sensor_state.EPOCH] + EPOCH_US
             end = min(until_us, next_epoch)
-            parts += self._run_epoch(end - self._state[sensor_state.EPOCH])
+            self._run_epoch(end - self._state[sensor_state.EPOCH], found)
             if end == next_epoch:
                 sensor_state.move_epoch(self._pixels, self._state, EPOCH_US)
             self._now_us = end
-        if len(parts) == 1:
-            return parts[0]
-        return Events(
-            np.concatenate([p.t for p in parts]) if parts else np.empty(0, np.int64),
-            np.concatenate([p.x for p in parts]) if parts else np.empty(0, np.uint16),
-            np.concatenate([p.y for p in parts]) if parts else np.empty(0, np.uint16),
-            np.concatenate([p.p for p in parts]) if parts else np.empty(0, np.uint8),
-        )
+        if self._now_us > begin_us:
+            self._rate_us = found.total / (self._now_us - begin_us)
 
-    def _run_epoch(self, until: float) -> list[Events]:
-        """Events up to a time within the epoch, in as many pieces as the buffer needs."""
-        parts = []
+    def _run_epoch(self, until: float, found: _Output) -> None:
+        """Find the events up to a time within the epoch."""
         while True:
-            n = readout.read_rows(
+            found.n += readout.read_rows(
                 self._pixels,
                 self._drive,
                 self._readout,
@@ -223,12 +219,52 @@ class Sensor:
                 self._random,
                 until,
                 self.width,
-                self._buffer,
+                found.room(),
             )
-            t, x, y, p = self._buffer
-            parts.append(Events(t[:n].copy(), x[:n].copy(), y[:n].copy(), p[:n].copy()))
             if self._state[sensor_state.FULL] == 0.0:
-                return parts
+                return
+            found.grow()
+
+
+class _Output:
+    """Arrays that events are written to; they grow in place, so that no event is ever held twice.
+
+    Those that are not to be kept are overwritten.
+    """
+
+    def __init__(self, room: int, *, keep: bool = True) -> None:
+        self.n = 0
+        self._keep = keep
+        self._overwritten = 0
+        self._arrays: tuple[NDArray[Any], ...] = tuple(
+            np.empty(room, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8)
+        )
+
+    @property
+    def total(self) -> int:
+        """Events found, kept or not."""
+        return self._overwritten + self.n
+
+    def room(self) -> tuple[NDArray[Any], ...]:
+        """What is still free of each array."""
+        return tuple(array[self.n :] for array in self._arrays)
+
+    def grow(self) -> None:
+        """Make half as much room again."""
+        if self._keep:
+            self._resize(len(self._arrays[0]) * 3 // 2)
+        else:
+            self._overwritten += self.n
+            self.n = 0
+
+    def events(self) -> Events:
+        """Give the arrays away, at their right size."""
+        self._resize(self.n)
+        return Events(*self._arrays)
+
+    def _resize(self, size: int) -> None:
+        for array in self._arrays:
+            array.resize(size, refcheck=False)
 
 
 def simulate(
@@ -305,10 +341,10 @@ def _make_readout(
     pattern = np.random.default_rng([camera_seed, 2])
     n = width * height
     spread = np.exp(RATE_SPREAD * pattern.standard_normal(n, np.float32) - 0.5 * RATE_SPREAD**2)
-    rates = noise.background_hz * settings.background_gain * spread.astype(np.float64)
+    rates = noise.background_hz * settings.background_gain * spread
     hot = pattern.choice(n, round(noise.hot_share * n), replace=False)
     rates[hot] = noise.hot_hz
-    total = float(rates.sum())
+    total = float(rates.sum(dtype=np.float64))
     alias = np.zeros(n, np.uint64)
     if total > 0.0:
         fill_alias(rates * (n / total), alias)
