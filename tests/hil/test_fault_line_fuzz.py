@@ -47,6 +47,7 @@ def test_no_position_and_no_arrival_is_ever_wrong(family, exchanges) -> None:
             goal = None
         told = stage.position_deg()["pan"]
         assert told == pytest.approx(told if goal is None else goal, abs=0.002)
+        assert told == pytest.approx(rig.true_deg(), abs=0.01)
         where = told
     assert min(good.values()) > 5
     assert bad > 0
@@ -59,10 +60,12 @@ def go_and_read(stage: Stage, goal: float) -> float:
 
 @contextmanager
 def spoiled(line: DirectLine, clock: VirtualClock, rng: np.random.Generator) -> Iterator[None]:
-    """Spoil replies at one rate or another for a while; see that it ends in time; then clear the line."""
+    """Spoil replies, and requests, at one rate or another for a while; see that it ends in time; then clear the line."""
     chance = float(rng.choice([0.002, 0.02, 0.2]))
     line.device.inject(LineFault("any", count=None, chance=chance))
     line.device.inject(LineFault("stale", count=None, chance=chance / 4))
+    for kind in ("request_lost", "request_garbled", "echo", "wrong_id", "wrong_checksum", "missing_checksum"):
+        line.device.inject(LineFault(kind, count=None, chance=chance / 8))
     began_s = clock.now_s
     yield
     assert clock.now_s - began_s < LONGEST_S
@@ -70,7 +73,7 @@ def spoiled(line: DirectLine, clock: VirtualClock, rng: np.random.Generator) -> 
     clock.sleep(2.0)
 
 
-@pytest.mark.parametrize("exchanges", [pytest.param(2_000), pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("exchanges", [pytest.param(3_000), pytest.param(100_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", OPENED)
 def test_no_setting_of_a_light_is_ever_wrong(kind, exchanges) -> None:
     clock = VirtualClock()
