@@ -213,7 +213,7 @@ class RunFolder:
         """Give a whole recording its name; then it can be told to the journal. As ``commit``."""
         return self.commit(capture_name(pose_index, attempt, ending))
 
-    def set_part_aside(self, pose_index: int, attempt: int) -> str | None:
+    def set_part_aside(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
         """Keep what there is of a recording that could not be completed, in ``quarantine/``.
 
         Returns
@@ -226,7 +226,7 @@ class RunFolder:
         StorageError
             When it cannot be moved.
         """
-        path = self._place(capture_name(pose_index, attempt))
+        path = self._place(capture_name(pose_index, attempt, ending))
         part = path.with_name(path.name + _PART)
         if not part.exists():
             return None

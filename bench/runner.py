@@ -12,10 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.attempts import Attempts
 from bench.clock import Aborted, BenchClock, Interrupted
 from bench.control import Inbox
 from bench.devices import Devices
-from bench.errors import BenchError, PoseFailed, StorageError
+from bench.errors import BenchError, StorageError
 from bench.heartbeat import Pulse
 from bench.history import Event, RunLog
 from bench.interlocks import Trip, words
@@ -28,7 +29,7 @@ from bench.resumption import crash_looped, ground, remaining, steps_of_pose
 from bench.run_folder import RunFolder
 from bench.state_work import StateWork
 from calib.errors import CalibrationError
-from drivers.errors import CameraLost, DriverError, PortLost, RecordingFailed, ReplyTimeout
+from drivers.errors import CameraLost, DriverError, PortLost, ReplyTimeout
 from sequences.script import (
     LightStep,
     MoveStep,
@@ -121,6 +122,7 @@ class Runner:
         self._progress = progress
         self._work = StateWork(job, folder, self._log, open_devices, clock, progress.say, results)
         self._machine = RunMachine(self._work.table(), self._tell)
+        self._attempts = Attempts(self, folder, self._log, job.camera_kind.ending, progress.say)
         names = {pose.index: pose.name for pose in job.plan.poses}
         self._pulse = Pulse(folder.path, clock)
         self._interlocks = self._work.interlocks
@@ -226,7 +228,7 @@ class Runner:
         for step in self._job.steps:
             if isinstance(step, RecordStep) and (attempt := history.unchecked(step.pose.index)) is not None:
                 self._work.step = step
-                self._fire("check", step, attempt=attempt.attempt)
+                self.fire_at("check", step, attempt=attempt.attempt)
                 if step.pose.index in history.accepted():
                     self._log.tell(Event.STEP_DONE, step=step.number)
 
@@ -256,7 +258,7 @@ class Runner:
 
     def _hold_by_rule(self, step: ScriptStep | None, trip: Trip) -> None:
         if self._machine.state == "recording" and isinstance(step, RecordStep):
-            self._lose(step, self._log.history.next_attempt(step.pose.index), trip.text)
+            self._attempts.lose(step, trip.text)
         self._work.step, self._work.holding.trip = step, trip
         self._progress.say(f"Held by {trip.text}; the run goes on by itself once that is over.")
         number = {} if step is None else {"step": step.number}
@@ -319,7 +321,7 @@ class Runner:
     def _do(self, step: ScriptStep) -> None:
         self._work.step = step
         if isinstance(step, RecordStep):
-            self._record_until_accepted(step)
+            self._attempts.record(step)
         else:
             self._take(step)
         if step.number not in self._log.history.done_steps:
@@ -331,70 +333,32 @@ class Runner:
     def _take(self, step: ScriptStep) -> None:
         """Take the one edge of a step that records nothing."""
         if isinstance(step, MoveStep):
-            self._fire("slew", step, target_deg=dict(step.pose.angles_deg))
+            self.fire_at("slew", step, target_deg=dict(step.pose.angles_deg))
         else:
             self._machine.fire(_TRIGGERS[type(step)], step=step.number)
 
-    def _record_until_accepted(self, step: RecordStep) -> None:
-        """Record until accepted; once the attempts are used up, do as the sequence says."""
-        while (reasons := self._attempts(step)) is not None:
-            pose = step.pose
-            what = f"Pose {pose.index} ({pose.name}) failed {step.attempts} attempts: {'; '.join(reasons)}."
-            if step.on_failure == "fail":
-                raise PoseFailed(
-                    what,
-                    where=step.where,
-                    remedy="Mend the cause, then go on with `starbench resume`; all attempts are kept.",
-                )
-            if step.on_failure == "skip":
-                self._log.tell(Event.DEVIATION, what=f"{what} It was skipped, as the sequence says.")
-                self._progress.say(f"{what} Skipped.")
-                return
-            question = f"{what} Try it again?"
-            self._work.step = PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s)
-            self._machine.fire("hold", step=step.number)
-            self._work.step = step
+    # ------------------------------------------------------------------ what attempts at a recording need
 
-    def _attempts(self, step: RecordStep) -> list[str] | None:
-        """Record up to so many times; return why the last one did not count; None when one did, or none is wanted."""
-        history, pose = self._log.history, step.pose
-        reasons: list[str] = []
-        if pose.index in history.accepted():  # the process died between accepting it and saying so
-            return None
-        for i in range(step.attempts):
-            if i:
-                self._fire("back_off", step, wait_s=step.backoff_s * 2 ** (i - 1))
-                self._safe_point(step)
-                self._work.step = step
-                if pose.index in history.skipped:
-                    return None
-            attempt = history.next_attempt(pose.index)
-            try:
-                self._fire("record", step, attempt=attempt)
-                self._fire("check", step, attempt=attempt)
-            except RecordingFailed as error:
-                reasons = [str(error)]
-                self._lose(step, attempt, str(error))
-                continue
-            if pose.index in history.accepted():
-                return None
-            reasons = list((history.attempts_at(pose.index)[-1].checked or {}).get("reasons", []))
-            self._progress.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {'; '.join(reasons)}")
-        self._fire("back_off", step, wait_s=0.0)
+    def fire_at(self, trigger: str, step: MoveStep | RecordStep, **facts: Any) -> None:
+        """Take an edge for a step at its pose, and do the work of the state it leads to."""
+        self._machine.fire(trigger, step=step.number, pose=step.pose.index, pose_name=step.pose.name, **facts)
+
+    def ask(self, question: PromptStep, step: RecordStep) -> None:
+        """Hold for the answer to a question about a step. Raises Aborted where it is no."""
+        self._work.step = question
+        self._machine.fire("hold", step=step.number)
+        self._work.step = step
+
+    def between(self, step: RecordStep) -> None:
+        """Be at a safe point between two attempts of a step."""
+        self._safe_point(step)
+        self._work.step = step
+
+    def heed(self) -> None:
+        """See that no interlock holds. Raises Interrupted."""
         self._interlocks.heed()
-        return reasons
 
-    def _lose(self, step: RecordStep, attempt: int, why: str) -> None:
-        """Keep what there is of a recording that the camera could not complete."""
-        kept = self._folder.set_part_aside(step.pose.index, attempt)
-        self._log.tell(
-            Event.ATTEMPT_LOST,
-            pose=step.pose.index,
-            pose_name=step.pose.name,
-            attempt=attempt,
-            why=why,
-            kept=kept,
-        )
+    # ------------------------------------------------------------------ what others are told
 
     def _see_supervisor(self) -> None:
         """Note that nobody watches this process any more, and go on: the run is as good as before."""
@@ -403,9 +367,6 @@ class Runner:
             self._notify(
                 "failure", "goes on, but what watched it is gone: nothing follows it", self._log.journal.head
             )
-
-    def _fire(self, trigger: str, step: MoveStep | RecordStep, **facts: Any) -> None:
-        self._machine.fire(trigger, step=step.number, pose=step.pose.index, pose_name=step.pose.name, **facts)
 
     def _tell(self, event: str, facts: Mapping[str, Any]) -> None:
         self._log.tell(Event(event), **facts)

@@ -21,7 +21,7 @@ TWO = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}]"
 
 
 class Hooked:
-    """A device whose every method first tells a test of it, which may raise."""
+    """A device whose every method first tells a test of it, which may raise, or change what comes of it."""
 
     def __init__(self, device, name, hook):
         self._device, self._name, self._hook = device, name, hook
@@ -31,8 +31,9 @@ class Hooked:
         return partial(self._call, value, f"{self._name}.{attribute}") if callable(value) else value
 
     def _call(self, method, name, *words, **more):
-        self._hook(name)
-        return method(*words, **more)
+        change = self._hook(name)
+        found = method(*words, **more)
+        return change(found) if change is not None else found
 
 
 class Scene:
@@ -70,7 +71,7 @@ class Scene:
 
     def _happens(self, name):
         self.calls.append(name)
-        self.hook(name)
+        return self.hook(name)
 
     def light_and_stage(self):
         return self.opened[-1]

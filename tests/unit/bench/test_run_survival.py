@@ -15,8 +15,6 @@ from bench.journal import CLOCK_JUMPED, read_journal
 from bench.launch import read_intentions
 from bench.resumption import intentions
 
-END = "  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
-
 
 def accepted(scene):
     return sorted(d["pose"] for d in scene.told(Event.ATTEMPT_CHECKED) if d["accepted"])

@@ -1,0 +1,426 @@
+"""Every fault in every state where it can happen: what the run does, how long that takes, and what is left of it.
+
+The run is the real one (steps, states, journal, storage) on virtual devices and a virtual clock; a fault is what a driver
+raises or reports (that drivers raise it is shown with the simulated devices, byte for byte). Each run records two poses;
+the first recording is refused, an operator holds it, then it waits, solves and reports: so every state is passed.
+After a run that did not finish, the cause is removed and it is resumed: it must end with every pose recorded once.
+
+    python tests/support/fault_matrix.py > docs/faults.md
+"""
+
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+from rehearsed import TWO, Journal, Scene, with_runner
+
+import bench.rehearsal
+from bench.captures import stored_captures
+from bench.clock import VirtualClock
+from bench.control import Command
+from bench.errors import StorageError
+from bench.history import Event, replay
+from bench.journal import read_journal
+from bench.storage import sha256_of
+from drivers.errors import (
+    CameraLost,
+    DeviceRefused,
+    LightFault,
+    MoveFailed,
+    MoveTimeout,
+    NotHomed,
+    PortLost,
+    PortNotFound,
+    RecordingFailed,
+    ReplyGarbled,
+    ReplyTimeout,
+    SettingRefused,
+    WrongDevice,
+)
+
+STATES = (
+    "preflight",
+    "homing",
+    "lighting",
+    "slewing",
+    "settling",
+    "recording",
+    "checking",
+    "backing_off",
+    "holding",
+    "parking",
+    "waiting",
+    "solving",
+    "reporting",
+    "aborting",
+)
+END = "  - wait: {duration_s: 1}\n  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
+MOST_S = 120.0
+"""A run that nothing befalls takes 15 s of virtual time, its hold included; none may take longer than that."""
+LOST = "\ninterlocks: {device_lost: {retry_s: 5, max_hold_s: 60}}\n"
+
+
+class Died(BaseException):
+    """The process is gone."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault as a run meets it.
+
+    Attributes
+    ----------
+    name
+        In the words of the table of faults.
+    of
+        Beginnings of the calls it strikes: ``stage.``, ``light.off``; ``tick`` for anything that passes the clock.
+    strike
+        Called with the scene when it strikes: raises, or returns what becomes of the call's result.
+    ends
+        How the run may end.
+    lasts
+        Whether it strikes every such call from then on, until the cause is removed.
+    station
+        What the station file says besides.
+    """
+
+    name: str
+    of: tuple[str, ...]
+    strike: Callable[[Scene], object]
+    ends: frozenset[str]
+    lasts: bool = False
+    station: str = ""
+
+
+def raising(error):
+    def strike(_scene):
+        raise error
+
+    return strike
+
+
+def _stop(scene):
+    scene.clock.request_stop("SIGTERM received")
+
+
+def _abort(scene):
+    command(scene, "abort")
+
+
+def _die(scene):
+    scene.dead = True
+    raise Died
+
+
+def _light_off(scene):
+    scene.light_and_stage()[0]._on = False
+
+
+def _moved(_scene):
+    return lambda found: {axis: angle + 0.01 for axis, angle in found.items()}
+
+
+def _facts(**changed):
+    return lambda _scene: lambda facts: replace(facts, **changed)
+
+
+def _back_after(error, seconds):
+    def strike(scene):
+        if scene.struck_at_s is None:
+            scene.struck_at_s = scene.clock.monotonic()
+        if scene.clock.monotonic() < scene.struck_at_s + seconds:
+            raise error
+
+    return strike
+
+
+FAILED, ENDED = frozenset({"failed"}), frozenset({"finished", "failed"})
+ABORTED, FINISHED = frozenset({"aborted"}), frozenset({"finished"})
+FAULTS = (
+    Fault("stage unplugged", ("stage.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
+    Fault("light unplugged", ("light.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
+    Fault("camera unplugged", ("camera.", "open"), raising(CameraLost("gone")), FAILED, lasts=True),
+    Fault(
+        "stage gone for 20 s, waited for",
+        ("stage.", "open"),
+        _back_after(PortLost("gone"), 20),
+        FINISHED,
+        True,
+        LOST,
+    ),
+    Fault(
+        "light gone for 20 s, waited for",
+        ("light.", "open"),
+        _back_after(PortLost("gone"), 20),
+        FINISHED,
+        True,
+        LOST,
+    ),
+    Fault(
+        "camera gone for 20 s, waited for",
+        ("camera.", "open"),
+        _back_after(CameraLost("gone"), 20),
+        FINISHED,
+        True,
+        LOST,
+    ),
+    Fault(
+        "stage gone for good, waited for", ("stage.", "open"), raising(PortLost("gone")), FAILED, True, LOST
+    ),
+    Fault("another device on the port", ("open",), raising(WrongDevice("another serial number")), FAILED),
+    Fault("no such port", ("open",), raising(PortNotFound("no such port")), FAILED),
+    Fault("stage: reply lost or late", ("stage.",), raising(ReplyTimeout("silent")), FAILED),
+    Fault("stage: reply garbled, echo, wrong id", ("stage.",), raising(ReplyGarbled("checksum")), FAILED),
+    Fault("light: reply lost or late", ("light.",), raising(ReplyTimeout("silent")), FAILED),
+    Fault("light: reply garbled", ("light.",), raising(ReplyGarbled("form")), FAILED),
+    Fault("stall, limit, twist", ("stage.move_to", "stage.home"), raising(MoveFailed("stalled")), FAILED),
+    Fault(
+        "stops short, slips, reboots in mid-move", ("stage.move_to",), raising(MoveFailed("short")), FAILED
+    ),
+    Fault("stuck busy, no progress", ("stage.move_to", "stage.home"), raising(MoveTimeout("busy")), FAILED),
+    Fault("no reference after a power cycle", ("stage.move_to",), raising(NotHomed("no reference")), FAILED),
+    Fault(
+        "command refused (e-stop)", ("stage.move_to", "stage.home"), raising(DeviceRefused("stopped")), FAILED
+    ),
+    Fault("lamp open, too hot", ("light.on", "light.read"), raising(LightFault("lamp open")), FAILED),
+    Fault("level or frequency clipped", ("light.apply",), raising(SettingRefused("clipped")), FAILED),
+    Fault("light silently off", ("camera.record",), _light_off, ENDED),
+    Fault("creeps while it is recorded", ("stage.position_deg",), _moved, ENDED),
+    Fault("recording broken off", ("camera.record",), raising(RecordingFailed("USB drop")), FINISHED),
+    Fault("events or triggers lost", ("camera.record",), _facts(gaps=("12 ms are missing",)), FINISHED),
+    Fault("recording cut short", ("camera.record",), _facts(complete=False), FINISHED),
+    Fault("event rate too high", ("camera.record",), _facts(events=10**9), FINISHED),
+    Fault("disk full", ("disk",), raising(OSError(28, "No space left on device")), FAILED),
+    Fault("disk fails", ("disk",), raising(OSError(5, "Input/output error")), FAILED),
+    Fault("process killed", ("stage.", "light.", "camera.", "tick"), _die, frozenset({"died"})),
+    Fault("SIGINT, SIGTERM, SIGHUP", ("stage.", "light.", "camera.", "tick"), _stop, ABORTED | FINISHED),
+    Fault("abort by an operator", ("stage.", "light.", "camera.", "tick"), _abort, ABORTED | FINISHED),
+)
+
+
+def command(scene, word):
+    """Play the thread that takes commands."""
+    inbox = getattr(scene.runner, "_inbox", None)
+    if inbox is not None and not inbox._closing.is_set():
+        path = scene.folder / "command.json"
+        path.write_text(Command(word=word, by="ada").model_dump_json())
+        inbox._answer(path, "")
+        path.unlink()
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What became of one fault in one state.
+
+    ``end`` is how the run ended; empty where the fault cannot happen there. ``seconds`` it took, all in all.
+    """
+
+    end: str
+    why: str = ""
+    seconds: float = 0.0
+    wrong: tuple[str, ...] = ()
+
+
+class _Mortal(Journal):
+    """A journal that a dead process writes no more into."""
+
+    scene = None
+
+    def _put(self, event, data, *, synced):
+        if self.scene.dead:
+            raise Died
+        disk = self.scene.disk
+        if disk is not None:
+            try:
+                disk()
+            except OSError as error:
+                raise StorageError(str(error), where=str(self.path)) from error
+        return super()._put(event, data, synced=synced)
+
+
+def strike(fault: Fault, state: str, folder: Path, patch: pytest.MonkeyPatch) -> Cell:
+    """Let a fault strike the first call it can in a state; see what becomes of the run."""
+    scene = with_runner(Scene(folder, station=fault.station, poses=TWO, end=END, attempts=3), patch)
+    scene.dead, scene.struck_at_s, scene.disk = False, None, None
+    struck = [0]
+    refused = [False]
+
+    def happens(name):
+        if scene.dead:
+            raise Died
+        here = scene.runner is not None and scene.runner._machine.state == state
+        here |= state == "preflight" and name == "open" and scene.runner is not None and not struck[0]
+        due = (here and (not struck[0])) or (fault.lasts and struck[0])
+        if due and any(name.startswith(call) for call in fault.of):
+            struck[0] += 1
+            return fault.strike(scene)
+        if (
+            name == "camera.record" and not refused[0]
+        ):  # the first recording is refused, so that there is a second
+            refused[0] = True
+            return lambda facts: replace(facts, gaps=("a gap",))
+        return None
+
+    scene.hook = happens
+    if "disk" in fault.of:
+        scene.disk = lambda: happens("disk")
+    _with_a_hold(scene, happens, patch, stop_there=state == "aborting")
+    kind = type("Journal", (_Mortal,), {"scene": scene})
+    try:
+        end = scene.run(journal_type=kind)
+        how, why = end.how, end.why
+    except Died:
+        how, why = "died", ""
+    if not struck[0]:
+        return Cell("")
+    seconds = scene.clock.monotonic()
+    wrong = _left_behind(scene, how, fault, state)
+    if how != "finished":
+        wrong += _resumed(scene, patch)
+    if seconds > MOST_S:
+        wrong.append(f"it took {seconds:.0f} s")
+    if how not in fault.ends and state != "aborting":
+        wrong.append(f"it {how}: {why}")
+    return Cell(how, why, seconds, tuple(wrong))
+
+
+def _with_a_hold(scene, happens, patch, *, stop_there):
+    """Have an operator hold the run before its second pose, for some seconds; or stop it there."""
+    sleep, told = VirtualClock.sleep, []
+
+    def passing(clock, seconds):
+        runner = scene.runner
+        if runner is not None and not scene.dead:
+            if not told and runner._machine.state == "settling":
+                told.append("hold")
+                if stop_there:
+                    clock.request_stop("SIGTERM received")
+                else:
+                    command(scene, "hold")
+            elif len(told) == 1 and runner._machine.state == "holding":
+                told.append("release")
+                command(scene, "release")
+        happens("tick")
+        sleep(clock, seconds)
+
+    patch.setattr(VirtualClock, "sleep", passing)
+
+
+def _left_behind(scene, how, fault, state):
+    """What is wrong with what a run left: evidence lost, light on, files half-written under a final name."""
+    entries, _ = read_journal(scene.folder / "journal.jsonl")
+    wrong = []
+    for capture in stored_captures(entries).values():
+        path = scene.folder / capture.name
+        if not path.is_file() or sha256_of(path) != capture.sha256:
+            wrong.append(f"{capture.name} is not what the journal tells")
+    unreachable = fault.lasts or any(call.startswith("light") for call in fault.of)
+    if how != "died" and scene.light_is_on() and not unreachable:
+        wrong.append("the light is on")
+    if how != "died" and fault.of != ("disk",):
+        ended = [e.data for e in entries if e.event == Event.RUN_ENDED]
+        if [data["how"] for data in ended[-1:]] != [how]:
+            wrong.append("the journal does not tell its end")
+        if how == "failed" and not ended[-1]["why"]:
+            wrong.append("it does not say why")
+    return wrong
+
+
+def _resumed(scene, patch):
+    """Remove the cause, resume; what is wrong with the end."""
+    scene.hook, scene.dead, scene.disk = (lambda _name: None), False, None
+    patch.undo()
+    with_runner(scene, patch)
+    _quick_solution(patch)
+    end = scene.run()
+    accepted = replay(read_journal(scene.folder / "journal.jsonl")[0]).accepted()
+    wrong = [] if end.how == "finished" else [f"resumed, it {end.how}: {end.why}"]
+    return wrong if set(accepted) == {1, 2} else [*wrong, f"resumed, poses {sorted(accepted)} are recorded"]
+
+
+_SOLVED: list[object] = []
+
+
+def _quick_solution(patch):
+    """Solve once for all runs: what is computed is not the matter here."""
+    calibrate = bench.rehearsal.calibrate
+
+    def once(views, options):
+        if not _SOLVED:
+            _SOLVED.append(calibrate(views, options))
+        return _SOLVED[0]
+
+    patch.setattr(bench.rehearsal, "calibrate", once)
+
+
+@contextmanager
+def patched():
+    with pytest.MonkeyPatch.context() as patch:
+        _quick_solution(patch)
+        yield patch
+
+
+def matrix(folder: Path):
+    """Every cell: (fault, state) and what became of it."""
+    for number, fault in enumerate(FAULTS):
+        for state in STATES:
+            place = folder / f"{number}-{state}"
+            place.mkdir()
+            with patched() as patch:
+                yield fault, state, strike(fault, state, place, patch)
+
+
+HEAD = """\
+# Faults, and what each leads to
+
+Made by `python tests/support/fault_matrix.py > docs/faults.md`; the test `tests/unit/bench/test_fault_matrix.py` makes it anew.
+
+A row is a fault, a column the state in which it strikes: **F** the run failed, named the fault, and was dark and at rest;
+**A** it was aborted safely; **f** it finished with every pose recorded, the fault overcome and told; **K** the process was gone at
+once; **-** it cannot happen there, for nothing asks that device then. Where a run did not finish, the cause was removed and
+it was resumed: in every cell it then ended with each pose recorded once, and every recording that the journal had told of was
+on the disk, byte for byte. The number is the time to the end of the run on its own clock, in seconds; undisturbed it takes %(whole).0f.
+"""
+SIGNS = {"failed": "F", "aborted": "A", "finished": "f", "died": "K", "": "-"}
+
+
+def text(cells, whole):
+    """The matrix as a document."""
+    rows: dict[str, dict[str, Cell]] = {}
+    for fault, state, cell in cells:
+        rows.setdefault(fault.name, {})[state] = cell
+    lines = [
+        HEAD % {"whole": whole},
+        "| fault | " + " | ".join(STATES) + " |",
+        "| --- " * (len(STATES) + 1) + "|",
+    ]
+    for name, row in rows.items():
+        told = [f"{SIGNS[c.end]} {c.seconds:.0f}" if c.end else "-" for c in (row[s] for s in STATES)]
+        lines.append(f"| {name} | " + " | ".join(told) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def undisturbed_s(folder: Path) -> float:
+    """How long a run takes that nothing befalls."""
+    folder.mkdir()
+    with patched() as patch:
+        nothing = Fault("nothing", ("nothing",), raising(Died()), FINISHED)
+        scene_cell = strike(nothing, "homing", folder, patch)
+        assert scene_cell.end == ""
+    with patched() as patch:
+        mark = Fault("end", ("tick",), lambda _scene: None, FINISHED)
+        (folder / "again").mkdir()
+        return strike(mark, "reporting", folder / "again", patch).seconds
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as made:
+        found = list(matrix(Path(made)))
+        for fault, state, cell in found:
+            if cell.wrong:
+                print(f"{fault.name} in {state}: {'; '.join(cell.wrong)}", file=sys.stderr)
+        print(text(found, undisturbed_s(Path(made) / "whole")), end="")
