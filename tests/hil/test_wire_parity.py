@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from drivers.clock import SystemClock
+from drivers.light import LightSettings
+from drivers.light.scpi import ScpiLight
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.ximc import XimcAxis, XimcStage
@@ -18,6 +20,7 @@ from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.axis_motion import Mechanics
 from simulators.esp301 import EspAxisModel, EspController
 from simulators.pseudo_terminal import PseudoTerminal
+from simulators.scpi_generator import GeneratorModel, ScpiGenerator
 from simulators.serial_device import SerialDevice
 from simulators.ximc import XimcController, XimcModel
 from simulators.zaber import ZaberChain
@@ -166,4 +169,52 @@ def test_esp_requests_are_those_of_pymeasure(tmp_path) -> None:
             time.sleep(0.3)
             assert request in esp_requests(tap.take())
             assert request in told[name]
+        adapter.close()
+
+
+def scpi_requests(data: bytes) -> set[tuple[str, str | float]]:
+    """Settings and questions: headers, with numbers by their value and switches by what they mean."""
+    found: set[tuple[str, str | float]] = set()
+    for text in data.decode("ascii").split("\n"):
+        header, _, value = text.strip().partition(" ")
+        word: str | float = {"ON": 1.0, "OFF": 0.0}.get(value, value)
+        if isinstance(word, str) and re.fullmatch(r"-?\d+(\.\d*)?", word):
+            word = float(word)
+        found.add((header.removesuffix(";"), word))
+    return found - {("", "")}
+
+
+def test_scpi_requests_are_those_of_pymeasure(tmp_path) -> None:
+    keysight = pytest.importorskip("pymeasure.instruments.keysight", reason="pymeasure is not installed")
+    from pymeasure.adapters import SerialAdapter
+
+    with line(ScpiGenerator(GeneratorModel(), time.monotonic), tmp_path) as (address, tap):
+        with closing(ScpiLight.open(address, clock=SystemClock())) as light:
+            tap.take()
+            light.apply(LightSettings("square", 50.0, 40.0, 0.5, 3.0))
+            light.on()
+            light.off()
+            told = scpi_requests(tap.take())
+        adapter = SerialAdapter(
+            address, baudrate=9600, timeout=5, write_termination="\n", read_termination="\n"
+        )
+        theirs = keysight.Keysight33250A(adapter)
+        for act in (
+            lambda: setattr(theirs, "shape", "SQU"),
+            lambda: setattr(theirs, "frequency", 50),
+            lambda: setattr(theirs, "square_dutycycle", 40),
+            lambda: setattr(theirs, "voltage_high", 3),
+            lambda: setattr(theirs, "voltage_low", 0.5),
+            lambda: setattr(theirs, "output_enabled", True),
+            lambda: setattr(theirs, "output_enabled", False),
+            lambda: (theirs.shape, theirs.frequency, theirs.square_dutycycle),
+            lambda: (theirs.voltage_high, theirs.voltage_low, theirs.output_enabled),
+            theirs.check_errors,
+        ):
+            tap.take()
+            act()
+            time.sleep(0.2)
+            sent = scpi_requests(tap.take())
+            assert sent
+            assert sent <= told
         adapter.close()
