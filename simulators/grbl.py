@@ -16,15 +16,12 @@ from typing import Final, Literal
 from simulators.axis_motion import Axis
 from simulators.gcode import Block, GcodeError, parse_block
 from simulators.grbl_planner import (
-    ACCELERATION,
-    MAX_RATE,
-    MAX_TRAVEL,
-    STEPS,
     GrblAxisModel,
     Motion,
     Planner,
     divides,
 )
+from simulators.grbl_settings import factory_settings, shown
 from simulators.trajectory import Pointing
 
 State = Literal["Idle", "Run", "Jog", "Home", "Alarm"]
@@ -34,9 +31,6 @@ _LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
 _LONGEST: Final = 80
 _SETTING: Final = re.compile(r"(\d+)=([+-]?(?:\d+\.?\d*|\.\d+))")
 _SOFT_LIMITS, _HOMING_ENABLED = 20, 22
-
-#: Settings that are told with decimals, apart from those of the axes.
-_WITH_DECIMALS: Final = {11, 12, 24, 25, 27}
 
 #: What else a status report tells, each now and then, by the number of the report modulo ten.
 _NOW_AND_THEN: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
@@ -71,7 +65,7 @@ class GrblController:
     ) -> None:
         self._clock = clock
         self.name = ""
-        self._factory = _factory_settings(models, pull_off_deg)
+        self._factory = factory_settings(models, pull_off_deg)
         self.settings = dict(self._factory)
         self._planner = Planner(models, self.settings, clock(), publish)
         self._letters = "".join(models)
@@ -178,7 +172,7 @@ class GrblController:
             if self._state != "Jog":
                 self._need_rest()
             self._say += "".join(
-                f"${number}={_shown(number, value)}\r\n" for number, value in self.settings.items()
+                f"${number}={shown(number, value)}\r\n" for number, value in self.settings.items()
             )
         elif command == "X":
             if self._state == "Alarm":
@@ -381,34 +375,3 @@ class GrblAxis:
     def exchange(self, serial: str, t_s: float) -> None:
         """Be another board from now on; GRBL has no serial number, but the name that somebody gave it by ``$I=``."""
         self.controller.exchange(serial, t_s)
-
-
-def _factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:
-    settings = {
-        0: 10.0,
-        1: 255.0,
-        2: 0.0,
-        3: 0.0,
-        4: 0.0,
-        5: 0.0,
-        6: 0.0,
-        10: 1.0,
-        11: 0.01,
-        12: 0.002,
-        13: 0.0,
-    }
-    settings |= {20: 1.0, 21: 1.0, 22: 1.0, 23: 0.0, 24: 120.0, 25: 1200.0, 26: 250.0, 27: pull_off_deg}
-    settings |= {30: 1000.0, 31: 0.0, 32: 0.0}
-    for number, model in enumerate(models.values()):
-        settings |= {
-            STEPS + number: model.mechanics.counts_per_deg,
-            MAX_RATE + number: model.max_rate_deg_s * 60.0,
-            ACCELERATION + number: model.acceleration_deg_s2,
-            MAX_TRAVEL + number: model.travel_deg,
-        }
-    return dict(sorted(settings.items()))
-
-
-def _shown(number: int, value: float) -> str:
-    """Print a setting: those that are no whole numbers with three decimals."""
-    return f"{value:.3f}" if number in _WITH_DECIMALS or number >= STEPS else f"{value:.0f}"

@@ -8,97 +8,19 @@ station file allows. Nothing is switched by opening.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings
+from drivers.light.rt_line import CONTINUOUS, IDENTITY, PULSED, REFUSALS, REFUSED, Quantity, RtLine
 from drivers.readings import agreeing
 from drivers.serial_port import Port, SerialPort
-from drivers.text_line import PROMPT_S, TextLine
 from drivers.wire_log import WireLog
 
 FULL_SCALE_V = 5.0
-_CONTINUOUS, _PULSED = "0", "2"
-_MODES = {_CONTINUOUS, "1", _PULSED}
 _DELAY_MS = 0.01
 """The shortest delay from trigger to pulse; the same for lamp and sync."""
-_IDENTITY = re.compile(r"(RT\S+) (.*?) ?(V\d+)")
-_REFUSED = re.compile(r"Err ?(\d{1,3})")
-_QUANTITY = re.compile(r"(\d+(?:\.(\d+))?) ?(us|ms|s|%)?", re.IGNORECASE)
-_FACTORS = {"us": 1e-3, "ms": 1.0, "s": 1e3, "%": 1.0, "": 1.0}
-"""To milliseconds, and to percent."""
-
-REFUSALS = {
-    1: "a value is invalid",
-    2: "it does not know this command",
-    3: "a number has the wrong form",
-    4: "wrong number of values",
-    5: "a time was out of range and was changed to a valid one",
-}
-
-
-class Quantity(NamedTuple):
-    """A number as printed, in ms or percent, and half its last digit."""
-
-    value: float
-    half_digit: float
-
-    def is_near(self, wanted: float) -> bool:
-        """Whether a wanted value prints like this; a part in 100,000 more is the controller's own rounding."""
-        return abs(self.value - wanted) <= self.half_digit * 1.001 + 1e-5 * abs(wanted)
-
-
-class RtLine(TextLine):
-    """An RT controller on a line: each command is answered, at the least by its prompt ``>``."""
-
-    def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
-        super().__init__(
-            port,
-            who="VR",
-            is_identity=lambda text: _IDENTITY.fullmatch(text) is not None,
-            clock=clock,
-            request_end=b"\r",
-            reply_end=b">",
-            reply_s=PROMPT_S,
-            wire_log=wire_log,
-        )
-
-    def at_once(self, command: str) -> None:
-        """Send a command before any resynchronising, and see its prompt. Raises ReplyError, PortLost."""
-        self._ask(command, PROMPT_S, urgent=True)
-
-    def fields(self, query: str) -> dict[str, str]:
-        """Ask for settings, and return them by their names. Raises ReplyError, PortLost."""
-        text = self.ask(query)
-        pairs = [part.split(" ", 1) for part in text.split(", ")]
-        if not all(len(pair) == 2 and re.fullmatch("[A-Z]{1,2}", pair[0]) for pair in pairs):
-            raise self.garbled(f"{query} answered {text!r}.")
-        return dict(pairs)
-
-    def quantity(self, fields: dict[str, str], name: str) -> Quantity:
-        """Understand one of the fields as a time in ms or a brightness in percent. Raises ReplyGarbled."""
-        match = _QUANTITY.fullmatch(fields.get(name, "").split(",")[0])
-        if match is None:
-            raise self.garbled(f"no quantity {name} in {fields}.")
-        factor = _FACTORS[(match[3] or "").lower()]
-        return Quantity(float(match[1]) * factor, 0.5 * 10.0 ** -len(match[2] or "") * factor)
-
-    def mode(self, fields: dict[str, str]) -> str:
-        """Understand a channel's mode: continuous, switched or pulsed. Raises ReplyGarbled."""
-        mode = fields.get("MD", "")
-        if mode not in _MODES:
-            raise self.garbled(f"no mode of a channel in {fields}.")
-        return mode
-
-    def _text(self, line: bytes) -> str:
-        """Understand what stands before the prompt; nothing does where a command only carries out."""
-        body = line.removesuffix(b">").strip(b"\r\n")
-        if not re.fullmatch(rb"[ -~]*", body):
-            raise self.garbled(f"not a reply: {line[:80]!r}.")
-        return body.decode("ascii").strip()
 
 
 class GardasoftLight:
@@ -187,7 +109,7 @@ class GardasoftLight:
 
     def identify(self) -> LightIdentity:
         """Return who it is. Raises WrongDevice when the model is not the station file's."""
-        match = _IDENTITY.fullmatch(self._line.identity_text)
+        match = IDENTITY.fullmatch(self._line.identity_text)
         assert match is not None
         if self._model is not None and match[1] != self._model:
             raise WrongDevice(
@@ -284,7 +206,7 @@ class GardasoftLight:
     def _set(self, name: str, command: str) -> None:
         """Send a setting, again when its prompt is lost. Raises SettingRefused."""
         answer = self._line.ask(command)
-        match = _REFUSED.fullmatch(answer)
+        match = REFUSED.fullmatch(answer)
         if match is not None or answer:
             words = (
                 REFUSALS.get(int(match[1]), "see its manual") if match else "it answers what it should not"
@@ -349,7 +271,7 @@ class GardasoftLight:
 
         def read() -> bool:
             channel = self._line.fields(f"ST{self._channel}")
-            return self._line.mode(channel) == _CONTINUOUS and self._line.quantity(channel, "S").value > 0
+            return self._line.mode(channel) == CONTINUOUS and self._line.quantity(channel, "S").value > 0
 
         return agreeing(read, what="the channel's mode", where=self._line.name)
 
@@ -378,9 +300,9 @@ class GardasoftLight:
         sync = self._line.fields(f"ST{self._sync_channel}") if self._sync_channel is not None else {}
         self._line.fields("ST0")
         mode = self._line.mode(channel)
-        if mode == _CONTINUOUS and self._steady_percent is not None:
+        if mode == CONTINUOUS and self._steady_percent is not None:
             return self._steady(self._line.quantity(channel, "S").value)
-        if mode != _PULSED:
+        if mode != PULSED:
             raise LightFault(
                 f"channel {self._channel} does not pulse.",
                 where=self._line.name,
@@ -396,7 +318,7 @@ class GardasoftLight:
             duty_percent=100.0 * self._line.quantity(channel, "PU").value / period_ms,
             low_v=0.0,
             high_v=FULL_SCALE_V * percent / self._full_percent,
-            sync_output=bool(sync) and self._line.mode(sync) == _PULSED,
+            sync_output=bool(sync) and self._line.mode(sync) == PULSED,
         )
 
     def _runs(self) -> bool:
