@@ -53,7 +53,7 @@ from simulators.sensor_state import (
 VECTOR_FROM: Final = 5
 """Events of a block from which on the sensor sends them as a vector."""
 VECTOR_WORDS: Final = 4
-FEW: Final = 4
+FEW: Final = 9
 """Events of a row below which they are worked on one by one, not as a batch."""
 LANES: Final = 16
 """Pixels are worked on in multiples of this many."""
