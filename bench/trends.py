@@ -19,6 +19,9 @@ from bench.run_index import IndexedRun
 SEEN_SIGMAS = 3.5
 """A slope of more standard uncertainties than that is seen: by chance one in 2000 is, of some twenty looked at."""
 
+LEAST_SPAN_H = 0.5
+"""Runs within less time say nothing of a change per hour."""
+
 
 @dataclass(frozen=True)
 class Slope:
@@ -105,7 +108,7 @@ def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
     Parameters
     ----------
     runs
-        Of one camera and one model, each with a calibration.
+        Of one camera and one model, each with a calibration, oldest first.
     """
     if len(runs) < 2:
         return []
@@ -119,8 +122,9 @@ def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
             continue
         agreed = agreement(name, values)
         y, sigma = [v for v, _ in values], [s for _, s in values]
+        per_hour = slope(hours, y, sigma) if hours[-1] - hours[0] >= LEAST_SPAN_H else None
         per_c = slope(known_c, y, sigma) if len(known_c) == len(runs) else None
-        found.append(Trend(name, agreed.mean, agreed.sigma, agreed.birge, slope(hours, y, sigma), per_c))
+        found.append(Trend(name, agreed.mean, agreed.sigma, agreed.birge, per_hour, per_c))
     return found
 
 
