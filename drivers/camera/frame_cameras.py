@@ -25,8 +25,11 @@ PICTURES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 STALE_FRAMES: Final = 5
 """Pictures of the past that a video device may hand out: four in its buffers, one being exposed as it is asked."""
 
-SILENCE_S: Final = 5.0
-"""How long a network camera may send nothing. (A video device of Linux: 10 s, which OpenCV itself sees to.)"""
+START_S: Final = 60.0
+"""How long a network camera may take until its first picture, when it is opened."""
+
+SILENCE_S: Final = 10.0
+"""How long one that has sent pictures before may send nothing; OpenCV waits as long for a video device of Linux."""
 
 _MANUAL_EXPOSURE: Final = 1.0
 """V4L2's word for it."""
@@ -140,7 +143,7 @@ class OpenCvFrameCamera:
             self._hold = CameraHold(str(self._device.resolve() if self._device else name))
         try:
             self._see_serial()
-            self._source = self._opened()
+            self._source = self._opened(START_S)
         except BaseException:
             self.close()
             raise
@@ -198,7 +201,7 @@ class OpenCvFrameCamera:
             # Any number of pictures may wait on the way from a network camera: a new connection has none of them.
             self._source.release()
             try:
-                self._source = self._opened()
+                self._source = self._opened(SILENCE_S)
             except CameraNotFound as error:
                 raise CameraLost(error.what, where=error.where, remedy=error.remedy) from error
         for _ in range(STALE_FRAMES if self._device is not None else 0):
@@ -237,10 +240,10 @@ class OpenCvFrameCamera:
     def _where(self) -> str:
         return f"video source {self._name}"
 
-    def _opened(self) -> Any:
+    def _opened(self, within_s: float) -> Any:
         """Open the source anew. Raises CameraNotFound."""
         with _quietly():
-            opened = self._capture()
+            opened = self._capture(within_s)
         if not opened.isOpened():
             opened.release()
             raise CameraNotFound(
@@ -249,10 +252,10 @@ class OpenCvFrameCamera:
             )
         return opened
 
-    def _capture(self) -> Any:
+    def _capture(self, within_s: float) -> Any:
         if self._network:
-            silence_ms = int(1e3 * SILENCE_S)
-            waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, silence_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, silence_ms]
+            waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1e3 * within_s)]
+            waits += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(1e3 * SILENCE_S)]
             return cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, waits)
         if self._device is None:
             return cv2.VideoCapture(self._name)

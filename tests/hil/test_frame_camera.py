@@ -219,6 +219,7 @@ def test_a_second_process_is_refused_the_camera_until_the_first_is_dead(simulate
 
 @pytest.mark.parametrize("frames", [None, 0, 2], ids=["says nothing", "no picture", "two pictures"])
 def test_a_network_camera_that_falls_silent_is_given_up_within_its_deadline(tmp_path, monkeypatch, frames):
+    monkeypatch.setattr(frame_cameras, "START_S", 1.0)
     monkeypatch.setattr(frame_cameras, "SILENCE_S", 1.0)
     sent = b"" if frames is None else b"YUV4MPEG2 W64 H48 F25:1 Ip A1:1 Cmono\n"
     sent += (b"FRAME\n" + bytes(64 * 48)) * (frames or 0)
