@@ -118,6 +118,15 @@ def test_what_is_encoded_in_pieces_is_decoded_the_same(rows, edges, piece):
     )
 
 
+def test_every_upper_clock_word_is_followed_by_a_lower_one_even_if_that_repeats():
+    t = np.array([100, 100 + 4096, 100 + 3 * 4096], np.int64)
+    flat = np.zeros(3, np.uint16)
+    words = Evt3Encoder().words(Events(t, flat, flat, np.zeros(3, np.uint8)), empty_triggers(0))
+    [(found, _)] = Evt3Decoder(1280, 720).decode(words)
+    assert found.t.tolist() == t.tolist()
+    assert (words >> 12 == 0x6).sum() == 3
+
+
 def test_a_step_back_of_some_us_is_kept_and_a_longer_one_counted():
     t = np.array([10_000, 9_990, 8_000, 10_001], np.int64)
     flat = np.zeros(4, np.uint16)
