@@ -10,7 +10,7 @@ import pytest
 from simulators.config import BenchConfig
 from simulators.errors import ConfigError
 from simulators.fault_injection import Parts, prepare
-from simulators.faults import order, order_from_text
+from simulators.faults import catalogue, order, order_from_text
 from simulators.lamp import Lamp
 from simulators.lights import make_light
 from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
@@ -198,3 +198,54 @@ def test_a_fault_of_messages_waits_for_them(bench: Bench, kind):
     (waiting,) = bench.parts.lines["gimbal"].faults
     assert waiting == LineFault(kind, count=3, delay_s=2.0)
     assert bench.parts.lines["light"].faults == ()
+
+
+ORDERS = [
+    f"{device} {fault}" for device in ("pan", "gimbal", "light", "camera") for fault in catalogue(device)
+]
+
+
+@pytest.mark.parametrize("text", ORDERS)
+def test_every_fault_of_the_catalogue_can_be_ordered_and_mended(bench: Bench, text):
+    bench.order(text)
+    for request in (b"/0 1 move abs 6400\n", b"/0 1 get pos\n"):
+        bench.parts.lines["gimbal"].receive(request)
+        bench.now_s += 10.0
+    bench.parts.lines["light"].receive(b"OUTP ON\n")
+    for device in ("pan", "gimbal", "light", "camera"):
+        bench.order(f"{device} mend")
+    assert bench.parts.lines["gimbal"].faults == bench.parts.lines["light"].faults == ()
+    assert bench.parts.lines["gimbal"].baud == 115_200
+
+
+@pytest.mark.parametrize(("fault", "plugged", "flag"), [("unplug", False, "--"), ("press_stop", True, "FH")])
+def test_something_from_outside_happens_in_mid_move(bench: Bench, fault, plugged, flag):
+    bench.order(f"pan {fault}")
+    bench.parts.lines["gimbal"].receive(b"/1 1 move abs 6400\n")
+    assert bench.ports["gimbal"].plugged
+    assert f" {flag} " in bench.say("/1 1")
+    assert bench.ports["gimbal"].plugged is plugged
+
+
+def test_a_twist_raises_its_flag_and_no_progress_stays_busy(bench: Bench):
+    bench.order("pan twist")
+    bench.order("tilt no_progress")
+    bench.say("/0 1 move abs 6400")
+    assert "FT" in bench.say("/1 1")
+    assert "BUSY" in bench.say("/2 1")
+    assert " 3200:" in bench.say("/2 1 get pos")
+
+
+def test_a_device_may_listen_at_another_rate_until_mended(bench: Bench):
+    bench.order("gimbal baud rate=9600")
+    assert bench.parts.lines["gimbal"].baud == 9600
+    bench.order("gimbal mend")
+    assert bench.parts.lines["gimbal"].baud == 115_200
+
+
+def test_levels_are_clipped_until_mended(bench: Bench):
+    light = bench.parts.lines["light"]
+    for text, held in (("light clip most_v=2", b"+2"), ("light mend", b"+4")):
+        bench.order(text)
+        light.receive(b"OUTP:LOAD INF\nVOLT:HIGH 4\n")
+        assert light.receive(b"VOLT:HIGH?\n").startswith(held)
