@@ -6,6 +6,7 @@ import signal
 import time
 
 import pytest
+from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, end_when, entering, journal, numbers, results, starbench, start
 
 from bench.control import Command, send
@@ -90,7 +91,9 @@ def test_a_skipped_pose_is_left_out_and_the_report_says_who_asked(home, tmp_path
 def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tmp_path, process):
     folder = tmp_path / "run"
     wait_for(process, folder, entering("slewing", 2))
-    assert send(folder, Command(word="hold", by="ada"))["taken"]  # so that it is there, however slow a command starts
+    assert send(folder, Command(word="hold", by="ada"))[
+        "taken"
+    ]  # so that it is there, however slow a command starts
     assert starbench("abort", folder, "--operator", "ben", home=home).returncode == 0
     assert process.wait(PATIENCE_S) == 3
     assert states(folder)[-2:] == ["aborting", "aborted"]
@@ -129,3 +132,30 @@ def test_a_pose_that_crashes_the_process_twice_is_skipped_and_marked(home, tmp_p
     assert crashes == ["Fatal Python error: Segmentation fault"] * 2
     assert len(list((folder / "quarantine").glob("crash.txt.*"))) == 2
     assert starbench("verify", folder, home=home).returncode == 0
+
+
+def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
+    folder, sequence = (
+        tmp_path / "run",
+        write_sequence(tmp_path / "sequence.yaml", "[{name: left, pan_deg: -6}]", end=""),
+    )
+    question = 'steps:\n  - prompt: {text: "Is the cap off?", default: abort, timeout_s: 200}\n'
+    sequence.write_text(sequence.read_text().replace("steps:\n", question, 1))
+    station = write_station(tmp_path / "station.yaml")
+    process = start("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
+    try:
+        wait_for(process, folder, lambda line: line["event"] == "asked")
+        status = json.loads(starbench("status", folder, "--json", home=home).stdout)
+        assert status["question"] == "Is the cap off?"
+        assert "starbench answer" in status["advice"]
+        said = starbench("answer", folder, "yes", "--operator", "ada", home=home)
+        assert said.returncode == 0, said.stderr
+        assert said.stdout == "Taken: continue.\n"
+        wait_for(process, folder, lambda line: line["event"] == "answered")
+        answered = next(line for line in journal(folder) if line["event"] == "answered")
+        assert (answered["answer"], answered["by"]) == ("continue", "ada")
+        process.communicate(timeout=PATIENCE_S)
+        assert [line["pose"] for line in journal(folder) if line["event"] == "capture_stored"] == [1]
+    finally:
+        process.kill()
+        process.communicate()

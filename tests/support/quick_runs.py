@@ -3,7 +3,7 @@
 from bench.station import SHIPPED
 
 SIMULATION = (
-    "simulation: {%sports: pty, paced: false, noise: clean, "
+    "simulation: {%sports: pty, paced: false, noise: typical, "
     "camera: {width: 640, height: 360, fx: 1672, fy: 1672, cx: 320, cy: 180}}"
 )
 SEQUENCE = """\

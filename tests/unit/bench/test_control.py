@@ -217,3 +217,17 @@ def test_to_ask_whether_a_run_is_worked_on_does_not_keep_others_from_it(tmp_path
 def test_no_bytes_at_all_break_the_reading_of_a_command(data):
     with pytest.raises(ValidationError):
         Command.model_validate_json(data)
+
+
+def test_an_answer_is_taken_only_where_something_is_asked_and_only_once():
+    yes = command("answer", answer="continue")
+    assert refusal(yes, History(), POSES) == "nothing is asked"
+    assert refusal(yes, History(question="Cap off?"), POSES) == ""
+    assert refusal(yes, History(question="Cap off?", answer=("abort", "ben")), POSES) == "nothing is asked"
+    assert command_text({"word": "answer", "taken": True, "answer": "abort"}) == "Taken: abort."
+
+
+@pytest.mark.parametrize("words", [{"word": "answer"}, {"word": "hold", "answer": "continue"}])
+def test_an_answer_and_nothing_else_says_continue_or_abort(words):
+    with pytest.raises(ValidationError):
+        Command(by="ada", **words)
