@@ -75,6 +75,8 @@ def _screen(given: object) -> ScreenTruth:
                 "A board needs columns.", where="screen.columns", remedy="Say how many inner corners."
             )
         return screen
+    if screen.position_mm[2] <= 0.0:
+        raise ConfigError("The screen stands behind the camera.", where="screen.position_mm")
     for name in ("columns", "rows"):
         if getattr(screen, name) < 2:
             raise ConfigError("A board has at least 2 inner corners each way.", where=f"screen.{name}")

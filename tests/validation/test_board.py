@@ -102,7 +102,16 @@ def test_planar_calibration_of_the_board_gives_the_camera():
     assert (sigma[:2, 0] < 0.005 * camera.fx).all()
 
 
-def test_a_board_without_columns_is_no_board():
+@pytest.mark.parametrize(
+    ("section", "where"),
+    [
+        ({"rows": 5}, "screen.columns"),
+        ({"columns": 1}, "screen.columns"),
+        ({"columns": 8, "position_mm": [0, 0, -900]}, "screen.position_mm"),
+        ({"columns": 8, "turn_deg": [0, 0]}, "screen.turn_deg"),
+    ],
+)
+def test_a_board_that_cannot_be_is_refused(section, where):
     with pytest.raises(ConfigError) as error:
-        bench_config({"screen": {"rows": 5}})
-    assert error.value.where == "screen.columns"
+        bench_config({"screen": section})
+    assert error.value.where == where
