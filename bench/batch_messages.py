@@ -78,7 +78,7 @@ class BatchMessages:
         text = "\n".join([f"Batch {name}: {what}", "", *runs])
         for courier in self._couriers.values():
             courier.write(
-                "end" if how == "finished" else "failure",
+                "end" if how in {"finished", "aborted"} else "failure",
                 f"Starbench: batch {name} {what}",
                 text,
                 run=name,

@@ -1,4 +1,4 @@
-"""Sends messages about runs: writes them, hands them to mail (SMTP) and webhooks (HTTP), off the path of the run.
+"""Sends messages about runs: writes them, hands them to mail, webhooks or apprise, off the path of the run.
 
 What is to be sent is put into the outbox first, and goes out from there by a thread; a dead network holds up no run.
 Both channels carry the message's key (``Message-ID``, ``Idempotency-Key``), by which receivers know one they have had.
@@ -7,6 +7,7 @@ Both channels carry the message's key (``Message-ID``, ``Idempotency-Key``), by 
 from __future__ import annotations
 
 import http.client
+import importlib
 import json
 import os
 import smtplib
@@ -20,24 +21,26 @@ from datetime import datetime
 from email.message import EmailMessage
 from email.utils import format_datetime
 from pathlib import Path
+from typing import Any
 
 from bench.clock import BenchClock
 from bench.errors import BenchError
 from bench.outbox import DeliveryFailed, Message, Outbox
-from bench.station_messages import Mail, Messages, Webhook
+from bench.station_messages import Mail, Messages, Service, Webhook
 from bench.status import read_status, status_text
 
 TIMEOUT_S = 10.0
 """How long a server may be silent."""
 _LOOK_S = 5.0
-_MAIL, _WEBHOOK = "mail", "webhook"
+_MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
 
 
 def channels_of(messages: Messages) -> list[str]:
     """Give the channels of a station as the outbox keeps them: JSON, without secrets."""
     mails = [{_MAIL: messages.mail.model_dump()}] if messages.mail is not None else []
     hooks = [{_WEBHOOK: hook.model_dump()} for hook in messages.webhooks]
-    return [json.dumps(channel, sort_keys=True) for channel in (*mails, *hooks)]
+    services = [{_APPRISE: service.model_dump()} for service in messages.apprise]
+    return [json.dumps(channel, sort_keys=True) for channel in (*mails, *hooks, *services)]
 
 
 def send(message: Message, channel: str, environ: Mapping[str, str] = os.environ) -> None:
@@ -52,6 +55,8 @@ def send(message: Message, channel: str, environ: Mapping[str, str] = os.environ
     try:
         if kind == _MAIL:
             _mail(Mail.model_validate(words), message, environ)
+        elif kind == _APPRISE:
+            _notify(Service.model_validate(words), message, environ)
         else:
             _post(Webhook.model_validate(words), message, environ)
     except (OSError, smtplib.SMTPException, http.client.HTTPException, ValueError) as error:
@@ -91,6 +96,18 @@ def _post(hook: Webhook, message: Message, environ: Mapping[str, str]) -> None:
     )
     with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310 - as above; raises unless 2xx
         pass
+
+
+def _notify(service: Service, message: Message, environ: Mapping[str, str]) -> None:
+    try:
+        apprise: Any = importlib.import_module("apprise")
+    except ImportError as error:
+        raise DeliveryFailed("apprise is not installed (pip install starbench[apprise])") from error
+    notifier = apprise.Apprise()
+    if not notifier.add(_secret(service.url_env, environ)):
+        raise DeliveryFailed(f"{service.url_env} holds no address that apprise knows")
+    if not notifier.notify(title=message.subject, body=message.text):
+        raise DeliveryFailed("the service did not take it")
 
 
 def _secret(variable: str, environ: Mapping[str, str]) -> str:

@@ -1,4 +1,4 @@
-"""What a station file says about messages: when, and to whom, by mail or webhook.
+"""What a station file says about messages: when, and to whom, by mail, webhook or another service.
 
 No secret stands in a station file, for it is copied into every run folder: passwords and secret addresses are named by
 the environment variable that holds them.
@@ -53,9 +53,16 @@ class Webhook(Words):
         return self
 
 
+class Service(Words):
+    """Any service that the library apprise knows (chat, telephone, ...), by its address, which is a secret."""
+
+    url_env: Variable
+
+
 class Messages(Words):
     """Who hears what of a run."""
 
     occasions: tuple[Occasion, ...] = ("failure", "hold", "end")
     mail: Mail | None = None
     webhooks: Annotated[tuple[Webhook, ...], Field(max_length=20)] = ()
+    apprise: Annotated[tuple[Service, ...], Field(max_length=20)] = ()

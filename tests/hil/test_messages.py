@@ -1,6 +1,7 @@
 """Messages about runs: by mail and webhook, to servers on loopback, over a dead network and back."""
 
 import json
+import sys
 
 import pytest
 from running import results, starbench
@@ -9,7 +10,7 @@ from servers import MailServer, WebServer, serving
 from bench.messages import channels_of, send
 from bench.outbox import DeliveryFailed, Message
 from bench.station import SHIPPED
-from bench.station_messages import Mail, Messages, Webhook
+from bench.station_messages import Mail, Messages, Service, Webhook
 
 MESSAGE = Message(
     "k" * 64,
@@ -77,6 +78,50 @@ def test_a_server_that_is_ill_is_a_failed_delivery():
         server.status = 503
         with pytest.raises(DeliveryFailed, match="503"):
             send(MESSAGE, hook_to(url=server.url))
+
+
+class Services:
+    """Stands for the library apprise: takes what it is told to take."""
+
+    def __init__(self, takes):
+        self.takes, self.told = takes, []
+
+    def Apprise(self):  # noqa: N802 - its name there
+        return self
+
+    def add(self, url):
+        return url.startswith("json://")
+
+    def notify(self, **words):
+        self.told.append(words)
+        return self.takes
+
+
+def by_apprise():
+    (channel,) = channels_of(Messages(apprise=[Service(url_env="CHAT")]))
+    return channel
+
+
+def test_another_service_gets_subject_and_text(monkeypatch):
+    services = Services(takes=True)
+    monkeypatch.setitem(sys.modules, "apprise", services)
+    send(MESSAGE, by_apprise(), {"CHAT": "json://127.0.0.1"})
+    assert services.told == [{"title": MESSAGE.subject, "body": MESSAGE.text}]
+
+
+@pytest.mark.parametrize(
+    ("module", "environ", "why"),
+    [
+        (None, {"CHAT": "json://x"}, "not installed"),
+        (Services(takes=True), {}, "CHAT is not set"),
+        (Services(takes=True), {"CHAT": "nonsense"}, "no address"),
+        (Services(takes=False), {"CHAT": "json://x"}, "did not take it"),
+    ],
+)
+def test_another_service_that_does_not_take_it_is_a_failed_delivery(monkeypatch, module, environ, why):
+    monkeypatch.setitem(sys.modules, "apprise", module)
+    with pytest.raises(DeliveryFailed, match=why):
+        send(MESSAGE, by_apprise(), environ)
 
 
 def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path):

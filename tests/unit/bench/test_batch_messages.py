@@ -1,0 +1,96 @@
+"""What a batch tells: of workers that cannot tell themselves, of its own end; nothing twice."""
+
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.batch_messages import BatchMessages
+from bench.clock import VirtualClock
+from bench.journal import Journal
+from bench.outbox import Message, Outbox
+from bench.station import SHIPPED
+from bench.supervisor import WorkerEnd
+
+NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
+HOOK = "\nmessages: {webhooks: [{url: 'http://127.0.0.1:1/'}]%s}\n"
+
+
+@pytest.fixture
+def outbox(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    return Outbox(tmp_path / "home")
+
+
+@pytest.fixture
+def messages():
+    messages = BatchMessages(VirtualClock(NOW), lambda _line: None)
+    yield messages
+    messages.close()
+
+
+def station(folder, more=""):
+    path = folder / "station.yaml"
+    path.write_text((SHIPPED / "simulated.yaml").read_text() + HOOK % more)
+    return str(path)
+
+
+def told(outbox):
+    return [(d.message.occasion, d.message.subject) for d in outbox.deliveries()]
+
+
+@pytest.mark.parametrize(
+    ("how", "count"), [("died", 1), ("hung", 1), ("failed", 1), ("aborted", 0), ("finished", 0)]
+)
+def test_what_a_worker_cannot_tell_itself_is_told_once(tmp_path, outbox, messages, how, count):
+    for _ in range(2):
+        messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd(how, "so"), "a" * 64)
+    assert told(outbox) == [("failure", f"Starbench: run cam-001 {how}: so")] * count
+
+
+def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messages):
+    (tmp_path / "run").mkdir()
+    clocks = {"utc_now": lambda: NOW, "monotonic": lambda: 0.0}
+    with Journal.create(tmp_path / "run" / "journal.jsonl", **clocks) as journal:
+        key = journal.append("run_ended", how="failed", why="so").hash
+    words = station(tmp_path)
+    messages.hear([words])
+    (courier,) = messages._couriers.values()
+    outbox.put(Message(key, "failure", "by itself", "", "run", "", NOW.isoformat()), courier._channels)
+    messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("failed", "so"), "a" * 64)
+    assert told(outbox) == [("failure", "by itself")]
+
+
+def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, messages):
+    end = WorkerEnd("died", "by SIGKILL", 0.0, ["the light of a dead process could not be made safe: gone"])
+    messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", end, "a" * 64)
+    (delivery,) = outbox.deliveries()
+    assert "could not be made safe" in delivery.message.text
+    assert "its light is off" not in delivery.message.text
+
+
+@pytest.mark.parametrize(
+    ("how", "occasion"),
+    [("finished", "end"), ("aborted", "end"), ("failed", "failure"), ("stopped", "failure")],
+)
+def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, occasion):
+    messages.hear([station(tmp_path)])
+    messages.batch_ended("Night", how, "", ["cam-001: finished"], tmp_path, "b" * 64)
+    (delivery,) = outbox.deliveries()
+    assert (delivery.message.occasion, delivery.message.subject) == (
+        occasion,
+        f"Starbench: batch Night {how}",
+    )
+    assert "cam-001: finished" in delivery.message.text
+
+
+def test_who_does_not_want_to_hear_of_failures_does_not(tmp_path, outbox, messages):
+    words = station(tmp_path, ", occasions: [end]")
+    messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
+    assert told(outbox) == []
+
+
+def test_a_station_file_that_is_gone_does_not_end_the_batch(tmp_path, outbox):
+    said = []
+    messages = BatchMessages(VirtualClock(NOW), said.append)
+    messages.run_ended("cam-001", str(tmp_path / "gone.yaml"), tmp_path, WorkerEnd("died", "so"), "a" * 64)
+    assert "nobody can be told" in said[0]
