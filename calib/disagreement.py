@@ -29,6 +29,8 @@ _DEGREES = 4
 _RIM_POWERS = (4, 10)
 #: Combinations of coefficients that the residuals show by less than this share of the best are not shown.
 _SHOWN = 1e-7
+#: Where stars are hardly more than coefficients, their noise is at least this share of the residuals' mean square.
+_LEAST_NOISE = 1e-3
 _ROUNDS = 100
 #: Sizes are settled when a round changes none by more than this share.
 _SETTLED = 5e-3
@@ -177,7 +179,7 @@ def _evidence(bundle: Bundle, state: State, loss: Loss) -> _Evidence:
         float(own @ np.linalg.pinv(block, rcond=_SHOWN, hermitian=True) @ own)
         for own, block in zip(pulls, shown, strict=True)
     )
-    noise = max(squares - explained, 0.0) / max(freedom - len(pull), 1)
+    noise = max((squares - explained) / max(freedom - len(pull), 1), _LEAST_NOISE * squares / len(residuals))
     together = _block_diagonal(shown) - answer.T @ inverse @ answer
     return _Evidence(
         pull, 0.5 * (together + together.T), answer, np.concatenate(groups), information, inverse, noise

@@ -1,0 +1,60 @@
+"""Few of the published views say truly how sure they are: their stated sigmas against the scatter over random sets.
+
+A hundred sets of three, five, seven or ten of the twenty views. Drawn without replacement, n of 20 scatter less than n
+of infinitely many by sqrt(1 - n / 20): what the sigmas state is the scatter over that.
+"""
+
+import numpy as np
+import pytest
+
+from calib.calibrate import CalibrationOptions, calibrate
+from tests.validation.test_collimator_real import read
+
+FIELD = CalibrationOptions(model="field")
+SETS = 100
+
+
+@pytest.fixture(scope="module")
+def views(reference_data):
+    return [read(reference_data / "collimator_real" / f"image{i}.txt") for i in range(1, 21)]
+
+
+def random_sets(views, size):
+    """Values (sets, parameters), sigmas and coverage factors of random sets of views."""
+    rng = np.random.default_rng(202600 + size)
+    chosen = [sorted(rng.choice(20, size, replace=False)) for _ in range(SETS)]
+    results = [calibrate([views[i] for i in one], FIELD) for one in chosen]
+    values = np.array([one.values for one in results])
+    sigmas = np.array([list(one.sigma.values()) for one in results])
+    return values, sigmas, np.array([one.coverage_factor for one in results])
+
+
+def over_scatter(values, sigmas, size):
+    """Root mean square of the sigmas stated over the scatter, for each parameter."""
+    scatter = values.std(axis=0, ddof=1) / np.sqrt(1 - size / 20)
+    return np.sqrt((sigmas**2).mean(axis=0)) / scatter
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_sigmas_of_three_views_are_their_scatter_for_every_parameter(views):
+    values, sigmas, k = random_sets(views, 3)
+    ratio = over_scatter(values, sigmas, 3)
+    assert ((ratio > 1 / 1.3) & (ratio < 1.3)).all()
+    covered = np.abs(values - values.mean(axis=0)) <= k[:, None] * sigmas
+    assert (covered.mean(axis=0) > 0.93).all()
+    assert values[:, 0].std(ddof=1) < 22
+    # Half the sigmas, or twice, would not do for any parameter.
+    assert (ratio / 2 < 1 / 1.3).all()
+    assert (ratio * 2 > 1.3).all()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("size", [5, 7, 10])
+def test_sigmas_of_more_views_are_their_scatter_within_what_one_collimator_allows(views, size):
+    values, sigmas, _ = random_sets(views, size)
+    ratio = over_scatter(values, sigmas, size)
+    assert 1 / 1.3 < np.exp(np.log(ratio).mean()) < 1.3
+    # This collimator departs most along y, which fields without a preferred direction do not know.
+    assert ((ratio > 1 / 1.7) & (ratio < 1.7)).all()
