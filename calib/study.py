@@ -38,6 +38,8 @@ class Study:
         (G,) their true values.
     values, sigmas
         (runs, G) estimates, and the uncertainties stated with them.
+    chi_squares
+        (runs,) squared error by the covariance stated: G in the mean when it is true, correlations and all.
     failed
         For each run that gave no calibration, why.
     """
@@ -46,6 +48,7 @@ class Study:
     truth: Array
     values: Array
     sigmas: Array
+    chi_squares: Array
     failed: tuple[str, ...]
 
     @property
@@ -59,6 +62,11 @@ class Study:
         """Root mean square of error over stated sigma: 1 when the sigmas are true."""
         z = (self.values - self.truth) / self.sigmas
         return dict(zip(self.names, np.sqrt((z**2).mean(axis=0)).tolist(), strict=True))
+
+    @property
+    def z_joint(self) -> float:
+        """Root mean square of all errors together by the stated covariance: the sharpest test a study has of it."""
+        return float(np.sqrt(self.chi_squares.mean() / len(self.names)))
 
     @property
     def coverage(self) -> Mapping[str, float]:
@@ -103,6 +111,7 @@ def repeat(
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     values: list[Array] = []
     sigmas: list[list[float]] = []
+    chi_squares: list[float] = []
     failed: list[str] = []
     names: tuple[str, ...] = ()
     for run in range(runs):
@@ -115,10 +124,12 @@ def repeat(
             names = result.parameter_names
             values.append(result.values)
             sigmas.append(list(result.sigma.values()))
+            off = (result.values - [truth[name] for name in names]) / sigmas[-1]
+            chi_squares.append(float(off @ np.linalg.solve(result.correlation, off)))
         if progress:
             progress(run + 1, runs)
     true = np.array([truth[name] for name in names])
-    return Study(names, true, np.array(values), np.array(sigmas), tuple(failed))
+    return Study(names, true, np.array(values), np.array(sigmas), np.array(chi_squares), tuple(failed))
 
 
 def _noisy(

@@ -37,6 +37,7 @@ def test_one_seed_gives_one_result_and_runs_are_told_as_they_end():
     assert np.array_equal(study.values, again.values)
     assert told == [(1, 3), (2, 3), (3, 3)]
     assert not np.array_equal(study.values, repeat(NARROW, POSES, L2, 3, 6).values)
+    assert 0.3 < study.z_joint < 3
 
 
 def test_runs_without_a_calibration_are_kept_with_their_reason():
@@ -53,6 +54,8 @@ def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
     low, high = study.coverage_band
     assert not study.failed
     assert all(low <= share <= high for share in study.coverage.values())
+    assert 0.95 < study.z_joint < 1.05
+    # One parameter's is uncertain by 3 % after 500 runs.
     assert all(0.9 < z < 1.1 for z in study.z_rms.values())
     # With half the sigmas the same study fails.
     halved = np.abs(study.values - study.truth) <= study.sigmas
