@@ -3,16 +3,19 @@
 Each writer knows one format: its field names, its conventions, and which lenses it can carry. A lens that a
 format cannot carry is refused, never trimmed. Writers compute nothing but changes of convention, and say so.
 
-===================  =========================================================================
-file                 read by
-===================  =========================================================================
-opencv.yaml          ``cv::FileStorage``
-ros_camera_info.yaml ROS camera_info_manager, camera_calibration_parsers
-kalibr_camchain.yaml Kalibr (radtan: no k3)
-mrcal.cameramodel    mrcal
-colmap_cameras.txt   COLMAP (pixel centres at half integers there: principal point + 0.5)
-metavision.json      Metavision SDK 4 (intrinsics.json)
-===================  =========================================================================
+====================  ========================================================================
+file                  read by
+====================  ========================================================================
+opencv.yaml           ``cv::FileStorage``
+ros_camera_info.yaml  ROS camera_info_manager, camera_calibration_parsers
+kalibr_camchain.yaml  Kalibr (radtan: no k3)
+mrcal.cameramodel     mrcal (no fisheye of this kind)
+colmap_cameras.txt    COLMAP (pixel centres at half integers there: principal point + 0.5)
+metavision.json       Metavision SDK 4 (intrinsics.json; no fisheye)
+====================  ========================================================================
+
+A fisheye lens (kb1 to kb4) is the same four numbers everywhere: OpenCV's ``cv::fisheye``, ROS's and Kalibr's
+``equidistant``, COLMAP's ``OPENCV_FISHEYE``.
 """
 
 from __future__ import annotations
@@ -32,6 +35,8 @@ from calib.target import StarTarget
 
 _RADTAN = BROWN[:4]
 _PLUMB_BOB = BROWN[:5]
+#: ROS's names by how many coefficients there are.
+_ROS_MODELS = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
 
 NOT_WRITTEN = "not-written.txt"
 """Names the formats that cannot carry a lens model, and why."""
@@ -75,6 +80,7 @@ def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
     """Write OpenCV's FileStorage YAML, with the fields of its calibration sample and the covariance.
 
     ``extrinsic_parameters`` holds a row a view: rotation vector and translation (mm), camera <- target.
+    ``fisheye_model`` is 1 where the coefficients are those of ``cv::fisheye``.
     """
     return _file_storage(
         ".yml",
@@ -82,6 +88,7 @@ def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
             "camera_name": camera_name,
             "nframes": len(calibration.views),
             **_image_size(calibration.camera),
+            "fisheye_model": int(calibration.camera.is_fisheye),
             "camera_matrix": calibration.camera.matrix,
             "distortion_coefficients": _opencv_coefficients(calibration.camera)[None],
             "avg_reprojection_error": calibration.rms_px,
@@ -94,7 +101,7 @@ def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a ROS camera_info YAML: ``plumb_bob`` (five numbers) or ``rational_polynomial`` (eight)."""
+    """Write a ROS camera_info YAML: ``plumb_bob`` (five numbers), ``rational_polynomial`` (eight), ``equidistant``."""
     camera = calibration.camera
     coefficients = _opencv_coefficients(camera)
     projection = np.hstack([camera.matrix, np.zeros((3, 1))])
@@ -103,7 +110,7 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
             **_image_size(camera),
             "camera_name": camera_name,
             "camera_matrix": _ros_matrix(camera.matrix),
-            "distortion_model": "plumb_bob" if len(coefficients) == 5 else "rational_polynomial",
+            "distortion_model": _ROS_MODELS[len(coefficients)],
             "distortion_coefficients": _ros_matrix(coefficients[None]),
             "rectification_matrix": _ros_matrix(np.eye(3)),
             "projection_matrix": _ros_matrix(projection),
@@ -112,22 +119,23 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a Kalibr camchain of one camera: pinhole, radtan.
+    """Write a Kalibr camchain of one camera: pinhole with radtan, or with equidistant for a fisheye lens.
 
     Raises
     ------
     FormatCannotCarry
-        When the lens has more coefficients than k1 k2 p1 p2.
+        When the lens has more coefficients than k1 k2 p1 p2, and is no fisheye.
     """
     camera = calibration.camera
-    _refuse_beyond(_RADTAN, camera, "Kalibr's radtan")
+    if not camera.is_fisheye:
+        _refuse_beyond(_RADTAN, camera, "Kalibr's radtan")
     return _yaml(
         {
             "cam0": {
                 "camera_model": "pinhole",
                 "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
-                "distortion_model": "radtan",
-                "distortion_coeffs": camera.coefficients[:4].tolist(),
+                "distortion_model": "equidistant" if camera.is_fisheye else "radtan",
+                "distortion_coeffs": _opencv_coefficients(camera)[:4].tolist(),
                 "resolution": list(camera.image_size),
                 "rostopic": f"/{camera_name}/events",
                 "cam_overlaps": [],
@@ -137,8 +145,15 @@ def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, the camera at the origin."""
+    """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, the camera at the origin.
+
+    Raises
+    ------
+    FormatCannotCarry
+        For a fisheye lens.
+    """
     camera = calibration.camera
+    _refuse_fisheye(camera, "mrcal's cameramodel")
     coefficients = _opencv_coefficients(camera)
     numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *coefficients.tolist()]
     return (
@@ -151,10 +166,15 @@ def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
-    """Write COLMAP's cameras.txt: OPENCV or FULL_OPENCV, principal point moved by half a pixel."""
+    """Write COLMAP's cameras.txt: OPENCV, FULL_OPENCV or OPENCV_FISHEYE, principal point moved by half a pixel."""
     camera = calibration.camera
-    model, count = ("FULL_OPENCV", 8) if set(camera.distortion) - set(_RADTAN) else ("OPENCV", 4)
-    numbers = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *camera.coefficients[:count].tolist()]
+    if camera.is_fisheye:
+        model, coefficients = "OPENCV_FISHEYE", camera.fisheye_coefficients
+    elif set(camera.distortion) - set(_RADTAN):
+        model, coefficients = "FULL_OPENCV", camera.coefficients
+    else:
+        model, coefficients = "OPENCV", camera.coefficients[:4]
+    numbers = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *coefficients.tolist()]
     size = " ".join(str(side) for side in camera.image_size)
     text = " ".join(repr(number) for number in numbers)
     return f"# {camera_name}\n# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {model} {size} {text}\n".encode()
@@ -164,7 +184,13 @@ def metavision_json(calibration: Calibration, camera_name: str) -> bytes:
     """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON); lengths in metres.
 
     ``pattern`` holds the star target's squares: the program knows no stars.
+
+    Raises
+    ------
+    FormatCannotCarry
+        For a fisheye lens.
     """
+    _refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
     target = StarTarget()
     rotations, translations = _poses(calibration)
     text = _file_storage(
@@ -212,8 +238,18 @@ def _refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None
         )
 
 
+def _refuse_fisheye(camera: CameraModel, what: str) -> None:
+    if camera.is_fisheye:
+        raise FormatCannotCarry(
+            f"{what} has no fisheye lens with a polynomial of the angle.",
+            remedy="Calibrate with k1k2k3p1p2 or rational for it.",
+        )
+
+
 def _opencv_coefficients(camera: CameraModel) -> np.ndarray:
-    """Give k1 k2 p1 p2 k3, and k4 k5 k6 where the lens has them: 5 or 8 numbers."""
+    """Give k1 k2 p1 p2 k3, and k4 k5 k6 where the lens has them: 5 or 8 numbers; 4 of a fisheye lens."""
+    if camera.is_fisheye:
+        return camera.fisheye_coefficients
     rational = set(camera.distortion) - set(_PLUMB_BOB)
     return camera.coefficients[: 8 if rational else 5]
 

@@ -110,6 +110,24 @@ class CameraModel:
             raise InputMismatch("A fisheye lens has no coefficients k1 to k6, p1, p2.")
         return np.array([self.distortion.get(name, 0.0) for name in BROWN])
 
+    @property
+    def is_fisheye(self) -> bool:
+        """Whether the lens is described by its angle's polynomial."""
+        return is_fisheye(self.distortion)
+
+    @property
+    def fisheye_coefficients(self) -> Array:
+        """(4,) coefficients of the angle's polynomial, as OpenCV's fisheye functions take them.
+
+        Raises
+        ------
+        InputMismatch
+            For a lens of Brown's model, which has none of them.
+        """
+        if not is_fisheye(self.distortion):
+            raise InputMismatch("A lens of Brown's model has no coefficients kb1 to kb4.")
+        return np.array([self.distortion.get(name, 0.0) for name in FISHEYE])
+
     def with_values(self, values: Array) -> CameraModel:
         """Return the same model with other values, in the order of `parameter_names`."""
         fx, fy, cx, cy, *coefficients = (float(v) for v in values)

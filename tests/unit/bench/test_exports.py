@@ -29,11 +29,16 @@ LENSES = {
         "k6": -0.1,
     },
 }
+FISHEYES = {
+    "fisheye": {"kb1": 0.03, "kb2": -0.02, "kb3": 1e-5, "kb4": 0.004},
+    "fisheye, kb1 and kb2": {"kb1": 0.03, "kb2": -0.02},
+}
 RAYS = np.array([[0.0, 0.0, 1.0], [0.15, -0.1, 1.0], [-0.2, 0.08, 1.1], [0.05, 0.11, 0.9]])
 
 
 def calibration(lens):
-    camera = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), LENSES[lens])
+    distortion = {**LENSES, **FISHEYES}[lens]
+    camera = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), distortion)
     rotations = np.stack([cv2.Rodrigues(np.array(v))[0] for v in ([0.0, 0.1, 0.0], [0.05, 0.0, -0.2])])
     names = (*camera.parameter_names, "x", "y", "r")
     return Calibration(
@@ -61,6 +66,15 @@ def by_opencv(matrix, coefficients):
     """Image points of the rays, by OpenCV."""
     image, _ = cv2.projectPoints(
         RAYS, np.zeros(3), np.zeros(3), np.asarray(matrix, float), np.asarray(coefficients, float)
+    )
+    return image[:, 0]
+
+
+def by_opencv_fisheye(fx, fy, cx, cy, coefficients):
+    """Image points of the rays, by OpenCV's fisheye functions."""
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    image, _ = cv2.fisheye.projectPoints(
+        RAYS[:, None], np.zeros((3, 1)), np.zeros((3, 1)), matrix, np.array(coefficients, float)
     )
     return image[:, 0]
 
@@ -195,3 +209,50 @@ def test_metavision_s_json_is_read_by_opencv_and_by_any_json_reader(lens):
 def test_the_same_calibration_gives_the_same_bytes():
     one, two = (exports(calibration("rational"), camera_name="c") for _ in range(2))
     assert one == two
+
+
+@pytest.mark.parametrize("lens", FISHEYES)
+def test_opencv_s_fisheye_functions_see_the_same_camera_in_every_format_that_has_one(lens):
+    wanted = calibration(lens)
+    image = wanted.camera.project(RAYS)
+    files = exports(wanted, camera_name="c")
+
+    storage = file_storage(files["opencv.yaml"], ".yml")
+    assert storage.getNode("fisheye_model").real() == 1
+    m, d = (storage.getNode(name).mat() for name in ("camera_matrix", "distortion_coefficients"))
+    np.testing.assert_allclose(
+        by_opencv_fisheye(m[0, 0], m[1, 1], m[0, 2], m[1, 2], d.ravel()), image, atol=1e-9
+    )
+
+    ros = yaml.safe_load(files["ros_camera_info.yaml"])
+    assert ros["distortion_model"] == "equidistant"
+    m = np.reshape(ros["camera_matrix"]["data"], (3, 3))
+    coefficients = ros["distortion_coefficients"]["data"]
+    assert len(coefficients) == 4
+    np.testing.assert_allclose(
+        by_opencv_fisheye(m[0, 0], m[1, 1], m[0, 2], m[1, 2], coefficients), image, atol=1e-9
+    )
+
+    kalibr = yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]
+    assert (kalibr["camera_model"], kalibr["distortion_model"]) == ("pinhole", "equidistant")
+    np.testing.assert_allclose(
+        by_opencv_fisheye(*kalibr["intrinsics"], kalibr["distortion_coeffs"]), image, atol=1e-9
+    )
+
+    line = files["colmap_cameras.txt"].decode().splitlines()[-1].split()
+    assert line[1] == "OPENCV_FISHEYE"
+    fx, fy, cx, cy, *coefficients = map(float, line[4:])
+    np.testing.assert_allclose(by_opencv_fisheye(fx, fy, cx, cy, coefficients) - 0.5, image, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["mrcal.cameramodel", "metavision.json"])
+def test_a_format_without_fisheye_is_left_out_and_told(name):
+    files = exports(calibration("fisheye"), camera_name="c")
+    assert name not in files
+    (told,) = (text for text in files["not-written.txt"].decode().splitlines() if text.startswith(name))
+    assert "has no fisheye lens" in told
+
+
+def test_a_lens_of_brown_s_model_is_no_fisheye_to_opencv():
+    storage = file_storage(opencv_yaml(calibration("k1k2"), "camera"), ".yml")
+    assert storage.getNode("fisheye_model").real() == 0
