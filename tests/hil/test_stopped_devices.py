@@ -1,0 +1,194 @@
+"""Simulated devices whose process is stopped (SIGSTOP), and runs that end by every signal: asked from outside."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from quick_runs import SIMULATION, write_sequence, write_station
+from running import PATIENCE_S, end_when, entering, journal, starbench, start
+
+from bench.clock import BenchClock
+from bench.devices import _open_light, _open_stage
+from bench.simulated import SimulatedBench
+from bench.station import load_station
+from drivers.device_hold import FOLDER_VARIABLE
+from simulators.config import bench_config
+
+THREE = "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2}, {name: below, tilt_deg: -3}]"
+AT_POSE = {"recording": 1, "slewing": 2}
+CONFIG = {
+    "ports": "pty",
+    "paced": False,
+    "noise": "typical",
+    "camera": {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180},
+}
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """A simulated bench of its own process, that outlives runs on it; a station of its real ports; a sequence."""
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "locks"))  # other tests have devices of the same names
+    with SimulatedBench(CONFIG, 7) as world:
+        station = write_station(tmp_path / "station.yaml")
+        text = station.read_text()
+        for name in ("gimbal", "light", "camera"):
+            text = text.replace(f"sim:{name}", world.endpoints[name])
+        text = text.replace(SIMULATION % "", "")
+        station.write_text(text)
+        yield world, station, write_sequence(tmp_path / "sequence.yaml", THREE)
+
+
+def see_that_it_is_safe(station):
+    """Ask the devices themselves: the light is off, the stage stands."""
+    words, clock = load_station(str(station)).value, BenchClock()
+    light = _open_light(words, str, clock, None)
+    try:
+        assert not light.is_on()
+    finally:
+        light.close()
+    stage = _open_stage(words, str, clock, None)
+    try:
+        first = stage.position_deg()
+        time.sleep(0.3)
+        assert stage.position_deg() == first
+    finally:
+        stage.close()
+
+
+@contextmanager
+def stopped(world):
+    os.kill(world._process.pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(world._process.pid, signal.SIGCONT)
+
+
+@pytest.mark.slow
+def test_devices_that_stop_answering_end_the_run_in_time_and_it_is_resumed(tmp_path, bench):
+    world, station, sequence = bench
+    folder, home = tmp_path / "run", tmp_path / "home"
+    process = start("run", sequence, "-s", station, "-o", folder, home=home)
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(map(entering("slewing", 2), journal(folder))):
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    with stopped(world):
+        began = time.monotonic()
+        said = process.communicate(timeout=60)[1]
+        assert time.monotonic() - began < 40
+    assert process.returncode == 1
+    assert "The run failed" in said
+    assert "CHECK THE BENCH" in said  # nobody could be made sure of
+    resumed = starbench("resume", folder, home=home)
+    assert resumed.returncode == 0, resumed.stderr
+    see_that_it_is_safe(station)
+
+
+@pytest.mark.slow
+def test_devices_that_pause_are_waited_for_where_the_station_says_so(tmp_path, bench):
+    world, station, sequence = bench
+    station.write_text(station.read_text() + "\ninterlocks: {device_lost: {retry_s: 1, max_hold_s: 120}}\n")
+    folder, home = tmp_path / "run", tmp_path / "home"
+    process = start("run", sequence, "-s", station, "-o", folder, home=home)
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(map(entering("slewing", 2), journal(folder))):
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    with stopped(world):
+        while not any(map(entering("holding"), journal(folder))):
+            assert process.poll() is None, process.communicate()[1]
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        time.sleep(5)
+    said = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == 0, said
+    released = [line for line in journal(folder) if line["event"] == "interlock_released"]
+    assert {line["rule"] for line in released} == {"device_lost"}
+    see_that_it_is_safe(station)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "state"),
+    [
+        (signal.SIGINT, "recording"),
+        (signal.SIGTERM, "slewing"),
+        (signal.SIGHUP, "homing"),
+        (signal.SIGTERM, "lighting"),
+    ],
+)
+def test_a_run_that_is_told_to_stop_leaves_devices_safe(tmp_path, bench, number, state):
+    _, station, sequence = bench
+    process = start("run", sequence, "-s", station, "-o", tmp_path / "run", home=tmp_path / "home")
+    end_when(process, tmp_path / "run", entering(state, AT_POSE.get(state)), number)
+    assert process.returncode == 3
+    see_that_it_is_safe(station)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("state", ["recording", "slewing", "homing"])
+def test_a_worker_killed_by_force_leaves_devices_that_its_supervisor_makes_safe(tmp_path, bench, state):
+    _, station, sequence = bench
+    (tmp_path / "queue.yaml").write_text(
+        "format: starbench/queue/1\nname: Night\njobs:\n"
+        f"  - {{name: cam, sequence: {sequence}, station: {station}, attempts: 1}}\n"
+    )
+    folder = tmp_path / "night"
+    process = start("batch", tmp_path / "queue.yaml", "-o", folder, home=tmp_path / "home")
+    run = folder / "runs" / "cam-001"
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(map(entering(state, AT_POSE.get(state)), journal(run))):
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    (worker,) = [int(p) for p in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    os.kill(worker, signal.SIGKILL)
+    while not any(line["event"] == "item_ended" for line in journal(folder)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    ended = next(line for line in journal(folder) if line["event"] == "item_ended")
+    assert (ended["how"], ended["unsafe"]) == ("died", [])
+    process.communicate(timeout=PATIENCE_S)
+    see_that_it_is_safe(station)
+
+
+RAISING = """
+import sys
+from bench.state_work import StateWork
+def broken(self, **facts):
+    raise RuntimeError("a mistake of ours")
+setattr(StateWork, sys.argv[1], broken)
+from bench.cli import main
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("callback", ["slew", "record", "check", "stand_still", "park", "solve"])
+def test_an_exception_in_any_callback_leaves_devices_safe(tmp_path, bench, callback):
+    _, station, sequence = bench
+    command = [sys.executable, "-c", RAISING, callback, "run", str(sequence), "-s", str(station)]
+    said = subprocess.run(
+        [*command, "-o", str(tmp_path / "run")],
+        env={**os.environ, "STARBENCH_HOME": str(tmp_path / "home")},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert said.returncode == 1, said.stderr
+    assert "a mistake of ours" in journal(tmp_path / "run")[-1]["why"]
+    see_that_it_is_safe(station)
+
+
+def test_the_configuration_of_this_bench_is_one():
+    assert bench_config(json.loads(json.dumps(CONFIG))).paced is False
