@@ -2,7 +2,9 @@
 
 Biases are offsets from the factory value. The ranges are the camera's own; the laws that map an offset to a
 threshold, a dead time or a bandwidth are monotone stand-ins, chosen to reach the extremes that the maker's
-documents tell (contrast thresholds from 11 %, factory value 25 %; latency tenfold with bias_fo).
+documents tell (contrast thresholds from 11 %, factory value 25 %; latency tenfold with bias_fo). A follower's
+bandwidth goes with its bias current, which is exponential in the bias; so does the corner of the high-pass, from
+0.5 Hz to 400 Hz. Both act on the background's rate through the bandwidth they leave.
 """
 
 from __future__ import annotations
@@ -23,6 +25,9 @@ ALLOWED: Final[Mapping[str, tuple[int, int]]] = {
 
 FACTORY: Final[Mapping[str, int]] = dict.fromkeys(ALLOWED, 0)
 
+FASTEST_FOLLOWER_US: Final = 1.0
+"""The follower's time constant at the factory value: no longer than the sensor's clock resolves, and left out."""
+
 
 @dataclass(frozen=True)
 class PixelSettings:
@@ -40,6 +45,10 @@ class PixelSettings:
         Light that is always there (stray light, dark current), nominal brightness = 1.
     background_gain
         Factor on the rate of background events.
+    follower_us
+        Time constant of the source follower behind the photoreceptor, a second low-pass pole; 0: none.
+    high_pass_hz
+        Corner of the high-pass before the comparators; 0: none.
     """
 
     threshold_on: float = math.log(1.25)
@@ -48,6 +57,8 @@ class PixelSettings:
     q_us: float = 20.0
     ambient: float = 1.0 / 9.0
     background_gain: float = 1.0
+    follower_us: float = 0.0
+    high_pass_hz: float = 0.0
 
     @classmethod
     def from_biases(cls, biases: Mapping[str, int]) -> PixelSettings:
@@ -60,12 +71,17 @@ class PixelSettings:
         """
         factory = cls()
         on, off = biases.get("bias_diff_on", 0), biases.get("bias_diff_off", 0)
+        follower_us = FASTEST_FOLLOWER_US * math.exp(-biases.get("bias_fo", 0) / 6.6)
         high_pass = biases.get("bias_hpf", 0)
         return cls(
             threshold_on=factory.threshold_on * math.exp(on / 120.0),
             threshold_off=factory.threshold_off * math.exp(off / 120.0),
             dead_us=factory.dead_us * math.exp(-biases.get("bias_refr", 0) / 60.0),
-            q_us=factory.q_us * math.exp(-biases.get("bias_fo", 0) / 30.0),
+            q_us=factory.q_us,
             ambient=factory.ambient,
-            background_gain=math.exp(-high_pass / 40.0 - (on + off) / 120.0),
+            background_gain=factory.q_us
+            / (factory.q_us + follower_us - FASTEST_FOLLOWER_US)
+            * math.exp(-high_pass / 40.0 - (on + off) / 120.0),
+            follower_us=follower_us if follower_us > FASTEST_FOLLOWER_US else 0.0,
+            high_pass_hz=0.5 * math.exp(high_pass / 18.0) if high_pass > 0 else 0.0,
         )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from simulators import photoreceptor as pr
 from simulators.biases import PixelSettings
-from simulators.drive import LN_BRIGHT, LN_DARK, SMOOTH, T_DARK, Drive, make_drive
+from simulators.drive import LN_BRIGHT, LN_DARK, SQUARE, T_DARK, Drive, make_drive
 from simulators.errors import SimulationMisuse
 from simulators.fast_math import JIT, KERNEL
 from simulators.world import LightState
@@ -78,7 +78,7 @@ def ideal_slices(
     """
     chosen = settings if settings is not None else PixelSettings()
     drive = make_drive(light, -phase * light.period_us, chosen)
-    if drive.kind != SMOOTH:
+    if drive.kind == SQUARE:
         raise SimulationMisuse(
             "The ideal readout needs a light that rises and falls smoothly.",
             remedy="Use a sine, or Link.ideal().",

@@ -118,7 +118,8 @@ class Sensor:
         """Thresholds of this camera's pixels, ON and OFF, (height, width) each, in units of log intensity."""
         gains = self._pixels.gains[:, : self.width, sensor_state.GAINS]
         on, off = gains & np.uint32(GAIN_ONE - 1), gains >> np.uint32(sensor_state.ON_BITS)
-        return -np.log(on / GAIN_ONE), -np.log(off / GAIN_ONE)
+        with np.errstate(divide="ignore"):  # a dead pixel's are infinite
+            return -np.log(on / GAIN_ONE), -np.log(off / GAIN_ONE)
 
     @property
     def stalled_us(self) -> float:
@@ -318,6 +319,7 @@ def _make_pixels(
     gains = cell.view(np.uint32)
     gains[:, :width, sensor_state.GAINS] = share(settings.threshold_on)
     gains[:, :width, sensor_state.GAINS] |= share(settings.threshold_off) << np.uint32(sensor_state.ON_BITS)
+    gains[:, :width, sensor_state.GAINS][_dead(width, height, noise, camera_seed)] = 0  # beyond any threshold
     groups = -(-height // GROUP)
     return Pixels(
         t_next=np.full(shape, np.inf, np.float32),
@@ -334,6 +336,15 @@ def _make_pixels(
     )
 
 
+def _dead(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArray[np.bool_]:
+    """Which pixels of that camera are dead, (height, width)."""
+    dead = np.zeros(width * height, np.bool_)
+    dead[: round(noise.dead_share * dead.size)] = True
+    if dead[0]:
+        np.random.default_rng([camera_seed, 3]).shuffle(dead)
+    return dead.reshape(height, width)
+
+
 def _make_readout(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int, link: Link
 ) -> Readout:
@@ -344,6 +355,7 @@ def _make_readout(
     rates = noise.background_hz * settings.background_gain * spread
     hot = pattern.choice(n, round(noise.hot_share * n), replace=False)
     rates[hot] = noise.hot_hz
+    rates[_dead(width, height, noise, camera_seed).ravel()] = 0.0
     total = float(rates.sum(dtype=np.float64))
     alias = np.zeros(n, np.uint64)
     if total > 0.0:

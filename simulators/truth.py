@@ -146,6 +146,8 @@ class NoiseTruth:
         Mean rate of background events of a pixel.
     hot_share, hot_hz
         Share of pixels that are hot, and the rate of their events.
+    dead_share
+        Share of pixels that never fire.
     reset_noise
         Standard deviation of the reference level after a reset, in units of log intensity.
     """
@@ -155,6 +157,7 @@ class NoiseTruth:
     hot_share: float = 2e-5
     hot_hz: float = 2000.0
     reset_noise: float = 0.01
+    dead_share: float = 0.0
 
 
 REFERENCE_C: Final = 41.5

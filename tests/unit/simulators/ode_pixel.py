@@ -49,3 +49,39 @@ def solve_step_by_step(
             if dead == 0.0:
                 reference, waiting = level, False
     return times, polarities
+
+
+@njit
+def solve_with_filters(
+    light, period, phase_us, low, high, duty, ambient, q, follower, corner, on, off, dead, end
+):
+    """As above under a square light, with the follower's low-pass and the high-pass behind the photoreceptor.
+
+    In steps of 0.1 us; from 12 periods before 0, of which the last two have events, to ``end``.
+    """
+    step = 0.1
+    begin_t, begin = -12.0 * period, -2.0 * period
+    u, live = 1.0 / (ambient + light * low), begin
+    followed = slow = -np.log(u)
+    v, reference, waiting = 0.0, 0.0, True
+    times, polarities = [0.0 for _ in range(0)], [0 for _ in range(0)]
+    for i in range(int((end - begin_t) / step)):
+        t = begin_t + i * step
+        share = ((t + 0.5 * step + phase_us) / period) % 1.0
+        intensity = ambient + light * (high if share < duty else low)
+        middle = u + 0.5 * step * (1.0 - intensity * u) / q
+        was = -np.log(middle)
+        u += step * (1.0 - intensity * middle) / q
+        followed += (was - followed) * (1.0 - np.exp(-step / follower))
+        slow += (followed - slow) * step * corner
+        before, v = v, followed - slow
+        if t + step < live:
+            continue
+        if waiting:
+            reference, waiting = before + (v - before) * (live - t) / step, False
+        if v - reference >= on or reference - v >= off:
+            level = reference + on if v > reference else reference - off
+            times.append(t + step * (level - before) / (v - before))
+            polarities.append(1 if v > reference else 0)
+            live, waiting = times[-1] + dead, True
+    return times, polarities

@@ -1,16 +1,18 @@
 """The sensor: against an equation solved step by step, and against what every event sensor obeys."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import njit
 
 from simulators.biases import ALLOWED, PixelSettings
 from simulators.errors import SimulationMisuse
 from simulators.pixels import Link, Sensor, simulate
 from simulators.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world import LightState
+from tests.unit.simulators.ode_pixel import solve_step_by_step, solve_with_filters
 
 MISMATCH_ONLY = NoiseTruth(mismatch=0.12, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=0.0)
 SQUARE = LightState(waveform="square", output=True)
@@ -24,44 +26,6 @@ def picture(height, width, seed=0):
 def by_pixel(events, x, y):
     inside = (events.x == x) & (events.y == y)
     return events.t[inside], events.p[inside]
-
-
-@njit
-def solve_step_by_step(
-    light, period, phase_us, shape, low, high, duty, ambient, q, on, off, dead, begin, end
-):
-    """du/dt = (1 - I u) / q in steps of 0.02 us; events of one pixel from ``begin`` (a reset) to ``end``.
-
-    Crossings and new references are interpolated within a step: in the flat tail of an edge an event's time
-    answers to 1e-5 of the reference with a microsecond.
-    """
-    step = 0.02
-    begin_t, live = begin - 4 * period, begin
-    v = np.log(ambient + light * low)
-    u = np.exp(-v)
-    reference, waiting = 0.0, True
-    times, polarities = [0.0 for _ in range(0)], [0 for _ in range(0)]
-    for i in range(int((end - begin_t) / step)):
-        t = begin_t + i * step  # at the step's end: t + step
-        share = ((t + 0.5 * step + phase_us) / period) % 1.0
-        if shape == 0:
-            w = high if share < duty else low
-        else:
-            w = 0.5 * (low + high) + 0.5 * (high - low) * np.sin(2.0 * np.pi * share)
-        intensity = ambient + light * w
-        middle = u + 0.5 * step * (1.0 - intensity * u) / q
-        u += step * (1.0 - intensity * middle) / q  # midpoint rule
-        before, v = v, -np.log(u)
-        if t + step < live:
-            continue
-        if waiting:
-            reference, waiting = before + (v - before) * (live - t) / step, False
-        if v - reference >= on or reference - v >= off:
-            level = reference + on if v > reference else reference - off
-            times.append(t + step * (level - before) / (v - before))
-            polarities.append(1 if v > reference else 0)
-            live, waiting = times[-1] + dead, True
-    return times, polarities
 
 
 @pytest.mark.parametrize(("light", "shape", "tolerance_us"), [(SQUARE, 0, 1.0), (SINE, 1, 2.0)])
@@ -89,6 +53,70 @@ def test_events_are_those_of_the_differential_equation(light, shape, tolerance_u
         assert np.abs(error).max(initial=0.0) <= 0.5 + tolerance_us
         compared += len(expected)
     assert compared > 50
+
+
+@pytest.mark.parametrize(("follower_us", "corner_hz"), [(50.0, 0.0), (200.0, 0.0), (1.5, 20.0), (50.0, 60.0)])
+def test_follower_and_high_pass_are_those_of_their_equations(follower_us, corner_hz):
+    height, duration, phase = 8, 33_400.0, 0.37
+    setting = PixelSettings(follower_us=follower_us, high_pass_hz=corner_hz)
+    scene = picture(height, 1, seed=7)
+    sensor = Sensor(1, height, noise=MISMATCH_ONLY, settings=setting, camera_seed=3, link=Link.ideal())
+    sensor.begin(scene, SQUARE, phase)
+    events = sensor.run(duration)
+    on, off = sensor.thresholds
+    period = SQUARE.period_us
+    errors = []
+    for y in range(height):
+        times, polarities = solve_with_filters(
+            float(scene[y, 0]), period, phase * period, SQUARE.low, SQUARE.high, 0.5, setting.ambient,
+            setting.q_us, follower_us, 2e-6 * np.pi * corner_hz, on[y, 0], off[y, 0], setting.dead_us, duration,
+        )  # fmt: skip
+        expected = [(t, p) for t, p in zip(times, polarities, strict=True) if t >= 0.0]
+        found_t, found_p = by_pixel(events, 0, y)
+        assert list(found_p) == [p for _, p in expected]
+        errors.append(np.abs(found_t + 0.5 - np.array([t for t, _ in expected])))
+    found = np.concatenate(errors)
+    assert len(found) > 40
+    assert np.quantile(found, 0.95) <= 0.5 + 2.0  # in the flat tail of an edge, times answer to nothing
+    assert np.median(found) <= 0.5
+
+
+def test_a_slower_follower_delays_and_calms():
+    def first_on(fo):
+        setting = PixelSettings.from_biases({"bias_fo": fo})
+        noise = NOISE_LEVELS["none"]
+        events = simulate(np.ones((8, 32), np.float32), SQUARE, 10_000, noise=noise, settings=setting)
+        return np.median(events.t[events.p == 1]), setting.background_gain
+
+    assert first_on(-35)[0] > 5.0 * first_on(0)[0]
+    assert first_on(-35)[1] < 0.5 * first_on(0)[1]
+    assert first_on(20)[0] == first_on(0)[0]  # the photoreceptor's own pole is the slower one
+
+
+def test_the_high_pass_forgets_an_edge():
+    def off_share_while_bright(hpf):
+        setting = PixelSettings.from_biases({"bias_hpf": hpf})
+        events = simulate(
+            np.ones((8, 32), np.float32), SQUARE, 8_000, noise=NOISE_LEVELS["none"], settings=setting
+        )
+        return np.count_nonzero(events.p == 0) / len(events.t)
+
+    assert off_share_while_bright(0) == 0.0
+    assert off_share_while_bright(110) > 0.3
+
+
+def test_dead_pixels_never_fire_and_stay_with_the_camera():
+    noise = replace(NOISE_LEVELS["heavy"], dead_share=0.05)
+
+    def silent(camera_seed, seed):
+        events = simulate(
+            np.ones((48, 64), np.float32), SQUARE, 60_000, noise=noise, camera_seed=camera_seed, seed=seed
+        )
+        return set(range(48 * 64)) - set((events.y.astype(int) * 64 + events.x).tolist())
+
+    assert len(silent(1, 1)) == round(0.05 * 48 * 64)
+    assert silent(1, 1) == silent(1, 2)
+    assert silent(1, 1) != silent(2, 1)
 
 
 @given(
