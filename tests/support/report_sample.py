@@ -236,6 +236,7 @@ def _pose(number, view):
             "hot_pixels": 12,
         },
         "flicker_hz": 60.0003,
+        "named_by": "tag",
         "stars": len(view.ids),
         "rms_px": 0.0805,
         "mean_px": 0.0703,
