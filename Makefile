@@ -7,7 +7,7 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
 OUTPUT ?= runs/demo
 SEED ?= 1
 
-.PHONY: demo test test-slow lint types format bench clean help
+.PHONY: demo night test test-slow lint types format bench clean help
 .DEFAULT_GOAL := help
 
 help: ## say what there is
@@ -36,6 +36,9 @@ $(VENV)/installed-dev: $(VENV)/made pyproject.toml
 
 demo: $(VENV)/installed ## the main job on the simulated bench: three poses to a sealed report
 	@$(BIN)/starbench run sequences/three_pose.yaml --station simulated --seed $(SEED) --output "$(OUTPUT)-$$(date -u +%Y%m%d-%H%M%S)"
+
+night: $(VENV)/installed ## rehearse a night of sixty runs on a virtual clock; one of them fails, as it is meant to
+	@$(BIN)/starbench rehearse sequences/night/queue.yaml --begin 2026-03-01T19:30 --quiet --output "runs/night-$$(date -u +%Y%m%d-%H%M%S)"; test $$? -le 1
 
 test: $(VENV)/installed-dev lint types ## every check that CI runs
 	$(BIN)/pytest -n 2 -m "not slow"

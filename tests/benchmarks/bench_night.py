@@ -11,7 +11,7 @@ from zoneinfo import ZoneInfo
 from bench.batch_plan import read_queue
 from bench.rehearsed_night import rehearse_batch
 
-QUEUE = Path(__file__).parents[2] / "demo" / "night" / "queue.yaml"
+QUEUE = Path(__file__).parents[2] / "sequences" / "night" / "queue.yaml"
 BEGIN = datetime(2026, 3, 1, 19, 30, tzinfo=ZoneInfo("Europe/Berlin"))
 
 

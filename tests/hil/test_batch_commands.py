@@ -119,7 +119,7 @@ def test_a_job_is_noted_for_a_batch_that_is_not_at_work(night):
 
 def test_the_demonstration_is_a_night_of_sixty_runs_of_nine_poses(night):
     folder, _ = night
-    words = ("plan", ROOT / "demo" / "night" / "queue.yaml", "--begin", "2026-03-01T19:30", "--json")
+    words = ("plan", ROOT / "sequences" / "night" / "queue.yaml", "--begin", "2026-03-01T19:30", "--json")
     told = json.loads(starbench(*words, home=folder / "home").stdout)
     assert (told["runs"], told["no_time_for"]) == (60, [])
     assert told["end_utc"] > "2026-03-02T04:00"
