@@ -166,22 +166,6 @@ def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
-@click.option(
-    "--as",
-    "kind",
-    type=click.Choice(["metavision", "hdf5", "numpy"]),
-    default="metavision",
-    show_default=True,
-    help="Metavision's HDF5 (ECF), plain HDF5, or NumPy's .npz.",
-)
-def export(recording: Path, output: Path, kind: str) -> int:
-    """Write the events of a RAW RECORDING to a new file for other programs. The RAW stays the evidence."""
-    return _convert(recording, output, kind)
-
-
-@click.command()
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option(
@@ -196,24 +180,18 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
     RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5 and NumPy's .npz. A RAW file that was converted says so in its
     header: it is no camera's own bytes.
     """
-    from bench.errors import UsageError
-    from drivers.camera.event_conversion import kind_of_name
+    from datetime import UTC, datetime
 
-    kind = kind or kind_of_name(output)
+    from bench.errors import UsageError
+    from drivers.camera import event_conversion
+
+    kind = kind or event_conversion.kind_of_name(output)
     if kind is None:
         raise UsageError(
             "Its name does not tell what kind of file it shall be.",
             where=str(output),
             remedy="Let it end in .raw, .hdf5, .h5 or .npz, or say it by --as.",
         )
-    return _convert(source, output, kind)
-
-
-def _convert(source: Path, output: Path, kind: str) -> int:
-    from datetime import UTC, datetime
-
-    from drivers.camera import event_conversion
-
     written = event_conversion.convert(
         source,
         output,
@@ -225,4 +203,4 @@ def _convert(source: Path, output: Path, kind: str) -> int:
     return 0
 
 
-ENGINE_COMMANDS = (calibrate, passport, study, export, convert)
+ENGINE_COMMANDS = (calibrate, passport, study, convert)
