@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 #: A focal length less certain than this share of itself is no calibration.
 MAX_FOCAL_SIGMA = 0.05
-#: The disc's centre must be known to this share of its radius.
-_MAX_DISC_SIGMA = 0.06
+#: At least this share of the views must show the beam's rim themselves.
+_SHOWING_RIM = 0.5
 _SAME_POSE_DEG = 0.5
 _PARALLEL_SINE = 0.05
 _NARROW_DEG = 5.0
@@ -62,20 +62,22 @@ def require_constrained(state: State, names: Sequence[str], covariance: Array, w
 
 
 def require_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
-    """Refuse views whose beam's rim is out of sight, where its disc's centre is asked for.
+    """Refuse views most of which do not show their beam's rim, where its disc's centre is asked for.
 
     Raises
     ------
     DegenerateViews
         Naming the first such view.
     """
-    for view, disc in zip(views, discs, strict=True):
-        if not disc.sigma_mm <= _MAX_DISC_SIGMA * disc.radius_mm:
-            raise DegenerateViews(
-                "The rim of its beam is out of sight, so its place in the pupil is unknown.",
-                where=f"view {view.name}",
-                remedy="Use the spherical model, or record views that show the rim on both sides.",
-            )
+    hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.seen]
+    unknown = any(not np.isfinite(disc.sigma_mm) for disc in discs)
+    if unknown or len(hidden) > (1.0 - _SHOWING_RIM) * len(views):
+        raise DegenerateViews(
+            f"The rim of the beam is out of sight in {len(hidden)} of {len(views)} views, so the place in the pupil"
+            " is unknown.",
+            where=f"view {hidden[0]}",
+            remedy="Use the spherical or the drift model, or record views that show the rim on both sides.",
+        )
 
 
 def reason(views: Sequence[View], state: State) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib import degeneracy, imperfections, uncertainty
-from calib.beam import Disc, inside, visible_disc, within
+from calib.beam import Disc, inside, visible_discs, within
 from calib.bundle import Bundle
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.camera import PINHOLE
@@ -60,6 +60,8 @@ class Fit:
         Covariance of the shared parameters.
     left_out
         What leaving out views shows; None where it was not asked for, or the views are too few.
+    discs
+        The views' visible discs; none where the model needs none.
     """
 
     model: str
@@ -71,6 +73,7 @@ class Fit:
     used: NDArray[np.bool_]
     known: uncertainty.Uncertainty
     left_out: LeftOut | None
+    discs: Sequence[Disc] = ()
 
     @property
     def state(self) -> State:
@@ -102,7 +105,7 @@ def fit(
     terms = options.passport.terms if options.passport else LADDER.get(model, ())
     kept = views
     if terms or options.guard_band < 1:
-        discs = discs or [visible_disc(view) for view in views]
+        discs = discs or visible_discs(views)
         degeneracy.require_rims(views, discs)
         kept = [within(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
     bundle, start = begin(kept, options, model)
@@ -121,7 +124,9 @@ def fit(
         )
         shifts = _shifts(views, discs, refined.state.collimator, terms) if terms else None
         whole = replace(bundle, observations=Observations.from_views(views), displacements=shifts)
-    return Fit(model, views, bundle, refined, loss, whole, used, known, left_out)
+    return Fit(
+        model, views, bundle, refined, loss, whole, used, known, left_out, discs if terms and discs else ()
+    )
 
 
 def begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tuple[Bundle, State]:
@@ -280,7 +285,7 @@ def summary(fitted: Fit) -> Calibration:
 
 def _notes(fitted: Fit) -> tuple[str, ...]:
     """Say what the reader should know."""
-    notes = _weakness(fitted)
+    notes = [*_weakness(fitted), *_rims_out_of_sight(fitted)]
     if not fitted.known.disagree:
         return tuple(notes)
     ratio = f"{fitted.known.disagreement:.1f} times more than their stars' noise explains"
@@ -308,6 +313,16 @@ def _weakness(fitted: Fit) -> list[str]:
     why = degeneracy.reason(fitted.views, fitted.state)
     text = f"Weak geometry: {name} is known to {100 * known[name]:.1f} % only (1 sigma). {why}".strip()
     return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
+
+
+def _rims_out_of_sight(fitted: Fit) -> list[str]:
+    """Name views whose place in the pupil was told by other views."""
+    names = [view.name for view, disc in zip(fitted.views, fitted.discs, strict=False) if disc.borrowed]
+    if not names:
+        return []
+    return [
+        f"The beam's rim is out of sight in {', '.join(names)}: the discs of the other views helped there."
+    ]
 
 
 def _rms(lengths: Array) -> float:

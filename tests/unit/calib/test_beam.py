@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.beam import visible_disc, within
+from calib.beam import visible_disc, visible_discs, within
 from calib.calibrate import CalibrationOptions, calibrate
 
 
@@ -69,3 +69,30 @@ def test_stars_of_the_guard_band_are_shown_but_not_used(defocused):
     assert guarded.rms_px < 0.05
     outside = guarded.weights[0] == 0
     assert np.linalg.norm(guarded.residuals_px[0][outside], axis=1).max() > 1
+
+
+@pytest.fixture
+def partly_seen(make_bench):
+    """Six views and their discs' centres; of the last two discs the small frame shows only a part."""
+    bench = make_bench(half_angle_deg=4.8, centre=(97.0, 100.0, -255.0), size=(700, 640), cx=352.0, cy=323.0)
+    discs = np.array(bench.centre[:2]) + np.random.default_rng(54).uniform(-4, 4, (6, 2))
+    poses = [*((0, 0, 30 * i) for i in range(4)), (7, 3), (-6, 5)]
+    views = [bench.view(f"{i}", bench.turn(*pose), disc=discs[i]) for i, pose in enumerate(poses)]
+    return views, discs
+
+
+def test_other_views_tell_where_a_disc_out_of_sight_lies(partly_seen):
+    views, truth = partly_seen
+    alone = np.array([visible_disc(view).centre_mm for view in views])
+    discs = visible_discs(views)
+    together = np.array([disc.centre_mm for disc in discs])
+    assert [disc.borrowed for disc in discs] == [False] * 4 + [True] * 2
+    np.testing.assert_array_equal(together[:4], alone[:4])
+    assert np.linalg.norm(alone - truth, axis=1)[4:].min() > 10.0
+    assert np.linalg.norm(together - truth, axis=1).max() < 2.5
+
+
+def test_where_no_view_shows_its_rim_nothing_is_borrowed(make_bench):
+    bench = make_bench(half_angle_deg=20.0)
+    discs = visible_discs(bench.views())
+    assert not any(disc.seen or disc.borrowed for disc in discs)

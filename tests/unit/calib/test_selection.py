@@ -61,6 +61,51 @@ def test_few_views_of_a_collimator_out_of_focus_tell_it_too(defocused):
     assert result.camera.fx == pytest.approx(bench.fx, abs=4 * result.sigma["fx"])
 
 
+def out_of_focus(bench, poses, seed, scale=0.15):
+    """Views of a reticle out of focus by so much, the camera elsewhere in the pupil at each pose."""
+    rng, views = np.random.default_rng(seed), []
+    for i, pose in enumerate(poses):
+        disc = np.array(bench.centre[:2]) + rng.uniform(-8, 8, 2)
+        centre = np.array(bench.centre) - np.append(scale * (disc - bench.centre[:2]), 0.0)
+        views.append(bench.view(f"pose-{i}", bench.turn(*pose), rng, 0.02, centre, disc=disc))
+    return views
+
+
+def test_views_that_show_a_part_of_the_beam_climb_the_ladder_with_those_that_show_it_whole(make_bench):
+    bench = make_bench(half_angle_deg=4.8, centre=(97.0, 100.0, -255.0), size=(800, 700), cx=402.0, cy=353.0)
+    poses = ((-2, 1), (1.5, -1, 10), (2, 1, -20), (-1, -1, 60), (1, 0.5, 130), (0, 0.5, 75), (6, 3), (-6, 3))
+    result = calibrate(out_of_focus(bench, poses, 46), AUTO)
+    assert result.model == "pupil"
+    assert result.collimator.imperfections["pupil_shift"] == pytest.approx(0.15, abs=0.03)
+    assert result.camera.fx == pytest.approx(bench.fx, abs=3 * result.sigma["fx"])
+    assert any("out of sight in pose-6, pose-7" in note for note in result.notes)
+
+
+def test_rungs_that_need_a_rim_nobody_sees_are_left_out_and_named(make_bench):
+    bench = make_bench(half_angle_deg=20.0)
+    result = calibrate(bench.views(np.random.default_rng(47), 0.05, poses=POSES), AUTO)
+    assert result.model == "spherical"
+    assert [one.model for one in result.candidates] == ["spherical", "drift", "planar"]
+    assert any(
+        note.startswith(
+            "Not compared: pupil, rim, field, coma. The rim of the beam is out of sight in 6 of 6"
+        )
+        for note in result.notes
+    )
+    with pytest.raises(DegenerateViews, match=r"out of sight in 3 of 3 views.*drift model"):
+        calibrate(bench.views(), CalibrationOptions(model="pupil"))
+
+
+def test_few_views_without_a_rim_let_the_centre_drift_where_it_does(make_bench):
+    bench, rng = make_bench(half_angle_deg=20.0), np.random.default_rng(48)
+    still = calibrate(bench.views(rng, 0.05), AUTO)
+    assert still.model == "spherical"
+    centres = np.array(bench.centre) + rng.normal(scale=0.3, size=(3, 3))
+    moving = calibrate(bench.views(rng, 0.05, centres=centres), AUTO)
+    assert moving.model == "drift"
+    assert "next is the spherical model" in moving.notes[-1]
+
+
 def test_when_no_model_fits_the_first_reason_is_given(bench):
     with pytest.raises(DegenerateViews, match="same pose"):
         calibrate(bench.views(poses=((1, 1),) * 3), AUTO)
