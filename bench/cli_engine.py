@@ -1,4 +1,4 @@
-"""Commands of the engine, which need no devices: calibrate again, passports of collimators, studies.
+"""Commands of the engine, which need no devices: calibrate again, rigs of two cameras, passports, studies.
 
 Knows words and exits, like `bench.cli`; the work stands in the modules it calls.
 """
@@ -48,10 +48,16 @@ _OPTIONS = (
 )
 
 
-def _views_and_options(command: _Command) -> _Command:
-    """Give a command the words that say which views, and how to calibrate from them."""
+def _engine_options(command: _Command) -> _Command:
+    """Give a command the words that say how to calibrate."""
     for option in reversed(_OPTIONS):
         command = option(command)
+    return command
+
+
+def _views_and_options(command: _Command) -> _Command:
+    """Give a command the words that say which views, and how to calibrate from them."""
+    command = _engine_options(command)
     paths = click.argument(
         "paths", nargs=-1, required=True, metavar="PATH...", type=click.Path(path_type=Path)
     )
@@ -75,6 +81,27 @@ def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: An
     result = calibrate_paths(paths, choices)
     print_calibration(result, compared(result, choices) if compare else None, as_json=as_json)
     return 0
+
+
+@click.command()
+@click.argument("first", type=click.Path(path_type=Path))
+@click.argument("second", type=click.Path(path_type=Path))
+@_engine_options
+@_JSON
+def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
+    """Turn from the camera of FIRST to that of SECOND: two cameras on one rig, behind one collimator.
+
+    FIRST and SECOND are run folders, or folders of files, whose views of one name show one pose of the rig.
+    """
+    from bench.engine_output import show_rig
+    from bench.offline import Choices, calibrate_paths
+    from calib.rig import relative_rotation
+
+    choices = Choices.from_words(**words)
+    results = [calibrate_paths([path], choices) for path in (first, second)]
+    turn = relative_rotation(*(result.calibration for result in results))
+    skipped = [reason for result in results for reason in result.skipped]
+    return show_rig(turn, skipped, as_json=as_json)
 
 
 @click.group()
@@ -203,4 +230,4 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
     return 0
 
 
-ENGINE_COMMANDS = (calibrate, passport, study, convert)
+ENGINE_COMMANDS = (calibrate, rig, passport, study, convert)

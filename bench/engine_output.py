@@ -1,7 +1,8 @@
-"""What the engine's commands print: comparisons, passports, studies; in words or as JSON."""
+"""What the engine's commands print: comparisons, passports, rigs, studies; in words or as JSON."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -14,6 +15,7 @@ from bench.studies import expected_worth, suggested_poses
 from calib.baselines import Baseline
 from calib.passport import Passport
 from calib.planning import Forecast
+from calib.rig import RelativeRotation
 from calib.study import Study
 
 
@@ -58,6 +60,31 @@ def show_passport(passport: Passport, *, as_json: bool) -> int:
         click.echo(f"  {name:<8} {told:>12} ± {expanded:<8} {unit_text(name):<3} (k = 2)")
     for name, condition in passport.conditions.items():
         click.echo(f"  {name}: {condition}")
+    return 0
+
+
+def show_rig(turn: RelativeRotation, skipped: Sequence[str], *, as_json: bool) -> int:
+    """Show the turn from one camera of a rig to the other."""
+    if as_json:
+        print_json({**turn.to_dict(), "skipped": list(skipped)})
+        return 0
+    for reason in skipped:
+        click.echo(f"Left out: {reason}")
+    click.echo(f"Second camera <- first camera, by {len(turn.views)} poses that both saw:")
+    for axis, angle, sigma in zip("xyz", turn.vector_deg, turn.sigma_arcsec, strict=True):
+        told, expanded = with_uncertainty(3600.0 * float(angle), 2.0 * float(sigma))
+        click.echo(f"  rotation vector {axis} {angle:>12.6f} deg = {told} ± {expanded} arcsec (k = 2)")
+    for row in turn.rotation:
+        click.echo("  [" + " ".join(f"{number:>13.9f}" for number in row) + "]")
+    for view, off in zip(turn.views, turn.disagreement_arcsec, strict=True):
+        click.echo(f"  {view}: off by {' '.join(f'{axis:.1f}' for axis in off)} arcsec")
+    verdict = (
+        "the rig is rigid" if turn.rigid else "THE RIG FLEXED, or the cameras did not see the same poses"
+    )
+    click.echo(
+        f"Chi-square {turn.chi_square:.1f} for {turn.degrees_of_freedom} degrees of freedom: {verdict}."
+    )
+    click.echo("How far apart the cameras are cannot be seen through a collimator: no translation is given.")
     return 0
 
 

@@ -7,6 +7,7 @@ target, so how far apart the two are cannot be seen: the translation is not obse
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +52,30 @@ class RelativeRotation:
         return np.asarray(ARCSEC * np.sqrt(np.diag(self.covariance)))
 
     @property
+    def vector_deg(self) -> Array:
+        """(3,) the rotation as a vector along its axis, degrees."""
+        return np.asarray(np.rad2deg(log_map(self.rotation[None])[0]))
+
+    @property
     def rigid(self) -> bool:
         """Whether the poses agree within what chance allows in 999 of 1000 cases."""
         return bool(self.chi_square <= special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, lists and names only, ready for JSON; the translation is none."""
+        return {
+            "rotation": self.rotation.tolist(),
+            "vector_deg": self.vector_deg.tolist(),
+            "covariance_rad2": self.covariance.tolist(),
+            "sigma_arcsec": self.sigma_arcsec.tolist(),
+            "translation": None,
+            "translation_note": "not observable: behind a collimator the target stands at infinity",
+            "views": list(self.views),
+            "disagreement_arcsec": self.disagreement_arcsec.tolist(),
+            "chi_square": self.chi_square,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "rigid": self.rigid,
+        }
 
 
 def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotation:

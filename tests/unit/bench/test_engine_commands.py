@@ -49,6 +49,29 @@ def test_other_methods_stand_beside_ours_on_the_same_points(capsys, points):
     )
 
 
+def test_two_cameras_on_a_rig_get_the_turn_between_them_and_no_translation(capsys, points, tmp_path):
+    folder, _ = points
+    # The second camera stands on its head: every image point and the principal point mirrored through the middle.
+    for file in folder.iterdir():
+        rows = np.loadtxt(file)
+        rows[:, 0], rows[:, 1] = 1280 - rows[:, 0], 720 - rows[:, 1]
+        np.savetxt(tmp_path / file.name, rows)
+    told = json.loads(say(capsys, "rig", folder, tmp_path, "--image-size", "1280x720", "--json"))
+    assert np.abs(told["vector_deg"][2]) == pytest.approx(180.0, abs=0.05)
+    assert np.array(told["rotation"]) == pytest.approx(np.diag([-1.0, -1.0, 1.0]), abs=1e-3)
+    assert told["views"] == [f"view{i}" for i in range(1, 6)]
+    assert told["translation"] is None
+    assert 0 < max(told["sigma_arcsec"]) < 120
+    shown = say(capsys, "rig", folder, tmp_path, "--image-size", "1280x720")
+    assert "cannot be seen through a collimator: no translation is given" in shown
+
+
+def test_cameras_that_saw_different_poses_are_no_rig(capsys, points, tmp_path):
+    for file in points[0].iterdir():
+        (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
+    say(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720", status=1)
+
+
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_far_surer(capsys, points, tmp_path):
     folder, bench = points
     file = tmp_path / "collimator.json"
