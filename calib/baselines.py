@@ -11,22 +11,25 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib import uncertainty
 from calib.calibration import Calibration, CalibrationOptions
 from calib.camera import PINHOLE, CameraModel
-from calib.errors import DegenerateViews, InputMismatch
+from calib.errors import DegenerateViews
 from calib.fit import begin
 from calib.fit import fit as fit_model
-from calib.lens import BROWN, is_fisheye
+from calib.lens import BROWN, FISHEYE, is_fisheye
 from calib.refine import Loss, refine
 from calib.resample import MIN_VIEWS, leave_one_out
 from calib.view import View
 
+Array = NDArray[np.float64]
+
 #: The published recipe names a Huber loss without its limit.
 _PUBLISHED_LIMIT_PX = 1.0
-_OPENCV_STEPS = 200
-_OPENCV_EPSILON = 1e-12
+#: OpenCV's steps, and the change of its parameters at which it ends.
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
 
 
 @dataclass(frozen=True)
@@ -71,35 +74,30 @@ def ours(calibration: Calibration) -> Baseline:
 def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baseline:
     """Calibrate by OpenCV's ``calibrateCamera`` (Zhang's method), with the same distortion coefficients.
 
+    A fisheye lens by its ``fisheye.calibrate``, which states no uncertainties.
+
     Raises
     ------
     DegenerateViews
         When OpenCV finds no calibration.
-    InputMismatch
-        For a fisheye lens.
     """
     names = tuple(options.distortion)
-    if is_fisheye(dict.fromkeys(names, 0.0)):
-        raise InputMismatch("OpenCV's planar calibration has no fisheye lens.", remedy="Leave it out.")
-    objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
-    images = [v.points_px.astype(np.float32)[:, None] for v in views]
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _OPENCV_STEPS, _OPENCV_EPSILON)
+    fisheye = is_fisheye(dict.fromkeys(names, 0.0))
     try:
-        rms, matrix, found, _, _, spread, _, _ = cv2.calibrateCameraExtended(
-            objects, images, views[0].image_size, np.eye(3), np.zeros(5), flags=_flags(names), criteria=stop
-        )
+        rms, matrix, found, spread = (_by_fisheye if fisheye else _by_brown)(views, names)
     except cv2.error as error:
         raise DegenerateViews(f"OpenCV finds no calibration: {error}.", remedy="Add views.") from error
-    coefficients = dict(zip(BROWN, np.ravel(found)[: len(BROWN)].tolist(), strict=False))
+    family = FISHEYE if fisheye else BROWN
+    coefficients = dict(zip(family, np.ravel(found).tolist(), strict=False))
     fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
     camera = CameraModel(fx, fy, cx, cy, views[0].image_size, {name: coefficients[name] for name in names})
-    spreads = dict(zip((*PINHOLE, *BROWN), np.ravel(spread).tolist(), strict=False))
+    spreads = dict(zip((*PINHOLE, *family), np.ravel(spread).tolist(), strict=False))
     planar = fit_model(views, CalibrationOptions("planar", names, "l2"), "planar", leave_out=True)
     lengths = np.linalg.norm(planar.bundle.misses_px(planar.state), axis=1)
     return Baseline(
-        "OpenCV, planar (Zhang)",
+        "OpenCV, planar (fisheye)" if fisheye else "OpenCV, planar (Zhang)",
         camera,
-        {name: spreads[name] for name in (*PINHOLE, *names)},
+        {name: spreads[name] for name in (*PINHOLE, *names) if name in spreads},
         float(rms),
         float(lengths.mean()),
         planar.left_out.total_rms_px if planar.left_out else None,
@@ -123,6 +121,41 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Base
         float(lengths.mean()),
         left_out,
     )
+
+
+def _by_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
+    """Return OpenCV's rms, camera matrix, coefficients and their spreads, for Brown's model."""
+    objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
+    images = [v.points_px.astype(np.float32)[:, None] for v in views]
+    rms, matrix, found, _, _, spread, _, _ = cv2.calibrateCameraExtended(
+        objects, images, views[0].image_size, np.eye(3), np.zeros(5), flags=_flags(names), criteria=_STOP
+    )
+    return float(rms), np.asarray(matrix, float), np.asarray(found, float), np.asarray(spread, float)
+
+
+def _by_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
+    """Return OpenCV's rms, camera matrix and coefficients for a fisheye lens; spreads it has none.
+
+    OpenCV starts such a lens from half a circle across the image, far from any that looks into a collimator; what wins
+    the race of our own closed forms starts it here.
+    """
+    start = begin(views, CalibrationOptions("planar", names, "l2"), "planar")[1].camera
+    held = [f"FIX_K{name[-1]}" for name in FISHEYE if name not in names]
+    rms, matrix, found, _, _ = cv2.fisheye.calibrate(
+        [np.column_stack([v.target_mm, np.zeros(len(v))])[None] for v in views],
+        [v.points_px[None].astype(float) for v in views],
+        views[0].image_size,
+        start.matrix,
+        start.fisheye_coefficients,
+        flags=sum(map(_fisheye_flag, ("RECOMPUTE_EXTRINSIC", "FIX_SKEW", "USE_INTRINSIC_GUESS", *held))),
+        criteria=_STOP,
+    )
+    return float(rms), np.asarray(matrix, float), np.asarray(found, float), np.zeros(0)
+
+
+def _fisheye_flag(name: str) -> int:
+    """Return a flag of OpenCV's fisheye calibration; OpenCV 5 has them with the others."""
+    return int(getattr(cv2.fisheye if hasattr(cv2.fisheye, f"CALIB_{name}") else cv2, f"CALIB_{name}"))
 
 
 def _flags(names: Sequence[str]) -> int:
