@@ -142,16 +142,18 @@ def passport_make(
 @click.option("--radius", "r_mm", type=float, required=True, help="The collimator's focal length, mm.")
 @click.option("--sigma", "sigma_mm", type=float, required=True, help="Its standard uncertainty (k = 1), mm.")
 @click.option("--number", required=True, help="Number of the certificate.")
+@click.option("--date", "issued", help="The day it was issued, as it says.")
+@click.option("--collimator", help="Its serial number or name.")
+@click.option("--temperature", "temperature_c", type=float, help="Degrees Celsius for which it holds.")
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="The new passport file.")
-def passport_certificate(r_mm: float, sigma_mm: float, number: str, output: Path) -> int:
+def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certificate: Any) -> int:
     """Make a passport from a certificate of the collimator's focal length alone."""
-    from bench.errors import UsageError
-    from bench.passports import write_passport
-    from calib.passport import Passport
+    from datetime import UTC, datetime
 
-    if not (r_mm > 0 and sigma_mm > 0):
-        raise UsageError("A focal length and its uncertainty are positive.", where="--radius, --sigma")
-    write_passport(output, Passport.of_radius(r_mm, sigma_mm, {"certificate": number}))
+    from bench.passports import passport_of_certificate, write_passport
+
+    made = passport_of_certificate(r_mm, sigma_mm, now=datetime.now(UTC), **certificate)
+    write_passport(output, made)
     click.echo(f"Passport: {output}")
     return 0
 

@@ -59,7 +59,10 @@ def show_passport(passport: Passport, *, as_json: bool) -> int:
         told, expanded = with_uncertainty(float(value), 2.0 * float(variance) ** 0.5)
         click.echo(f"  {name:<8} {told:>12} ± {expanded:<8} {unit_text(name):<3} (k = 2)")
     for name, condition in passport.conditions.items():
-        click.echo(f"  {name}: {condition}")
+        click.echo(f"  {name}: {', '.join(condition) if isinstance(condition, list) else condition}")
+    if passport.views:
+        click.echo(f"  from {len(passport.views)} views: {', '.join(passport.views)}")
+        click.echo(f"  they differed by {passport.disagreement:.1f} times their stars' noise")
     return 0
 
 

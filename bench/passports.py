@@ -7,6 +7,7 @@ engine's (`calib.passport`); here are the file, and the conditions under which i
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -81,4 +82,37 @@ def passport_of_run(
         "sources": sources,
         "model": calibration.model,
     }
-    return calibration.passport({key: value for key, value in conditions.items() if value is not None})
+    return calibration.passport(_told(conditions))
+
+
+def passport_of_certificate(
+    r_mm: float,
+    sigma_mm: float,
+    *,
+    number: str,
+    issued: str | None,
+    collimator: str | None,
+    temperature_c: float | None,
+    now: datetime,
+) -> Passport:
+    """Make a passport from a certificate of the collimator's focal length and its standard uncertainty.
+
+    Raises
+    ------
+    UsageError
+        When one of them is not positive.
+    """
+    if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):
+        raise UsageError("A focal length and its uncertainty are positive.", where="--radius, --sigma")
+    conditions = {
+        "certificate": number,
+        "issued": issued,
+        "collimator": collimator,
+        "temperature_c": temperature_c,
+        "made_utc": now.isoformat(timespec="seconds"),
+    }
+    return Passport.of_radius(r_mm, sigma_mm, _told(conditions))
+
+
+def _told(conditions: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in conditions.items() if value is not None}

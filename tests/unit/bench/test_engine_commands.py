@@ -75,8 +75,29 @@ def test_cameras_that_saw_different_poses_are_no_rig(capsys, points, tmp_path):
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_far_surer(capsys, points, tmp_path):
     folder, bench = points
     file = tmp_path / "collimator.json"
-    say(capsys, "passport", "make", folder, "--image-size", "1280x720", "-o", file, "--collimator", "C7")
-    assert "collimator: C7" in say(capsys, "passport", "show", file)
+    say(
+        capsys,
+        "passport",
+        "make",
+        folder,
+        "--image-size",
+        "1280x720",
+        "-o",
+        file,
+        "--collimator",
+        "C7",
+        "--temperature",
+        21.5,
+    )
+    shown = say(capsys, "passport", "show", file)
+    assert "collimator: C7" in shown
+    assert "temperature_c: 21.5" in shown
+    assert "from 5 views: view1, view2, view3, view4, view5" in shown
+    held = json.loads(say(capsys, "passport", "show", file, "--json"))
+    assert held["names"] == ["x", "y", "r"]
+    assert np.array(held["covariance"]).shape == (3, 3)
+    assert held["conditions"]["made_utc"].startswith("20")
+    assert held["conditions"]["model"] == "spherical"
     sizes = ("--image-size", "1280x720", "--json")
     alone = json.loads(say(capsys, "calibrate", folder / "view4.txt", "--passport", file, *sizes))
     assert abs(alone["camera"]["fx"] - bench.camera.fx) < 3 * alone["sigma"]["fx"]
@@ -88,8 +109,17 @@ def test_with_a_passport_one_view_is_enough_and_the_focal_length_far_surer(capsy
 def test_a_passport_is_never_written_over_and_only_a_passport_is_read(capsys, points, tmp_path):
     file = tmp_path / "c.json"
     certificate = ("passport", "certificate", "--radius", 255, "--sigma", 0.05, "--number", "K-1", "-o", file)
-    say(capsys, *certificate)
-    assert json.loads(say(capsys, "passport", "show", file, "--json"))["conditions"] == {"certificate": "K-1"}
+    say(capsys, *certificate, "--date", "2026-03-01", "--temperature", 20.0, "--collimator", "C7")
+    held = json.loads(say(capsys, "passport", "show", file, "--json"))
+    assert (held["names"], held["values"], held["covariance"]) == (["r"], [255.0], [[0.05**2]])
+    made = held["conditions"].pop("made_utc")
+    assert datetime.fromisoformat(made).tzinfo is UTC
+    assert held["conditions"] == {
+        "certificate": "K-1",
+        "issued": "2026-03-01",
+        "collimator": "C7",
+        "temperature_c": 20.0,
+    }
     say(capsys, *certificate, status=2)
     for name, text in (("a.json", "{}"), ("b.json", "no json"), ("d.json", "[1, 2]")):
         (tmp_path / name).write_text(text)
