@@ -39,13 +39,14 @@ def zhang_matrix(
     if rank < len(unknown):
         return None
     w = dict(zip(unknown, solution, strict=True))
+    if not min(w[0, 0], w[1, 1]) > 0:
+        return None
     cx, cy = -w.get((0, 2), 0.0) / w[0, 0], -w.get((1, 2), 0.0) / w[1, 1]
     # w33 = 1 fixes the scale of w; the true one is 1 + cx^2 / fx^2 + cy^2 / fy^2.
     true_scale = 1.0 - w[0, 0] * cx**2 - w[1, 1] * cy**2
-    squares = true_scale / np.array([w[0, 0], w[1, 1]])
-    if not (squares > 0).all():
+    if not true_scale > 0:
         return None
-    fx, fy = np.sqrt(squares)
+    fx, fy = np.sqrt(true_scale / np.array([w[0, 0], w[1, 1]]))
     return np.asarray(np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
 
 

@@ -65,6 +65,7 @@ def assert_real(matrix, collimator=None):
 @given(turns=poses(), focal=st.floats(200, 50_000), blur=st.sampled_from([0.0, 1e-9, 1e-6, 1e-3, 0.1]))
 @example(turns=np.zeros((2, 3)), focal=3345.0, blur=0.0)
 @example(turns=np.zeros((3, 3)), focal=3345.0, blur=0.0)
+@example(turns=np.array([[0.0, 0.0, 1.0]]), focal=200.0, blur=1e-6)  # w11 came out as zero
 def test_every_closed_form_gives_a_real_camera_or_none(turns, focal, blur):
     h = mappings(turns, focal) * (1 + blur * np.random.default_rng(7).standard_normal((len(turns), 3, 3)))
     h = h / np.cbrt(np.linalg.det(h))[:, None, None]
