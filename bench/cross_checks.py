@@ -16,8 +16,11 @@ from calib.split_half import split_half
 from calib.view import View
 
 
-def halves(views: Sequence[View], options: CalibrationOptions) -> dict[str, float] | None:
-    """Calibrate every other pose, and the rest, and say how the two differ at infinity; None with fewer than four."""
+def halves(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
+    """Calibrate every other pose, and the rest, and say how the two differ at infinity; None with fewer than four.
+
+    The two cameras are told too: what is drawn of their difference follows from them.
+    """
     try:
         split = split_half(views, options)
     except CalibrationError:  # too few poses, or a half that constrains nothing: there is no such check then
@@ -27,6 +30,7 @@ def halves(views: Sequence[View], options: CalibrationOptions) -> dict[str, floa
         "worst_px": split.difference.worst_px,
         "expected_px": split.expected_px,
         "ratio": split.ratio,
+        "cameras": [half.camera.to_dict() for half in split.halves],
     }
 
 

@@ -28,7 +28,7 @@ from bench.report.plots import (
 )
 from bench.report.walk import walk_diagram
 from calib.camera import PINHOLE, CameraModel
-from calib.infinity import uncertainty_map
+from calib.infinity import camera_difference, uncertainty_map
 
 _DRAWN = frozenset({"section", "svg", "style"})
 """Elements whose text comes with pictures and plots; in the template, sections hold nothing else."""
@@ -91,6 +91,7 @@ def render_report(data: ReportData) -> str:
             candidates=tables.candidates(calibration),
             budget=tables.budget(calibration),
             checks=tables.checks(results),
+            halves=bool((results.get("halves") or {}).get("cameras")),
             comparison=tables.comparison(results.get("comparison") or [], k),
             conditions=tables.conditions(results.get("conditions") or {}),
             devices=tables.devices(results.get("devices") or {}),
@@ -170,18 +171,32 @@ def environment() -> jinja2.Environment:
     return made
 
 
-def _uncertainty(calibration: Mapping[str, Any]) -> str:
-    """Draw the projection uncertainty that the camera's covariance implies; nothing where there is none."""
+def _uncertainty(results: Mapping[str, Any]) -> str:
+    """Draw the projection uncertainty that the camera's covariance implies; nothing where there is none.
+
+    Beside it, where halves of the poses were calibrated apart, how differently the two project.
+    """
+    calibration = results["calibration"]
     values, covariance = dict(calibration["camera"]), calibration["covariance"]
     names = [name for name in values if name in covariance["names"]]
     if names != list(values):
         return ""
     at = [covariance["names"].index(name) for name in names]
+    matrix = np.array(covariance["matrix"])[np.ix_(at, at)]
+    size = tuple(calibration["image_size"])
+    found = uncertainty_map(_camera(values, size), matrix)
+    difference = None
+    if cameras := (results.get("halves") or {}).get("cameras"):
+        first, second = (_camera(half, size) for half in cameras)
+        difference = camera_difference(first, second)
+    return uncertainty_contours(found, tables.coverage_factor(calibration), difference)
+
+
+def _camera(values: Mapping[str, float], image_size: tuple[int, int]) -> CameraModel:
+    """Return a camera as results keep it."""
     lens = {name: value for name, value in values.items() if name not in PINHOLE}
     fx, fy, cx, cy = (values[name] for name in PINHOLE)
-    camera = CameraModel(fx, fy, cx, cy, tuple(calibration["image_size"]), lens)
-    matrix = np.array(covariance["matrix"])[np.ix_(at, at)]
-    return uncertainty_contours(uncertainty_map(camera, matrix), tables.coverage_factor(calibration))
+    return CameraModel(fx, fy, cx, cy, image_size, lens)
 
 
 def _drawn(svg: str) -> Markup:
@@ -203,7 +218,7 @@ def _plots(data: ReportData) -> dict[str, Markup]:
         plots["truth"] = deviations_from_truth(names, [row["error_sigmas"] for row in compared])
     camera = data.results["calibration"]["camera"]
     if data.views:
-        plots["uncertainty"] = _uncertainty(data.results["calibration"])
+        plots["uncertainty"] = _uncertainty(data.results)
     if any(len(view.detected) for view in data.views):
         height, width = data.views[0].image.shape
         centre = (camera["cx"], camera["cy"])

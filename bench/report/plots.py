@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bench.report.drawing import INK, LINE, MUTED, STYLE, bare, svg
 from bench.report.pictures import ViewPicture
-from calib.infinity import ProjectionMap
+from calib.infinity import CameraDifference, ProjectionMap
 
 Array = NDArray[np.float64]
 
@@ -28,25 +28,28 @@ POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 """Okabe and Ito's palette: tells the poses apart for every eye; begins again after six."""
 _REGIONS = (4, 3)
 _LEVELS = 8
+_MESH = 4
+"""Points of a map from one arrow to the next."""
 _CLOUD_PERCENTILE = 99.5
 
 
-def uncertainty_contours(found: ProjectionMap, k: float) -> str:
-    """Draw how sure the camera is of a direction, over the sensor: expanded, px and arc seconds."""
-    x, y = found.grid_px[..., 0], found.grid_px[..., 1]
+def uncertainty_contours(found: ProjectionMap, k: float, halves: CameraDifference | None = None) -> str:
+    """Draw how sure the camera is of a direction, over the sensor: expanded, px and arc seconds.
+
+    Beside it, when they are given, how far apart calibrations of two halves of the poses put the same direction.
+    """
+    maps = [(k * found.sigma_px, "U, px"), (k * found.sigma_arcsec, "U, arc seconds")]
+    if halves:
+        maps.append((np.linalg.norm(halves.offset_px, axis=2), "Halves of the poses apart, px"))
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.2, 3.5), layout="constrained")
-        maps = ((k * found.sigma_px, "px"), (k * found.sigma_arcsec, "arc seconds"))
-        for axes, (expanded, unit) in zip(figure.subplots(1, 2), maps, strict=True):
-            shown = _to_digits(expanded, 6)
-            worst, middle = float(np.nanmax(shown)), float(np.nanmedian(shown))
-            levels = np.linspace(0, worst, _LEVELS + 1)
-            shades = mpl.colormaps["Blues"](np.linspace(0.04, 0.6, _LEVELS))
-            axes.contourf(x, y, shown, levels=levels, colors=shades)
-            lines = axes.contour(x, y, shown, levels=levels, colors=INK, linewidths=0.6)
-            axes.clabel(lines, fmt=lambda level: f"{level:.2g}", fontsize=8.5)
-            axes.set_title(f"U, {unit}: median {middle:.2g}, at most {worst:.2g}")
-            _sensor(axes, (int(x.max()) + 1, int(y.max()) + 1))
+        figure = Figure(figsize=(10.2, 3.5 if len(maps) == 2 else 2.75), layout="constrained")
+        panels = figure.subplots(1, len(maps))
+        for axes, (values, name) in zip(panels, maps, strict=True):
+            _contours(axes, found.grid_px, values, name)
+        if halves:
+            _arrows(panels[-1], halves)
+            for axes in panels[1:]:
+                axes.set_ylabel("")
         return svg(figure, "uncertainty", "Projection uncertainty over the sensor")
 
 
@@ -141,6 +144,33 @@ def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -
         bare(axes)
         axes.tick_params(axis="y", length=0, labelcolor=INK)
         return svg(figure, "truth", "Deviations from the truth in standard uncertainties")
+
+
+def _contours(axes: Axes, grid_px: Array, values: Array, name: str) -> None:
+    """Draw a quantity over the sensor, its median and its largest value above it."""
+    x, y, shown = grid_px[..., 0], grid_px[..., 1], _to_digits(values, 6)
+    worst, middle = float(np.nanmax(shown)), float(np.nanmedian(shown))
+    levels = np.linspace(0, worst, _LEVELS + 1)
+    axes.contourf(x, y, shown, levels=levels, colors=mpl.colormaps["Blues"](np.linspace(0.04, 0.6, _LEVELS)))
+    lines = axes.contour(x, y, shown, levels=levels, colors=INK, linewidths=0.6)
+    axes.clabel(lines, fmt=lambda level: f"{level:.2g}", fontsize=8.5)
+    axes.set_title(f"{name}\nmedian {middle:.2g}, at most {worst:.2g}")
+    _sensor(axes, (int(x.max()) + 1, int(y.max()) + 1))
+
+
+def _arrows(axes: Axes, halves: CameraDifference) -> None:
+    """Draw where the second half's camera shows what the first one shows there; the longest spans the mesh."""
+    every = (slice(_MESH // 2, None, _MESH), slice(_MESH // 2, None, _MESH))
+    begins, offsets = (
+        halves.grid_px[every].reshape(-1, 2),
+        _to_digits(halves.offset_px[every], 6).reshape(-1, 2),
+    )
+    seen = np.isfinite(offsets).all(axis=1)
+    begins, offsets = begins[seen], offsets[seen]
+    mesh_px = _MESH * float(halves.grid_px[0, 1, 0])
+    longest = max(float(np.linalg.norm(offsets, axis=1).max()), 1e-12)
+    _strokes(axes, begins, begins, POSE_COLOURS[1], 2.4)
+    _strokes(axes, begins, begins + mesh_px / longest * offsets, POSE_COLOURS[1], 1.0)
 
 
 def _strokes(axes: Axes, begins: Array, ends: Array, colour: str, width: float, alpha: float = 1.0) -> None:

@@ -30,6 +30,9 @@ def test_halves_differ_by_about_what_their_uncertainties_say(views):
     assert told is not None
     assert 0.1 < told["ratio"] < 2.5
     assert told["worst_px"] >= told["rms_px"] > 0
+    first, second = told["cameras"]
+    assert first != second
+    assert first["fx"] == pytest.approx(second["fx"], rel=0.01)
 
 
 def test_three_poses_have_no_halves(views):

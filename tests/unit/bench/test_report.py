@@ -21,7 +21,7 @@ from bench.report.plots import residual_vectors
 from bench.report.text import with_uncertainty
 from bench.report.walk import walk_diagram
 from calib.camera import CameraModel
-from calib.infinity import uncertainty_map
+from calib.infinity import camera_difference, uncertainty_map
 
 SMALL = (320, 180)
 VOID = {"meta", "link", "br", "img", "hr", "input"}
@@ -265,8 +265,28 @@ def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html)
     )
     covariance = np.array(data.results["calibration"]["covariance"]["matrix"])[:6, :6]
     found = uncertainty_map(camera, covariance)
-    titles = re.findall(r"U, (px|arc seconds): median [\d.e+]+, at most ([\d.e+]+)", html)
+    titles = re.findall(
+        r">U, (px|arc seconds)</text>\s*<text[^>]*>median [\d.e+]+, at most ([\d.e+]+)<", html
+    )
     assert titles == [("px", f"{2 * found.worst_px:.2g}"), ("arc seconds", f"{2 * found.worst_arcsec:.2g}")]
+
+
+def test_beside_it_stands_how_far_halves_of_the_poses_lie_apart(data, html):
+    halves = data.results["halves"]["cameras"]
+    first, second = (
+        CameraModel(
+            *(half[name] for name in ("fx", "fy", "cx", "cy")),
+            SMALL,
+            {name: half[name] for name in ("k1", "k2")},
+        )
+        for half in halves
+    )
+    worst = camera_difference(first, second).worst_px
+    title = r">Halves of the poses apart, px</text>\s*<text[^>]*>median [\d.e\-]+, at most ([\d.e\-]+)<"
+    assert re.findall(title, html) == [f"{worst:.2g}"]
+    alone = copy.deepcopy(dict(data.results))
+    del alone["halves"]
+    assert "Halves of the poses" not in render_report(ReportData(alone, data.views))
 
 
 def test_words_are_the_same_with_and_without_pictures(data, html):
