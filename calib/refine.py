@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 RELATIVE_TOLERANCE = 1e-12
 _ABSOLUTE_TOLERANCE = 1e-16
 _MAX_DAMPING = 1e12
+#: A projection is a few operations, each of them rounded.
+_ROUNDED_OPERATIONS = 10.0
 
 
 @dataclass(frozen=True)
@@ -151,9 +153,22 @@ def refine(
         if gain > 0.0:
             state, (cost, equations) = candidate, _linearised(bundle, candidate, loss)
             damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+        elif promised * (1.0 + damping) <= _rounding(bundle, cost):
+            return Refined(state, cost, converged=True, iterations=iteration)
         else:
             damping, growth = damping * growth, growth * 2.0
     return Refined(state, cost, converged=False, iterations=iteration)
+
+
+def _rounding(bundle: Bundle, cost: float) -> float:
+    """Return how far rounding of the image points moves the cost: a step that promised less cannot be judged by it.
+
+    Where stars are known to thousandths of a pixel this exceeds `RELATIVE_TOLERANCE`. Each residual is off by the
+    machine's epsilon of its coordinates, at random.
+    """
+    obs = bundle.observations
+    each = np.finfo(float).eps * float(np.abs(obs.points_px).max()) * obs.per_px
+    return float(_ROUNDED_OPERATIONS * each * np.sqrt(2.0 * cost))
 
 
 def _linearised(bundle: Bundle, state: State, loss: Loss) -> tuple[float, NormalEquations | None]:

@@ -1,9 +1,12 @@
 """The refinement reaches the one optimum, from near and far, robustly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.bundle import Bundle
+from calib.calibrate import calibrate
 from calib.camera import CameraModel
 from calib.collimator import Collimator
 from calib.errors import InputMismatch
@@ -81,3 +84,14 @@ def test_a_start_that_cannot_be_projected_does_not_converge(bench):
 def test_an_unknown_loss_is_refused():
     with pytest.raises(InputMismatch, match="huber"):
         Loss("tukey")
+
+
+def test_where_rounding_hides_the_last_steps_the_optimum_is_reached_all_the_same(make_bench):
+    bench, sigma_px = make_bench(half_angle_deg=5.0), 1e-6
+    for seed in range(8):
+        views = [
+            replace(view, covariances_px2=view.covariances_px2 * (sigma_px / 1e-2) ** 2)
+            for view in bench.views(np.random.default_rng(seed), sigma_px)
+        ]
+        result = calibrate(views)
+        assert result.camera.fx == pytest.approx(bench.fx, abs=5 * result.sigma["fx"])

@@ -1,0 +1,56 @@
+"""A beam whose light falls off towards its rim: stars there count by what the fall may have moved them."""
+
+import numpy as np
+import pytest
+
+from calib.calibrate import calibrate
+from calib.detect import detect
+from calib.rim import mistrust_rim
+from simulators.optics import TARGET, pose_rotation, project, render
+from simulators.truth_config import truth_from_config
+
+POSES = ((0, 0, 7), (6, 3, 20), (-6, -3, 97), (5, -4, 50))
+
+
+@pytest.fixture(scope="module")
+def vignetted():
+    """The truth, and four views of noisy pictures, as detected; the light falls off over the outer 30 % of the beam."""
+    truth = truth_from_config({"collimator": {"rim": 0.3}, "optics": {"mounting_deg": [0, 0, 5]}})
+    rng, views, errors = np.random.default_rng(1), [], []
+    for pan, tilt, roll in POSES:
+        rotation = pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, truth.optics)
+        picture = render(truth, rotation)
+        noisy = picture + 0.02 * picture.max() * rng.standard_normal(picture.shape, np.float32)
+        views.append(detect(noisy, TARGET, name=f"{pan} {tilt} {roll}"))
+        errors.append(views[-1].points_px - project(views[-1].target_mm, rotation, truth))
+    return truth.to_dict(), views, errors
+
+
+def sigmas_px(view):
+    return np.sqrt(np.trace(view.covariances_px2, axis1=1, axis2=2) / 2)
+
+
+@pytest.mark.slow
+def test_stars_in_the_falling_light_say_that_they_are_less_sure_and_are(vignetted):
+    _, views, errors = vignetted
+    sigma = np.concatenate([sigmas_px(view) for view in views])
+    error = np.concatenate(errors)
+    dim = sigma > 4 * np.median(sigma)
+    assert dim.sum() > 20
+    assert np.sqrt((error[dim] ** 2).mean()) > 4 * np.sqrt((error[~dim] ** 2).mean())
+    z = error / sigma[:, None]
+    assert 0.6 < np.sqrt((z[dim] ** 2).mean()) < 1.2
+    assert 0.8 < np.sqrt((z[~dim] ** 2).mean()) < 1.3
+
+
+@pytest.mark.slow
+def test_that_weight_saves_the_focal_length(vignetted):
+    truth, views, _ = vignetted
+    fx = truth["camera"]["fx"]
+    weighed = calibrate([mistrust_rim(view, TARGET) for view in views])
+    assert abs(weighed.camera.fx - fx) < 2 * weighed.sigma["fx"]
+    assert abs(weighed.camera.fx - fx) < 1.2
+    for view in views:
+        view.covariances_px2[:] = np.eye(2) * np.median(sigmas_px(view)) ** 2
+    alike = calibrate(views)
+    assert abs(alike.camera.fx - fx) > 4 * abs(weighed.camera.fx - fx)
