@@ -14,7 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.evt3_kernel import MARGIN, Fault, Mode, S, new_state, run
+from drivers.camera.evt3_kernel import MARGIN, Fault, S, new_state, run
+from drivers.camera.evt3_plain import PACKED, Mode, add_events
 from drivers.errors import RecordingCorrupt
 
 Words = NDArray[np.uint16]
@@ -158,6 +159,7 @@ class Evt3Decoder:
         self._no_events = empty_events(0)
         self._no_image = np.zeros((2, 0, 0), np.uint16)
         self._edges = np.empty((_TRIGGERS_AT_ONCE, 3), np.int64)
+        self._packed = np.empty(PACKED, np.uint32)
 
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Events and triggers of the words, in pieces of at most ``max_events`` (or 32 if that is less).
@@ -170,7 +172,17 @@ class Evt3Decoder:
         start = 0
         while start < len(words):
             out = empty_events(min(max(max_events, MARGIN), 12 * (len(words) - start) + MARGIN))
-            stop = run(words, start, Mode.STORE, self._state, self._gaps, out, self._no_image, self._edges)
+            stop = run(
+                words,
+                start,
+                Mode.STORE,
+                self._state,
+                self._gaps,
+                out,
+                self._no_image,
+                self._edges,
+                self._packed,
+            )
             yield out.part(0, int(self._state[S.TAKEN])), self._taken_triggers()
             start = self._went_on(words, start, stop)
 
@@ -183,7 +195,17 @@ class Evt3Decoder:
         start = 0
         while start < len(words):
             out = events.part(at, len(events.t))
-            stop = run(words, start, Mode.STORE, self._state, self._gaps, out, self._no_image, self._edges)
+            stop = run(
+                words,
+                start,
+                Mode.STORE,
+                self._state,
+                self._gaps,
+                out,
+                self._no_image,
+                self._edges,
+                self._packed,
+            )
             found.append(self._taken_triggers())
             if stop == start and self._state[S.FAULT] == Fault.ROOM:
                 raise ValueError(f"arrays of {len(events.t)} events have no room for more")
@@ -209,7 +231,9 @@ class Evt3Decoder:
         found = []
         start = 0
         while start < len(words):
-            stop = run(words, start, mode, self._state, self._gaps, self._no_events, image, self._edges)
+            stop = run(
+                words, start, mode, self._state, self._gaps, self._no_events, image, self._edges, self._packed
+            )
             found.append(self._taken_triggers())
             start = self._went_on(words, start, stop)
         return join_triggers(found)
@@ -281,6 +305,23 @@ class Evt3Decoder:
             unplaced_events=state[S.UNPLACED],
             back_steps=state[S.BACK_STEPS],
         )
+
+
+def count_events(events: Events, image: NDArray[np.uint16]) -> None:
+    """Add events to a count image, as ``Evt3Decoder.count`` does with the words they came in.
+
+    ``image`` (2, height, width) uint16: OFF counts, then ON counts; they wrap above 65535.
+    Raises ValueError when an event lies outside the image; those before it are not counted either.
+
+    Examples
+    --------
+    >>> image = np.zeros((2, 4, 4), np.uint16)
+    >>> count_events(Events(np.array([7]), *np.array([[3], [2], [1]], np.uint16)), image)
+    >>> int(image[1, 2, 3]), int(image.sum())
+    (1, 1)
+    """
+    if len(events.t) and not add_events(events.x, events.y, events.p, image):
+        raise ValueError(f"an event outside an image of shape {image.shape}")
 
 
 def first_time_high(words: Words) -> int | None:

@@ -31,6 +31,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from drivers.camera.evt3_plain import (
+    JIT,
+    LONGEST_WAIT,
+    SHORTEST_WAIT,
+    STRETCH,
+    Mode,
+    ones,
+    take_plain,
+)
+
 MARGIN: Final = 32
 """Events that three vectors in a row can hold: room that output arrays need to take them."""
 
@@ -60,14 +70,6 @@ class Fault(IntEnum):
     VECTOR = 4
     CLOCK = 5
     RESERVED = 6
-
-
-class Mode(IntEnum):
-    """What becomes of an event."""
-
-    TALLY = 0
-    STORE = 1
-    COUNT = 2
 
 
 class S(IntEnum):
@@ -129,7 +131,7 @@ def new_state(width: int, height: int) -> NDArray[np.int64]:
     return state
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def _time_high(state: Any, high: int, gaps: Any) -> Fault:
     """Move the clock on; returns a Fault. A step of more than one is a gap, one back by 2048 a wrap."""
     old = state[S.HIGH]
@@ -150,7 +152,7 @@ def _time_high(state: Any, high: int, gaps: Any) -> Fault:
     return Fault.NONE
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def _time_low(state: Any, low: int) -> Fault:
     """Set the lower part of the clock; returns a Fault."""
     if state[S.HIGH] < 0:
@@ -167,7 +169,7 @@ def _time_low(state: Any, low: int) -> Fault:
     return Fault.NONE
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def _rate_controller(state: Any, kind: int, payload: int) -> None:
     """Add an OTHERS word, or a part of its payload, to the rate controller's counters.
 
@@ -205,7 +207,7 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
             state[S.LOST] += max(state[S.COUNTED] - state[S.WINDOW], 0)
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def _trigger(state: Any, payload: int, edges: Any) -> Fault:
     """Store a trigger edge; returns a Fault."""
     if state[S.T] < 0:
@@ -222,7 +224,7 @@ def _trigger(state: Any, payload: int, edges: Any) -> Fault:
     return Fault.NONE
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def _events_of(state: Any, word: int, second: int, third: int) -> tuple[Fault, int, int, int, int]:
     """Read a single event or a vector: fault, words taken, first column, polarity, one bit a column from there.
 
@@ -248,27 +250,18 @@ def _events_of(state: Any, word: int, second: int, third: int) -> tuple[Fault, i
     return Fault.NONE, taken, x, state[S.POLARITY], bits
 
 
-@njit(cache=True, nogil=True)
-def _ones(bits: int) -> int:
-    """How many of 32 bits are set: sums of neighbours, of pairs, of fours, of bytes."""
-    bits -= (bits >> 1) & 0x55555555
-    bits = (bits & 0x33333333) + ((bits >> 2) & 0x33333333)
-    bits = (bits + (bits >> 4)) & 0x0F0F0F0F
-    return (bits * 0x01010101 >> 24) & 0xFF
-
-
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def most_events(words: Any) -> int:
     """How many events the words stand for if all have a place: fast, and never too few."""
     n = 0
     for i in range(len(words)):
         word: Any = np.int64(words[i])
         kind = word >> 12
-        n += (kind == 0x2) + _ones(word & (0xFFF if kind == 0x4 else 0xFF if kind == 0x5 else 0))
+        n += (kind == 0x2) + ones(word & (0xFFF if kind == 0x4 else 0xFF if kind == 0x5 else 0))
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def _other_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> Fault:
     """Take a word that stands for no event, with every check; returns a Fault."""
     if kind <= 0x1:
@@ -289,7 +282,7 @@ def _other_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> F
     return Fault.NONE
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def _store(
     t_out: Any, x_out: Any, y_out: Any, p_out: Any, n: int, t: int, y: int, x: int, p: int, bits: int
 ) -> None:
@@ -303,7 +296,7 @@ def _store(
         bits &= bits - 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def _count(image: Any, y: int, x: int, p: int, bits: int) -> None:
     """Add the events of the bits set to the image; all columns at once where there are as many."""
     if x + 32 <= image.shape[2]:
@@ -316,15 +309,16 @@ def _count(image: Any, y: int, x: int, p: int, bits: int) -> None:
             bits &= bits - 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**JIT)
 def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
-    words: Any, start: int, mode: int, state: Any, gaps: Any, events: Any, image: Any, edges: Any
+    words: Any, start: int, mode: int, state: Any, gaps: Any, events: Any, image: Any, edges: Any, packed: Any
 ) -> int:
     """Take words from ``start`` on; returns where it stopped: ``state[S.FAULT]`` says why.
 
-    Single events, rows and clock words follow each other in no predictable order, so they are taken without a
-    branch: all that any of them may change is computed, and kept if the word is of its type. Vectors and the
-    rarer words, and these where they need a look, go the longer way.
+    Stretches of single events, rows and clock words are ``evt3_plain``'s. Between vectors these follow each other in
+    no predictable order either, so they are taken without a branch: all that any of them may change is computed,
+    and kept if the word is of its type. Vectors and the rarer words, and these where they need a look, go the
+    longer way. Stretches are tried again less and less often where there are none.
 
     Parameters
     ----------
@@ -338,6 +332,8 @@ def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
         ``Events`` of arrays to fill; (2, height, width) of any integer type.
     edges
         (E, 3) int64 to fill: time, value and channel of trigger edges.
+    packed
+        Scratch, as ``take_plain`` has it.
     """
     t_out, x_out, y_out, p_out = events  # once: in the loop, each access through the tuple counts references
     room = len(t_out) - MARGIN if mode == Mode.STORE else 1 << 62
@@ -347,8 +343,20 @@ def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
     state[S.TAKEN_EDGES] = 0
     fault = Fault.NONE
     repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
-    i = start
+    i = tried = start
+    wait = SHORTEST_WAIT
     while i < len(words):
+        if i >= tried:
+            before = i
+            if (y | begun) >= 0:
+                limits = (repeated, width, height, room)
+                i, here, on_here, t, y = take_plain(words, i, mode, limits, t, y, n, events, image, packed)
+                n += here
+                on += on_here
+            wait = SHORTEST_WAIT if i - before >= STRETCH else min(2 * wait, LONGEST_WAIT)
+            tried = i + wait
+        if i == len(words):
+            break
         word: Any = np.int64(words[i])
         kind, p, address = word >> 12, (word >> 11) & 1, word & 0x7FF
         is_event, is_row, is_low = kind == 0x2, kind == 0x0, kind == 0x6
@@ -378,14 +386,14 @@ def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
             if fault != Fault.NONE:
                 break
             if (t | y | x) < 0:
-                state[S.UNPLACED] += _ones(bits)
+                state[S.UNPLACED] += ones(bits)
                 bits = 0
             if mode == Mode.STORE:
                 _store(t_out, x_out, y_out, p_out, n, t, y, x, p, bits)
             elif mode == Mode.COUNT and bits:
                 _count(image, y, x, p, bits)
-            n += _ones(bits)
-            on += p * _ones(bits)
+            n += ones(bits)
+            on += p * ones(bits)
             i += taken - 1
         else:
             state[S.T], state[S.Y], state[S.TAKEN] = t, y, n

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.camera.evt3 import Evt3Decoder
+from drivers.camera.evt3 import Evt3Decoder, count_events
 from drivers.camera.raw_file import RawFile
 from simulators.evt3_writer import Evt3Writer
 
@@ -63,6 +63,7 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
     recording = RawFile.open(path)
     words = np.fromfile(path, "<u2", offset=recording.raw_header.size_bytes)
     image = np.zeros((2, 720, 1280), np.uint16)
+    events, _ = recording.read()
 
     def decode() -> None:
         for _ in Evt3Decoder(1280, 720).decode(words):
@@ -71,6 +72,7 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
     found: dict[str, Callable[[], object]] = {
         "words in memory -> events, in chunks": decode,
         "words in memory -> ON/OFF counts": lambda: Evt3Decoder(1280, 720).count(words, image),
+        "events in memory -> ON/OFF counts": lambda: count_events(events, image),
         "words in memory -> tally only": lambda: Evt3Decoder(1280, 720).tally(words),
         "file -> events, in chunks": lambda: [len(c.t) for c in recording.chunks()],
         "file -> all events": recording.read,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.camera.evt3 import Events, Evt3Decoder, Triggers, empty_events
+from drivers.camera.evt3 import Events, Evt3Decoder, Triggers, count_events, empty_events
 from drivers.camera.evt3_kernel import most_events
 from drivers.errors import RecordingCorrupt
 
@@ -443,6 +443,59 @@ def test_no_piece_is_larger_than_asked_for(stream, max_events):
     assert all(len(events.t) <= max_events for events, _ in pieces)
 
 
+def sparse_words(rng, n):
+    """Words of a sparse stream in random order: rows, single events and clock words, and now and then another."""
+    words, t, upper = [high(3), low(5), row(1)], 5, 3
+    while len(words) < n:
+        match rng.choice(7, p=[0.3, 0.4, 0.2, 0.08, 0.008, 0.006, 0.006]):
+            case 0:
+                words.append(row(int(rng.integers(HEIGHT))) | int(rng.integers(2)) << 11)
+            case 1:
+                words.append(event(int(rng.integers(WIDTH)), int(rng.integers(2))))
+            case 2:
+                t = max(0, t + int(rng.choice([0, 3, 17, -9], p=[0.2, 0.5, 0.29, 0.01])))
+                upper, t = upper + (t >> 12), t & 0xFFF
+                words += [high(upper), low(t)]
+            case 3:
+                words.append(high(upper))
+            case 4:
+                words += others(0x016, int(rng.integers(300)))
+            case 5:
+                words += [0x1000 | int(rng.integers(HEIGHT)), event(2), row(4)]
+            case 6:
+                words += [base(int(rng.integers(WIDTH - 32)), 1), vector12(0x81), trigger(1)]
+    return np.array(words, np.uint16)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_long_stretches_of_a_sparse_stream_decode_as_their_words_one_by_one(seed):
+    words = sparse_words(np.random.default_rng(seed), 6000)
+    found, edges, told = decode(*words, max_events=700)
+    one_by_one = Evt3Decoder(WIDTH, HEIGHT)
+    pieces = [decode(word, decoder=one_by_one) for word in words]
+    assert found == [one for piece in pieces for one in piece[0]]
+    assert edges == [one for piece in pieces for one in piece[1]]
+    assert told == one_by_one.told()
+    assert told.back_steps > 0
+    tallied, counted = Evt3Decoder(WIDTH, HEIGHT), Evt3Decoder(WIDTH, HEIGHT)
+    image, expected = np.zeros((2, 2, HEIGHT, WIDTH), np.uint16)
+    tallied.tally(words)
+    counted.count(words, image)
+    assert tallied.told() == counted.told() == told
+    for _, x, y, p in found:
+        expected[p, y, x] += 1
+    assert np.array_equal(image, expected)
+
+
+@pytest.mark.parametrize("wrong", [row(HEIGHT), event(WIDTH), low(1), 0x9000])
+@pytest.mark.parametrize("place", [3, 40, 100, 163])
+def test_a_malformed_word_is_found_where_it_stands_in_a_stretch(wrong, place):
+    words = np.array([high(1), low(500), row(5), *[event(k) for k in range(160)]], np.uint16)
+    with pytest.raises(RecordingCorrupt) as caught:
+        decode(*np.insert(words, place, wrong))
+    assert caught.value.offset == 2 * place
+
+
 @settings(max_examples=30)
 @given(streams())
 def test_counting_without_a_list_gives_the_same_image(stream):
@@ -454,6 +507,28 @@ def test_counting_without_a_list_gives_the_same_image(stream):
         expected[p, y, x] += 1
     assert np.array_equal(image, expected)
     assert rows(edges) == stream[2]
+
+
+@settings(max_examples=30)
+@given(streams())
+def test_events_of_a_list_count_to_the_image_that_their_words_do(stream):
+    words = np.array(stream[0], np.uint16)
+    expected, image = np.zeros((2, 2, HEIGHT, WIDTH), np.uint16)
+    Evt3Decoder(WIDTH, HEIGHT).count(words, expected)
+    for events, _ in Evt3Decoder(WIDTH, HEIGHT).decode(words, max_events=40):
+        count_events(events, image)
+    assert np.array_equal(image, expected)
+
+
+@pytest.mark.parametrize(("x", "y", "p"), [(WIDTH, 0, 0), (0, HEIGHT, 0), (0, 0, 2)])
+def test_an_event_outside_the_image_is_not_counted_but_refused(x, y, p):
+    image = np.zeros((2, HEIGHT, WIDTH), np.uint16)
+    events = Events(
+        *(np.array([v], kind) for v, kind in zip((0, x, y, p), ("i8", "u2", "u2", "u1"), strict=True))
+    )
+    with pytest.raises(ValueError, match="outside"):
+        count_events(events, image)
+    assert not image.any()
 
 
 @pytest.mark.parametrize("missing", ["row", "base"])
