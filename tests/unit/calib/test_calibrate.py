@@ -130,3 +130,39 @@ def test_views_that_hardly_tell_the_focal_length_are_named_weak(make_bench):
     assert "too narrow a beam" in note
     strong = calibrate(make_bench().views(np.random.default_rng(28), 0.05))
     assert not [note for note in strong.notes if "Weak" in note]
+
+
+def test_stars_count_by_their_covariances(bench):
+    def scattered(view, rng, *, told):
+        """Every second star is off by 2 px, and says so or not."""
+        poor = np.arange(len(view)) % 2 == 0
+        shift = 2.0 * poor[:, None] * rng.standard_normal((len(view), 2))
+        covariances = view.covariances_px2 + np.eye(2) * np.where(poor & told, 4.0, 0.0)[:, None, None]
+        return replace(view, points_px=view.points_px + shift, covariances_px2=covariances)
+
+    views = bench.views(np.random.default_rng(29), 0.05)
+    honest, silent = (
+        calibrate(
+            [scattered(view, np.random.default_rng(i), told=told) for i, view in enumerate(views)],
+            CalibrationOptions(loss="l2"),
+        )
+        for told in (True, False)
+    )
+    assert honest.camera.fx == pytest.approx(bench.fx, abs=4 * honest.sigma["fx"])
+    assert honest.variance_factor == pytest.approx(1.0, abs=0.15)
+    assert honest.sigma["fx"] < 0.1 * silent.sigma["fx"]
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_gross_errors_of_a_few_stars_hardly_matter_to_a_robust_loss(bench, loss):
+    rng = np.random.default_rng(30)
+    views = bench.views(rng, 0.05)
+    for view in views:
+        view.points_px[rng.choice(len(view), 5, replace=False)] += [6.0, -8.0]
+    robust, plain = (calibrate(views, CalibrationOptions(loss=one)) for one in (loss, "l2"))
+    # On the length of the residual: a weight is a function of it alone.
+    gross = [np.linalg.norm(r, axis=1) > 5 for r in robust.residuals_px]
+    assert [g.sum() for g in gross] == [5, 5, 5]
+    assert max(w[g].max() for w, g in zip(robust.weights, gross, strict=True)) < 0.05
+    assert robust.camera.fx == pytest.approx(bench.fx, abs=3 * robust.sigma["fx"])
+    assert robust.sigma["fx"] < 0.4 * plain.sigma["fx"]
