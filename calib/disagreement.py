@@ -3,7 +3,8 @@
 Knows residuals, and how to tell what is common to a view's stars from what is each star's own. A collimator that is
 not quite the model moves neighbouring stars alike, and differently in every view. Such a field is written as
 polynomials of the place in the beam, to the fourth degree, and as the beam's rim moved along its radius; the
-coefficients of one degree are drawn, in each view, from one variance. Those variances are estimated from all residuals
+coefficients of one degree are drawn, in each view, from one variance; the shifts of the whole beam, degree zero, from
+one along X and one along Y, as what moves a centre has a direction. Those variances are estimated from all residuals
 together by restricted maximum likelihood, so three views tell them: each brings some thirty coefficients. The
 parameters' covariance follows: H^-1 (sum over views of S D S^T) H^-1, S a view's coefficients' pull at them.
 
@@ -43,7 +44,8 @@ class Disagreement:
     Attributes
     ----------
     sizes_mm
-        (6,) 1-sigma displacement of a star by the polynomials of each degree, 0 to 4, and by the rim.
+        (7,) 1-sigma displacement of a star by the shifts along X and along Y, by the polynomials of each degree, 1 to
+        4, and by the rim; fewer where no view has stars enough for all degrees.
     fields, stars, prior
         (G, G) covariance of the shared parameters by these fields, by the stars' own noise, and by what was
         known beforehand.
@@ -181,16 +183,15 @@ def _evidence(bundle: Bundle, state: State, loss: Loss) -> _Evidence:
     )
     noise = max((squares - explained) / max(freedom - len(pull), 1), _LEAST_NOISE * squares / len(residuals))
     together = _block_diagonal(shown) - answer.T @ inverse @ answer
-    return _Evidence(
-        pull, 0.5 * (together + together.T), answer, np.concatenate(groups), information, inverse, noise
-    )
+    group = np.unique(np.concatenate(groups), return_inverse=True)[1]
+    return _Evidence(pull, 0.5 * (together + together.T), answer, group, information, inverse, noise)
 
 
 def _fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[np.int64]]:
     """Return (n, 2, F) fields over a view's stars, of unit mean square, and each one's group.
 
-    Polynomials, orthogonal over the stars, along each axis; groups are their degrees. The last group is the rim's:
-    the model's own shapes, or those of a disc about the stars' middle.
+    Polynomials, orthogonal over the stars, along each axis; groups are the shift along X, that along Y, and the
+    further degrees. The last group is the rim's: the model's own shapes, or those of a disc about the stars' middle.
     """
     away = target_mm - target_mm.mean(axis=0)
     away /= np.linalg.norm(away, axis=1).max()
@@ -209,8 +210,8 @@ def _fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[np.int
         ],
         axis=2,
     )
-    degrees = [i + j for i, j in powers]
-    return fields, np.array([*degrees, *degrees, *[_DEGREES + 1] * rims.shape[2]])
+    bent = [1 + i + j for i, j in powers[1:]]
+    return fields, np.array([0, *bent, 1, *bent, *[_DEGREES + 2] * rims.shape[2]])
 
 
 def _rims(bundle: Bundle, state: State) -> Array | None:

@@ -52,9 +52,10 @@ def test_sigmas_of_three_views_are_their_scatter_for_every_parameter(views):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("size", [5, 7, 10])
-def test_sigmas_of_more_views_are_their_scatter_within_what_one_collimator_allows(views, size):
+def test_sigmas_of_more_views_are_too_small_for_no_parameter(views, size):
     values, sigmas, _ = random_sets(views, size)
     ratio = over_scatter(values, sigmas, size)
     assert 1 / 1.3 < np.exp(np.log(ratio).mean()) < 1.3
-    # This collimator departs most along y, which fields without a preferred direction do not know.
-    assert ((ratio > 1 / 1.7) & (ratio < 1.7)).all()
+    assert (ratio > 1 / 1.3).all()
+    # What every set of views misses alike does not scatter; the centre's row and the tilts are stated too large.
+    assert (ratio < 1.7).all()
