@@ -20,6 +20,7 @@ from bench.station_devices import FrameCameraWords
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameSettings
+from drivers.camera.recording import get_ready
 from sequences.script import Flicker, RecordStep
 
 Camera = EventCamera | FrameCamera
@@ -90,7 +91,8 @@ class EventKind:
         return flicker
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
-        """Set biases and trigger input, and see that no filter eats flicker."""
+        """Set biases and trigger input, and see that no filter eats flicker; have ready what recording needs."""
+        get_ready()
         event_camera = cast("EventCamera", camera)
         settings = event_camera.apply(self._settings)
         filters = event_camera.filters()

@@ -3,8 +3,9 @@
 Stop does not travel through the queue of the work: a signal handler (or another thread) calls
 ``request_stop``; the next ``sleep``, or ``check`` between two pieces of work, raises ``Aborted``. An interlock calls
 ``interrupt`` in the same way, and the work may ``go_on`` after it. While the bench makes itself safe the clock is
-shielded, so that the way to safety is not itself interrupted. ``quiet_s`` tells whether the work still waits or checks:
-where a driver hangs it does neither. A virtual clock is the same, but its time passes only where somebody waits.
+shielded, so that the way to safety is not itself interrupted. ``quiet_s`` tells whether the work still waits,
+checks or asks the time (as waits do that must not be interrupted): where a driver hangs it does neither. A virtual
+clock is the same, but its time passes only where somebody waits.
 """
 
 from __future__ import annotations
@@ -42,10 +43,14 @@ class BenchClock:
         self._shields = 0
         self._asleep = False
         self._asked_s = time.monotonic()
+        self._worker = threading.get_ident()
 
     def monotonic(self) -> float:
         """Seconds of the system's monotonic clock."""
-        return time.monotonic()
+        now_s = time.monotonic()
+        if threading.get_ident() == self._worker:  # others ask on behalf of those who watch
+            self._asked_s = now_s
+        return now_s
 
     def utc_now(self) -> datetime:
         """Present time, UTC, with its time zone."""
@@ -70,7 +75,7 @@ class BenchClock:
             self._give_way()
 
     def quiet_s(self) -> float:
-        """How long the work has neither waited nor checked, s; 0 while it waits."""
+        """How long the work has neither waited, nor checked, nor asked the time, s; 0 while it waits."""
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
     def request_stop(self, reason: str) -> None:

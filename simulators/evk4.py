@@ -18,6 +18,7 @@ from typing import Any, Final
 from simulators.biases import ALLOWED, FACTORY, PixelSettings
 from simulators.errors import SimulatorError
 from simulators.event_filters import FILTERS
+from simulators.keep_alive import KeepAlive
 from simulators.sensor_stream import CameraState, SensorStream
 from simulators.stream_faults import StreamFaults
 from simulators.world import World
@@ -155,10 +156,12 @@ class _Connection:
         self._trigger_in = False
         self._stop = threading.Event()
         self._streamer: threading.Thread | None = None
+        self._alive = KeepAlive(self._tell_that_it_computes)
         self._thread = threading.Thread(target=self._serve, name="simulated-evk4-host", daemon=True)
 
     def start(self) -> None:
         """Begin to answer."""
+        self._alive.start()
         self._thread.start()
 
     def is_open(self) -> bool:
@@ -181,17 +184,25 @@ class _Connection:
         with suppress(_HostGone):
             self._send(b"N", _json({"event": "fault", "message": message}))
 
+    def _tell_that_it_computes(self) -> None:
+        with suppress(_HostGone):
+            self._send(b"N", _json({"event": "computing"}))
+
     # ------------------------------------------------------------- answering
 
     def _serve(self) -> None:
         """Answer requests until the host goes."""
         try:
             while True:
-                self._send(b"A", _json(self._answer(self._receive())))
+                request = self._receive()
+                with self._alive.computing():
+                    answer = self._answer(request)
+                self._send(b"A", _json(answer))
         except _HostGone:
             self._stop.set()
         if self._streamer is not None:
             self._streamer.join()
+        self._alive.close()
         self._link.close()
 
     def _receive(self) -> bytes:
@@ -331,9 +342,11 @@ class _Connection:
     def _stream(self, camera: CameraState) -> None:
         """Send frames of words until told to stop, each when the sensor has seen it."""
         try:
-            stream = SensorStream(self._world, camera, self._repeats)
+            with self._alive.computing():
+                stream = SensorStream(self._world, camera, self._repeats)
             while not self._stop.is_set():
-                frame = self._faults.carry(stream.next_frame())
+                with self._alive.computing():
+                    frame = self._faults.carry(stream.next_frame())
                 if self._paced and self._stop.wait(max(0.0, stream.covered_s - self._world.now_s())):
                     return
                 if frame:

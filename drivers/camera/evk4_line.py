@@ -21,6 +21,10 @@ from drivers.errors import CameraError, CameraLost, CameraNotFound, DeviceRefuse
 MAX_FRAME_BYTES: Final = 1 << 26
 """No frame of 2 ms comes near; a longer one is a peer that speaks another protocol."""
 
+COMPUTING_S: Final = 600.0
+"""So long an answer or the next words may take while the camera says that it computes: its first start on a busy
+machine compiles its pixels."""
+
 POLL_S: Final = 0.02
 """Longest wait for bytes between two safe points of the clock."""
 
@@ -44,7 +48,8 @@ class Evk4Line:
     clock
         Deadlines count on it; every round of waiting passes through its ``sleep``.
     silence_s
-        How long the camera may send nothing before it counts as lost.
+        How long the camera may send nothing, while something is awaited of it, before it counts as lost. One that
+        computes for longer says so meanwhile.
     """
 
     def __init__(self, address: str, *, clock: Clock, silence_s: float) -> None:
@@ -53,6 +58,8 @@ class Evk4Line:
         self.silence_s = silence_s
         self._received = bytearray()
         self._last_id = 0
+        self._heard_s = clock.monotonic()
+        self._idle_s = 0.0
         self._sending = threading.Lock()
         self._socket = _connect(address, silence_s)
 
@@ -68,7 +75,7 @@ class Evk4Line:
         interruptible
             Whether the clock may end the wait.
         within_s
-            Deadline; the line's own one when None.
+            Deadline; the bounds on silence and on computing when None.
 
         Raises
         ------
@@ -78,24 +85,31 @@ class Evk4Line:
             When it says nothing, nonsense, or has gone.
         """
         number = self._send(command, parameters)
-        allowed_s = self.silence_s if within_s is None else within_s
-        deadline = self._clock.monotonic() + allowed_s
-        idle_s = 0.0  # ends the wait also where the clock only goes on while it is slept on
-        while self._clock.monotonic() < deadline and idle_s < allowed_s:
+        deadline = self._clock.monotonic() + (COMPUTING_S if within_s is None else within_s)
+        silence_s = self.silence_s if within_s is None else min(within_s, self.silence_s)
+        while True:
             if interruptible:
                 self._clock.sleep(0.0)
             frame = self.receive()
-            idle_s += POLL_S if frame is None else 0.0
-            if frame is None or frame.kind != b"A":
-                continue
-            answer = self._json(frame)
-            if answer.get("id") == number:
-                return self._accepted(command, answer)
-        raise ReplyTimeout(
-            f'It did not answer "{command}" within {allowed_s:g} s.',
-            where=self._where,
-            remedy="Restart the simulated bench.",
-        )
+            if frame is not None and frame.kind == b"A":
+                answer = self._json(frame)
+                if answer.get("id") == number:
+                    return self._accepted(command, answer)
+            if self.silent_s() > silence_s or self._clock.monotonic() > deadline:
+                raise ReplyTimeout(
+                    f'It did not answer "{command}"; for {self.silent_s():.1f} s it has sent nothing.',
+                    where=self._where,
+                    remedy="Restart the simulated bench.",
+                )
+
+    def silent_s(self) -> float:
+        """How long nothing has come, s, since something is awaited; polls count too, as a test's clock may stand."""
+        return max(self._clock.monotonic() - self._heard_s, self._idle_s)
+
+    def see_that_it_speaks(self) -> None:
+        """Raise CameraLost when nothing has come for too long."""
+        if self.silent_s() > self.silence_s:
+            raise self._lost(f"it has sent nothing for {self.silence_s:g} s")
 
     def receive(self) -> Frame | None:
         """Next answer or words, or None when none is complete after a short wait.
@@ -112,6 +126,8 @@ class Evk4Line:
             ready, _, _ = select.select([self._socket], [], [], POLL_S)
             if ready:
                 self._read_some()
+            else:
+                self._idle_s += POLL_S
             frame = self._take_frame()
         if frame is not None and frame.kind == b"N":
             self._heed(self._json(frame))
@@ -128,6 +144,7 @@ class Evk4Line:
 
     def _send(self, command: str, parameters: Mapping[str, Any]) -> int:
         self._last_id += 1
+        self._awaits()
         payload = json.dumps({"id": self._last_id, "cmd": command, **parameters}).encode()
         try:
             with self._sending:
@@ -144,6 +161,11 @@ class Evk4Line:
         if not data:
             raise self._lost("it closed the connection")
         self._received += data
+        self._awaits()
+
+    def _awaits(self) -> None:
+        """Note that something was heard, or is awaited, from now on."""
+        self._heard_s, self._idle_s = self._clock.monotonic(), 0.0
 
     def _take_frame(self) -> Frame | None:
         if len(self._received) < _HEAD.size:
@@ -182,6 +204,7 @@ class Evk4Line:
         raise DeviceRefused(f'It refused "{command}": {reason}', where=self._where)
 
     def _heed(self, notification: Mapping[str, Any]) -> None:
+        """Take a fault for what it is; that it computes is heard by its coming, and others are let pass."""
         if notification.get("event") == "fault":
             raise CameraError(
                 f"It reports a fault: {notification.get('message', 'without saying which')}",

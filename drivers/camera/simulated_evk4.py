@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
-from drivers.camera.evk4_line import Evk4Line
+from drivers.camera.evk4_line import COMPUTING_S, Evk4Line
 from drivers.camera.raw_header import render_header
 from drivers.camera.recording import Watch, check_duration, record_words, recording_facts, refuse_roi
 from drivers.clock import Clock
@@ -27,8 +27,8 @@ from drivers.errors import (
 
 BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
 
-SILENCE_S: Final = 60.0
-"""A simulator on a busy machine may think for long; one that has died closes the connection at once."""
+SILENCE_S: Final = 4.0
+"""One that computes for longer, on a busy machine, says so twice a second; one that has died closes the connection."""
 
 STOP_S: Final = 5.0
 """Longest wait for the stream to stop when something else has gone wrong."""
@@ -180,7 +180,7 @@ class SimulatedEvk4Camera:
                 render_header(identity, self._utc_now()),
                 (identity.width, identity.height),
                 duration_s,
-                Watch(self._clock, self._stop_asked, self._line.silence_s, self._where),
+                Watch(self._clock, self._stop_asked, COMPUTING_S, self._where),
             )
         return recording_facts(
             identity,
@@ -262,6 +262,8 @@ class _Stream:
 
     def next_words(self) -> bytes | None:
         frame = self._line.receive()
+        if frame is None:
+            self._line.see_that_it_speaks()
         return frame.payload or None if frame is not None and frame.kind == b"D" else None
 
     def stop(self, *, hurry: bool) -> None:

@@ -2,14 +2,17 @@
 
 import json
 import math
+import select
 import socket
 import struct
+import threading
 
 import numpy as np
 import pytest
 
 from simulators.evk4 import SimulatedEvk4
 from simulators.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
+from simulators.stream_faults import StreamFault
 from simulators.truth_config import truth_from_config
 from simulators.world import AxisMotion, LightState, World
 
@@ -17,6 +20,7 @@ SMALL = truth_from_config(
     {"camera": {"fx": 800, "fy": 800, "cx": 160, "cy": 90, "width": 320, "height": 180}}
 )
 FLICKER = LightState(output=True, sync=True)
+COMPUTING = b'{"event": "computing"}'
 
 
 class Host:
@@ -34,6 +38,12 @@ class Host:
         self.link.close()
 
     def frame(self):
+        """The next frame that is not only a sign that it computes."""
+        while (frame := self.any_frame()) == (b"N", COMPUTING):
+            pass
+        return frame
+
+    def any_frame(self):
         kind, length = struct.unpack("<cI", self._exactly(5))
         return kind, self._exactly(length)
 
@@ -98,6 +108,26 @@ def test_it_says_who_it_is(camera):
     assert answer["id"] == 7
     assert (answer["serial"], answer["sensor"], answer["format"]) == ("00050423", "IMX636", "EVT3")
     assert (answer["width"], answer["height"]) == (320, 180)
+
+
+def test_it_says_that_it_computes_while_a_frame_takes_long_and_only_then(camera, monkeypatch):
+    compute, go_on = SensorStream.next_frame, threading.Event()
+    monkeypatch.setattr(SensorStream, "next_frame", lambda self: (go_on.wait(60), compute(self))[1])
+    with Host(camera) as host:
+        assert host.ask("start")["ok"]
+        assert host.any_frame() == (b"N", COMPUTING)
+        assert host.any_frame() == (b"N", COMPUTING)
+        go_on.set()
+        assert host.frame()[0] == b"D"
+        assert host.ask("stop")["ok"]
+
+
+def test_it_says_nothing_where_its_words_are_lost_on_the_way(camera):
+    with Host(camera) as host:
+        host.record(1)  # all that is to be compiled is
+        camera.stream_faults.inject(StreamFault("silence"))
+        assert host.ask("start")["ok"]
+        assert not select.select([host.link], [], [], 1.2)[0]
 
 
 def test_settings_are_held_and_forgotten_at_the_next_connect(camera):

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -76,6 +77,17 @@ def test_a_clock_is_quiet_only_while_nobody_waits_or_checks():
     assert clock.quiet_s() >= 0.05
     clock.check()
     assert clock.quiet_s() < 0.05
+
+
+def test_a_wait_that_is_not_to_be_interrupted_asks_the_time_and_is_a_sign_of_life():
+    clock = BenchClock()
+    clock._asked_s -= 100.0
+    watcher = threading.Thread(target=clock.monotonic)  # not the work's own asking
+    watcher.start()
+    watcher.join()
+    assert clock.quiet_s() >= 100.0
+    clock.monotonic()
+    assert clock.quiet_s() < 100.0
 
 
 @pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 x", b"1 2 3 4", b"\xff\xfe"])
