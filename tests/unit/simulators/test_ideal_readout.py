@@ -25,7 +25,7 @@ def after_dark(light, phase):
 
 @pytest.mark.parametrize("q_us", [20.0, 60.0, 200.0])
 def test_ideal_events_are_those_of_the_differential_equation(q_us):
-    pixels, duration, phase = 12, 33_400.0, 0.37
+    pixels, duration, phase = 4, 33_400.0, 0.37
     scene = picture(pixels, 1, seed=int(q_us))
     setting = PixelSettings(q_us=q_us)
     rng = np.random.default_rng(4)
@@ -43,7 +43,7 @@ def test_ideal_events_are_those_of_the_differential_equation(q_us):
         assert found["p"].tolist() == [p for _, p in expected]
         errors.append(found["t"] + 0.5 - np.array([t for t, _ in expected]))
         compared += len(expected)
-    assert compared > 100
+    assert compared > 50
     assert np.abs(np.concatenate(errors)).max() <= 0.5 + 2.0
 
 
