@@ -155,6 +155,7 @@ class _Connection:
         self._filters = dict.fromkeys(FILTERS, False)
         self._trigger_in = False
         self._stop = threading.Event()
+        self._left = threading.Event()
         self._streamer: threading.Thread | None = None
         self._alive = KeepAlive(self._tell_that_it_computes)
         self._thread = threading.Thread(target=self._serve, name="simulated-evk4-host", daemon=True)
@@ -166,7 +167,7 @@ class _Connection:
 
     def is_open(self) -> bool:
         """Whether the host is still there."""
-        return self._thread.is_alive()
+        return not self._left.is_set()
 
     def hang_up(self) -> None:
         """Close the connection from this side."""
@@ -203,6 +204,7 @@ class _Connection:
         if self._streamer is not None:
             self._streamer.join()
         self._alive.close()
+        self._left.set()  # first: a host that sees the connection end may connect again at once
         self._link.close()
 
     def _receive(self) -> bytes:
