@@ -17,7 +17,7 @@ from typing import Any
 
 from bench.batch_messages import BatchMessages
 from bench.batch_plan import planned_s
-from bench.batch_record import BatchEvent, BatchRecord
+from bench.batch_record import BatchEvent, BatchRecord, going_on_text
 from bench.batch_requests import Desk, Request, refusal
 from bench.batch_summary import RUNS, write_summary
 from bench.clock import Aborted, BenchClock
@@ -127,6 +127,8 @@ class Batch:
         if self._record.begun is None:
             said: dict[str, Any] = {"rehearsal": True} if self._rehearsal else {}
             self._tell(BatchEvent.BEGUN, queue=self._queue.value.name, files=self._files(), **said)
+        else:
+            self._say(going_on_text(self._record))
         if self._record.rehearsal != self._rehearsal:
             raise RunFolderError(
                 "A rehearsed batch and a real one never go on in one folder.",

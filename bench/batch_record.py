@@ -220,6 +220,22 @@ def _meant(job: JobWords, files: Mapping[str, str]) -> JobWords:
     return job.model_copy(update=names)
 
 
+def going_on_text(record: BatchRecord) -> str:
+    """Say what a batch that was cut off, or has ended, will do when it is called again."""
+    undone = record.undone()
+    again = [item.key for item in undone if item.key in record.tries]
+    fresh = [item.key for item in undone if item.key not in record.tries]
+    said = [f"{len(record.items) - len(undone)} of {len(record.items)} runs are done with"]
+    said += [f"to take up again: {', '.join(again)}"] if again else []
+    said += [f"to begin: {_few(fresh)}"] if fresh else []
+    return f"{record.queue.name} goes on: {'; '.join(said)}."
+
+
+def _few(keys: list[str], most: int = 8) -> str:
+    more = f" and {len(keys) - most} more" if len(keys) > most else ""
+    return ", ".join(keys[:most]) + more
+
+
 def replay_batch(queue: Queue, entries: Iterable[Entry]) -> BatchRecord:
     """Replay a batch's journal. Raises JournalBroken."""
     record = BatchRecord(queue)
