@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -158,6 +159,42 @@ def test_a_worker_killed_by_force_leaves_devices_that_its_supervisor_makes_safe(
     ended = next(line for line in journal(folder) if line["event"] == "item_ended")
     assert (ended["how"], ended["unsafe"]) == ("died", [])
     process.communicate(timeout=PATIENCE_S)
+    see_that_it_is_safe(station)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("state", ["recording", "slewing"])
+def test_worker_and_supervisor_killed_together_leave_a_bench_that_the_next_call_makes_safe(
+    tmp_path, bench, state
+):
+    _, station, sequence = bench
+    (tmp_path / "queue.yaml").write_text(
+        "format: starbench/queue/1\nname: Night\njobs:\n"
+        f"  - {{name: cam, sequence: {sequence}, station: {station}}}\n"
+    )
+    folder, home = tmp_path / "night", tmp_path / "home"
+    process = start("batch", tmp_path / "queue.yaml", "-o", folder, home=home)
+    run = folder / "runs" / "cam-001"
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(map(entering(state, AT_POSE[state]), journal(run))):
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    (worker,) = [int(p) for p in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    os.kill(process.pid, signal.SIGKILL)  # first, so that it cannot see its worker die
+    os.kill(worker, signal.SIGKILL)
+    process.communicate()
+    seen = len(journal(run))
+    again = starbench("batch", tmp_path / "queue.yaml", "-o", folder, home=home)
+    assert again.returncode == 0, again.stderr
+    events = [line["event"] for line in journal(run)[seen:]]
+    assert "run_resumed" in events
+    assert events.index("devices") < events.index("capture_stored")  # preflight has put the light out by then
+    sent = [json.loads(line) for line in (run / "wire.jsonl").read_text().splitlines()]
+    resumed_s = journal(run)[seen]["mono_s"]
+    after = [s["bytes"] for s in sent if s["dir"] == ">" and s["t"] > resumed_s]
+    switched = [found[1] for words in after if (found := re.search(r"OUTP\S* (ON|OFF|0|1)", words))]
+    assert switched[0] in {"OFF", "0"}
     see_that_it_is_safe(station)
 
 
