@@ -39,6 +39,7 @@ class BenchClock:
     def __init__(self) -> None:
         self._woken = threading.Event()
         self._stop: str | None = None
+        self._failure: Exception | None = None
         self._interruption: str | None = None
         self._shields = 0
         self._asleep = False
@@ -84,6 +85,12 @@ class BenchClock:
             self._stop = reason
             self._woken.set()
 
+    def request_failure(self, error: Exception) -> None:
+        """Ask the run to end with an error at its next wait: what goes on beside the work cannot go on."""
+        if self._stop is None:
+            self._failure = error
+            self.request_stop(str(error))
+
     def interrupt(self, reason: str) -> None:
         """Ask the work to pause at its next wait; a stop that was asked for comes first."""
         if self._interruption is None:
@@ -98,6 +105,8 @@ class BenchClock:
             self._woken.set()
 
     def _give_way(self) -> None:
+        if self._failure is not None:
+            raise self._failure
         if self._stop is not None:
             raise Aborted(self._stop)
         if self._interruption is not None:

@@ -132,7 +132,7 @@ class Inbox:
     poses
         Names of the poses to record, by index.
     clock
-        Asked to stop by ``abort``, and when the journal does not take a decision.
+        Asked to stop by ``abort``; asked to fail when the journal does not take a decision.
     looks
         What else is to be looked at in every round: signs of life, interlocks.
     """
@@ -185,7 +185,7 @@ class Inbox:
         except (
             BenchError
         ) as error:  # a run that cannot be commanded, or whose journal is full, must not go on
-            self._clock.request_stop(f"commands cannot be taken any more: {error}")
+            self._clock.request_failure(error)
 
     def _drain(self, why_not: str) -> None:
         """Answer every command that lies there, oldest first; not taken where ``why_not`` says so."""
