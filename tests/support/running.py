@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 STARBENCH = [sys.executable, "-m", "bench"]
-PATIENCE_S = 240.0
+PATIENCE_S = 600.0
 
 
 def environment(home: Path) -> dict[str, str]:
