@@ -55,11 +55,17 @@ def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
     assert not study.failed
     assert all(low <= share <= high for share in study.coverage.values())
     assert 0.95 < study.z_joint < 1.05
-    # One parameter's is uncertain by 3 % after 500 runs.
-    assert all(0.9 < z < 1.1 for z in study.z_rms.values())
     # With half the sigmas the same study fails.
     halved = np.abs(study.values - study.truth) <= study.sigmas
     assert (halved.mean(axis=0) < low).all()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_errors_are_as_large_as_their_sigmas_for_every_parameter():
+    # 500 runs tell a ratio to 3 %, 2000 to 1.6 %.
+    study = repeat(NARROW, POSES, L2, 2000, 18)
+    assert all(0.95 < z < 1.05 for z in study.z_rms.values())
 
 
 @pytest.mark.slow
