@@ -58,6 +58,9 @@ _RATE_IN: Final = 0x014
 _RATE_OUT: Final = 0x016
 _WINDOW_US: Final = 200
 """Between two reports."""
+_TICK_US: Final = 16
+"""Between two TIME_HIGH, said whether there is anything else to say or not."""
+_MOST_TICKS: Final = 1024
 
 
 class Fault(IntEnum):
@@ -118,15 +121,17 @@ class S(IntEnum):
     ODD_WINDOWS = 26
     """Windows in which the sensor's count is not that of the events that arrived."""
     REPORT_T = 27
-    """Clock at the last report, us."""
+    """Clock at the last report, us; -1 where it is not known."""
     MISSING_WINDOWS = 28
     """Windows whose report has not arrived, by the time between two that have."""
+    SILENT_US = 29
+    """For how long the clock has said nothing but TIME_HIGH, at a report and between calls; -1: nobody knows."""
 
 
 def new_state(width: int, height: int) -> NDArray[np.int64]:
     """State before the first word of a stream."""
     state = np.zeros(len(S), np.int64)
-    state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.REPORTED_AT]] = -1
+    state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.REPORTED_AT, S.REPORT_T, S.SILENT_US]] = -1
     state[S.WIDTH], state[S.HEIGHT] = width, height
     return state
 
@@ -170,6 +175,30 @@ def _time_low(state: Any, low: int) -> Fault:
 
 
 @njit(**JIT)
+def _silent_us(words: Any, start: int, i: int, state: Any, high_before: int) -> int:
+    """Return for how long the clock has said nothing but TIME_HIGH before word i, us; -1 where nobody knows.
+
+    In a stream without events the time stands still until the next TIME_LOW; TIME_HIGH comes every 16 us all the
+    same. What was so before ``start`` stands in the state, so that it is no matter how a stream is cut.
+    """
+    ticks = 0
+    for j in range(i - 1, start - 1, -1):
+        word: Any = np.int64(words[j])
+        if word >> 12 == 0x6:
+            return _TICK_US * ticks
+        if word >> 12 == 0x8:
+            if word & 0xFFF != state[S.HIGH]:  # the one after it set the time
+                return _TICK_US * max(ticks - 1, 0)
+            ticks += 1
+            if ticks > _MOST_TICKS:
+                return -1
+    if state[S.HIGH] != high_before:
+        return _TICK_US * max(ticks - 1, 0)
+    silent = state[S.SILENT_US]
+    return -1 if silent < 0 or silent > _TICK_US * (_MOST_TICKS - ticks) else silent + _TICK_US * ticks
+
+
+@njit(**JIT)
 def _rate_controller(state: Any, kind: int, payload: int) -> None:
     """Add an OTHERS word, or a part of its payload, to the rate controller's counters.
 
@@ -185,11 +214,12 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
         if payload == _RATE_OUT:
             sent = state[S.EVENTS] + state[S.TAKEN]
             state[S.WINDOW] = sent - state[S.REPORTED_AT] if state[S.REPORTED_AT] >= 0 else -1
-            if state[S.REPORTED_AT] >= 0:
-                windows = (state[S.T] - state[S.REPORT_T] + _WINDOW_US // 2) // _WINDOW_US
+            now = state[S.T] + state[S.SILENT_US] if min(state[S.T], state[S.SILENT_US]) >= 0 else -1
+            if min(now, state[S.REPORT_T]) >= 0 and state[S.REPORTED_AT] >= 0:
+                windows = (now - state[S.REPORT_T] + _WINDOW_US // 2) // _WINDOW_US
                 state[S.MISSING_WINDOWS] += max(windows - 1, 0)
             state[S.REPORTED_AT] = sent
-            state[S.REPORT_T] = state[S.T]
+            state[S.REPORT_T] = now
             state[S.COUNTED] = 0
         return
     parts = state[S.PARTS]
@@ -343,6 +373,7 @@ def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
     state[S.TAKEN_EDGES] = 0
     fault = Fault.NONE
     repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
+    high_before = state[S.HIGH]
     i = tried = start
     wait = SHORTEST_WAIT
     while i < len(words):
@@ -397,12 +428,16 @@ def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
             i += taken - 1
         else:
             state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
+            carried = state[S.SILENT_US]
+            if word == 0xE000 | _RATE_OUT:
+                state[S.SILENT_US] = _silent_us(words, start, i, state, high_before)
             fault = _other_word(state, kind, word & 0xFFF, gaps, edges)
-            t, y = state[S.T], state[S.Y]
+            t, y, state[S.SILENT_US] = state[S.T], state[S.Y], carried
             repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
             if fault != Fault.NONE:
                 break
         i += 1
+    state[S.SILENT_US] = _silent_us(words, start, i, state, high_before)
     state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
     state[S.EVENTS] += n
     state[S.ON_EVENTS] += on

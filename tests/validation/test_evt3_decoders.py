@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.camera.event_conversion import convert
+from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingCorrupt
 from simulators.evt3_writer import Evt3Writer
@@ -183,3 +184,20 @@ def test_whole_windows_lost_are_counted_and_their_events_said_to_be_at_least(
     said = " ".join(scan.losses_in_words())
     assert f"{reports} of the sensor's reports are missing" in said
     assert f"at least {scan.lost_events} events" in said
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_report_is_missed_where_bursts_are_followed_by_silence(seed):
+    """Flicker in the dark: the clock says nothing but TIME_HIGH for up to milliseconds."""
+    rng = np.random.default_rng(seed)
+    bursts = np.cumsum(rng.integers(1, 3000, 60))
+    t = np.sort(np.concatenate([at + rng.integers(0, 40, 30) for at in bursts]))
+    x, y = rng.integers(0, 640, t.size).astype(np.uint16), rng.integers(0, 360, t.size).astype(np.uint16)
+    p = np.zeros(t.size, np.uint8)
+    until_us = int(t[-1]) // 16 * 16 + 3200
+    words = Evt3Writer(width=640, height=360).write(t, x, y, p, until_us=until_us)
+    decoder = Evt3Decoder(640, 360)
+    for part in np.split(words, np.sort(rng.integers(0, words.size, 5))):
+        decoder.tally(part)
+    tally = decoder.told()
+    assert (tally.events, tally.odd_windows, tally.missing_windows) == (t.size, 0, 0)
