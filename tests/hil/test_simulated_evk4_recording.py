@@ -1,5 +1,6 @@
 """Recordings of the simulated EVK4, made by the driver over its socket."""
 
+import time
 from contextlib import contextmanager
 from datetime import UTC, datetime
 
@@ -10,8 +11,9 @@ from drivers.camera import CameraSettings
 from drivers.camera.raw_file import RawFile
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.clock import SystemClock
-from drivers.errors import CameraError, CameraSettingRefused
+from drivers.errors import CameraError, CameraLost, CameraSettingRefused
 from simulators.evk4 import SimulatedEvk4
+from simulators.stream_faults import StreamFault
 from simulators.truth_config import truth_from_config
 from simulators.world import LightState, World
 
@@ -109,3 +111,19 @@ def test_a_bias_out_of_range_is_refused_by_the_camera(dark):
 def test_a_second_host_is_told_that_the_camera_is_held(dark):
     with pytest.raises(CameraError, match="Another host"):
         SimulatedEvk4Camera.open(dark[1], clock=SystemClock(), utc_now=lambda: NOW)
+
+
+def test_a_camera_that_falls_silent_is_noticed(tmp_path):
+    simulated = SimulatedEvk4(World(truth_from_config({}), seed=1), paced=False)
+    simulated.start()
+    camera = SimulatedEvk4Camera.open(simulated.address, clock=SystemClock(), utc_now=lambda: NOW)
+    try:
+        camera.record(tmp_path / "first.raw", 0.004)  # all that is to be compiled is
+        simulated.stream_faults.inject(StreamFault("silence"))
+        begin_s = time.monotonic()
+        with pytest.raises(CameraLost, match="it has sent nothing for 4 s"):
+            camera.record(tmp_path / "second.raw", 1.0)
+        assert 4.0 < time.monotonic() - begin_s < 20.0  # 4.0 s on a quiet machine
+    finally:
+        camera.close()
+        simulated.close()
