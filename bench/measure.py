@@ -41,6 +41,10 @@ Expect = Callable[[tuple[int, int]], NDArray[np.float64]]
 [column row 1] to [u v 1] px. Raises DegenerateViews where that cannot be told."""
 
 
+_ALIGNED_DEG = 3.0
+"""Edges that run along the pixels' rows or diagonals to this angle err alike: at half a degree they do, at ten not."""
+
+
 @dataclass(frozen=True)
 class Measurement:
     """What a recording showed.
@@ -154,6 +158,45 @@ def named(
     facts["named_by"] = "gimbal" if seen.named_by == "expected pose" else seen.named_by
     facts["grid"] = grid.tolist()
     return seen.view
+
+
+def aligned_poses(facts: Iterable[Mapping[str, Any]]) -> int:
+    """Count the recordings whose stars have edges along the pixels, in an image of fired and silent pixels.
+
+    Such an edge crosses all pixels of a row at one place, and neighbouring stars err alike: more than a star's own
+    covariance can say (docs/stars.md).
+
+    Parameters
+    ----------
+    facts
+        Of recordings, as `measure` gives them.
+    """
+    return sum(
+        edge_angle_deg(np.array(one["grid"])) < _ALIGNED_DEG
+        for one in facts
+        if "grid" in one and one["image"]["kind"] in {"fired-per-edge", "last-polarity"}
+    )
+
+
+def edge_angle_deg(grid: NDArray[np.float64]) -> float:
+    """Angle between the stars' edges and the pixels' rows or diagonals, whichever are nearer.
+
+    Parameters
+    ----------
+    grid
+        (3, 3) from [column row 1] to [u v 1] px.
+
+    Examples
+    --------
+    >>> half = np.radians(50)
+    >>> edge_angle_deg(np.array([[np.cos(half), -np.sin(half), 0], [np.sin(half), np.cos(half), 0], [0, 0, 1]]))
+    5.0
+    """
+    along = (
+        grid[:2, 0] * grid[2, 2] - grid[:2, 2] * grid[2, 0]
+    )  # d(u, v)/d(column) at the grid's origin, scaled
+    direction = np.degrees(np.arctan2(along[1], along[0]))
+    return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
 
 
 def _agreement(flicker: Flicker, events: Events) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from bench.exports import exports
 from bench.gates import Gate, solution_gates
 from bench.history import Attempt, History, RunLog
 from bench.job import Job, calibration_options
-from bench.measure import Measurement
+from bench.measure import Measurement, aligned_poses
 from bench.report import ReportData, ViewPicture, render_report
 from bench.run_folder import REPORT, RESULTS, RunFolder
 from bench.views_file import views_file
@@ -100,7 +100,7 @@ class ResultWriter:
             measurements.append(measured.get(index) or self._measure_again(attempt))
         views = [m.view for m in measurements if m.view is not None]
         options = calibration_options(step)
-        calibration = calibrate(views, options)
+        calibration = _with_cautions(calibrate(views, options), measurements)
         check()
         planar = planar_beside(views, options) if calibration.model != "planar" else None
         found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
@@ -199,6 +199,19 @@ class ResultWriter:
             "truth": dict(truth) if truth is not None else None,
             "comparison": compare(calibration, truth) if truth is not None else [],
         }
+
+
+def _with_cautions(calibration: Calibration, measurements: Sequence[Measurement]) -> Calibration:
+    """Add what the recordings say against the stated uncertainties."""
+    aligned = aligned_poses(m.facts for m in measurements)
+    if not aligned:
+        return calibration
+    note = (
+        f"In {aligned} of {len(measurements)} recordings the stars' edges run along the pixels' rows or diagonals, and "
+        "neighbouring stars err alike: the uncertainties may be up to 1.6 times too small. Roll the camera by about "
+        "10 degrees against the target."
+    )
+    return replace(calibration, notes=(*calibration.notes, note))
 
 
 def main_numbers(calibration: Calibration) -> dict[str, Any]:

@@ -103,8 +103,8 @@ class BenchConfig:
     camera_seed
         Tells one camera's fixed pattern (thresholds, hot pixels) from another's; None: the bench's seed does.
     mounting_from_seed
-        Whether the camera sits on the gimbal as the bench's seed will have it, within about half a degree,
-        instead of as ``truth`` says: benches of different seeds then differ in where stars fall on pixels.
+        Whether the camera sits on the gimbal as the bench's seed will have it, within about half a degree of a roll by
+        10, instead of as ``truth`` says: benches of different seeds then differ in where stars fall on pixels.
     """
 
     truth: Truth = field(default_factory=Truth)
@@ -127,12 +127,14 @@ class BenchConfig:
         """Give the world of a seed."""
         if not self.mounting_from_seed:
             return self.truth
-        drawn = np.random.default_rng((seed, _MOUNTING_STREAM)).normal(0.0, _MOUNTING_SPREAD_DEG, 3)
+        drawn = np.random.default_rng((seed, _MOUNTING_STREAM)).normal(_MOUNTING_DEG, _MOUNTING_SPREAD_DEG)
         return replace(self.truth, optics=replace(self.truth.optics, mounting_deg=tuple(drawn.tolist())))
 
 
 _MOUNTING_STREAM = 1
 _MOUNTING_SPREAD_DEG = 0.25
+_MOUNTING_DEG = (0.0, 0.0, 10.0)
+"""Rolled, as on a real bench: edges of the print then cross the rows of pixels at all places between two of them."""
 
 _Section = TypeVar("_Section", AxisConfig, LightConfig)
 _Value = TypeVar("_Value", bool, int, float, str)

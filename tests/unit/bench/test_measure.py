@@ -1,0 +1,34 @@
+"""What a recording says against the uncertainty of its stars."""
+
+import numpy as np
+import pytest
+
+from bench.measure import aligned_poses
+
+
+def facts(roll_deg: float, kind: str) -> dict:
+    turn = np.radians(roll_deg)
+    grid = [
+        [50 * np.cos(turn), -50 * np.sin(turn), 300],
+        [50 * np.sin(turn), 50 * np.cos(turn), 200],
+        [1e-5, 0, 1],
+    ]
+    return {"grid": grid, "image": {"kind": kind}}
+
+
+@pytest.mark.parametrize("roll_deg", [0.4, -2, 44, 46.5, 90, 181, -135])
+def test_edges_along_rows_or_diagonals_are_told(roll_deg):
+    assert aligned_poses([facts(roll_deg, "fired-per-edge"), facts(10, "fired-per-edge")]) == 1
+
+
+@pytest.mark.parametrize("roll_deg", [10, -10, 22.5, 35, 100, 170])
+def test_a_rolled_camera_is_as_it_should_be(roll_deg):
+    assert aligned_poses([facts(roll_deg, "fired-per-edge")]) == 0
+
+
+def test_images_with_levels_of_grey_may_be_aligned():
+    assert aligned_poses([facts(0, "lock-in"), facts(0, "picture")]) == 0
+
+
+def test_recordings_without_stars_are_left_out():
+    assert aligned_poses([{"image": {"kind": "last-polarity"}}, {}]) == 0
