@@ -25,5 +25,8 @@ def test_every_parameter_lies_within_its_stated_uncertainty_of_the_truth(tmp_pat
     print("\nrms of the errors in sigmas, by parameter:", np.round(np.sqrt((z**2).mean(axis=0)), 2))
     print("within 2 sigmas:", (abs(z) < 2).mean(), " largest:", abs(z).max())
     assert abs(z).max() < 4
-    assert (abs(z) < 2).mean() >= 0.95
-    assert np.sqrt((z**2).mean()) > 0.5, "sigmas twice too large would hold, but say nothing"
+    # Nine parameters of a run move together and tell as much as five: of 95.45 % in truth, twenty runs show 91 to 100.
+    assert (abs(z) < 2).mean() >= 0.91
+    rms = np.sqrt((z**2).mean(axis=0))
+    assert rms.max() < 1.4, "sigmas too small"
+    assert rms.min() > 0.6, "sigmas twice too large would hold, but say nothing"
