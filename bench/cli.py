@@ -1,7 +1,7 @@
 """The command line: `starbench`. Knows words and exits; the work stands in the modules it calls.
 
 With ``--json`` a command prints one object on standard output and everything else on standard error. Exit status:
-0 done, 1 failed, 2 a wrong word or file, 3 stopped on request (`bench.output`).
+0 done, 1 failed, 2 a wrong word or file, 3 stopped on request (`bench.console.output`).
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def run(
     SEQUENCE is a file, or the name of a shipped one (three_pose, nine_pose).
     """
     from bench.clock import BenchClock
-    from bench.launch import Launch, start_run
-    from bench.output import ask_passphrase, show_run
+    from bench.console.output import ask_passphrase, show_run
+    from bench.run.launch import Launch, start_run
 
     launch = Launch(BenchClock(), ask_passphrase=ask_passphrase)
     end = start_run(
@@ -88,9 +88,9 @@ def run(
 def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
     """Go on with a RUN that was stopped, failed, killed or cut off; first say what will be done."""
     from bench.clock import BenchClock
-    from bench.launch import Launch, read_intentions, resume_run
-    from bench.output import ask_passphrase, show_run
-    from bench.run_output import show_intentions
+    from bench.console.output import ask_passphrase, show_run
+    from bench.console.run_output import show_intentions
+    from bench.run.launch import Launch, read_intentions, resume_run
 
     if dry_run:
         return show_intentions(read_intentions(run_folder), as_json=as_json)
@@ -118,13 +118,13 @@ def plan(
     Shows every fault of both files, the poses, the time and disk a run will take, and what its poses will be worth.
     Of a queue: when each run will begin and end, and what there will be no time for.
     """
-    from bench.batch_plan import is_queue
-    from bench.engine_output import show_plan
-    from bench.plan import load
-    from bench.plan import plan as make_plan
+    from bench.batches.batch_plan import is_queue
+    from bench.console.engine_output import show_plan
+    from bench.plans.plan import load
+    from bench.plans.plan import plan as make_plan
 
     if is_queue(sequence):
-        from bench.batch_output import refuse_extra, show_night
+        from bench.console.batch_output import refuse_extra, show_night
 
         refuse_extra(Path(sequence), station, suggest)
         return show_night(Path(sequence), begin=begin, as_json=as_json)
@@ -146,9 +146,9 @@ def verify(
     run_folder: Path, allowed_signers: Path | None, serial: str | None, again: bool, as_json: bool
 ) -> int:
     """Check the seal of a RUN: signature, every file, the journal, the printed numbers."""
-    from bench.keys import SIGNERS_FILE, home_folder, read_signers
-    from bench.output import show_verification
-    from bench.verify import verify_run
+    from bench.console.output import show_verification
+    from bench.evidence.keys import SIGNERS_FILE, home_folder, read_signers
+    from bench.evidence.verify import verify_run
 
     if not run_folder.is_dir():
         raise UsageError("There is no such run folder.", where=str(run_folder), remedy="Check the path.")
@@ -164,7 +164,7 @@ def verify(
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True)
 def simulate(station: str, seed: int) -> int:
     """Keep a simulated bench running in a process of its own, and print its ports."""
-    from bench.output import serve_simulated_bench
+    from bench.console.output import serve_simulated_bench
 
     return serve_simulated_bench(station, seed)
 
@@ -173,8 +173,8 @@ def simulate(station: str, seed: int) -> int:
 @_JSON
 def devices(as_json: bool) -> int:
     """List what is connected, what a station file calls it, and what is missing. Sends nothing to any device."""
-    from bench.discovery import discover
-    from bench.output import show_devices
+    from bench.console.output import show_devices
+    from bench.stations.discovery import discover
 
     return show_devices(discover(), as_json=as_json)
 
@@ -201,8 +201,8 @@ def station() -> None:
 )
 def station_new(path: Path, name: str, stage: str, camera: str | None) -> int:
     """Write a new station file to PATH, with what is connected filled in."""
-    from bench.discovery import discover
-    from bench.output import write_station
+    from bench.console.output import write_station
+    from bench.stations.discovery import discover
 
     return write_station(path, name, stage, camera, discover())
 
@@ -218,7 +218,7 @@ def keys(context: click.Context) -> None:
 @keys.command("show")
 def keys_show() -> int:
     """Show this bench's key, the line to give to others, and the keys it trusts."""
-    from bench.output import show_keys
+    from bench.console.output import show_keys
 
     return show_keys()
 
@@ -228,7 +228,7 @@ def keys_show() -> int:
 @click.option("--passphrase", is_flag=True, help="Protect the key; asked for whenever it signs.")
 def keys_create(principal: str | None, passphrase: bool) -> int:
     """Make this bench's key."""
-    from bench.output import make_key
+    from bench.console.output import make_key
 
     return make_key(principal, protect=passphrase)
 
@@ -237,7 +237,7 @@ def keys_create(principal: str | None, passphrase: bool) -> int:
 @click.argument("line")
 def keys_trust(line: str) -> int:
     """Trust another bench's key: LINE as its `keys show` prints it."""
-    from bench.output import trust_key
+    from bench.console.output import trust_key
 
     return trust_key(line)
 
@@ -246,7 +246,7 @@ def keys_trust(line: str) -> int:
 @click.argument("document", type=click.Choice(["sequence", "station", "queue", "job"]))
 def schema(document: str) -> int:
     """Print the JSON Schema of sequence, station or queue files, for editors."""
-    from bench.output import print_schema
+    from bench.console.output import print_schema
 
     return print_schema(document)
 
@@ -286,7 +286,7 @@ def _guarded(command: Callable[[], Any], words: list[str]) -> int:
         click.echo("Stopped.", err=True)
         return 128 + 2
     except Exception as error:  # noqa: BLE001 - the last place where an error can be told in plain words
-        from bench.output import tell_error
+        from bench.console.output import tell_error
 
         return tell_error(error, as_json="--json" in words, debug="--debug" in words)
     return int(status or 0)

@@ -52,7 +52,7 @@ def batch() -> None:
 @_JSON
 def run(queue: Path, output: Path, as_json: bool) -> int:
     """Do the runs of a QUEUE file one after another, each watched; called again, go on where it was cut off."""
-    from bench.batch_output import do_batch
+    from bench.console.batch_output import do_batch
 
     return do_batch(queue, output, as_json=as_json)
 
@@ -64,7 +64,7 @@ def run(queue: Path, output: Path, as_json: bool) -> int:
 @_JSON
 def add(folder: Path, job: Path, by: str | None, as_json: bool) -> int:
     """Add a JOB (a file) to the batch in FOLDER, also while it runs."""
-    from bench.batch_output import ask_batch
+    from bench.console.batch_output import ask_batch
 
     return ask_batch(folder, job=job, name=None, by=by, as_json=as_json)
 
@@ -76,7 +76,7 @@ def add(folder: Path, job: Path, by: str | None, as_json: bool) -> int:
 @_JSON
 def withdraw(folder: Path, name: str, by: str | None, as_json: bool) -> int:
     """Withdraw the job NAME from the batch in FOLDER: of it, nothing more is begun."""
-    from bench.batch_output import ask_batch
+    from bench.console.batch_output import ask_batch
 
     return ask_batch(folder, job=None, name=name, by=by, as_json=as_json)
 
@@ -86,7 +86,7 @@ def withdraw(folder: Path, name: str, by: str | None, as_json: bool) -> int:
 @_JSON
 def summary(folder: Path, as_json: bool) -> int:
     """Write the summary of the batch in FOLDER, as it stands now."""
-    from bench.batch_output import summarise_again
+    from bench.console.batch_output import summarise_again
 
     return summarise_again(folder, as_json=as_json)
 
@@ -100,7 +100,7 @@ def summary(folder: Path, as_json: bool) -> int:
 @_JSON
 def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet: bool, as_json: bool) -> int:
     """Rehearse the night of a QUEUE file on a virtual clock: no device, no waiting, the same journals and summary."""
-    from bench.batch_output import do_rehearsal
+    from bench.console.batch_output import do_rehearsal
 
     return do_rehearsal(queue, output, begin=begin, seed=seed, quiet=quiet, as_json=as_json)
 

@@ -74,8 +74,8 @@ def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: An
     A PATH is a run folder, a RAW capture, a photograph of the target, a file of points (columns x, y, X, Y, id),
     or a folder of such files.
     """
-    from bench.offline import Choices, calibrate_paths, compared
-    from bench.output import print_calibration
+    from bench.console.output import print_calibration
+    from bench.results.offline import Choices, calibrate_paths, compared
 
     choices = Choices.from_words(**words)
     result = calibrate_paths(paths, choices)
@@ -93,8 +93,8 @@ def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
 
     FIRST and SECOND are run folders, or folders of files, whose views of one name show one pose of the rig.
     """
-    from bench.engine_output import show_rig
-    from bench.offline import Choices, calibrate_paths
+    from bench.console.engine_output import show_rig
+    from bench.results.offline import Choices, calibrate_paths
     from calib.rig import relative_rotation
 
     choices = Choices.from_words(**words)
@@ -120,9 +120,9 @@ def passport_make(
     """Make a collimator's passport from the views of any PATH."""
     from datetime import UTC, datetime
 
-    from bench.offline import Choices, calibrate_paths
-    from bench.output import print_calibration
-    from bench.passports import passport_of_run, write_passport
+    from bench.console.output import print_calibration
+    from bench.results.offline import Choices, calibrate_paths
+    from bench.results.passports import passport_of_run, write_passport
 
     result = calibrate_paths(paths, Choices.from_words(**words))
     made = passport_of_run(
@@ -150,7 +150,7 @@ def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certifica
     """Make a passport from a certificate of the collimator's focal length alone."""
     from datetime import UTC, datetime
 
-    from bench.passports import passport_of_certificate, write_passport
+    from bench.results.passports import passport_of_certificate, write_passport
 
     made = passport_of_certificate(r_mm, sigma_mm, now=datetime.now(UTC), **certificate)
     write_passport(output, made)
@@ -163,8 +163,8 @@ def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certifica
 @_JSON
 def passport_show(path: Path, as_json: bool) -> int:
     """Show what a passport says, and how sure it is."""
-    from bench.engine_output import show_passport
-    from bench.passports import read_passport
+    from bench.console.engine_output import show_passport
+    from bench.results.passports import read_passport
 
     return show_passport(read_passport(path), as_json=as_json)
 
@@ -185,8 +185,8 @@ def passport_show(path: Path, as_json: bool) -> int:
 @_JSON
 def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words: Any) -> int:
     """Calibrate an imagined camera again and again: see whether stated uncertainties hold."""
-    from bench.engine_output import show_study
-    from bench.studies import run_study, write_plot
+    from bench.console.engine_output import show_study
+    from bench.results.studies import run_study, write_plot
 
     studied = run_study(sequence, station, **words)
     if plot is not None:

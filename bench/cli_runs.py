@@ -23,7 +23,7 @@ _TAKE_OVER = click.option("--take-over", is_flag=True, help="Even where somebody
 @_JSON
 def status(run_folder: Path, follow: bool, as_json: bool) -> int:
     """Say how a RUN stands; read-only, also while it runs."""
-    from bench.run_output import show_status
+    from bench.console.run_output import show_status
 
     return show_status(run_folder, follow=follow, as_json=as_json)
 
@@ -35,7 +35,7 @@ def status(run_folder: Path, follow: bool, as_json: bool) -> int:
 @_JSON
 def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
     """Hold a RUN at its next safe point, light off; you own it until `release`."""
-    from bench.run_output import give_command
+    from bench.console.run_output import give_command
 
     return give_command(run_folder, "hold", by=by, take_over=take_over, as_json=as_json)
 
@@ -47,7 +47,7 @@ def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> in
 @_JSON
 def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
     """Let a held RUN go on."""
-    from bench.run_output import give_command
+    from bench.console.run_output import give_command
 
     return give_command(run_folder, "release", by=by, take_over=take_over, as_json=as_json)
 
@@ -58,7 +58,7 @@ def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) ->
 @_JSON
 def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
     """End a RUN now, safely; nobody is refused. It can be resumed."""
-    from bench.run_output import give_command
+    from bench.console.run_output import give_command
 
     return give_command(run_folder, "abort", by=by, as_json=as_json)
 
@@ -71,7 +71,7 @@ def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
 @_JSON
 def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as_json: bool) -> int:
     """Skip a pose of a RUN; what was recorded there stays, and the report says so."""
-    from bench.run_output import give_command
+    from bench.console.run_output import give_command
 
     return give_command(run_folder, "skip", by=by, pose=pose, take_over=take_over, as_json=as_json)
 
@@ -83,7 +83,7 @@ def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as
 @_JSON
 def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
     """Answer the question a RUN asks: yes (continue) or no (abort)."""
-    from bench.run_output import give_command
+    from bench.console.run_output import give_command
 
     said = {"yes": "continue", "no": "abort"}.get(word, word)
     return give_command(run_folder, "answer", by=by, answer=said, as_json=as_json)
@@ -109,7 +109,7 @@ def runs(
     as_json: bool,
 ) -> int:
     """List, filter and compare runs: those in FOLDER, else all in the laboratory's ledger."""
-    from bench.run_output import show_runs
+    from bench.console.run_output import show_runs
 
     begun = {
         "since": since.replace(tzinfo=UTC) if since else None,
@@ -125,7 +125,7 @@ def runs(
 @_JSON
 def messages(send_now: bool, as_json: bool) -> int:
     """List the messages of this bench, sent and waiting."""
-    from bench.run_output import show_messages
+    from bench.console.run_output import show_messages
 
     return show_messages(send_now=send_now, as_json=as_json)
 

@@ -13,9 +13,9 @@ from typing import cast
 import click
 
 from bench.clock import BenchClock
-from bench.devices import Devices
-from bench.measure import measure
-from bench.station import load_station
+from bench.run.measure import measure
+from bench.stations.devices import Devices
+from bench.stations.station import load_station
 from drivers.camera import CameraSettings, EventCamera
 from drivers.errors import RecordingFailed
 from drivers.light import LightSettings

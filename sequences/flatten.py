@@ -1,6 +1,6 @@
 """From a sequence to its script: repeats, sets of poses and defaults unfolded into numbered steps.
 
-Knows how a checked sequence unfolds, and nothing of stations: ``bench.plan`` compares steps with a bench.
+Knows how a checked sequence unfolds, and nothing of stations: ``bench.plans.plan`` compares steps with a bench.
 The same document always gives the same steps with the same numbers, so a resumed run finds its place.
 """
 

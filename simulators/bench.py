@@ -25,23 +25,23 @@ from typing import Any, Self
 
 import numpy as np
 
+from simulators.cameras.evk4 import SimulatedEvk4
+from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError, SimulatorError
-from simulators.evk4 import SimulatedEvk4
-from simulators.fault_injection import Parts, prepare
-from simulators.faults import Order, order, order_from_text
-from simulators.frame_camera import SimulatedFrameCamera
-from simulators.lamp import Lamp
-from simulators.lights import make_light
-from simulators.line_faults import FaultLine
-from simulators.orders import allow_background, answer, take_orders
-from simulators.sensor_stream import CameraState, SensorStream
-from simulators.serial_device import Dialect, Port, SerialDevice
-from simulators.stages import make_stage
-from simulators.tcp_port import TcpPort
-from simulators.trajectory import Pointing
-from simulators.truth import Truth
-from simulators.world import AxisMotion, AxisName, LightState, World
+from simulators.faults.catalogue import Order, order, order_from_text
+from simulators.faults.fault_injection import Parts, prepare
+from simulators.faults.line_faults import FaultLine
+from simulators.faults.orders import allow_background, answer, take_orders
+from simulators.lights.kinds import make_light
+from simulators.lights.lamp import Lamp
+from simulators.pixels.sensor_stream import CameraState, SensorStream
+from simulators.ports.serial_device import Dialect, Port, SerialDevice
+from simulators.ports.tcp_port import TcpPort
+from simulators.stages.kinds import make_stage
+from simulators.world.trajectory import Pointing
+from simulators.world.truth import Truth
+from simulators.world.world import AxisMotion, AxisName, LightState, World
 
 
 class Bench:
@@ -131,7 +131,7 @@ class Bench:
         if self._config.ports == "tcp":
             port = TcpPort(name)
         else:
-            from simulators.pseudo_terminal import PseudoTerminal  # not where there are none
+            from simulators.ports.pseudo_terminal import PseudoTerminal  # not where there are none
 
             port = PseudoTerminal(self._folder / name)
         return SerialDevice(port, dialect, paced=self._config.paced)

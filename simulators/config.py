@@ -15,10 +15,10 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from simulators.errors import ConfigError
-from simulators.faults import Order, order
-from simulators.truth import Truth
-from simulators.truth_config import truth_from_config
-from simulators.world import AxisName
+from simulators.faults.catalogue import Order, order
+from simulators.world.truth import Truth
+from simulators.world.truth_config import truth_from_config
+from simulators.world.world import AxisName
 
 #: Stages by kind, with the counts a degree that are usual for them.
 STAGE_KINDS: Final[Mapping[str, int]] = {"zaber": 6400, "ximc": 25_600, "grbl": 640, "esp301": 10_000}

@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 
 from simulators.errors import SimulatorError
-from simulators.fault_injection import line_action
-from simulators.faults import order_from_text
-from simulators.line_faults import FaultLine, SerialBridge
-from simulators.orders import allow_background, answer, take_orders
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
+from simulators.faults.catalogue import order_from_text
+from simulators.faults.fault_injection import line_action
+from simulators.faults.line_faults import FaultLine, SerialBridge
+from simulators.faults.orders import allow_background, answer, take_orders
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.camera.evt3 import Evt3Decoder, count_events
 from drivers.camera.raw_file import RawFile
-from simulators.evt3_writer import Evt3Writer
+from simulators.pixels.evt3_writer import Evt3Writer
 
 EVENTS = 4_000_000
 ROUNDS = 5

@@ -14,11 +14,11 @@ import time
 from pathlib import Path
 
 from bench.clock import BenchClock
-from bench.job import Job
-from bench.journal import Journal, read_journal
-from bench.plan import load, plan
-from bench.rehearsal import RehearsedJob, rehearse_job
-from bench.virtual_devices import VirtualDevices
+from bench.plans.plan import load, plan
+from bench.records.journal import Journal, read_journal
+from bench.rehearsals.rehearsal import RehearsedJob, rehearse_job
+from bench.rehearsals.virtual_devices import VirtualDevices
+from bench.run.job import Job
 
 POSES = 120
 BUDGET_MS = 50.0

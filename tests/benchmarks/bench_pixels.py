@@ -22,12 +22,12 @@ from typing import Literal
 
 import numpy as np
 
-from simulators import optics
-from simulators.evt3_writer import Evt3Writer
-from simulators.ideal_readout import ideal_slices
-from simulators.pixels import Events, Sensor
-from simulators.truth import NOISE_LEVELS, NoiseTruth, Truth
-from simulators.world import LightState
+from simulators.optics import picture as optics
+from simulators.pixels.evt3_writer import Evt3Writer
+from simulators.pixels.ideal_readout import ideal_slices
+from simulators.pixels.sensor import Events, Sensor
+from simulators.world.truth import NOISE_LEVELS, NoiseTruth, Truth
+from simulators.world.world import LightState
 
 PERIOD_US = 1e6 / 60.0
 SLICES = 6
@@ -105,9 +105,9 @@ def peak_mb():
     status = open("/proc/self/status").read()
     return int(status.split("VmHWM:")[1].split()[0]) / 1024
 before = peak_mb()
-from simulators.evt3_writer import Evt3Writer
-from simulators.pixels import Sensor
-from simulators.world import LightState
+from simulators.pixels.evt3_writer import Evt3Writer
+from simulators.pixels.sensor import Sensor
+from simulators.world.world import LightState
 picture = np.random.default_rng(0).random((720, 1280), np.float32)
 sensor, writer = Sensor(), Evt3Writer()
 sensor.begin(picture, LightState(waveform="{waveform}", output=True), 0.3)

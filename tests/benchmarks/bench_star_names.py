@@ -31,10 +31,10 @@ from calib.errors import CalibrationError
 from calib.event_image import make_images
 from calib.flicker import Flicker
 from calib.grid_map import fit_homography
-from simulators.optics import TARGET, pose_rotation, project, render, star_centres
-from simulators.pixels import simulate
-from simulators.truth import NOISE_LEVELS, Truth
-from simulators.world import LightState
+from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
+from simulators.pixels.sensor import simulate
+from simulators.world.truth import NOISE_LEVELS, Truth
+from simulators.world.world import LightState
 
 KINDS = ("square", "sine", "photo-8", "photo-16")
 LEVELS = ("clean", "typical", "heavy")

@@ -26,10 +26,10 @@ from calib.event_image import EventImages, make_images
 from calib.flicker import Flicker
 from calib.picture import to_uint8
 from calib.view import View
-from simulators.optics import TARGET, pose_rotation, project, render, star_centres
-from simulators.pixels import simulate
-from simulators.truth import NOISE_LEVELS, Truth
-from simulators.world import LightState
+from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
+from simulators.pixels.sensor import simulate
+from simulators.world.truth import NOISE_LEVELS, Truth
+from simulators.world.world import LightState
 
 WINDOW_US = 33_000.0
 TRUTH = Truth()

@@ -18,16 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simulators.axis_motion import Mechanics
-from simulators.esp301 import EspAxisModel, EspController
-from simulators.fault_injection import AxisController, Parts, prepare
-from simulators.faults import order_from_text
-from simulators.line_faults import FaultLine
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import Dialect, SerialDevice
-from simulators.ximc import XimcController, XimcModel
-from simulators.zaber import ZaberChain
-from simulators.zaber_controller import ZaberController, ZaberModel
+from simulators.faults.catalogue import order_from_text
+from simulators.faults.fault_injection import AxisController, Parts, prepare
+from simulators.faults.line_faults import FaultLine
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import Dialect, SerialDevice
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.ximc import XimcController, XimcModel
+from simulators.stages.zaber import ZaberChain
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
 from tests.hil.mutated import XIMC, ZABER, Change, Mutated
 
 PATIENCE_S = 15.0

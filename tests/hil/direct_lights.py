@@ -11,12 +11,12 @@ from drivers.light import Light
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from simulators.config import LightConfig
-from simulators.fault_injection import Parts, prepare
-from simulators.faults import order_from_text
-from simulators.lamp import Lamp
-from simulators.lights import LightDriver, make_light
-from simulators.line_faults import FaultLine
-from simulators.world import LightState
+from simulators.faults.catalogue import order_from_text
+from simulators.faults.fault_injection import Parts, prepare
+from simulators.faults.line_faults import FaultLine
+from simulators.lights.kinds import LightDriver, make_light
+from simulators.lights.lamp import Lamp
+from simulators.world.world import LightState
 from tests.hil.direct_stages import DirectLine, VirtualClock
 
 

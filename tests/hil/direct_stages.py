@@ -15,17 +15,17 @@ from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
-from simulators.axis_motion import Mechanics
-from simulators.esp301 import EspAxisModel, EspController
-from simulators.fault_injection import AxisController, Parts, prepare
-from simulators.faults import order_from_text
-from simulators.grbl import GrblAxis as BoardAxis
-from simulators.grbl import GrblController
-from simulators.grbl_planner import GrblAxisModel
-from simulators.line_faults import FaultLine
-from simulators.ximc import XimcController, XimcModel
-from simulators.zaber import ZaberChain
-from simulators.zaber_controller import ZaberController, ZaberModel
+from simulators.faults.catalogue import order_from_text
+from simulators.faults.fault_injection import AxisController, Parts, prepare
+from simulators.faults.line_faults import FaultLine
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.grbl import GrblAxis as BoardAxis
+from simulators.stages.grbl import GrblController
+from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.ximc import XimcController, XimcModel
+from simulators.stages.zaber import ZaberChain
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.cli import main
-from bench.station import SHIPPED
+from bench.stations.station import SHIPPED
 
 SEQUENCE = (Path(__file__).parents[2] / "sequences" / "three_pose.yaml").read_text()
 STATION = (SHIPPED / "simulated.yaml").read_text()

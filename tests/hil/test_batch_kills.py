@@ -12,9 +12,9 @@ import pytest
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, journal, numbers, starbench, start
 
-from bench.heartbeat import read_sign
-from bench.journal import read_journal
-from bench.storage import sha256_of
+from bench.records.journal import read_journal
+from bench.records.storage import sha256_of
+from bench.run.heartbeat import read_sign
 
 KILLS = int(os.environ.get("STARBENCH_KILLS", "300"))
 RUNS, POSES = 10, 12

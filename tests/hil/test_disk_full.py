@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.captures import CAPTURE_STORED, stored_captures
 from bench.errors import StorageError
-from bench.journal import Journal, read_journal
-from bench.run_folder import RunFolder
+from bench.records.captures import CAPTURE_STORED, stored_captures
+from bench.records.journal import Journal, read_journal
+from bench.records.run_folder import RunFolder
 
 CLOCKS = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 

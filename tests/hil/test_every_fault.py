@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import DriverError, MoveFailed, NotHomed, PortLost, ReplyError, WrongDevice
-from simulators.faults import AXIS_FAULTS, LINE_FAULTS
-from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS
+from simulators.faults.catalogue import AXIS_FAULTS, LINE_FAULTS
+from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
 from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock
 
 LONGEST_S = 20.0

@@ -10,9 +10,9 @@ import pytest
 
 from drivers.errors import DriverError, LightError, PortLost, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
-from simulators.faults import LIGHT_FAULTS, LINE_FAULTS
-from simulators.lamp import LAMP_FAULTS
-from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS
+from simulators.faults.catalogue import LIGHT_FAULTS, LINE_FAULTS
+from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
+from simulators.lights.lamp import LAMP_FAULTS
 from tests.hil.direct_lights import OPENED, DirectLight, direct_light
 from tests.hil.direct_stages import VirtualClock
 from tests.hil.test_fault_line_fuzz import like

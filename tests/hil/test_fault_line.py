@@ -11,11 +11,11 @@ import time
 import pytest
 import serial
 
-from simulators.axis_motion import Mechanics
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
-from simulators.zaber import ZaberChain
-from simulators.zaber_controller import ZaberController, ZaberModel
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.zaber import ZaberChain
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from drivers.errors import DriverError
 from drivers.light import LightSettings
 from drivers.stage import Stage
-from simulators.line_faults import LineFault
+from simulators.faults.line_faults import LineFault
 from tests.hil.direct_lights import OPENED, direct_light
 from tests.hil.direct_stages import FAMILIES, DirectLine, VirtualClock
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from running import end_when, entering, journal, numbers, results, starbench, start
 
-from bench.batch_plan import read_queue
-from bench.pictures import measure_pictures, picture_gates
-from bench.rehearsed_night import rehearse_batch
-from bench.station import SHIPPED
+from bench.batches.batch_plan import read_queue
+from bench.rehearsals.rehearsed_night import rehearse_batch
+from bench.run.pictures import measure_pictures, picture_gates
+from bench.stations.station import SHIPPED
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera
@@ -24,8 +24,8 @@ from drivers.camera.frames import read_frames, write_frames
 from drivers.clock import SystemClock
 from drivers.errors import CameraBusy, CameraLost, CameraNotFound, RecordingFailed
 from sequences.script import Gates
-from simulators.frame_camera import FRAME_CAMERA_FAULTS, SimulatedFrameCamera, mean_brightness
-from simulators.world import AxisMotion, LightState, World
+from simulators.cameras.frame_camera import FRAME_CAMERA_FAULTS, SimulatedFrameCamera, mean_brightness
+from simulators.world.world import AxisMotion, LightState, World
 
 SEED = 7
 HOLD = """

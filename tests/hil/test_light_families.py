@@ -14,11 +14,11 @@ from drivers.errors import PortBusy, PortLost, ReplyError, SettingRefused
 from drivers.light import Light, LightSettings
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
-from simulators.gardasoft import GardasoftRt
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.scpi_generator import GeneratorModel, ScpiGenerator
-from simulators.serial_device import SerialDevice
-from simulators.siglent_generator import SiglentGenerator
+from simulators.lights.gardasoft import GardasoftRt
+from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
+from simulators.lights.siglent_generator import SiglentGenerator
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 
 FLICKER = LightSettings("square", 50.0, 40.0, 0.0, 3.0, sync_output=True)
 

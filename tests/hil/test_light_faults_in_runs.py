@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from running import journal, starbench
 
-from bench.station import SHIPPED
+from bench.stations.station import SHIPPED
 
 SEQUENCES = Path(__file__).parents[2] / "sequences"
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import DriverError
-from simulators.axis_motion import Mechanics, MotionFault
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
-from simulators.ximc import XimcController, XimcModel
-from simulators.zaber import ZaberChain
-from simulators.zaber_controller import ZaberController, ZaberModel
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics, MotionFault
+from simulators.stages.ximc import XimcController, XimcModel
+from simulators.stages.zaber import ZaberChain
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
 from tests.hil.holder import OPENED
 
 MECHANICS = {"zaber": Mechanics(6400, -17.0, 17.0), "ximc": Mechanics(25600, -17.0, 17.0)}

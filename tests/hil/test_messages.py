@@ -7,10 +7,10 @@ import pytest
 from running import results, starbench
 from servers import MailServer, WebServer, serving
 
-from bench.messages import channels_of, send
-from bench.outbox import DeliveryFailed, Message
-from bench.station import SHIPPED
-from bench.station_messages import Mail, Messages, Service, Webhook
+from bench.messaging.messages import channels_of, send
+from bench.messaging.outbox import DeliveryFailed, Message
+from bench.stations.station import SHIPPED
+from bench.stations.station_messages import Mail, Messages, Service, Webhook
 
 MESSAGE = Message(
     "k" * 64,

@@ -9,8 +9,8 @@ import pytest
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, end_when, entering, journal, numbers, results, starbench, start
 
-from bench.control import Command, send
-from bench.plan import SHIPPED_SEQUENCES
+from bench.plans.plan import SHIPPED_SEQUENCES
+from bench.run.control import Command, send
 
 SEED = 7
 

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.captures import stored_captures
 from bench.errors import BenchError
-from bench.journal import Journal, read_journal
-from bench.run_folder import RunFolder
+from bench.records.captures import stored_captures
+from bench.records.journal import Journal, read_journal
+from bench.records.run_folder import RunFolder
 
 SHUTDOWN = 0x8004587D  # FS_IOC_SHUTDOWN, linux/fs.h
 WITHOUT_LOG_FLUSH = 2
@@ -34,9 +34,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 if sys.argv[2] == "careless":
     os.fsync = lambda descriptor: None
-from bench.journal import Journal
-from bench.captures import CAPTURE_STORED
-from bench.run_folder import RunFolder
+from bench.records.journal import Journal
+from bench.records.captures import CAPTURE_STORED
+from bench.records.run_folder import RunFolder
 clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 path = Path(sys.argv[1])
 begun = (path / "journal.jsonl").exists()

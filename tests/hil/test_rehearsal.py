@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from bench.batch import Batch
-from bench.batch_plan import plan_night, read_queue
+from bench.batches.batch import Batch
+from bench.batches.batch_plan import plan_night, read_queue
+from bench.batches.supervisor import WorkerEnd
 from bench.clock import BenchClock, VirtualClock
 from bench.errors import RunFolderError
-from bench.journal import read_journal
-from bench.launch import Launch, read_intentions, resume_run
-from bench.rehearsal import rehearse_run
-from bench.rehearsed_night import rehearse_batch
-from bench.run_index import read_run
-from bench.supervisor import WorkerEnd
+from bench.records.journal import read_journal
+from bench.records.run_index import read_run
+from bench.rehearsals.rehearsal import rehearse_run
+from bench.rehearsals.rehearsed_night import rehearse_batch
+from bench.run.launch import Launch, read_intentions, resume_run
 
 EVENING = datetime(2026, 3, 1, 18, 30, tzinfo=UTC)
 STATION = Path(__file__).parents[2] / "bench" / "stations" / "simulated.yaml"

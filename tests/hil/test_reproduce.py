@@ -6,8 +6,8 @@ import shutil
 import pytest
 from running import starbench
 
-from bench.reproduce import differences
-from bench.run_folder import RunFolder
+from bench.evidence.reproduce import differences
+from bench.records.run_folder import RunFolder
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +56,9 @@ def test_recordings_that_are_not_what_the_results_were_made_of_are_found(copied)
 
 def test_a_bundle_resealed_over_edited_results_is_found(copied, home):
     """The bench's own key is no help against a bench that tells something else than it saw."""
-    from bench.keys import load_key, read_signers
-    from bench.seal import seal
-    from bench.verify import verify_run
+    from bench.evidence.keys import load_key, read_signers
+    from bench.evidence.seal import seal
+    from bench.evidence.verify import verify_run
 
     (copied / "SHA256SUMS.sig").unlink()
     (copied / "report.html").unlink()

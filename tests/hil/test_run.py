@@ -8,7 +8,7 @@ import subprocess
 import pytest
 from running import end_when, entering, journal, numbers, results, starbench, start
 
-from bench.station import SHIPPED
+from bench.stations.station import SHIPPED
 
 SEED = 7
 

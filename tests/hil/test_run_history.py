@@ -5,8 +5,8 @@ import json
 import pytest
 from running import end_when, entering, journal, results, starbench, start
 
-from bench.journal import read_journal
-from bench.ledger import Ledger
+from bench.records.journal import read_journal
+from bench.records.ledger import Ledger
 
 SEED = 7
 CLOCKS = {"utc_now": lambda: None, "monotonic": lambda: 0.0}

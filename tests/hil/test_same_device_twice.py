@@ -12,18 +12,18 @@ from pathlib import Path
 import pytest
 
 from bench.clock import BenchClock
-from bench.device_identities import serial_devices
-from bench.devices import Devices
-from bench.station import SHIPPED, Station
+from bench.stations.device_identities import serial_devices
+from bench.stations.devices import Devices
+from bench.stations.station import SHIPPED, Station
 from drivers.device_hold import FOLDER_VARIABLE, DeviceHold
 from drivers.errors import PortBusy
 from sequences.reader import check_document
-from simulators.axis_motion import Mechanics
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
-from simulators.tcp_port import TcpPort
-from simulators.zaber import ZaberChain
-from simulators.zaber_controller import ZaberController, ZaberModel
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.ports.tcp_port import TcpPort
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.zaber import ZaberChain
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
 
 HOLD = """
 import sys

@@ -12,9 +12,9 @@ from drivers.clock import SystemClock
 from drivers.errors import ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.scpi_generator import GeneratorModel, ScpiGenerator
-from simulators.serial_device import SerialDevice
+from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 
 FLICKER = LightSettings("square", 60.0, 40.0, 0.0, 3.3, sync_output=True)
 

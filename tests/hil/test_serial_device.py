@@ -8,9 +8,9 @@ import pytest
 import serial
 
 from simulators.errors import SimulatorError
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
-from simulators.tcp_port import TcpPort
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.ports.tcp_port import TcpPort
 
 
 class Parrot:

@@ -16,7 +16,7 @@ import serial
 from simulators.bench import Bench, main
 from simulators.config import bench_config
 from simulators.errors import ConfigError
-from simulators.faults import order_from_text
+from simulators.faults.catalogue import order_from_text
 
 
 def start(folder, *words: str, until_eof: bool = True) -> subprocess.Popen[str]:

@@ -7,10 +7,10 @@ import warnings
 
 import pytest
 
-from simulators.axis_motion import Mechanics, MotionFault
-from simulators.esp301 import EspAxisModel, EspController
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics, MotionFault
+from simulators.stages.esp301 import EspAxisModel, EspController
 
 SCALE = 10_000.0
 

@@ -10,11 +10,11 @@ import threading
 import numpy as np
 import pytest
 
-from simulators.evk4 import SimulatedEvk4
-from simulators.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
-from simulators.stream_faults import StreamFault
-from simulators.truth_config import truth_from_config
-from simulators.world import AxisMotion, LightState, World
+from simulators.cameras.evk4 import SimulatedEvk4
+from simulators.faults.stream_faults import StreamFault
+from simulators.pixels.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
+from simulators.world.truth_config import truth_from_config
+from simulators.world.world import AxisMotion, LightState, World
 
 SMALL = truth_from_config(
     {"camera": {"fx": 800, "fy": 800, "cx": 160, "cy": 90, "width": 320, "height": 180}}

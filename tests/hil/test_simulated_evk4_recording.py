@@ -12,10 +12,10 @@ from drivers.camera.raw_file import RawFile
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.clock import SystemClock
 from drivers.errors import CameraError, CameraLost, CameraSettingRefused
-from simulators.evk4 import SimulatedEvk4
-from simulators.stream_faults import StreamFault
-from simulators.truth_config import truth_from_config
-from simulators.world import LightState, World
+from simulators.cameras.evk4 import SimulatedEvk4
+from simulators.faults.stream_faults import StreamFault
+from simulators.world.truth_config import truth_from_config
+from simulators.world.world import LightState, World
 
 NOW = datetime(2026, 11, 20, tzinfo=UTC)
 SETTINGS = CameraSettings({"bias_diff_on": 5})

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import serial
 
-from simulators.gardasoft import OVER_CURRENT, GardasoftRt
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
-from simulators.world import LightState, World
+from simulators.lights.gardasoft import OVER_CURRENT, GardasoftRt
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.world.world import LightState, World
 
 
 class Strobe:

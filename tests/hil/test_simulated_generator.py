@@ -7,11 +7,11 @@ import math
 import pytest
 import serial
 
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.scpi_generator import GeneratorModel, ScpiGenerator
-from simulators.serial_device import SerialDevice
-from simulators.siglent_generator import SiglentGenerator
-from simulators.world import LightState, World
+from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
+from simulators.lights.siglent_generator import SiglentGenerator
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.world.world import LightState, World
 
 
 class Generator:

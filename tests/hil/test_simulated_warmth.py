@@ -6,9 +6,9 @@ import pytest
 
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.clock import SystemClock
+from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.config import bench_config
-from simulators.evk4 import SimulatedEvk4
-from simulators.world import World
+from simulators.world.world import World
 
 
 def test_the_temperature_told_is_the_one_that_the_focal_length_follows():

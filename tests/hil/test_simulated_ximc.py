@@ -7,10 +7,10 @@ import time
 
 import pytest
 
-from simulators.axis_motion import Mechanics, MotionFault
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
-from simulators.ximc import XimcController, XimcModel, crc16
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics, MotionFault
+from simulators.stages.ximc import XimcController, XimcModel, crc16
 
 SCALE = 25_600
 

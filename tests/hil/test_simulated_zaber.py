@@ -11,11 +11,11 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import serial
 
-from simulators.axis_motion import Mechanics, MotionFault
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
-from simulators.zaber import ZaberChain, checksum
-from simulators.zaber_controller import ZaberController, ZaberModel
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics, MotionFault
+from simulators.stages.zaber import ZaberChain, checksum
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
 
 SCALE = 6400
 

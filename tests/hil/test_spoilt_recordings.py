@@ -8,17 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench.gates import recording_gates, refusals
-from bench.measure import measure
+from bench.run.gates import recording_gates, refusals
+from bench.run.measure import measure
 from drivers.camera import RecordingFacts
 from drivers.camera.raw_file import RawFile
 from sequences.schema import GateWords
 from sequences.script import Gates
-from simulators.evt3_writer import Evt3Writer
-from simulators.optics import TARGET, pose_rotation, render
-from simulators.pixels import simulate
-from simulators.truth import NOISE_LEVELS, Truth
-from simulators.world import LightState
+from simulators.optics.picture import TARGET, pose_rotation, render
+from simulators.pixels.evt3_writer import Evt3Writer
+from simulators.pixels.sensor import simulate
+from simulators.world.truth import NOISE_LEVELS, Truth
+from simulators.world.world import LightState
 
 SIZE, SPAN_US, PERIOD_US = (640, 480), 50_000, 1e6 / 60
 LIMITS = {

@@ -29,18 +29,18 @@ from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
-from simulators.axis_motion import Axis, Mechanics, MotionFault
-from simulators.esp301 import EspAxisModel, EspController
-from simulators.grbl import GrblAxis as BoardAxis
-from simulators.grbl import GrblController
-from simulators.grbl_planner import GrblAxisModel
-from simulators.line_faults import FaultLine, LineFault
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.serial_device import SerialDevice
-from simulators.tcp_port import TcpPort
-from simulators.ximc import XimcController, XimcModel
-from simulators.zaber import ZaberChain
-from simulators.zaber_controller import ZaberController, ZaberModel
+from simulators.faults.line_faults import FaultLine, LineFault
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.ports.tcp_port import TcpPort
+from simulators.stages.axis_motion import Axis, Mechanics, MotionFault
+from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.grbl import GrblAxis as BoardAxis
+from simulators.stages.grbl import GrblController
+from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.ximc import XimcController, XimcModel
+from simulators.stages.zaber import ZaberChain
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
 
 ENDS = {"pan": 15.0, "tilt": 10.0}
 STARTS = {"pan": 2.4, "tilt": -1.7}

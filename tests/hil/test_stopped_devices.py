@@ -15,9 +15,9 @@ from quick_runs import SIMULATION, write_sequence, write_station
 from running import PATIENCE_S, end_when, entering, journal, starbench, start
 
 from bench.clock import BenchClock
-from bench.devices import _open_light, _open_stage
 from bench.simulated import SimulatedBench
-from bench.station import load_station
+from bench.stations.devices import _open_light, _open_stage
+from bench.stations.station import load_station
 from drivers.device_hold import FOLDER_VARIABLE
 from simulators.config import bench_config
 
@@ -200,7 +200,7 @@ def test_worker_and_supervisor_killed_together_leave_a_bench_that_the_next_call_
 
 RAISING = """
 import sys
-from bench.state_work import StateWork
+from bench.run.state_work import StateWork
 def broken(self, **facts):
     raise RuntimeError("a mistake of ours")
 setattr(StateWork, sys.argv[1], broken)

@@ -13,12 +13,12 @@ from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, entering, journal, results, start
 from servers import WebServer, serving
 
+from bench.batches.supervisor import OUT_OF_MEMORY, adopt, out_of_memory_kills, supervise
 from bench.clock import Aborted, BenchClock
-from bench.crash_log import read_crash
-from bench.devices import _open_light, make_orphans_safe
+from bench.run.crash_log import read_crash
 from bench.simulated import SimulatedBench
-from bench.station import SHIPPED, load_station
-from bench.supervisor import OUT_OF_MEMORY, adopt, out_of_memory_kills, supervise
+from bench.stations.devices import _open_light, make_orphans_safe
+from bench.stations.station import SHIPPED, load_station
 from drivers.light import LightSettings
 
 QUEUE = """\
@@ -113,11 +113,11 @@ import os, sys
 from datetime import UTC, datetime
 from pathlib import Path
 from bench.clock import BenchClock
-from bench.control import Inbox
-from bench.heartbeat import Pulse
-from bench.history import Event, RunLog
-from bench.journal import Journal
-from bench.run_folder import RunFolder
+from bench.run.control import Inbox
+from bench.run.heartbeat import Pulse
+from bench.records.history import Event, RunLog
+from bench.records.journal import Journal
+from bench.records.run_folder import RunFolder
 clock = BenchClock()
 with RunFolder.create(Path(sys.argv[1])) as folder:
     with Journal.create(folder.journal_path, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
@@ -165,7 +165,7 @@ def test_a_stop_asked_of_the_next_supervisor_reaches_the_worker_it_found(tmp_pat
 
 def test_what_the_system_ended_for_want_of_memory_counts_as_a_crash(tmp_path, monkeypatch):
     kills = iter([3, 4])
-    monkeypatch.setattr("bench.supervisor.out_of_memory_kills", lambda: next(kills))
+    monkeypatch.setattr("bench.batches.supervisor.out_of_memory_kills", lambda: next(kills))
     folder = tmp_path / "run"
     folder.mkdir()
     command = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"]

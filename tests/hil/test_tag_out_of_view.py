@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from running import journal, results, starbench
 
-from bench.pictures import measure_pictures
+from bench.run.pictures import measure_pictures
 from calib.errors import DegenerateViews
 from calib.grid_map import apply_homography, fit_homography
-from simulators.optics import TARGET, pose_rotation, render, star_centres
-from simulators.truth import Truth
+from simulators.optics.picture import TARGET, pose_rotation, render, star_centres
+from simulators.world.truth import Truth
 
 SEQUENCE = """\
 format: starbench/sequence/1

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from running import PATIENCE_S, STARBENCH, entering, environment, journal, results, starbench, start
 
-from bench.station import SHIPPED
+from bench.stations.station import SHIPPED
 
 Order = Callable[[str], None]
 

@@ -17,14 +17,14 @@ from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
-from simulators.axis_motion import Mechanics
-from simulators.esp301 import EspAxisModel, EspController
-from simulators.pseudo_terminal import PseudoTerminal
-from simulators.scpi_generator import GeneratorModel, ScpiGenerator
-from simulators.serial_device import SerialDevice
-from simulators.ximc import XimcController, XimcModel
-from simulators.zaber import ZaberChain
-from simulators.zaber_controller import ZaberController, ZaberModel
+from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.ximc import XimcController, XimcModel
+from simulators.stages.zaber import ZaberChain
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from running import PATIENCE_S, STARBENCH, environment, journal, results
 
-from bench.station import SHIPPED
+from bench.stations.station import SHIPPED
 
 BARE = """
 import os, subprocess, sys, types

@@ -18,14 +18,14 @@ from pathlib import Path
 import pytest
 from rehearsed import TWO, Journal, Scene, with_runner
 
-import bench.rehearsal
-from bench.captures import stored_captures
+import bench.rehearsals.rehearsal
 from bench.clock import VirtualClock
-from bench.control import Command
 from bench.errors import StorageError
-from bench.history import Event, replay
-from bench.journal import read_journal
-from bench.storage import sha256_of
+from bench.records.captures import stored_captures
+from bench.records.history import Event, replay
+from bench.records.journal import read_journal
+from bench.records.storage import sha256_of
+from bench.run.control import Command
 from drivers.errors import (
     CameraLost,
     DeviceRefused,
@@ -347,14 +347,14 @@ _SOLVED: list[object] = []
 
 def _quick_solution(patch):
     """Solve once for all runs: what is computed is not the matter here."""
-    calibrate = bench.rehearsal.calibrate
+    calibrate = bench.rehearsals.rehearsal.calibrate
 
     def once(views, options):
         if not _SOLVED:
             _SOLVED.append(calibrate(views, options))
         return _SOLVED[0]
 
-    patch.setattr(bench.rehearsal, "calibrate", once)
+    patch.setattr(bench.rehearsals.rehearsal, "calibrate", once)
 
 
 @contextmanager

@@ -2,11 +2,11 @@
 
 from datetime import UTC, datetime, timedelta
 
-from bench.batch import Batch, command_of
-from bench.history import Event
-from bench.journal import Journal
-from bench.run_folder import RunFolder
-from bench.supervisor import WorkerEnd
+from bench.batches.batch import Batch, command_of
+from bench.batches.supervisor import WorkerEnd
+from bench.records.history import Event
+from bench.records.journal import Journal
+from bench.records.run_folder import RunFolder
 from sequences.queue import JobWords, Queue
 from sequences.reader import check_document
 

@@ -1,6 +1,6 @@
 """A simulated bench with a small sensor and a fast stage, and sequences for it: runs that take seconds."""
 
-from bench.station import SHIPPED
+from bench.stations.station import SHIPPED
 
 SIMULATION = (
     "simulation: {%sports: pty, paced: false, noise: typical, "

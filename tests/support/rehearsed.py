@@ -5,16 +5,16 @@ from functools import partial
 
 from quick_runs import write_sequence, write_station
 
-import bench.rehearsal
+import bench.rehearsals.rehearsal
 from bench.clock import VirtualClock
-from bench.history import Event
-from bench.job import Job
-from bench.journal import Journal, read_journal
-from bench.plan import load, plan
-from bench.rehearsal import RehearsedJob, rehearse_job
-from bench.runner import Runner
-from bench.unsynced_journal import UnsyncedJournal
-from bench.virtual_devices import VirtualDevices
+from bench.plans.plan import load, plan
+from bench.records.history import Event
+from bench.records.journal import Journal, read_journal
+from bench.records.unsynced_journal import UnsyncedJournal
+from bench.rehearsals.rehearsal import RehearsedJob, rehearse_job
+from bench.rehearsals.virtual_devices import VirtualDevices
+from bench.run.job import Job
+from bench.run.runner import Runner
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)
 TWO = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}]"
@@ -98,7 +98,7 @@ def with_runner(scene, monkeypatch):
             super().__init__(*words, **more)
             scene.runner = self
 
-    monkeypatch.setattr(bench.rehearsal, "Runner", Known)
+    monkeypatch.setattr(bench.rehearsals.rehearsal, "Runner", Known)
     return scene
 
 

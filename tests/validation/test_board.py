@@ -6,11 +6,11 @@ import pytest
 
 from calib.event_image import make_images
 from calib.flicker import Flicker
-from simulators import scene
 from simulators.config import bench_config
 from simulators.errors import ConfigError
-from simulators.pixels import simulate
-from simulators.world import LightState
+from simulators.optics import scene
+from simulators.pixels.sensor import simulate
+from simulators.world.world import LightState
 
 LIGHT = LightState(output=True, sync=True)
 WINDOW_US = 33_400.0

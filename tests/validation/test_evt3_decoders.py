@@ -9,7 +9,7 @@ from drivers.camera.event_conversion import convert
 from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingCorrupt
-from simulators.evt3_writer import Evt3Writer
+from simulators.pixels.evt3_writer import Evt3Writer
 
 evt3 = pytest.importorskip("evt3", reason="the PyPI package evt3 is not built for this platform")
 

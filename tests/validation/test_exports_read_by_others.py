@@ -14,7 +14,7 @@ import sys
 import numpy as np
 import pytest
 
-from bench.exports import exports
+from bench.results.exports import exports
 from calib.calibration import Calibration, ViewSummary
 from calib.camera import CameraModel
 from calib.collimator import Collimator

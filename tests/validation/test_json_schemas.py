@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from bench.station import Station
+from bench.stations.station import Station
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence

@@ -8,8 +8,8 @@ import pytest
 from calib.beam import visible_disc
 from calib.calibrate import CalibrationOptions, calibrate
 from calib.view import View
-from simulators import optics
-from simulators.truth import COLLIMATORS, CameraTruth, OpticsTruth, Truth
+from simulators.optics import picture as optics
+from simulators.world.truth import COLLIMATORS, CameraTruth, OpticsTruth, Truth
 
 SIZE = (2448, 2048)
 CAMERA = CameraTruth(2412.0, 2411.4, 1220.0, 1007.0, k1=-0.0895, k2=0.106, width=SIZE[0], height=SIZE[1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.measure import measure
+from bench.run.measure import measure
 from calib.detect import detect
 from calib.errors import FlickerNotFound, TargetNotFound
 from calib.event_image import make_images

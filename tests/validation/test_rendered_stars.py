@@ -5,9 +5,9 @@ import pytest
 
 from calib.calibrate import CalibrationOptions, calibrate
 from calib.detect import detect
-from simulators.optics import TARGET, pose_rotation, project, render, star_centres
-from simulators.truth import CameraTruth, OpticsTruth, Truth
-from simulators.truth_config import truth_from_config
+from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
+from simulators.world.truth import CameraTruth, OpticsTruth, Truth
+from simulators.world.truth_config import truth_from_config
 
 LEVEL = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
 

@@ -12,10 +12,10 @@ from calib.detect import detect
 from calib.event_image import make_images
 from calib.flicker import Flicker, flicker_from_events
 from calib.motion import half_windows, motion_between
-from simulators.optics import TARGET, pose_rotation, project, render, star_centres
-from simulators.pixels import simulate
-from simulators.truth import NOISE_LEVELS, Truth
-from simulators.world import LightState
+from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
+from simulators.pixels.sensor import simulate
+from simulators.world.truth import NOISE_LEVELS, Truth
+from simulators.world.world import LightState
 
 WINDOW_US = 33_000.0
 TRUTH = Truth()

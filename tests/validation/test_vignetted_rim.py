@@ -6,8 +6,8 @@ import pytest
 from calib.calibrate import calibrate
 from calib.detect import detect
 from calib.rim import mistrust_rim
-from simulators.optics import TARGET, pose_rotation, project, render
-from simulators.truth_config import truth_from_config
+from simulators.optics.picture import TARGET, pose_rotation, project, render
+from simulators.world.truth_config import truth_from_config
 
 POSES = ((0, 0, 7), (6, 3, 20), (-6, -3, 97), (5, -4, 50))
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.captures import CAPTURE_STORED
-from bench.journal import Journal
-from bench.keys import create_key, load_key, read_signers
-from bench.run_folder import RunFolder
-from bench.seal import seal
+from bench.evidence.keys import create_key, load_key, read_signers
+from bench.evidence.seal import seal
+from bench.records.captures import CAPTURE_STORED
+from bench.records.journal import Journal
+from bench.records.run_folder import RunFolder
 
 
 @pytest.fixture

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from nights import JOB, NightClock, Workers, begun, hows, night, queue
 
-from bench.batch import Batch, command_of
-from bench.batch_plan import plan_of, read_queue
+from bench.batches.batch import Batch, command_of
+from bench.batches.batch_plan import plan_of, read_queue
+from bench.batches.schedule import in_order, items_of
 from bench.clock import Aborted
 from bench.errors import RunFolderError, ScriptError
-from bench.history import Event
-from bench.journal import Journal, read_journal
-from bench.schedule import in_order, items_of
+from bench.records.history import Event
+from bench.records.journal import Journal, read_journal
 from sequences.queue import JobWords, Queue
 from sequences.reader import check_document
 

@@ -4,12 +4,12 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.batch_messages import BatchMessages
+from bench.batches.batch_messages import BatchMessages
+from bench.batches.supervisor import WorkerEnd
 from bench.clock import VirtualClock
-from bench.journal import Journal
-from bench.outbox import Message, Outbox
-from bench.station import SHIPPED
-from bench.supervisor import WorkerEnd
+from bench.messaging.outbox import Message, Outbox
+from bench.records.journal import Journal
+from bench.stations.station import SHIPPED
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 HOOK = "\nmessages: {webhooks: [{url: 'http://127.0.0.1:1/'}]%s}\n"

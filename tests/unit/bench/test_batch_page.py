@@ -7,9 +7,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from bench.records.run_index import IndexedRun
 from bench.report.batch_page import render_batch
-from bench.run_index import IndexedRun
-from bench.trends import by_camera, slope, trends_of
+from bench.results.trends import by_camera, slope, trends_of
 
 EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)
 

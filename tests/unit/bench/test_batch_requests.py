@@ -8,12 +8,12 @@ from datetime import UTC, datetime
 import pytest
 from nights import NightClock, Workers, begun, hows, job_words, queue
 
-from bench.batch import Batch
-from bench.batch_output import ask_batch
-from bench.batch_requests import REQUESTS, Request, answer_text, send_request
-from bench.batch_status import batch_status_text, read_batch_status
+from bench.batches.batch import Batch
+from bench.batches.batch_requests import REQUESTS, Request, answer_text, send_request
+from bench.batches.batch_status import batch_status_text, read_batch_status
+from bench.console.batch_output import ask_batch
 from bench.errors import RunFolderError, ScriptError
-from bench.journal import read_journal
+from bench.records.journal import read_journal
 
 
 def leave(folder, request, number=0):

@@ -6,14 +6,14 @@ from unittest.mock import create_autospec
 import numpy as np
 import pytest
 
-from bench import devices
-from bench.camera_kinds import EventKind, FrameKind, camera_kind
 from bench.clock import BenchClock
-from bench.job import Job
-from bench.measure import Measurement
-from bench.pictures import measure_pictures, picture_gates, picture_refusals
-from bench.plan import load, plan
-from bench.station import SHIPPED, Station
+from bench.plans.plan import load, plan
+from bench.run.job import Job
+from bench.run.measure import Measurement
+from bench.run.pictures import measure_pictures, picture_gates, picture_refusals
+from bench.stations import devices
+from bench.stations.camera_kinds import EventKind, FrameKind, camera_kind
+from bench.stations.station import SHIPPED, Station
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
 from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from bench.clock import Aborted, BenchClock
-from bench.control import CONTROL, Command, Inbox, command_text, refusal, send
 from bench.errors import RunFolderError, StorageError
-from bench.folder_lock import is_worked_on
-from bench.history import Attempt, Event, History, RunLog, replay
-from bench.journal import Journal, read_journal
-from bench.run_folder import RunFolder
+from bench.records.folder_lock import is_worked_on
+from bench.records.history import Attempt, Event, History, RunLog, replay
+from bench.records.journal import Journal, read_journal
+from bench.records.run_folder import RunFolder
+from bench.run.control import CONTROL, Command, Inbox, command_text, refusal, send
 
 POSES = {1: "left", 2: "right", 3: "below"}
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}

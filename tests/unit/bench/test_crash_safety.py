@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.captures import CAPTURE_STORED, stored_captures
 from bench.errors import BenchError, StorageError
-from bench.journal import Journal, read_journal
-from bench.run_folder import RunFolder
-from bench.seal import seal
-from bench.verify import verify_run
+from bench.evidence.seal import seal
+from bench.evidence.verify import verify_run
+from bench.records.captures import CAPTURE_STORED, stored_captures
+from bench.records.journal import Journal, read_journal
+from bench.records.run_folder import RunFolder
 
 POSES = 3
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}

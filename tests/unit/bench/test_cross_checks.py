@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bench.cross_checks import gimbal, halves
-from bench.plan import load
-from bench.plan import plan as make_plan
-from bench.studies import expectation
+from bench.plans.plan import load
+from bench.plans.plan import plan as make_plan
+from bench.results.cross_checks import gimbal, halves
+from bench.results.studies import expectation
 from calib.calibrate import CalibrationOptions, calibrate
 from calib.imagined import imagined_view
 

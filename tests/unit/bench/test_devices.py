@@ -5,9 +5,9 @@ from unittest.mock import create_autospec
 
 import pytest
 
-from bench import devices
 from bench.clock import BenchClock
-from bench.station import SHIPPED, Station
+from bench.stations import devices
+from bench.stations.station import SHIPPED, Station
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
 from drivers.light.gardasoft import GardasoftLight

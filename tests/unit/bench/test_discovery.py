@@ -5,13 +5,13 @@ from typing import get_args
 
 import pytest
 
-from bench import discovery
 from bench.cli import station_new
-from bench.discovery import Discovery, FoundPort, discover
-from bench.output import show_devices
-from bench.station import load_station
-from bench.station_devices import Camera
-from bench.station_draft import ASK, CAMERAS, STAGES, draft_station
+from bench.console.output import show_devices
+from bench.stations import discovery
+from bench.stations.discovery import Discovery, FoundPort, discover
+from bench.stations.station import load_station
+from bench.stations.station_devices import Camera
+from bench.stations.station_draft import ASK, CAMERAS, STAGES, draft_station
 from drivers.camera import FoundCamera
 
 PORTS = (

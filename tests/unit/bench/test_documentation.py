@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.plan import load, plan
-from bench.script_check import check_script
-from bench.station import Station, load_station
+from bench.plans.plan import load, plan
+from bench.plans.script_check import check_script
+from bench.stations.station import Station, load_station
 from sequences.flatten import flatten
 from sequences.reader import check_document, read_document
 from sequences.schema import (

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from bench.cli import main
-from bench.plan import load
-from bench.plan import plan as make_plan
-from bench.studies import expectation, expected_worth, suggested_poses
+from bench.plans.plan import load
+from bench.plans.plan import plan as make_plan
+from bench.results.studies import expectation, expected_worth, suggested_poses
 from calib.imagined import imagined_view
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
@@ -175,8 +175,8 @@ def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, refere
 
 
 def test_a_capture_shorter_than_its_journal_says_is_refused(tmp_path):
-    from bench.journal import Journal
-    from bench.offline import _refuse_cut_off
+    from bench.records.journal import Journal
+    from bench.results.offline import _refuse_cut_off
     from drivers.errors import RecordingCorrupt
 
     path = tmp_path / "captures" / "pose-001-attempt-1.raw"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bench.expectation import as_before, best_readings, by_earlier_poses
-from bench.history import Attempt, History
+from bench.records.history import Attempt, History
+from bench.run.expectation import as_before, best_readings, by_earlier_poses
 from calib.errors import DegenerateViews
 from calib.grid_map import apply_homography
 from calib.identity import expected_grid

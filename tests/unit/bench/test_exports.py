@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.exports import FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
+from bench.results.exports import FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
 from calib.calibration import Calibration, ViewSummary
 from calib.camera import CameraModel
 from calib.collimator import Collimator

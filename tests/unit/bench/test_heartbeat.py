@@ -8,9 +8,9 @@ import time
 
 import pytest
 
-from bench import heartbeat
 from bench.clock import BenchClock
-from bench.heartbeat import CONTROL, HEARTBEAT, SUPERVISOR, Pulse, Sign, open_process, read_sign
+from bench.run import heartbeat
+from bench.run.heartbeat import CONTROL, HEARTBEAT, SUPERVISOR, Pulse, Sign, open_process, read_sign
 
 
 class StandingClock(BenchClock):

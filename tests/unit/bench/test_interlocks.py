@@ -7,18 +7,18 @@ import pytest
 from rehearsed import Scene, with_runner
 
 from bench.clock import Interrupted, VirtualClock
-from bench.history import Event, replay
-from bench.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks, interlocks_of
-from bench.journal import read_journal
-from bench.station import Station
-from bench.station_interlocks import (
+from bench.records.history import Event, replay
+from bench.records.journal import read_journal
+from bench.run.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks, interlocks_of
+from bench.run.status import read_status, status_text
+from bench.stations.station import Station
+from bench.stations.station_interlocks import (
     CameraTemperatureWords,
     DiskSpaceWords,
     DoorWords,
     EventRateWords,
     InterlockWords,
 )
-from bench.status import read_status, status_text
 from drivers.errors import CameraLost, PortLost, PortNotFound, ReplyTimeout, WrongDevice
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
@@ -270,7 +270,7 @@ def test_a_warm_camera_is_let_cool_and_the_run_goes_on(tmp_path):
         return 60.0 - 0.1 * max(0.0, now_s - 3.0) if now_s > 3.0 else 30.0
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.virtual_devices.VirtualCamera.temperature_c", celsius)
+        patch.setattr("bench.rehearsals.virtual_devices.VirtualCamera.temperature_c", celsius)
         end = scene.run()
     assert end.how == "finished", end.why
     (released,) = scene.told(Event.INTERLOCK_RELEASED)
@@ -281,7 +281,7 @@ def test_a_warm_camera_is_let_cool_and_the_run_goes_on(tmp_path):
 def test_light_from_elsewhere_holds_until_the_dark_is_dark(tmp_path, monkeypatch):
     words = "\ninterlocks: {event_rate: {max_mev_s: 50, release_mev_s: 5, max_hold_s: 900}}\n"
     scene = Scene(tmp_path, station=words)
-    from bench.virtual_devices import VirtualCamera
+    from bench.rehearsals.virtual_devices import VirtualCamera
 
     record = VirtualCamera.record
 

@@ -14,8 +14,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from bench.errors import EvidenceError, StorageError
-from bench.keys import create_key, ensure_key, home_folder, load_key, read_signers, trust
-from bench.sshsig import fingerprint
+from bench.evidence.keys import create_key, ensure_key, home_folder, load_key, read_signers, trust
+from bench.evidence.sshsig import fingerprint
 
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from bench.errors import JournalBroken
-from bench.journal import Journal, read_journal
-from bench.ledger import Ledger
-from bench.run_folder import RunFolder
-from bench.seal import seal
+from bench.evidence.seal import seal
+from bench.records.journal import Journal, read_journal
+from bench.records.ledger import Ledger
+from bench.records.run_folder import RunFolder
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -97,7 +97,7 @@ def test_the_seal_of_a_run_is_entered_and_held_against_its_folder(ledger, make_r
 
 def test_processes_that_begin_at_once_get_numbers_of_their_own(tmp_path):
     code = (
-        "import sys, time; from datetime import UTC, datetime; from pathlib import Path; from bench.ledger import Ledger\n"
+        "import sys, time; from datetime import UTC, datetime; from pathlib import Path; from bench.records.ledger import Ledger\n"
         "ledger = Ledger(Path(sys.argv[1]), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)\n"
         "for i in range(5): print(ledger.begin(run_id='r', folder=Path('/r'), camera='c', simulated=False)['number'])"
     )

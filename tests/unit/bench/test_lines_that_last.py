@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.history import Event, RunLog
-from bench.journal import Journal
+from bench.records.history import Event, RunLog
+from bench.records.journal import Journal
 
 POSE = {"pose": 1, "pose_name": "p"}
 STORED = {**POSE, "attempt": 1, "capture": "c", "size": 1, "sha256": "0"}

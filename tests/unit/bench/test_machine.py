@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from transitions import MachineError
 
-from bench.machine import EDGES, END_STATES, STATES, RunMachine
+from bench.run.machine import EDGES, END_STATES, STATES, RunMachine
 
 TRIGGERS = sorted({trigger for trigger, _, _ in EDGES})
 TARGETS = {(source, trigger): target for trigger, sources, target in EDGES for source in sources}

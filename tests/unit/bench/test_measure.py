@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.measure import aligned_poses
+from bench.run.measure import aligned_poses
 
 
 def facts(roll_deg: float, kind: str) -> dict:

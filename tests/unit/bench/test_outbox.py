@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.errors import StorageError
-from bench.outbox import LONGEST_PAUSE_S, DeliveryFailed, Message, Outbox
+from bench.messaging.outbox import LONGEST_PAUSE_S, DeliveryFailed, Message, Outbox
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 
@@ -107,7 +107,7 @@ def test_where_the_process_died_while_sending_it_is_sent_again_and_said_to_be(ou
 def test_a_process_killed_while_sending_loses_nothing(outbox):
     outbox.put(message(), ["mail"])
     code = (
-        "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.outbox import Outbox\n"
+        "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.messaging.outbox import Outbox\n"
         "Outbox(Path(sys.argv[1])).deliver(lambda *_: os.kill(os.getpid(), 9), datetime.now(UTC), all_waiting=True)"
     )
     assert subprocess.run([sys.executable, "-c", code, outbox.path.parent], check=False).returncode == -9

@@ -10,9 +10,17 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from bench.errors import ScriptError
-from bench.plan import POSE_BYTES, REPORT_BYTES, load, plan, recording_duration_s, travel_s, whole_periods
-from bench.plan_text import duration_text, render_plan
-from bench.station import SHIPPED, Station
+from bench.plans.plan import (
+    POSE_BYTES,
+    REPORT_BYTES,
+    load,
+    plan,
+    recording_duration_s,
+    travel_s,
+    whole_periods,
+)
+from bench.plans.plan_text import duration_text, render_plan
+from bench.stations.station import SHIPPED, Station
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.clock import Aborted, BenchClock, VirtualClock
-from bench.progress import Progress, clock_text
-from bench.prompt import Reply, ask
+from bench.console.progress import Progress, clock_text
+from bench.console.prompt import Reply, ask
 
 
 class Terminal(io.StringIO):
@@ -74,7 +74,7 @@ def test_an_answer_from_another_terminal_counts_at_once():
 
 
 def test_the_default_counts_after_the_time_out(monkeypatch):
-    monkeypatch.setattr("bench.prompt.select.select", lambda *_: ([], [], []))
+    monkeypatch.setattr("bench.console.prompt.select.select", lambda *_: ([], [], []))
     clock = BenchClock()
     reply = ask(
         "Go?", default="continue", timeout_s=0.05, clock=clock, say=lambda _: None, terminal=Terminal()
@@ -88,7 +88,7 @@ def test_the_default_counts_after_the_time_out(monkeypatch):
 )
 def test_the_operators_word_counts(monkeypatch, typed, word):
     terminal = Terminal(typed)
-    monkeypatch.setattr("bench.prompt.select.select", lambda *_: ([terminal], [], []))
+    monkeypatch.setattr("bench.console.prompt.select.select", lambda *_: ([terminal], [], []))
     reply = ask(
         "Go?", default="continue", timeout_s=60, clock=BenchClock(), say=lambda _: None, terminal=terminal
     )
@@ -96,7 +96,7 @@ def test_the_operators_word_counts(monkeypatch, typed, word):
 
 
 def test_a_stop_ends_the_question(monkeypatch):
-    monkeypatch.setattr("bench.prompt.select.select", lambda *_: ([], [], []))
+    monkeypatch.setattr("bench.console.prompt.select.select", lambda *_: ([], [], []))
     clock = BenchClock()
     clock.request_stop("SIGTERM received")
     with pytest.raises(Aborted, match="SIGTERM"):

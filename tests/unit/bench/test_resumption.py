@@ -4,10 +4,10 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.history import Event, History, replay
-from bench.job import Job
-from bench.journal import Journal
-from bench.resumption import crash_looped, ground, intentions, remaining, steps_of_pose
+from bench.records.history import Event, History, replay
+from bench.records.journal import Journal
+from bench.run.job import Job
+from bench.run.resumption import crash_looped, ground, intentions, remaining, steps_of_pose
 from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
 
 

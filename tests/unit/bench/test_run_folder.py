@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from bench import run_folder as run_folder_module
-from bench.captures import CAPTURE_STORED, capture_name, stored_captures
 from bench.errors import RunFolderError, StorageError
-from bench.journal import Journal
-from bench.run_folder import RunFolder
+from bench.records import run_folder as run_folder_module
+from bench.records.captures import CAPTURE_STORED, capture_name, stored_captures
+from bench.records.journal import Journal
+from bench.records.run_folder import RunFolder
 
-HOLD = "import sys; from pathlib import Path; from bench.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"
+HOLD = "import sys; from pathlib import Path; from bench.records.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"
 
 
 def begin_journal(folder):

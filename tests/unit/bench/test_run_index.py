@@ -6,12 +6,12 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.agreement import agreement, agreements
 from bench.errors import StorageError, UsageError
-from bench.history import Event
-from bench.journal import Journal
-from bench.run_folder import RunFolder
-from bench.run_index import INDEX, RunIndex, read_run, run_folders
+from bench.records.history import Event
+from bench.records.journal import Journal
+from bench.records.run_folder import RunFolder
+from bench.records.run_index import INDEX, RunIndex, read_run, run_folders
+from bench.results.agreement import agreement, agreements
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
 
@@ -122,7 +122,7 @@ def test_a_journal_that_went_on_is_read_again(index, tmp_path):
 
 def test_an_unchanged_journal_is_not_read_again(index, three, monkeypatch):
     index.runs(three)
-    monkeypatch.setattr("bench.run_index.read_journal", lambda _: pytest.fail("it was read again"))
+    monkeypatch.setattr("bench.records.run_index.read_journal", lambda _: pytest.fail("it was read again"))
     assert len(index.runs(three)[0]) == 3
 
 

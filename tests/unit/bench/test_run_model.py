@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 from rehearsed import Scene, with_runner
 
-from bench.captures import stored_captures
 from bench.clock import VirtualClock
-from bench.control import Command
-from bench.history import Event, replay
-from bench.journal import read_journal
-from bench.machine import EDGES
-from bench.storage import sha256_of
-from bench.unsynced_journal import UnsyncedJournal
+from bench.records.captures import stored_captures
+from bench.records.history import Event, replay
+from bench.records.journal import read_journal
+from bench.records.storage import sha256_of
+from bench.records.unsynced_journal import UnsyncedJournal
+from bench.run.control import Command
+from bench.run.machine import EDGES
 from drivers.errors import (
     CameraLost,
     LightFault,

@@ -10,10 +10,10 @@ from rehearsed import Journal, Scene
 
 from bench.clock import VirtualClock
 from bench.errors import BenchError, RunFolderError, StorageError
-from bench.history import Event, replay
-from bench.journal import CLOCK_JUMPED, read_journal
-from bench.launch import read_intentions
-from bench.resumption import intentions
+from bench.records.history import Event, replay
+from bench.records.journal import CLOCK_JUMPED, read_journal
+from bench.run.launch import read_intentions
+from bench.run.resumption import intentions
 
 
 def accepted(scene):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.schedule import Bounds, Item, bounds_of, choose, items_of, look_ahead, next_time
+from bench.batches.schedule import Bounds, Item, bounds_of, choose, items_of, look_ahead, next_time
 from sequences.queue import JobWords, Queue
 
 BERLIN = ZoneInfo("Europe/Berlin")

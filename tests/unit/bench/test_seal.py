@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import EvidenceError, RunFolderError, StorageError
-from bench.run_folder import RunFolder
-from bench.seal import listing, manifest_of, read_manifest, seal
-from bench.sshsig import encode_public_key, holds, read_signature, sign
+from bench.evidence.seal import listing, manifest_of, read_manifest, seal
+from bench.evidence.sshsig import encode_public_key, holds, read_signature, sign
+from bench.records.run_folder import RunFolder
 
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"

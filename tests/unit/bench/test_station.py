@@ -2,8 +2,8 @@
 
 import pytest
 
-from bench.station import SHIPPED, Station, load_station
-from bench.station_devices import ScpiLight
+from bench.stations.station import SHIPPED, Station, load_station
+from bench.stations.station_devices import ScpiLight
 from calib.target import StarTarget
 from drivers.light import LightSettings
 from drivers.stage import AxisLimits

@@ -6,11 +6,11 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from bench.errors import RunFolderError
-from bench.history import Event
-from bench.journal import Journal
-from bench.plan import load, plan
-from bench.run_folder import RunFolder
-from bench.status import follow, read_status, status_text
+from bench.plans.plan import load, plan
+from bench.records.history import Event
+from bench.records.journal import Journal
+from bench.records.run_folder import RunFolder
+from bench.run.status import follow, read_status, status_text
 
 BEGUN = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from report_sample import sample
 
 from bench.errors import RunFolderError
-from bench.journal import read_journal
-from bench.keys import NAMESPACE, Signer, create_key, read_signers
+from bench.evidence.keys import NAMESPACE, Signer, create_key, read_signers
+from bench.evidence.seal import manifest_of, seal
+from bench.evidence.sshsig import read_signature, sign
+from bench.evidence.verify import verify_run
+from bench.records.journal import read_journal
+from bench.records.run_folder import RunFolder
 from bench.report import ReportData, render_report
-from bench.run_folder import RunFolder
-from bench.seal import manifest_of, seal
-from bench.sshsig import read_signature, sign
-from bench.verify import verify_run
 
 
 def kinds(verification):
@@ -342,7 +342,7 @@ def test_a_report_that_is_no_text_is_found(reported, key, signers):
 
 
 def test_results_without_a_calibration_cannot_follow_from_recordings(sealed, signers, monkeypatch):
-    monkeypatch.setattr("bench.reproduce.differences", lambda folder: {}["calibration"])
+    monkeypatch.setattr("bench.evidence.reproduce.differences", lambda folder: {}["calibration"])
     found = verify_run(sealed, signers, again=True)
     assert "no calibration to compare" in found.faults[0].what
 

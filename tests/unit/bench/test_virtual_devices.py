@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench.clock import Aborted, VirtualClock
-from bench.plan import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
-from bench.station import Station, load_station
-from bench.virtual_devices import FIRST_LINE, VirtualDevices, read_view
+from bench.plans.plan import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
+from bench.rehearsals.virtual_devices import FIRST_LINE, VirtualDevices, read_view
+from bench.stations.station import Station, load_station
 from calib.target import StarTarget
 from drivers.camera import CameraSettings
 from drivers.errors import NotHomed, OutsideLimits, RecordingFailed, WrongDevice

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from simulators.axis_motion import Axis, Mechanics, MotionEvent, MotionFault
-from simulators.trajectory import SETTLED_DEG, ramp
+from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent, MotionFault
+from simulators.world.trajectory import SETTLED_DEG, ramp
 
 SCALE = 6400.0
 SPEED = 40.0 * SCALE

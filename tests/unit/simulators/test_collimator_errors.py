@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators import optics
-from simulators.collimator_errors import apparent, bending_of, disc_of, reticle_point
 from simulators.errors import ConfigError
-from simulators.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
-from simulators.truth_config import truth_from_config
+from simulators.optics import picture as optics
+from simulators.optics.collimator_errors import apparent, bending_of, disc_of, reticle_point
+from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
+from simulators.world.truth_config import truth_from_config
 
 COEFFICIENT = st.floats(-0.3, 0.3)
 TURN = optics.pose_rotation({"pan": 6.0, "tilt": -4.0, "roll": 15.0}, OpticsTruth())

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.target import StarTarget
-from simulators.coverage import add_edge, blank, gather, spread_kernel
-from simulators.print_outline import black_polygons
+from simulators.optics.coverage import add_edge, blank, gather, spread_kernel
+from simulators.optics.print_outline import black_polygons
 
 PLACE = st.tuples(st.floats(-3.0, 12.0), st.floats(-3.0, 9.0))
 

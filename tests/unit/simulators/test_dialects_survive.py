@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, BenchConfig, LightConfig, bench_config
-from simulators.lights import make_light
-from simulators.serial_device import Dialect
-from simulators.stages import make_stage
-from simulators.ximc import crc16
+from simulators.lights.kinds import make_light
+from simulators.ports.serial_device import Dialect
+from simulators.stages.kinds import make_stage
+from simulators.stages.ximc import crc16
 
 
 def with_crc(letters: bytes, data: bytes) -> bytes:

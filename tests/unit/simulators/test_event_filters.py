@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from simulators.event_filters import ERC_QUOTA, EventFilters
-from simulators.pixels import Events, simulate
-from simulators.truth import NOISE_LEVELS
-from simulators.world import LightState
+from simulators.pixels.event_filters import ERC_QUOTA, EventFilters
+from simulators.pixels.sensor import Events, simulate
+from simulators.world.truth import NOISE_LEVELS
+from simulators.world.world import LightState
 
 
 def stream(rows):

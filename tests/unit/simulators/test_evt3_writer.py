@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulators.errors import SimulationMisuse
-from simulators.evt3_writer import Evt3Writer
+from simulators.pixels.evt3_writer import Evt3Writer
 
 DURATION_US = 6000
 

@@ -9,14 +9,14 @@ import pytest
 
 from simulators.config import BenchConfig
 from simulators.errors import ConfigError
-from simulators.fault_injection import Parts, prepare
-from simulators.faults import catalogue, order, order_from_text
-from simulators.lamp import Lamp
-from simulators.lights import make_light
-from simulators.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
-from simulators.stages import make_stage
-from simulators.stream_faults import StreamFaults
-from simulators.world import LightState
+from simulators.faults.catalogue import catalogue, order, order_from_text
+from simulators.faults.fault_injection import Parts, prepare
+from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
+from simulators.faults.stream_faults import StreamFaults
+from simulators.lights.kinds import make_light
+from simulators.lights.lamp import Lamp
+from simulators.stages.kinds import make_stage
+from simulators.world.world import LightState
 
 
 class Port:

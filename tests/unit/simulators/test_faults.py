@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.errors import ConfigError, SimulatorError
-from simulators.faults import (
+from simulators.faults.catalogue import (
     AXIS_FAULTS,
     CAMERA_FAULTS,
     LIGHT_FAULTS,
@@ -20,9 +20,9 @@ from simulators.faults import (
     order,
     order_from_text,
 )
-from simulators.lamp import Lamp
-from simulators.sync_line import SyncLine
-from simulators.world import LightState
+from simulators.lights.lamp import Lamp
+from simulators.lights.sync_line import SyncLine
+from simulators.world.world import LightState
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulators.biases import PixelSettings
 from simulators.errors import SimulationMisuse
-from simulators.ideal_readout import EVENT, WARM_UP, ideal_events, ideal_slices
-from simulators.world import LightState
+from simulators.pixels.biases import PixelSettings
+from simulators.pixels.ideal_readout import EVENT, WARM_UP, ideal_events, ideal_slices
+from simulators.world.world import LightState
 from tests.unit.simulators.ode_pixel import solve_step_by_step
 
 SINE = LightState(waveform="sine", output=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulators.irregularity import (
+from simulators.optics.irregularity import (
     DEGREE,
     MONOMIALS,
     POWER,

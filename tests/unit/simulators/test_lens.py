@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.errors import ConfigError
-from simulators.lens import distorted_arrays, image_point, lens_of, ray_grid, undistort
-from simulators.truth import CameraTruth
+from simulators.optics.lens import distorted_arrays, image_point, lens_of, ray_grid, undistort
+from simulators.world.truth import CameraTruth
 
 K = ("k1", "k2", "k3", "k4")
 FISHEYE = CameraTruth(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.errors import SimulatorError
-from simulators.line_faults import REPLY_FAULTS, FaultLine, LineFault
+from simulators.faults.line_faults import REPLY_FAULTS, FaultLine, LineFault
 
 
 class Parrot:

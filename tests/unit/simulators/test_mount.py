@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from simulators.biases import FACTORY
 from simulators.config import bench_config
 from simulators.errors import ConfigError
-from simulators.mount import STEP_ARCSEC, crept_arcsec, disturbed
-from simulators.sensor_stream import CameraState, SensorStream
-from simulators.truth import NOISE_LEVELS, CameraTruth, MountTruth, Truth
-from simulators.world import LightState, World
+from simulators.pixels.biases import FACTORY
+from simulators.pixels.sensor_stream import CameraState, SensorStream
+from simulators.world.mount import STEP_ARCSEC, crept_arcsec, disturbed
+from simulators.world.truth import NOISE_LEVELS, CameraTruth, MountTruth, Truth
+from simulators.world.world import LightState, World
 
 POSE = {"pan": 1.0, "tilt": -2.0, "roll": 3.0}
 STILL = (0.0, 0.0)

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators import optics
 from simulators.errors import ConfigError
-from simulators.truth import CAMERAS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
-from simulators.truth_config import truth_from_config
+from simulators.optics import picture as optics
+from simulators.world.truth import CAMERAS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
+from simulators.world.truth_config import truth_from_config
 
 SMALL = CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, k1=0.06, k2=-0.9, width=128, height=72)
 ANGLES = st.floats(-12.0, 12.0)

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulators.biases import ALLOWED, PixelSettings
 from simulators.errors import SimulationMisuse
-from simulators.pixels import Link, Sensor, simulate
-from simulators.truth import NOISE_LEVELS, NoiseTruth
-from simulators.world import LightState
+from simulators.pixels.biases import ALLOWED, PixelSettings
+from simulators.pixels.sensor import Link, Sensor, simulate
+from simulators.world.truth import NOISE_LEVELS, NoiseTruth
+from simulators.world.world import LightState
 from tests.unit.simulators.ode_pixel import solve_step_by_step, solve_with_filters
 
 MISMATCH_ONLY = NoiseTruth(mismatch=0.12, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=0.0)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from simulators.errors import ConfigError
-from simulators.optics import pose_rotation, star_centres
-from simulators.rehearsed_world import RehearsedWorld
+from simulators.optics.picture import pose_rotation, star_centres
+from simulators.world.rehearsed_world import RehearsedWorld
 
 POSE = {"pan": 3.0, "tilt": -1.5}
 

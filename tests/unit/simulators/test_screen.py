@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from drivers.camera.evt3 import Evt3Decoder
-from simulators import scene
-from simulators.biases import FACTORY
 from simulators.config import bench_config
 from simulators.errors import SimulationMisuse
-from simulators.screen import Checkerboard, project_board, render_board
-from simulators.sensor_stream import CameraState, SensorStream
-from simulators.truth import CameraTruth
-from simulators.world import AxisMotion, LightState, World
+from simulators.optics import scene
+from simulators.optics.screen import Checkerboard, project_board, render_board
+from simulators.pixels.biases import FACTORY
+from simulators.pixels.sensor_stream import CameraState, SensorStream
+from simulators.world.truth import CameraTruth
+from simulators.world.world import AxisMotion, LightState, World
 
 CAMERA = CameraTruth(fx=420.0, fy=421.0, cx=159.0, cy=91.0, k1=-0.1, k2=0.05, width=320, height=180)
 BOARD = Checkerboard(columns=7, rows=4, square_mm=20.0)

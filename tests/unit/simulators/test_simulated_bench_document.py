@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, bench_config
-from simulators.faults import catalogue, order, order_from_text
+from simulators.faults.catalogue import catalogue, order, order_from_text
 
 TEXT = (Path(__file__).parents[3] / "docs" / "simulated-bench.md").read_text(encoding="utf-8")
 

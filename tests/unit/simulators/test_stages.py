@@ -7,10 +7,10 @@ import struct
 import pytest
 
 from simulators.config import bench_config
-from simulators.serial_device import Dialect
-from simulators.stages import Stage, make_stage
-from simulators.trajectory import Pointing
-from simulators.ximc import crc16
+from simulators.ports.serial_device import Dialect
+from simulators.stages.kinds import Stage, make_stage
+from simulators.stages.ximc import crc16
+from simulators.world.trajectory import Pointing
 
 
 class Built:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulators.errors import SimulatorError
-from simulators.stream_faults import StreamFault, StreamFaults
+from simulators.faults.stream_faults import StreamFault, StreamFaults
 
 FRAME = np.array([0x8123, 0x6001, 0x0010, 0x2005, 0x8005, 0x6002], "<u2")
 

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.config import bench_config
-from simulators.temperature import brightness, temperature_c, warmed
-from simulators.truth import REFERENCE_C, ThermalTruth, Truth
-from simulators.world import LightState, World
+from simulators.world.temperature import brightness, temperature_c, warmed
+from simulators.world.truth import REFERENCE_C, ThermalTruth, Truth
+from simulators.world.world import LightState, World
 
 WARMING = ThermalTruth(
     room_c=21.0,

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.errors import ConfigError, SimulationMisuse
-from simulators.truth import NOISE_LEVELS, Truth
-from simulators.truth_config import truth_from_config
-from simulators.world import AxisMotion, LightState, World
+from simulators.world.truth import NOISE_LEVELS, Truth
+from simulators.world.truth_config import truth_from_config
+from simulators.world.world import AxisMotion, LightState, World
 
 
 def test_the_past_stays_as_it_was():

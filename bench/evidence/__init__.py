@@ -1,0 +1,1 @@
+"""Seals, signatures, keys, and what verifies them."""

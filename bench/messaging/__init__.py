@@ -1,0 +1,1 @@
+"""Who is told of what, and an outbox that survives a dead network."""

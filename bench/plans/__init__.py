@@ -1,0 +1,1 @@
+"""What a sequence would do on a station, told before anything moves."""

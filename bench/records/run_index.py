@@ -1,0 +1,297 @@
+"""The runs of a bench in one table, to list, filter and compare: an index made from their journals.
+
+One SQLite file beside the signing key. It holds nothing that the journals do not: a row is made anew when its
+journal has changed, the whole table when its form has (``user_version``) or the file does not hold.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from bench.errors import BenchError, StorageError
+from bench.records.folder_lock import is_worked_on
+from bench.records.history import History, replay
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL, is_sealed
+from bench.records.storage import make_folder, storing
+
+INDEX = "runs.sqlite3"
+QUEUE_COPY = "queue.yaml"
+"""What a batch's folder has, and no run's."""
+VERSION = 3
+_COLUMNS = (
+    "id", "sequence", "station", "camera", "operator", "simulated", "rehearsal", "begun_utc", "ended", "accepted",
+    "recordings", "deviations", "temperature_c", "model", "rms_px",
+)  # fmt: skip
+_SCHEMA = f"""
+CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, {", ".join(_COLUMNS)}) WITHOUT ROWID;
+CREATE TABLE parameters (folder TEXT, name TEXT, place INTEGER, value REAL, sigma REAL, PRIMARY KEY (folder, name))
+    WITHOUT ROWID;
+PRAGMA user_version = {VERSION};
+"""
+
+
+@dataclass(frozen=True)
+class IndexedRun:
+    """One run.
+
+    Attributes
+    ----------
+    folder, id
+        Where it is, and its name.
+    sequence, station, camera, operator, simulated, rehearsal
+        What it was; ``camera`` is the serial number, empty while no camera has answered.
+    begun_utc
+        When it was begun, ISO 8601.
+    how
+        ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``.
+    sealed
+        Whether it carries a seal.
+    accepted, recordings, deviations
+        How many poses are recorded, how many recordings that took, those that were lost included, and how often it
+        went otherwise than the sequence says.
+    temperature_c
+        Of the camera, mean of the accepted recordings; None where it tells none.
+    model, rms_px
+        Of its calibration; None without one.
+    parameters
+        Value and 1 sigma of each parameter, by name.
+    """
+
+    folder: str
+    id: str
+    sequence: str
+    station: str
+    camera: str
+    operator: str | None
+    simulated: bool
+    rehearsal: bool
+    begun_utc: str
+    how: str
+    sealed: bool
+    accepted: int
+    recordings: int
+    deviations: int
+    temperature_c: float | None
+    model: str | None
+    rms_px: float | None
+    parameters: Mapping[str, tuple[float, float]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give it as JSON carries it."""
+        parameters = {name: {"value": v, "sigma": s} for name, (v, s) in self.parameters.items()}
+        return {**asdict(self), "parameters": parameters}
+
+
+def run_folders(root: Path) -> list[Path]:
+    """Find the run folders in a folder: itself, those in it, and those one level deeper; a batch's own is none.
+
+    Raises
+    ------
+    StorageError
+        When it is not there or cannot be read.
+    """
+    if not root.is_dir():
+        raise StorageError("There is no such folder.", where=str(root), remedy="Name one that holds runs.")
+    with storing(root):
+        found = [path for pattern in ("", "*/", "*/*/") for path in root.glob(pattern + JOURNAL)]
+    return sorted(path.parent for path in found if not (path.parent / QUEUE_COPY).exists())
+
+
+class RunIndex:
+    """The index; every method opens the file anew, for other processes use it too.
+
+    Parameters
+    ----------
+    home
+        The configuration folder, as ``keys.home_folder`` gives it.
+    """
+
+    def __init__(self, home: Path) -> None:
+        self.path = home / INDEX
+
+    def runs(
+        self,
+        folders: Iterable[Path],
+        *,
+        camera: str | None = None,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        sequence: str | None = None,
+        how: str | None = None,
+    ) -> tuple[list[IndexedRun], list[str]]:
+        """List runs, oldest first.
+
+        Parameters
+        ----------
+        folders
+            Run folders to consider.
+        camera, since, until, sequence, how
+            Only runs of this camera, begun at or after this moment, before that one, whose sequence's name holds these
+            words, that stand like this.
+
+        Returns
+        -------
+        runs, faults
+            The runs, and of which folders nothing can be told, and why.
+
+        Raises
+        ------
+        StorageError
+            When the index cannot be written.
+        """
+        found, faults = [], []
+        with self._open() as index:
+            for folder in dict.fromkeys(path.resolve() for path in folders):
+                try:
+                    found.append(_run(index, folder))
+                except BenchError as error:
+                    faults.append(str(error))
+        chosen = [
+            run
+            for run in found
+            if camera in {None, run.camera}
+            and _is_between(run.begun_utc, since, until)
+            and (sequence is None or sequence.casefold() in run.sequence.casefold())
+            and how in {None, run.how}
+        ]
+        return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
+
+    @contextmanager
+    def _open(self) -> Iterator[sqlite3.Connection]:
+        make_folder(self.path.parent)
+        try:
+            index = _connect(self.path)
+        except sqlite3.DatabaseError:  # it is an index: what does not hold is made anew
+            for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
+                with storing(self.path):
+                    (self.path.parent / name).unlink(missing_ok=True)
+            index = _connect(self.path)
+        try:
+            with closing(index), index:
+                yield index
+        except sqlite3.Error as error:
+            raise StorageError(
+                f"The index of runs cannot be used: {error}.",
+                where=str(self.path),
+                remedy="Delete it; it is made anew from the journals.",
+            ) from error
+
+
+def _is_between(begun_utc: str, since: datetime | None, until: datetime | None) -> bool:
+    if not begun_utc:  # cut off before its first line
+        return since is None and until is None
+    begun = datetime.fromisoformat(begun_utc)
+    return (since is None or begun >= since) and (until is None or begun < until)
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    index = sqlite3.connect(path, timeout=10.0)
+    try:
+        index.execute("PRAGMA journal_mode = WAL")
+        index.execute("PRAGMA synchronous = FULL")
+        if index.execute("PRAGMA user_version").fetchone()[0] != VERSION:
+            index.executescript(
+                f"BEGIN; DROP TABLE IF EXISTS runs; DROP TABLE IF EXISTS parameters; {_SCHEMA} COMMIT;"
+            )
+    except sqlite3.Error:
+        index.close()
+        raise
+    return index
+
+
+def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
+    """Give the row of a run, made anew where its journal has changed."""
+    with storing(folder):
+        found = (folder / JOURNAL).stat()
+    stamp = (found.st_size, found.st_mtime_ns)
+    kept = index.execute("SELECT size, mtime_ns FROM runs WHERE folder = ?", (str(folder),)).fetchone()
+    if kept != stamp:
+        _index(index, folder, stamp)
+    row = index.execute(f"SELECT {', '.join(_COLUMNS)} FROM runs WHERE folder = ?", (str(folder),)).fetchone()  # noqa: S608
+    facts = dict(zip(_COLUMNS, row, strict=True))
+    ended = facts.pop("ended")
+    facts |= {name: bool(facts[name]) for name in ("simulated", "rehearsal")}
+    rows = index.execute(
+        "SELECT name, value, sigma FROM parameters WHERE folder = ? ORDER BY place", (str(folder),)
+    )
+    return IndexedRun(
+        folder=str(folder),
+        how=ended or ("running" if is_worked_on(folder) else "cut off"),
+        sealed=is_sealed(folder),
+        parameters={name: (value, sigma) for name, value, sigma in rows},
+        **facts,
+    )
+
+
+def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int]) -> None:
+    history = replay(read_journal(folder / JOURNAL)[0])
+    facts = _facts(history, folder)
+    places = ", ".join("?" * (len(_COLUMNS) + 3))
+    row = (str(folder), *stamp, *(facts[name] for name in _COLUMNS))
+    index.execute(f"INSERT OR REPLACE INTO runs VALUES ({places})", row)  # noqa: S608
+    index.execute("DELETE FROM parameters WHERE folder = ?", (str(folder),))
+    rows = [
+        (str(folder), name, place, *both) for place, (name, both) in enumerate(_parameters(history).items())
+    ]
+    index.executemany("INSERT INTO parameters VALUES (?, ?, ?, ?, ?)", rows)
+
+
+def read_run(folder: Path) -> IndexedRun:
+    """Look at one run's own journal, without any index.
+
+    Raises
+    ------
+    JournalBroken, StorageError
+        When it does not hold, or cannot be read.
+    """
+    history = replay(read_journal(folder / JOURNAL)[0])
+    facts = _facts(history, folder)
+    ended = facts.pop("ended")
+    return IndexedRun(
+        folder=str(folder),
+        how=ended or ("running" if is_worked_on(folder) else "cut off"),
+        sealed=is_sealed(folder),
+        parameters=_parameters(history),
+        **facts,
+    )
+
+
+def _facts(history: History, folder: Path) -> dict[str, Any]:
+    """Give what the index keeps of a run in a column each."""
+    solved, started = history.solved, history.started
+    return {
+        "id": started.get("id", folder.name),
+        "sequence": started.get("sequence", ""),
+        "station": started.get("station", ""),
+        "camera": history.devices.get("camera", {}).get("serial", ""),
+        "operator": started.get("operator"),
+        "simulated": bool(started.get("simulated", False)),
+        "rehearsal": bool(started.get("rehearsal", False)),
+        "begun_utc": history.started_utc,
+        "ended": history.ended,
+        "accepted": len(history.accepted()),
+        "recordings": len(history.attempts) + sum(history.lost.values()),
+        "deviations": len(history.deviations),
+        "temperature_c": _temperature_c(history),
+        "model": solved.get("model"),
+        "rms_px": solved.get("rms_px"),
+    }
+
+
+def _parameters(history: History) -> dict[str, tuple[float, float]]:
+    """Give value and 1 sigma of each parameter that was estimated."""
+    sigma = history.solved.get("sigma", {})
+    return {n: (v, sigma[n]) for n, v in history.solved.get("values", {}).items() if n in sigma}
+
+
+def _temperature_c(history: History) -> float | None:
+    stored = [attempt.stored.get("facts", {}).get("temperature_c") for attempt in history.accepted().values()]
+    told = [t for t in stored if t is not None]
+    return sum(told) / len(told) if told else None

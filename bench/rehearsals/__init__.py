@@ -1,0 +1,1 @@
+"""Runs and nights on a virtual clock."""

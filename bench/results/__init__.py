@@ -1,0 +1,1 @@
+"""From views to numbers and files: solving, comparing, exporting, passports, studies."""

@@ -1,0 +1,333 @@
+"""Calibrates again without devices: from run folders, RAW captures, photographs of the target, point files.
+
+Finds out what each path is, makes views of them in order, and hands them to the engine. Reads only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Self, cast, get_args
+
+import numpy as np
+
+from bench.errors import BenchError, UsageError
+from bench.records.captures import stored_captures
+from bench.records.history import replay
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
+from bench.results.comparison import planar_beside
+from bench.results.passports import read_passport
+from bench.results.point_files import Origin, read_point_file
+from bench.run.expectation import as_before
+from bench.run.job import Job
+from bench.run.measure import Expect, Measurement, measure
+from bench.stations.station import load_station
+from calib.baselines import Baseline, opencv_planar, ours, published_recipe
+from calib.calibrate import Calibration, CalibrationOptions, calibrate
+from calib.detect import detect
+from calib.errors import CalibrationError, TooFewStars
+from calib.rim import mistrust_rim
+from calib.target import StarTarget
+from calib.view import View
+from drivers.camera.frames import mean_frame
+from drivers.camera.raw_file import RawFile
+from drivers.errors import RecordingCorrupt, RecordingFileError
+from sequences.schema import ImageKind
+from sequences.script import RecordStep
+
+RECORDINGS = {".raw"}
+PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
+POINTS = {".txt", ".csv"}
+_KNOWN = RECORDINGS | PHOTOGRAPHS | POINTS
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What the operator chose.
+
+    Attributes
+    ----------
+    options
+        The engine's.
+    image_size
+        For point files.
+    chosen
+        Numbers of the views to use, from 1; None for all.
+    image
+        Kind of event image for RAW captures.
+    origin
+        Pixel origin of point files.
+    target
+        The printed target.
+    """
+
+    options: CalibrationOptions = field(default_factory=CalibrationOptions)
+    image_size: tuple[int, int] | None = None
+    chosen: tuple[int, ...] | None = None
+    image: str = "auto"
+    origin: Origin = "corner"
+    target: StarTarget = field(default_factory=StarTarget)
+
+    @classmethod
+    def from_words(
+        cls,
+        *,
+        model: str,
+        distortion: str,
+        loss: str,
+        image_size: str | None,
+        views: str | None,
+        image: str,
+        origin: str,
+        station: str | None,
+        passport: Path | None = None,
+        guard_band: float = 1.0,
+    ) -> Self:
+        """Read the command line's words.
+
+        Raises
+        ------
+        UsageError
+            Naming the word that makes no sense.
+        """
+        try:
+            options = CalibrationOptions(
+                model,  # type: ignore[arg-type]
+                distortion,
+                loss,  # type: ignore[arg-type]
+                passport=read_passport(passport) if passport else None,
+                guard_band=guard_band,
+            )
+        except CalibrationError as error:
+            raise UsageError(error.what, remedy=error.remedy) from error
+        if image not in get_args(ImageKind):
+            raise UsageError(
+                f"No event image is called {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
+            )
+        return cls(
+            options,
+            _size(image_size),
+            _numbers(views),
+            image,
+            "centre" if origin == "centre" else "corner",
+            load_station(station).value.target.pattern() if station else StarTarget(),
+        )
+
+
+@dataclass(frozen=True)
+class OfflineResult:
+    """A calibration, the planar one on the same points, what was left out and why, and the views themselves."""
+
+    calibration: Calibration
+    planar: Calibration | None
+    skipped: Sequence[str]
+    views: Sequence[View]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give it as ``--json`` prints it."""
+        return {
+            **self.calibration.to_dict(),
+            "planar": self.planar.to_dict() if self.planar else None,
+            "skipped": list(self.skipped),
+        }
+
+
+def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
+    """Make views of paths and calibrate from them.
+
+    Raises
+    ------
+    UsageError
+        When there is no such view, or a path is nothing that can be used.
+    BenchError
+        When a file named outright cannot be used, or no view is left.
+    calib.errors.CalibrationError
+        When the views do not constrain the camera.
+    """
+    sources = [source for path in paths for source in _sources(path, choices)]
+    missing = [number for number in choices.chosen or () if number > len(sources)]
+    if missing:
+        raise UsageError(
+            f"There is no view {missing[0]}: there are {len(sources)}.", remedy="Views count from 1."
+        )
+    chosen = [sources[n - 1] for n in choices.chosen] if choices.chosen else sources
+    views, skipped = [], []
+    for source in chosen:
+        try:
+            views.append(source.read())
+        except CalibrationError as error:
+            skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
+    if not views:
+        raise BenchError(
+            "No usable view.", remedy=" ".join(skipped) or "Name runs, captures, images or point files."
+        )
+    views = _distinct(_one_size(views))
+    calibration = calibrate(views, choices.options)
+    planar = planar_beside(views, choices.options) if calibration.model != "planar" else None
+    return OfflineResult(calibration, planar, skipped, views)
+
+
+def compared(result: OfflineResult, choices: Choices) -> list[Baseline]:
+    """Hold a calibration against the published recipe and OpenCV's planar method, on the same points."""
+    methods = (published_recipe, opencv_planar)
+    return [ours(result.calibration), *(method(result.views, choices.options) for method in methods)]
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A file that a view can be made of."""
+
+    path: Path
+    read: Callable[[], View]
+
+
+def _sources(path: Path, choices: Choices) -> Iterator[_Source]:
+    if not path.exists():
+        raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
+    if path.is_dir() and (path / JOURNAL).is_file():
+        yield from _run_sources(path, choices)
+    elif path.is_dir():
+        files = sorted((p for p in path.iterdir() if p.suffix.lower() in _KNOWN), key=_natural)
+        if not files:
+            raise UsageError(
+                "The folder holds no run, capture, image or point file.",
+                where=str(path),
+                remedy=f"Known endings are {', '.join(sorted(_KNOWN))}.",
+            )
+        for file in files:
+            yield _file_source(file, choices)
+    else:
+        yield _file_source(path, choices)
+
+
+def _run_sources(folder: Path, choices: Choices) -> Iterator[_Source]:
+    """Take the accepted recordings of a run, looked at as its own sequence and station say."""
+    entries, _ = read_journal(folder / JOURNAL)
+    history = replay(entries)
+    job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
+    accepted = history.accepted()
+    if not accepted:
+        raise BenchError(
+            "No recording of this run was accepted.", where=str(folder), remedy="Name its captures instead."
+        )
+    for index, attempt in sorted(accepted.items()):
+        step = job.record_step(index)
+        step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
+        path = folder / str(attempt.stored["capture"])
+        yield _Source(path, partial(_view_of_run, job, path, step, as_before(attempt)))
+
+
+def _refuse_cut_off(path: Path) -> None:
+    """Refuse a recording that is not whole: by its last word and, inside a run folder, by what its journal says.
+
+    Raises
+    ------
+    RecordingCorrupt
+        Naming the byte at which it ends.
+    """
+    size = path.stat().st_size
+    run = path.resolve().parent.parent
+    name = path.resolve().relative_to(run).as_posix()
+    told = stored_captures(read_journal(run / JOURNAL)[0]) if (run / JOURNAL).is_file() else {}
+    half_a_word = path.suffix.lower() in RECORDINGS and RawFile.open(path).truncated
+    if half_a_word or (name in told and told[name].size != size):
+        whole = f"; {told[name].size} were recorded" if name in told else ", in the middle of a word"
+        raise RecordingCorrupt(
+            f"The recording is cut off{whole}.",
+            offset=size,
+            where=str(path),
+            remedy="Copy it again from where it was recorded, or leave it out.",
+        )
+
+
+def _view_of_run(job: Job, path: Path, step: RecordStep, expect: Expect | None) -> View:
+    _refuse_cut_off(path)
+    return _view(job.measure(path, step, expect), path)
+
+
+def _file_source(path: Path, choices: Choices) -> _Source:
+    ending = path.suffix.lower()
+    if ending in RECORDINGS:
+        return _Source(path, partial(_view_of_recording, path, choices))
+    if ending in PHOTOGRAPHS:
+        return _Source(path, partial(_view_of_photograph, path, choices))
+    if ending in POINTS:
+        return _Source(
+            path, partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin)
+        )
+    raise UsageError(
+        f"Nothing is known of files that end in {ending or 'nothing'}.",
+        where=str(path),
+        remedy=f"Known endings are {', '.join(sorted(_KNOWN))}.",
+    )
+
+
+def _view_of_recording(path: Path, choices: Choices) -> View:
+    _refuse_cut_off(path)
+    found = measure(
+        path, name=path.stem, target=choices.target, image=choices.image, periods=None, expected_hz=None
+    )
+    return _view(found, path)
+
+
+def _view(found: Measurement, path: Path) -> View:
+    if found.view is None:
+        raise TooFewStars(found.fault, where=str(path))
+    return found.view
+
+
+def _view_of_photograph(path: Path, choices: Choices) -> View:
+    try:
+        picture = mean_frame(path)
+    except RecordingFileError as error:
+        raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
+    return mistrust_rim(detect(picture, choices.target, name=path.stem), choices.target)
+
+
+def _one_size(views: Sequence[View]) -> list[View]:
+    """Give all views of point files the largest size seen; views of real sensors must agree anyway."""
+    sizes = np.array([view.image_size for view in views]).max(axis=0)
+    return [replace(view, image_size=(int(sizes[0]), int(sizes[1]))) for view in views]
+
+
+def _distinct(views: Sequence[View]) -> list[View]:
+    """Tell views of one name apart by their number."""
+    names = [view.name for view in views]
+    return [
+        replace(view, name=f"{view.name} ({number})") if names.count(view.name) > 1 else view
+        for number, view in enumerate(views, 1)
+    ]
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    """Sort key by which image10 follows image9."""
+    words = re.split(r"(\d+)", path.name)
+    return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", text.strip())
+    if found is None:
+        raise UsageError(
+            f"{text!r} is not an image size.", where="--image-size", remedy="Write it as 1280x720."
+        )
+    return int(found[1]), int(found[2])
+
+
+def _numbers(text: str | None) -> tuple[int, ...] | None:
+    if text is None:
+        return None
+    words = [word.strip() for word in text.split(",")]
+    if not all(re.fullmatch(r"[1-9]\d{0,5}", word) for word in words) or len(set(words)) != len(words):
+        raise UsageError(
+            f"{text!r} is no list of views.",
+            where="--views",
+            remedy="Write different numbers from 1, as 1,5,9.",
+        )
+    return tuple(int(word) for word in words)

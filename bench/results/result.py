@@ -1,0 +1,295 @@
+"""From accepted recordings to results.json, pictures, exports and the report.
+
+Everything here can be done again from the run folder alone; nothing reaches a device. The truth of a simulated
+world enters last, for a comparison, after every estimate stands.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bench import __version__
+from bench.errors import BenchError
+from bench.records.history import Attempt, History, RunLog
+from bench.records.run_folder import REPORT, RESULTS, RunFolder
+from bench.records.views_file import views_file
+from bench.report import ReportData, ViewPicture, render_report
+from bench.results.comparison import compare, planar_beside
+from bench.results.cross_checks import gimbal, halves
+from bench.results.exports import exports
+from bench.run.expectation import as_before
+from bench.run.gates import Gate, solution_gates
+from bench.run.job import Job, calibration_options
+from bench.run.measure import Measurement, aligned_poses
+from bench.stations.camera_kinds import CameraKind
+from calib.calibrate import Calibration, calibrate
+from calib.picture import to_uint8
+from sequences.script import SolveStep
+
+VIEWS = "views.h5"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run arrived at: its results (as in results.json) and the path of its report."""
+
+    results: Mapping[str, Any]
+    report: Path
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A calibration, the planar one on the same points, what they were made of, and how it was judged."""
+
+    calibration: Calibration
+    planar: Calibration | None
+    measurements: Sequence[Measurement]
+    judged: Sequence[Gate]
+    checks: Mapping[str, Any]
+    """`halves` and `gimbal` of the results, where they could be told."""
+
+
+class ResultWriter:
+    """Computes and writes the results of one run."""
+
+    def __init__(self, job: Job, folder: RunFolder) -> None:
+        self.outcome: Outcome | None = None
+        self._job = job
+        self._folder = folder
+        self._solution: Solution | None = None
+
+    def solve(
+        self,
+        step: SolveStep,
+        history: History,
+        measured: Mapping[int, Measurement],
+        check: Callable[[], None],
+    ) -> dict[str, Any]:
+        """Calibrate from the accepted recordings.
+
+        Parameters
+        ----------
+        step
+            Model, distortion and loss.
+        history
+            Tells which recordings were accepted.
+        measured
+            Measurements at hand, by pose; others are made again from their recordings.
+        check
+            Called between pieces of work; raises when the run is to stop.
+
+        Returns
+        -------
+        dict
+            The main numbers, for the journal.
+
+        Raises
+        ------
+        calib.errors.CalibrationError
+            When the views do not constrain the camera.
+        """
+        measurements = []
+        for index, attempt in sorted(history.accepted().items()):
+            check()
+            measurements.append(measured.get(index) or self._measure_again(attempt))
+        views = [m.view for m in measurements if m.view is not None]
+        options = calibration_options(step)
+        calibration = _with_cautions(calibrate(views, options), measurements)
+        check()
+        planar = planar_beside(views, options) if calibration.model != "planar" else None
+        found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
+        found |= {f"sigma_{name}": sigma for name, sigma in calibration.sigma.items()}
+        readings = [attempt.stored["measured_deg"] for _, attempt in sorted(history.accepted().items())]
+        checks = {"halves": halves(views, options), "gimbal": gimbal(calibration, readings)}
+        check()
+        self._solution = Solution(
+            calibration,
+            planar,
+            measurements,
+            solution_gates(step.limits, found),
+            {name: found for name, found in checks.items() if found is not None},
+        )
+        return main_numbers(calibration)
+
+    def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
+        """Write results.json, views.h5, exports and the report.
+
+        Parameters
+        ----------
+        log
+            The run so far.
+        truth
+            What the simulated world is made of; None on a real bench.
+
+        Raises
+        ------
+        BenchError
+            When nothing was solved.
+        StorageError
+            When the disk does not take a file.
+        """
+        if self._solution is None:
+            raise BenchError(
+                "There is nothing to report: no solve step came before.", remedy="Add one to the sequence."
+            )
+        solution = self._solution
+        results = self._results(log.history, solution, truth)
+        pictures = [to_uint8(m.image) for m in solution.measurements if m.image is not None]
+        self._folder.write_atomic(RESULTS, _json_bytes(results))
+        residuals = solution.calibration.residuals_px
+        self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals, pictures))
+        for name, data in exports(solution.calibration, camera_name=self._job.camera_name).items():
+            self._folder.write_atomic(f"exports/{name}", data)
+        shown = [
+            ViewPicture(m.view.name, image, m.view.points_px, m.view.points_px - r, m.view.ids)
+            for m, image, r in zip(solution.measurements, pictures, residuals, strict=True)
+            if m.view is not None
+        ]
+        html = render_report(ReportData(results, shown, log.journal.head))
+        path = self._folder.write_atomic(REPORT, html.encode())
+        self.outcome = Outcome(results, path)
+
+    def _measure_again(self, attempt: Attempt) -> Measurement:
+        path = self._folder.path / str(attempt.stored["capture"])
+        found = self._job.measure(path, self._job.record_step(attempt.pose_index), as_before(attempt))
+        if found.view is None:
+            raise BenchError(
+                f"{attempt.stored['capture']} was accepted, and now no stars are found in it: {found.fault}",
+                where=str(self._folder.path),
+                remedy="Another version of the program recorded it; use that one, or `starbench calibrate`.",
+            )
+        return found
+
+    def _results(
+        self, history: History, solution: Solution, truth: Mapping[str, Any] | None
+    ) -> dict[str, Any]:
+        started, calibration = history.started, solution.calibration
+        return {
+            "schema": "starbench/results/1",
+            "run": {
+                "id": started["id"],
+                "sequence": started["sequence"],
+                "station": started["station"],
+                "started_utc": history.started_utc,
+                "finished_utc": history.states[-1]["utc"],
+                "seed": started["seed"],
+                "operator": started["operator"],
+                "laboratory": self._job.laboratory,
+                "simulated": self._job.simulated,
+                "camera": self._job.camera_kind.name,
+                "resumed": history.resumed,
+                **({"ledger": dict(history.ledger)} if history.ledger else {}),
+                "software": software(),
+            },
+            "devices": dict(history.devices),
+            "conditions": _conditions(history, self._job.camera_kind),
+            "calibration": calibration.to_dict(),
+            "planar": solution.planar.to_dict() if solution.planar else None,
+            **solution.checks,
+            "poses": _poses(history, solution, self._job.camera_kind),
+            "gates": [*(gate.as_data() for gate in solution.judged), *_gates(history)],
+            "deviations": list(history.deviations),
+            "states": list(history.states),
+            "truth": dict(truth) if truth is not None else None,
+            "comparison": compare(calibration, truth) if truth is not None else [],
+        }
+
+
+def _with_cautions(calibration: Calibration, measurements: Sequence[Measurement]) -> Calibration:
+    """Add what the recordings say against the stated uncertainties."""
+    aligned = aligned_poses(m.facts for m in measurements)
+    if not aligned:
+        return calibration
+    note = (
+        f"In {aligned} of {len(measurements)} recordings the stars' edges run along the pixels' rows or diagonals, and "
+        "neighbouring stars err alike: the uncertainties may be up to 1.6 times too small. Roll the camera by about "
+        "10 degrees against the target."
+    )
+    return replace(calibration, notes=(*calibration.notes, note))
+
+
+def main_numbers(calibration: Calibration) -> dict[str, Any]:
+    """Give what the journal carries of a calibration."""
+    return {
+        "model": calibration.model,
+        "converged": calibration.converged,
+        "rms_px": calibration.rms_px,
+        "values": dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True)),
+        "sigma": dict(calibration.sigma),
+    }
+
+
+def software() -> dict[str, str]:
+    """Versions of what took part in a result."""
+    parts = {"starbench": __version__, "python": platform.python_version()}
+    for name in ("numpy", "scipy", "opencv-python-headless", "numba"):
+        parts[name] = version(name)
+    return parts
+
+
+def _json_bytes(results: Mapping[str, Any]) -> bytes:
+    return (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()
+
+
+def _conditions(history: History, kind: CameraKind) -> dict[str, Any]:
+    """What the light and the camera were set to, as read back at the last accepted recording."""
+    stored = [a.stored for _, a in sorted(history.accepted().items())]
+    light = dict(stored[-1]["light"])
+    if light.get("waveform") == "steady":  # nothing of a flicker applies
+        light = {name: light[name] for name in ("waveform", "high_v")}
+    return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
+
+
+def _poses(history: History, solution: Solution, kind: CameraKind) -> list[dict[str, Any]]:
+    summaries = {view.name: view for view in solution.calibration.views}
+    poses = []
+    for index in sorted({a.pose_index for a in history.attempts}):
+        attempts = history.attempts_at(index)
+        best = history.accepted().get(index)
+        shown = best or attempts[-1]
+        measured = (shown.checked or {}).get("measured", {})
+        summary = summaries.get(shown.pose_name) if best else None
+        poses.append(
+            {
+                "index": index,
+                "name": shown.pose_name,
+                "commanded_deg": shown.stored["commanded_deg"],
+                "measured_deg": shown.stored["measured_deg"],
+                "measured_after_deg": shown.stored["measured_after_deg"],
+                "attempts": [_attempt(a, kind) for a in attempts],
+                "image": measured.get("image"),
+                "flicker_hz": measured.get("flicker_hz"),
+                "named_by": measured.get("named_by"),
+                "stars": summary.n if summary else 0,
+                "rms_px": summary.rms_px if summary else None,
+                "mean_px": summary.mean_px if summary else None,
+            }
+        )
+    return poses
+
+
+def _attempt(attempt: Attempt, kind: CameraKind) -> dict[str, Any]:
+    stored, checked = attempt.stored, attempt.checked or {}
+    return {
+        "attempt": attempt.attempt,
+        "capture": stored["capture"],
+        "sha256": stored["sha256"],
+        "accepted": attempt.accepted,
+        "reasons": list(checked.get("reasons", [])),
+        **kind.counts(stored["facts"]),
+    }
+
+
+def _gates(history: History) -> list[dict[str, Any]]:
+    """Gates of the accepted recordings, named with their pose."""
+    return [
+        {**gate, "name": f"pose {index}: {gate['name']}"}
+        for index, attempt in sorted(history.accepted().items())
+        for gate in (attempt.checked or {}).get("gates", [])
+    ]

@@ -1,0 +1,142 @@
+"""How a parameter goes over a night: its mean, whether its scatter is what its uncertainties say, and what it follows.
+
+Plain numbers in, plain numbers out. A slope is that of a weighted straight line; its uncertainty grows where the
+points scatter about the line more than their own uncertainties say. Uncertainties of different runs are taken as
+independent; what runs share (the collimator, the target's pitch) does not show in their differences.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from bench.records.run_index import IndexedRun
+from bench.results.agreement import agreement
+
+SEEN_SIGMAS = 3.5
+"""A slope of more standard uncertainties than that is seen: by chance one in 2000 is, of some twenty looked at."""
+
+LEAST_SPAN_H = 0.5
+"""Runs within less time say nothing of a change per hour."""
+
+
+@dataclass(frozen=True)
+class Slope:
+    """How much a parameter changes, in its own unit per hour or per degree Celsius, and that number's 1 sigma."""
+
+    value: float
+    sigma: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether it is more than chance explains."""
+        return abs(self.value) > SEEN_SIGMAS * self.sigma
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give it as JSON carries it."""
+        return {"value": self.value, "sigma": self.sigma, "seen": self.seen}
+
+
+@dataclass(frozen=True)
+class Trend:
+    """One parameter of one camera over several runs.
+
+    Attributes
+    ----------
+    name
+        The parameter.
+    mean, sigma, birge
+        As ``agreement.Agreement``.
+    per_hour, per_c
+        How it follows time, and the camera's temperature; None where too little varies.
+    """
+
+    name: str
+    mean: float
+    sigma: float
+    birge: float
+    per_hour: Slope | None
+    per_c: Slope | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give it as JSON carries it."""
+        return {
+            "name": self.name,
+            "mean": self.mean,
+            "sigma": self.sigma,
+            "birge": self.birge,
+            "per_hour": self.per_hour.to_dict() if self.per_hour else None,
+            "per_c": self.per_c.to_dict() if self.per_c else None,
+        }
+
+
+def slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) -> Slope | None:
+    """Fit a straight line, weighted by 1 / sigma^2; None with fewer than three points, or where x does not vary.
+
+    Examples
+    --------
+    >>> found = slope([0, 1, 2, 3], [1.0, 3.0, 5.0, 7.0], [0.1] * 4)
+    >>> round(found.value, 6), round(found.sigma, 4), found.seen
+    (2.0, 0.0447, True)
+    >>> slope([1, 1, 1], [1, 2, 3], [1, 1, 1]) is None
+    True
+    """
+    if len(x) < 3:
+        return None
+    weights = [1.0 / s**2 for s in sigma]
+    total = math.fsum(weights)
+    middle_x = math.fsum(w * a for w, a in zip(weights, x, strict=True)) / total
+    middle_y = math.fsum(w * b for w, b in zip(weights, y, strict=True)) / total
+    spread = math.fsum(w * (a - middle_x) ** 2 for w, a in zip(weights, x, strict=True))
+    if spread <= 1e-12 * total * max(1.0, middle_x**2):
+        return None
+    value = (
+        math.fsum(w * (a - middle_x) * (b - middle_y) for w, a, b in zip(weights, x, y, strict=True)) / spread
+    )
+    chi2 = math.fsum(
+        w * (b - middle_y - value * (a - middle_x)) ** 2 for w, a, b in zip(weights, x, y, strict=True)
+    )
+    return Slope(value, math.sqrt(1.0 / spread) * max(1.0, math.sqrt(chi2 / (len(x) - 2))))
+
+
+def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
+    """Follow every parameter that all runs have estimated.
+
+    Parameters
+    ----------
+    runs
+        Of one camera and one model, each with a calibration, oldest first.
+    """
+    if len(runs) < 2:
+        return []
+    hours = [hours_after(run.begun_utc, runs[0].begun_utc) for run in runs]
+    warm = [run.temperature_c for run in runs]
+    known_c = [t for t in warm if t is not None]
+    found = []
+    for name in runs[0].parameters:
+        values = [run.parameters.get(name, (0.0, 0.0)) for run in runs]
+        if not all(sigma > 0 for _, sigma in values):
+            continue
+        agreed = agreement(name, values)
+        y, sigma = [v for v, _ in values], [s for _, s in values]
+        per_hour = slope(hours, y, sigma) if hours[-1] - hours[0] >= LEAST_SPAN_H else None
+        per_c = slope(known_c, y, sigma) if len(known_c) == len(runs) else None
+        found.append(Trend(name, agreed.mean, agreed.sigma, agreed.birge, per_hour, per_c))
+    return found
+
+
+def hours_after(utc: str, begin_utc: str) -> float:
+    """Give a moment as hours after another, both ISO 8601."""
+    return (datetime.fromisoformat(utc) - datetime.fromisoformat(begin_utc)).total_seconds() / 3600.0
+
+
+def by_camera(runs: Sequence[IndexedRun]) -> dict[tuple[str, str], list[IndexedRun]]:
+    """Group the runs that have a calibration by camera and model, oldest first."""
+    found: dict[tuple[str, str], list[IndexedRun]] = {}
+    for run in sorted(runs, key=lambda run: (run.begun_utc, run.folder)):
+        if run.parameters:
+            found.setdefault((run.camera, str(run.model)), []).append(run)
+    return dict(sorted(found.items()))

@@ -1,0 +1,314 @@
+"""Commands of operators to a run under way, from another terminal or a program: hold, release, abort, skip, answer.
+
+A command is one JSON file, written whole into ``control/`` of the run folder. A thread of the run looks there, decides,
+journals what it decided and removes the file; so the journal is the answer, and a command is never taken twice.
+``abort`` goes to the clock at once, past the queue of the work; the rest is done at the next safe point, by the
+runner. Who holds a run owns it until the release: others are refused, but for ``abort``, which nobody is refused.
+Knows no devices.
+"""
+
+from __future__ import annotations
+
+import getpass
+import shutil
+import socket
+import stat
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from bench.clock import BenchClock
+from bench.errors import BenchError, RunFolderError
+from bench.records.folder_lock import is_worked_on
+from bench.records.history import Event, History, RunLog
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL
+from bench.records.storage import is_temporary, make_folder, storing, sync_folder, write_whole
+from bench.run.heartbeat import CONTROL, HEARTBEAT
+from sequences.schema import Answer
+
+POLL_S = 0.1
+_MOST_BYTES = 4096
+_PATIENCE_S = 10.0
+_SUFFIX = ".json"
+
+Word = Literal["hold", "release", "abort", "skip", "answer"]
+Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+
+
+class Command(BaseModel):
+    """What an operator wants of a run.
+
+    Attributes
+    ----------
+    id
+        Its own; the journal answers by it.
+    word
+        What is wanted.
+    by
+        Who wants it.
+    pose
+        Which pose to skip; None for the one at work.
+    answer
+        To the question a run asks: ``continue`` or ``abort``.
+    take_over
+        Whether to become the owner of a run that somebody else holds.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    format: Literal["starbench/command/1"] = "starbench/command/1"
+    id: Line = Field(default_factory=lambda: uuid.uuid4().hex)
+    word: Word
+    by: Line
+    pose: Annotated[int, Field(ge=1)] | None = None
+    answer: Answer | None = None
+    take_over: bool = False
+
+    @model_validator(mode="after")
+    def _answers(self) -> Command:
+        if (self.word == "answer") != (self.answer is not None):
+            raise ValueError("an answer, and nothing else, says continue or abort")
+        return self
+
+
+def who_is_there() -> str:
+    """Name the person at this terminal: ``user@machine``."""
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):  # no such user in the system's list, as in a container
+        user = "somebody"
+    return f"{user}@{socket.gethostname()}"
+
+
+def refusal(command: Command, history: History, poses: Mapping[int, str]) -> str:
+    """Say why a command is not taken; empty when it is.
+
+    Parameters
+    ----------
+    command
+        With its pose filled in.
+    history
+        The run so far.
+    poses
+        Names of the poses to record, by index.
+    """
+    if command.word == "abort":
+        return ""
+    if history.holder not in {"", command.by} and not command.take_over:
+        return f"the run is held by {history.holder}; --take-over makes you its owner"
+    if command.word == "answer":
+        return "" if history.question and history.answer is None else "nothing is asked"
+    if command.word == "release" and not history.holder:
+        return "nobody holds the run"
+    return _skip_refusal(command.pose, history, poses) if command.word == "skip" else ""
+
+
+def _skip_refusal(pose: int | None, history: History, poses: Mapping[int, str]) -> str:
+    if pose is None:
+        return "no pose is at work; name the one to skip"
+    if pose not in poses:
+        return f"there is no pose {pose}; they are 1 to {max(poses, default=0)}"
+    if pose in history.accepted():
+        return f"pose {pose} ({poses[pose]}) is recorded already, and counts"
+    return f"pose {pose} ({poses[pose]}) is skipped already" if pose in history.to_skip else ""
+
+
+class Inbox:
+    """The commands to this process's run: watched from ``open`` to ``close`` by a thread of its own.
+
+    Parameters
+    ----------
+    folder
+        The run folder, held by this process.
+    log
+        Where decisions are told; what runner and status go by.
+    poses
+        Names of the poses to record, by index.
+    clock
+        Asked to stop by ``abort``; asked to fail when the journal does not take a decision.
+    looks
+        What else is to be looked at in every round: signs of life, interlocks.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        log: RunLog,
+        poses: Mapping[int, str],
+        clock: BenchClock,
+        looks: Sequence[Callable[[], None]] = (),
+    ) -> None:
+        self._path = folder / CONTROL
+        self._log = log
+        self._poses = poses
+        self._clock = clock
+        self._looks = looks
+        self._closing = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, name="commands", daemon=True)
+
+    def open(self) -> Self:
+        """Begin to take commands. What was meant for a process that has died is answered, and not done."""
+        make_folder(self._path)
+        self._drain("it was meant for a process that has died")
+        self._watcher.start()
+        return self
+
+    def close(self) -> None:
+        """Take no more commands, and remove the inbox; what lies there is answered. Once is enough."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        if self._watcher.is_alive():
+            self._watcher.join()
+        self._drain("the run was ending")
+        remove_inbox(self._path.parent)
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _watch(self) -> None:
+        try:
+            while not self._closing.wait(POLL_S):
+                self._drain("")
+                for look in self._looks:
+                    look()
+        except (
+            BenchError
+        ) as error:  # a run that cannot be commanded, or whose journal is full, must not go on
+            self._clock.request_failure(error)
+
+    def _drain(self, why_not: str) -> None:
+        """Answer every command that lies there, oldest first; not taken where ``why_not`` says so."""
+        with storing(self._path):
+            if not self._path.is_dir():  # an operator tidied up
+                return
+            names = sorted(p for p in self._path.iterdir() if not is_temporary(p) and p.name != HEARTBEAT)
+        for path in names:
+            with storing(path), suppress(FileNotFoundError):  # taken back by its sender at this moment
+                self._answer(path, why_not)
+                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+
+    def _answer(self, path: Path, why_not: str) -> None:
+        command = _read(path)
+        if command is None:
+            self._log.tell(Event.COMMANDED, id=path.name, word="unknown", taken=False, why="it is no command")
+            return
+        with self._log.held() as history:
+            if command.word == "skip" and command.pose is None:
+                command = command.model_copy(update={"pose": history.at_pose})
+            why_not = why_not or refusal(command, history, self._poses)
+            said = command.model_dump(exclude={"format"})
+            self._log.tell(Event.COMMANDED, **said, taken=not why_not, why=why_not)
+        if command.word == "abort" and not why_not:
+            self._clock.request_stop(f"abort by {command.by}")
+
+
+def _read(path: Path) -> Command | None:
+    """Read a command; None for anything else that may lie there, which is not waited for."""
+    found = path.lstat()
+    if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
+        return None
+    try:
+        return Command.model_validate_json(path.read_bytes())
+    except ValidationError:
+        return None
+
+
+def remove_inbox(folder: Path) -> None:
+    """Remove the inbox of a run that takes no more commands; before a seal there must be none."""
+    path = folder / CONTROL
+    with storing(path):
+        for _ in range(10):  # a command may arrive while the folder is being emptied
+            if not path.exists():
+                return
+            shutil.rmtree(path, ignore_errors=True)
+        shutil.rmtree(path)
+        sync_folder(folder)
+
+
+def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
+    """Give a command to a run under way, and wait for its answer.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    command
+        What is wanted.
+    patience_s
+        How long to wait for the answer, s.
+
+    Returns
+    -------
+    dict
+        The journal's answer: ``word by pose taken why``.
+
+    Raises
+    ------
+    RunFolderError
+        When no process works on the run, or it ended, or did not answer in time; the command is then taken back.
+    StorageError
+        When it cannot be written.
+    """
+    inbox = folder / CONTROL
+    if not is_worked_on(folder) or not inbox.is_dir():
+        raise RunFolderError(
+            "No process works on this run.",
+            where=str(folder),
+            remedy="See `starbench status`; a run that was cut off goes on with `starbench resume`.",
+        )
+    path = inbox / f"{time.time_ns():020d}-{command.id}{_SUFFIX}"
+    write_whole(path, command.model_dump_json().encode() + b"\n")
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline:
+        answer = _answer_in(folder, command.id)
+        if answer is not None:
+            return answer
+        if not path.exists() and not is_worked_on(folder):
+            break
+        time.sleep(POLL_S)
+    path.unlink(missing_ok=True)
+    answer = _answer_in(folder, command.id)  # it may have come at the last moment
+    if answer is not None:
+        return answer
+    raise RunFolderError(
+        f"The run did not answer within {patience_s:g} s; the command was taken back.",
+        where=str(folder),
+        remedy="See `starbench status`. A process that hangs is ended by a signal (SIGTERM).",
+    )
+
+
+def _answer_in(folder: Path, command_id: str) -> dict[str, Any] | None:
+    entries, _ = read_journal(folder / JOURNAL)
+    found = (e for e in reversed(entries) if e.event == Event.COMMANDED and e.data["id"] == command_id)
+    entry = next(found, None)
+    return dict(entry.data) if entry is not None else None
+
+
+def command_text(answer: Mapping[str, Any]) -> str:
+    """Say what became of a command.
+
+    Examples
+    --------
+    >>> command_text({"word": "hold", "taken": False, "why": "the run is held by ada@lab"})
+    'Not taken: the run is held by ada@lab.'
+    """
+    if not answer["taken"]:
+        return f"Not taken: {answer['why']}."
+    return {
+        "hold": "Taken: the run holds at its next safe point, with the light off, until `starbench release`.",
+        "release": "Taken: the run goes on.",
+        "abort": "Taken: the run ends now, safely; it can be resumed.",
+        "answer": f"Taken: {answer.get('answer')}.",
+        "skip": f"Taken: pose {answer.get('pose')} is skipped.",
+    }[answer["word"]]

@@ -1,0 +1,123 @@
+"""What a run does while it holds: for an operator, for the answer to a question, or by an interlock.
+
+Held by an operator or an interlock the light is off and the stage at rest. Knows devices through those who hold them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from bench.clock import Aborted, BenchClock
+from bench.console.prompt import Reply, ask
+from bench.records.history import Event, RunLog
+from bench.run.interlocks import Interlocks, Trip, words
+from sequences.script import PromptStep
+
+MOST_HOLD_S = 8 * 3600.0
+"""An operator who holds a run for longer has gone home: the run is then aborted, safely."""
+HOLD_POLL_S = 0.1
+
+
+class Resting(Protocol):
+    """Whoever has the devices."""
+
+    def switch_off_light(self) -> None:
+        """Switch the light off, where devices are open. Raises DriverError."""
+        ...
+
+    def come_to_rest(self) -> None:
+        """Stop the stage, switch the light off, stop the camera; what cannot be is told, and not raised."""
+        ...
+
+
+class Holding:
+    """The work of the state ``holding``.
+
+    Parameters
+    ----------
+    bench
+        Has the devices.
+    log
+        Where questions, answers and releases are told.
+    interlocks
+        Say when a run held by one of them goes on.
+    clock
+        Waits go through it, so a stop ends them.
+    say
+        Shows a line to the operator.
+    """
+
+    def __init__(
+        self,
+        bench: Resting,
+        log: RunLog,
+        interlocks: Interlocks,
+        clock: BenchClock,
+        say: Callable[[str], None],
+    ) -> None:
+        self.trip: Trip | None = None
+        """The interlock by which is held, where it is by one."""
+        self._bench = bench
+        self._log = log
+        self._interlocks = interlocks
+        self._clock = clock
+        self._say = say
+
+    def hold(self, step: Any, *, by: str = "", rule: str = "") -> None:
+        """Hold for an operator who asked for it (``by``), by a ``rule``; else ask the step's question.
+
+        Raises
+        ------
+        Aborted
+            When a stop was asked for, the answer was to abort, or an operator has held for too long.
+        InterlockHeld
+            When an interlock has.
+        """
+        if by:
+            self._until_released()
+        elif rule:
+            self._until_clear()
+        else:
+            self._until_answered(step)
+
+    def _until_released(self) -> None:
+        """Until the owner releases the run; not longer than ``MOST_HOLD_S``."""
+        self._bench.switch_off_light()
+        history, begin_s = self._log.history, self._clock.monotonic()
+        while history.holder:
+            if self._clock.monotonic() - begin_s > MOST_HOLD_S:
+                raise Aborted(f"held by {history.holder} for more than {MOST_HOLD_S / 3600:g} h")
+            self._clock.sleep(HOLD_POLL_S)
+
+    def _until_clear(self) -> None:
+        assert self.trip is not None
+        with self._clock.shielded():
+            self._bench.come_to_rest()
+        held_s = self._interlocks.wait(self.trip)
+        name = words(self.trip.interlock.name)
+        self._log.tell(Event.INTERLOCK_RELEASED, rule=self.trip.interlock.name, held_s=round(held_s, 3))
+        what = f"The {name} interlock held for {held_s:.0f} s: {self.trip.why}."
+        self._log.tell(Event.DEVIATION, what=what)
+        self._say(f"{what} The run goes on.")
+
+    def _until_answered(self, step: PromptStep) -> None:
+        self._log.tell(
+            Event.ASKED, step=step.number, text=step.text, default=step.default, timeout_s=step.timeout_s
+        )
+        answer = ask(
+            step.text,
+            default=step.default,
+            timeout_s=step.timeout_s,
+            clock=self._clock,
+            say=self._say,
+            elsewhere=self._answer_from_elsewhere,
+        )
+        self._log.tell(Event.ANSWERED, step=step.number, answer=answer.word, by=answer.by)
+        if answer.word == "abort":
+            raise Aborted(f"{step.text} was answered with abort ({answer.by})")
+
+    def _answer_from_elsewhere(self) -> Reply | None:
+        """The answer given by `starbench answer`, if there is one."""
+        given = self._log.history.answer
+        return Reply(*given) if given is not None else None

@@ -1,0 +1,307 @@
+"""Begins a run, or takes one up again: files checked, folder made and held, journal begun, result sealed.
+
+Joins plan, run folder, journal, runner and seal. Everything that can be wrong with the files is found before the
+folder is made, and everything wrong with the folder before a device is opened.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TextIO
+
+from bench.clock import BenchClock
+from bench.console.progress import Progress
+from bench.console.signals import stop_on_signals
+from bench.errors import BenchError, RunFolderError
+from bench.evidence.keys import ensure_key, home_folder
+from bench.evidence.seal import seal
+from bench.messaging.messages import Courier
+from bench.messaging.outbox import Outbox
+from bench.plans.plan import Plan
+from bench.records.history import Event, History, replay
+from bench.records.journal import Entry, Journal, read_journal
+from bench.records.ledger import Ledger
+from bench.records.run_folder import (
+    JOURNAL,
+    PLAN,
+    REPORT,
+    RESULTS,
+    SEQUENCE_COPY,
+    STATION_COPY,
+    RunFolder,
+    refuse_unresumable,
+)
+from bench.results.result import Outcome, software
+from bench.run.control import remove_inbox
+from bench.run.crash_log import crash_log, put_away, read_crash
+from bench.run.job import Job
+from bench.run.resumption import intentions
+from bench.run.runner import RunEnd, Runner
+from bench.stations.devices import Devices
+from drivers.wire_log import WireLogFile
+
+WIRE_LOG = "wire.jsonl"
+
+AskPassphrase = Callable[[Path], bytes]
+
+
+@dataclass(frozen=True)
+class Launch:
+    """What both ways of running need from whoever calls.
+
+    Attributes
+    ----------
+    clock
+        The run's clock.
+    stream
+        Where progress goes; standard error by default.
+    ask_passphrase
+        Asked for the passphrase of a protected signing key.
+    """
+
+    clock: BenchClock
+    stream: TextIO | None = None
+    ask_passphrase: AskPassphrase | None = None
+
+
+def start_run(
+    sequence: str,
+    station: str,
+    *,
+    output: Path | None,
+    seed: int | None,
+    operator: str | None,
+    launch: Launch,
+    settings: Mapping[str, str] | None = None,
+) -> RunEnd:
+    """Run a sequence on a station, from plan to sealed report.
+
+    Parameters
+    ----------
+    sequence, station
+        Paths of the files, or names of shipped ones.
+    output
+        The new run folder; by default one below ``runs/``, named by time and sequence.
+    seed
+        Seed of a simulated bench; drawn, and recorded, when not given.
+    operator
+        Who runs it.
+    settings
+        What is set otherwise than the files say (``plan.load``); the run folder keeps both files with that in them.
+
+    Raises
+    ------
+    ScriptError
+        With everything that is wrong with the files.
+    RunFolderError, StorageError
+        When the folder cannot be used.
+    EvidenceError
+        When the signing key cannot be used.
+    """
+    seed = secrets.randbits(31) if seed is None else seed
+    job = Job.from_files(sequence, station, seed=seed, operator=operator, settings=settings)
+    plan = job.plan
+    folder_path = output or default_folder(plan, launch.clock.utc_now())
+    needed = plan.size_bytes + int(plan.station.value.disk.min_free_gb * 1e9)
+    with RunFolder.create(folder_path, bytes_needed=needed) as folder:
+        documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
+        for name, text in documents.items():
+            folder.write_atomic(name, text)
+        folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
+        ledger = _ledger(launch)
+        place = _begin(ledger, job, folder.path)
+        with (
+            _ending(ledger, place, folder.path) as ending,
+            Journal.create(
+                folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
+            ) as journal,
+        ):
+            journal.append(
+                Event.RUN_STARTED,
+                id=folder_path.resolve().name,
+                sequence=plan.sequence.value.name,
+                station=plan.station.value.name,
+                sha256={name: hashlib.sha256(text).hexdigest() for name, text in documents.items()},
+                seed=seed,
+                operator=job.operator,
+                simulated=job.simulated,
+                software=software(),
+                ledger=place,
+            )
+            return ending(_run_and_seal(job, folder, journal, launch))
+
+
+def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
+    """Take up a run that was aborted, failed, killed or cut off; say first what will be done.
+
+    What is stored stays; the step at which it stopped is done again, after the move it stands on.
+
+    Raises
+    ------
+    RunFolderError
+        When there is no run, it is sealed, or another process works on it.
+    JournalBroken
+        When its journal does not hold.
+    ScriptError
+        When its sequence or station file no longer is what it was begun with.
+    """
+    with (
+        RunFolder.open(folder_path) as folder,
+        Journal.open(
+            folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
+        ) as journal,
+    ):
+        job, history = _job_of(folder.path, journal.entries)
+        crash = read_crash(folder.path)
+        put_away(folder)
+        ledger = _ledger(launch)
+        place = history.ledger
+        if not ledger.knows(
+            place.get("number"), folder.path.name
+        ):  # begun on another bench, or without a ledger
+            place = _begin(ledger, job, folder.path)
+        with _ending(ledger, place, folder.path) as ending:
+            if history.ended == "finished":
+                return ending(_seal_finished(folder, journal, launch))
+            said: dict[str, Any] = {"crash": crash} if crash else {}
+            said |= {"ledger": place} if place is not history.ledger else {}
+            journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **said)
+            words = intentions(job, history, crash)
+            return ending(_run_and_seal(job, folder, journal, launch, say_first=words))
+
+
+def read_intentions(folder_path: Path) -> list[str]:
+    """Say what resuming a run would do, a line each; nothing is changed.
+
+    Raises
+    ------
+    RunFolderError, JournalBroken, ScriptError
+        As ``resume_run``.
+    """
+    refuse_unresumable(folder_path)
+    job, history = _job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
+    return intentions(job, history, read_crash(folder_path))
+
+
+def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
+    """Make the task of a run again from the files it was begun with, and what has happened so far."""
+    history = replay(entries)
+    if not history.started:
+        raise RunFolderError(
+            "This run was cut off before it began.", where=str(folder), remedy="Start it anew."
+        )
+    if history.started.get("rehearsal"):
+        raise RunFolderError(
+            "This run is a rehearsal: no device took part, and none will.",
+            where=str(folder),
+            remedy="Start a new run.",
+        )
+    _refuse_changed(folder, history.started["sha256"])
+    job = Job.from_files(
+        str(folder / SEQUENCE_COPY),
+        str(folder / STATION_COPY),
+        seed=history.started["seed"],
+        operator=history.started["operator"],
+    )
+    return job, history
+
+
+def _ledger(launch: Launch) -> Ledger:
+    return Ledger(home_folder(), utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic)
+
+
+def _begin(ledger: Ledger, job: Job, folder: Path) -> Mapping[str, Any]:
+    camera = job.station.camera.serial
+    return ledger.begin(run_id=folder.name, folder=folder, camera=camera, simulated=job.simulated)
+
+
+@contextmanager
+def _ending(ledger: Ledger, place: Mapping[str, Any], folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
+    """Enter into the ledger how the run of the block ended: as it tells by what it is given; else it failed."""
+    how = "failed"
+
+    def ending(end: RunEnd) -> RunEnd:
+        nonlocal how
+        how = end.how
+        return end
+
+    try:
+        yield ending
+    finally:
+        ledger.end(place["number"], how=how, folder=folder)
+
+
+def default_folder(plan: Plan, now: datetime) -> Path:
+    """Name a run's folder by time and sequence, below ``runs/``."""
+    words = "".join(c if c.isalnum() and c.isascii() else "-" for c in plan.sequence.value.name.lower())
+    name = "-".join(filter(None, words.split("-")))[:40] or "run"
+    return Path("runs") / f"{now:%Y%m%d-%H%M%S}-{name}"
+
+
+def _run_and_seal(
+    job: Job, folder: RunFolder, journal: Journal, launch: Launch, *, say_first: Iterable[str] = ()
+) -> RunEnd:
+    clock = launch.clock
+    key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
+    wire_log = WireLogFile(folder.path / WIRE_LOG)
+    progress = Progress(clock.monotonic, job.plan.duration_s, len(job.plan.poses), launch.stream)
+
+    def open_devices() -> Devices:
+        return Devices(job.station, seed=job.seed, clock=clock, wire_log=wire_log)
+
+    with progress, stop_on_signals(clock.request_stop):
+        if key.created:
+            progress.say(f"A signing key for this bench was made: {key.fingerprint}; see `starbench keys`.")
+        for line in say_first:
+            progress.say(line)
+        courier = Courier(job.station.messages, Outbox(home_folder()), clock, progress.say)
+
+        def notify(occasion: str, what: str, line: str) -> None:
+            courier.tell(occasion, what, folder.path, line)
+
+        try:
+            with crash_log(folder.path):
+                end = Runner(job, folder, journal, open_devices, clock, progress, notify).run()
+            wire_log.close()
+            if end.how == "finished":
+                journal.close()
+                seal(folder, key)
+            what = f"{end.how}{': ' if end.why else ''}{end.why}"
+            courier.tell("failure" if end.how == "failed" else "end", what, folder.path, journal.head)
+        except BaseException as error:
+            courier.tell("failure", f"failed: {type(error).__name__}: {error}", folder.path, journal.head)
+            raise
+        finally:
+            courier.close()
+    return end
+
+
+def _seal_finished(folder: RunFolder, journal: Journal, launch: Launch) -> RunEnd:
+    """Seal a run that was cut off between its last line and its seal."""
+    key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
+    journal.close()
+    remove_inbox(folder.path)
+    results: dict[str, Any] = json.loads((folder.path / RESULTS).read_text(encoding="utf-8"))
+    seal(folder, key)
+    return RunEnd("finished", "", folder.path, Outcome(results, folder.path / REPORT))
+
+
+def _refuse_changed(folder: Path, hashes: dict[str, str]) -> None:
+    for name, sha256 in hashes.items():
+        try:
+            data = (folder / name).read_bytes()
+        except OSError as error:
+            raise BenchError(f"{name} cannot be read: {error.strerror}.", where=str(folder)) from error
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise RunFolderError(
+                f"{name} is not what this run was begun with.",
+                where=str(folder),
+                remedy="Put the original back, or start a new run with the changed one.",
+            )

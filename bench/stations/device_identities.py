@@ -1,0 +1,53 @@
+"""By which names a station's serial devices are kept to one process, beside their ports: family and serial number.
+
+The same controller may be reached by another port as well (a network, a second cable, another name of the same
+port), which no lock of a port knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+from bench.stations import station_devices as words
+from bench.stations.station import Station
+from bench.stations.station_devices import SIMULATED
+from drivers.device_hold import DeviceHold
+
+
+def serial_devices(station: Station) -> tuple[str, ...]:
+    """Name the devices of stage and light that the station file knows by number; simulated ones need no lock.
+
+    A strobe controller tells no number, and a generator or a board may go without.
+    """
+    found: list[tuple[str, str, str | None]] = []
+    match station.stage:
+        case words.ZaberAsciiStage() as said:
+            found += [(said.port, "Zaber", axis.serial) for axis in said.axes.values()]
+        case words.XimcStage() as said:
+            found += [(axis.port, "Standa", axis.serial) for axis in said.axes.values()]
+        case words.EspStage() as said:
+            found += [(said.port, "Newport", axis.serial) for axis in said.axes.values()]
+        case words.GrblStage() as said:
+            found.append((said.port, "GRBL", said.serial))
+    if isinstance(station.light, words.ScpiLight):
+        found.append((station.light.port, "generator", station.light.serial))
+    real = [
+        f"{family} {serial}" for port, family, serial in found if serial and not port.startswith(SIMULATED)
+    ]
+    return tuple(dict.fromkeys(real))
+
+
+@contextmanager
+def held(station: Station) -> Iterator[None]:
+    """Keep the serial devices of a station to this process, for as long as the block lasts.
+
+    Raises
+    ------
+    drivers.errors.PortBusy
+        When another process of this computer has one of them, by whatever port.
+    """
+    with ExitStack() as holds:
+        for device in serial_devices(station):
+            holds.callback(DeviceHold(device).release)
+        yield

@@ -1,0 +1,230 @@
+"""Opens the devices a station file names, holds them together, and makes them safe together.
+
+Knows which driver a word of the station file stands for. A port such as ``sim:gimbal`` is one of the simulated
+bench, which is then started first; beyond that nothing differs between a simulated device and a real one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from typing import Any
+
+from bench.clock import BenchClock
+from bench.errors import SimulationError
+from bench.simulated import SimulatedBench
+from bench.stations import station_devices as words
+from bench.stations.camera_kinds import Camera
+from bench.stations.device_identities import held
+from bench.stations.station import Station
+from bench.stations.station_devices import SIMULATED
+from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
+from drivers.camera.metavision import MetavisionEvk4
+from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
+from drivers.camera.recorded import RecordedCamera
+from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
+from drivers.errors import DriverError
+from drivers.light import Light
+from drivers.light.gardasoft import GardasoftLight
+from drivers.light.scpi import ScpiLight
+from drivers.stage import Stage
+from drivers.stage.esp import EspAxis, EspStage
+from drivers.stage.grbl import GrblAxis, GrblStage
+from drivers.stage.ximc import XimcAxis, XimcStage
+from drivers.stage.zaber import ZaberStage
+from drivers.stage.zaber_axis import ZaberAxis
+from drivers.wire_log import WireLog
+
+
+class Devices:
+    """A stage, a light and a camera, open. Opening moves nothing and switches nothing on.
+
+    Parameters
+    ----------
+    station
+        What the station file says.
+    seed
+        Seed of the simulated bench, where there is one.
+    clock
+        The run's clock; every wait of a driver goes through it.
+    wire_log
+        Where bytes on serial lines are kept.
+
+    Raises
+    ------
+    drivers.errors.DriverError
+        When a device cannot be opened, or is another one than named; those opened before are closed again.
+    SimulationError
+        When the simulated bench does not start.
+    """
+
+    def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
+        self._clock = clock
+        self._simulation: SimulatedBench | None = None
+        with ExitStack() as opened:
+            if station.needs_simulated_bench:
+                self._simulation = opened.enter_context(SimulatedBench(station.simulation or {}, seed))
+            opened.enter_context(held(station))
+            self.stage: Stage = _open_stage(station, self._port, clock, wire_log)
+            opened.callback(self.stage.close)
+            self.light: Light = _open_light(station, self._port, clock, wire_log)
+            opened.callback(self.light.close)
+            self.camera: Camera = _open_camera(station, self._port, clock)
+            opened.callback(self.camera.close)
+            self._opened = opened.pop_all()
+
+    def truth(self) -> dict[str, Any] | None:
+        """What the simulated world is made of, for the final comparison; None on a real bench."""
+        return self._simulation.truth() if self._simulation is not None else None
+
+    def make_safe(self) -> list[str]:
+        """Stop the stage, switch the light off, stop the camera: each, whatever the others do.
+
+        Returns
+        -------
+        list of str
+            What could not be made safe, and why; empty when all is safe.
+        """
+        actions: Mapping[str, Callable[[], None]] = {
+            "the stage did not confirm its stop": self.stage.stop,
+            "the light did not confirm that it is off": self.light.off,
+            "the camera did not confirm that it stopped": self.camera.stop,
+        }
+        if self._simulation is not None and not self._simulation.alive:
+            return ["the simulated bench has ended by itself; nothing simulated is left to make safe"]
+        faults = []
+        for fault, action in actions.items():
+            try:
+                action()
+            except DriverError as error:
+                faults.append(f"{fault}: {error}")
+        return faults
+
+    def close(self) -> None:
+        """Give all ports back; nothing moves."""
+        self._opened.close()
+
+    def _port(self, name: str) -> str:
+        """Give the real name of a port: that of the simulated bench's, where it is one of those."""
+        if not name.startswith(SIMULATED):
+            return name
+        assert self._simulation is not None
+        endpoint = self._simulation.endpoints.get(name.removeprefix(SIMULATED))
+        if endpoint is None:
+            known = ", ".join(SIMULATED + e for e in self._simulation.endpoints)
+            raise SimulationError(f"The simulated bench has no {name}.", remedy=f"It has {known}.")
+        return endpoint
+
+
+def make_orphans_safe(station: Station, clock: BenchClock) -> list[str]:
+    """Stop the stage and switch the light off where the process that held them is gone.
+
+    Each is opened anew, whatever becomes of the other; those of the simulated bench ended with their process.
+
+    Returns
+    -------
+    list of str
+        What could not be made safe, and why; empty when all is safe.
+    """
+    faults = []
+    for name, ports, make_safe in (
+        ("stage", station.stage.ports, _stop_stage),
+        ("light", station.light.ports, _switch_off),
+    ):
+        if not any(port.startswith(SIMULATED) for port in ports):
+            try:
+                make_safe(station, clock)
+            except DriverError as error:
+                faults.append(f"the {name} of a dead process could not be made safe: {error}")
+    return faults
+
+
+def _stop_stage(station: Station, clock: BenchClock) -> None:
+    stage = _open_stage(station, str, clock, None)
+    try:
+        stage.stop()
+    finally:
+        stage.close()
+
+
+def _switch_off(station: Station, clock: BenchClock) -> None:
+    light = _open_light(station, str, clock, None)
+    try:
+        light.off()
+    finally:
+        light.close()
+
+
+PortName = Callable[[str], str]
+
+
+def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
+    match station.stage:
+        case words.ZaberAsciiStage() as said:
+            zaber = [ZaberAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
+            return ZaberStage.open(
+                port(said.port), zaber, baudrate=said.baudrate, clock=clock, wire_log=wire_log
+            )
+        case words.XimcStage() as said:
+            ximc = [
+                XimcAxis(name=n, limits=a.limits, **(a.own_words() | {"port": port(a.port)}))
+                for n, a in said.axes.items()
+            ]
+            return XimcStage.open(ximc, clock=clock, wire_log=wire_log)
+        case words.GrblStage() as said:
+            grbl = [GrblAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
+            return GrblStage.open(
+                port(said.port),
+                grbl,
+                serial=said.serial or "",
+                baudrate=said.baudrate,
+                clock=clock,
+                wire_log=wire_log,
+            )
+        case words.EspStage() as said:
+            esp = [EspAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
+            return EspStage.open(port(said.port), esp, baudrate=said.baudrate, clock=clock, wire_log=wire_log)
+
+
+def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
+    match station.light:
+        case words.ScpiLight() as said:
+            return ScpiLight.open(
+                port(said.port),
+                serial=said.serial,
+                baudrate=said.baudrate,
+                load=said.load,
+                dialect=said.dialect,
+                clock=clock,
+                wire_log=wire_log,
+            )
+        case words.GardasoftLight() as said:
+            return GardasoftLight.open(
+                port(said.port),
+                model=said.model,
+                channel=said.channel,
+                sync_channel=said.sync_channel,
+                full_percent=said.full_percent,
+                sync_percent=said.sync_percent,
+                baudrate=said.baudrate,
+                clock=clock,
+                wire_log=wire_log,
+            )
+
+
+def _open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
+    match station.camera:
+        case words.SimulatedEvk4() as said:
+            return SimulatedEvk4Camera.open(
+                port(said.address), serial=said.serial, clock=clock, utc_now=clock.utc_now
+            )
+        case words.MetavisionCamera() as said:
+            return MetavisionEvk4.open(serial=said.serial, clock=clock)
+        case words.NeuromorphicEvk4() as said:
+            return NeuromorphicEvk4.open(serial=said.serial, clock=clock, utc_now=clock.utc_now)
+        case words.RecordedCamera() as said:
+            return RecordedCamera.open(said.path, serial=said.serial, clock=clock)
+        case words.OpenCvCamera() as said:
+            return OpenCvFrameCamera.open(port(said.source), serial=said.serial, clock=clock)
+        case words.PictureFolder() as said:
+            return FolderFrameCamera.open(said.path, serial=said.serial, clock=clock)

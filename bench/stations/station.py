@@ -1,0 +1,160 @@
+"""What a station file says: which devices stand on a bench, where, and what they may be asked for.
+
+Knows the shape and the sense of the file; the words of each device stand in ``station_devices``, how it is
+opened in ``devices``. The station alone differs between a simulated bench and a real one; sequences fit both.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from bench.stations.station_devices import (
+    SIMULATED,
+    AxisWords,
+    Camera,
+    Light,
+    PictureFolder,
+    Positive,
+    RecordedCamera,
+    Serial,
+    Stage,
+    Text,
+)
+from bench.stations.station_interlocks import InterlockWords
+from bench.stations.station_messages import Messages
+from calib.errors import InputMismatch
+from calib.target import StarTarget
+from sequences.reader import Located, find_document, read_document
+from sequences.schema import Name, Words
+
+SHIPPED = Path(__file__).parent
+
+
+class Target(Words):
+    """The printed star pattern."""
+
+    squares: tuple[int, int] = (50, 72)
+    pitch_mm: Positive = 144.5 / 36
+    segments: int = 16
+    tag_id: int = 3
+    tag_square: tuple[int, int] = (23, 34)
+    tag_squares: int = 4
+
+    @model_validator(mode="after")
+    def _printable(self) -> Target:
+        try:
+            self.pattern()
+        except InputMismatch as error:
+            raise PydanticCustomError(
+                "not_printable", "{what}", {"what": f"no such target can be printed: {error.what}"}
+            ) from None
+        return self
+
+    def pattern(self) -> StarTarget:
+        """Give the pattern as the engine takes it."""
+        return StarTarget(
+            squares_x=self.squares[0],
+            squares_y=self.squares[1],
+            pitch_mm=self.pitch_mm,
+            segments=self.segments,
+            tag_id=self.tag_id,
+            tag_square=self.tag_square,
+            tag_squares=self.tag_squares,
+        )
+
+
+class Collimator(Words):
+    """What is known of the collimator beforehand; for the report, no estimator reads it."""
+
+    serial: Serial | None = None
+    nominal_r_mm: Positive | None = None
+    certificate: Text | None = None
+
+
+class Expected(Words):
+    """What is expected of the bench, roughly: for plans and studies alone; no estimator reads it."""
+
+    focal_px: Positive
+    r_mm: Positive
+    half_angle_deg: Annotated[float, Field(gt=0, lt=60, description="Of the beam.")]
+    image_size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (1280, 720)
+    k1: float = 0.0
+    k2: float = 0.0
+    star_sigma_px: Annotated[Positive, Field(description="Uncertainty of a star, per axis.")] = 0.02
+
+
+class Disk(Words):
+    """What must be free on the disk before a run, besides what the run itself needs."""
+
+    min_free_gb: Annotated[float, Field(ge=0, le=1_000_000)] = 1.0
+
+
+_TRUTHS = {"true": True, "false": False}
+_NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
+
+def _plain_values(section: Any) -> Any:
+    """Turn a free section's texts into numbers and truths; serial numbers and 007 stay text."""
+    if isinstance(section, Mapping):
+        return {key: value if "serial" in key else _plain_values(value) for key, value in section.items()}
+    if isinstance(section, list):
+        return [_plain_values(value) for value in section]
+    if not isinstance(section, str) or not _NUMBER.fullmatch(section):
+        return _TRUTHS.get(section, section) if isinstance(section, str) else section
+    number = float(section)
+    if not math.isfinite(number):
+        return section
+    return int(section) if section.lstrip("+-").isdigit() else number
+
+
+class Station(Words):
+    """A station file."""
+
+    format: Literal["starbench/station/1"]
+    name: Name
+    laboratory: Text | None = None
+    operator: Text | None = None
+    stage: Stage
+    light: Light
+    camera: Camera
+    target: Target = Target()
+    collimator: Collimator = Collimator()
+    expected: Expected | None = None
+    disk: Disk = Disk()
+    messages: Messages = Messages()
+    interlocks: InterlockWords = InterlockWords()
+    simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
+
+    @property
+    def axes(self) -> Mapping[str, AxisWords]:
+        """Axes of the stage, by name."""
+        return {str(name): axis for name, axis in self.stage.axes.items()}
+
+    @property
+    def needs_simulated_bench(self) -> bool:
+        """Whether any device of it is one of the simulated bench's."""
+        ports = (*self.stage.ports, *self.light.ports, *self.camera.ports)
+        return any(port.startswith(SIMULATED) for port in ports)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a run on it measures no camera: a device is simulated, or recordings are played again."""
+        return self.needs_simulated_bench or isinstance(self.camera, RecordedCamera | PictureFolder)
+
+
+def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -> Located[Station]:
+    """Read a station file, or a shipped station by its name (``simulated``), with ``settings`` in it.
+
+    Raises
+    ------
+    DocumentFaults
+        With every fault found.
+    """
+    return read_document(find_document(name_or_path, SHIPPED), Station, settings)

@@ -1,0 +1,104 @@
+"""A new station file: the words of the chosen families, filled with what is connected, ready to be completed.
+
+What no computer can know (scales, limits, serial numbers not yet asked for) stands in it as a value to change, with
+the reason beside it. A draft reads without a fault, and runs nothing until its serial numbers are right.
+"""
+
+from __future__ import annotations
+
+from bench.stations.discovery import Discovery
+
+ASK = "ASK-THE-LABEL"
+_NO_PORT = "/dev/serial/by-id/CHOOSE-A-PORT"
+
+_AXIS_END = "limits_deg: [-12, 12], speed_deg_s: 10, acceleration_deg_s2: 50"
+_SERIAL_NOTE = "# another device on this port is refused before anything moves"
+STAGES = {
+    "zaber_ascii": f"""\
+  driver: zaber_ascii
+  port: {{stage_port}}
+  axes:   # microsteps_per_deg from the data sheet; never guessed
+    pan: {{{{device: 1, serial: {ASK}, microsteps_per_deg: 6400, {_AXIS_END}}}}}
+    tilt: {{{{device: 2, serial: {ASK}, microsteps_per_deg: 6400, {_AXIS_END}}}}}
+""",
+    "ximc": f"""\
+  driver: ximc
+  axes:   # a controller an axis; full steps a degree from the data sheet
+    pan: {{{{port: {{stage_port}}, serial: {ASK}, steps_per_deg: 80, {_AXIS_END}}}}}
+""",
+    "grbl": f"""\
+  driver: grbl
+  port: {{stage_port}}
+  serial: {ASK}   # the name given to the board with $I=...
+  axes:   # zero_deg: the angle of machine position 0; all limits lie below it
+    pan: {{{{letter: X, steps_per_deg: 80, zero_deg: 15, {_AXIS_END}}}}}
+    tilt: {{{{letter: Y, steps_per_deg: 80, zero_deg: 15, {_AXIS_END}}}}}
+""",
+    "esp30x": f"""\
+  driver: esp30x
+  port: {{stage_port}}
+  axes:
+    pan: {{{{number: 1, serial: {ASK}, {_AXIS_END}}}}}
+    tilt: {{{{number: 2, serial: {ASK}, {_AXIS_END}}}}}
+""",
+}
+
+
+CAMERAS = {
+    "metavision": "serial: {serial}   # text: the zeros count",
+    "neuromorphic_evk4": "serial: {serial}   # text: the zeros count",
+    "opencv": "source: {source}   # or a network camera's URL\n{known}  pictures: 8   # at each pose, averaged",
+    "recorded": "path: recordings   # *.raw, played in the order of their names\n  serial: {serial}",
+    "pictures": "path: pictures   # played in the order of their names\n  pictures: 8   # at each pose",
+}
+"""What each family of cameras needs besides its driver."""
+_NO_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
+
+
+def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None = None) -> str:
+    """Write a new station file.
+
+    Parameters
+    ----------
+    name
+        Name of the bench.
+    found
+        What is connected: the first port is taken for the stage, the second for the light.
+    stage
+        Family of the stage: a key of ``STAGES``.
+    camera
+        Family of the camera: a key of ``CAMERAS``; None for what is connected, event cameras first.
+
+    Returns
+    -------
+    str
+        The file's text.
+    """
+    ports = [port.name for port in found.ports]
+    stage_port, light_port = [*ports, _NO_PORT, _NO_PORT][:2]
+    others = "".join(f"# connected: {port.name}  {port.what}\n" for port in found.ports)
+    return (
+        f"format: starbench/station/1\nname: {name}\nlaboratory: Your laboratory\n\n"
+        f"{others}"
+        f"stage:   {_SERIAL_NOTE}\n{STAGES[stage].format(stage_port=stage_port)}\n"
+        f"light:\n  driver: scpi\n  port: {light_port}\n  serial: {ASK}\n"
+        "  low_v: 0\n  high_v: 2.5   # what the lamp's driver takes for full brightness\n\n"
+        f"camera:\n{_camera(found, camera)}"
+        "  lens: which, and how it is locked\n\n"
+        "target: {squares: [50, 72], pitch_mm: 4.0138889, tag_id: 3, tag_square: [23, 34]}\n"
+        "disk: {min_free_gb: 5}\n"
+    )
+
+
+def _camera(found: Discovery, family: str | None) -> str:
+    """Fill in the camera's words with the first that is connected and can be used."""
+    usable = [one for one in found.cameras if not one.trouble and (one.serial or one.source)]
+    first = next((one for wanted in CAMERAS for one in usable if one.driver == (family or wanted)), None)
+    driver = family or (first.driver if first else "metavision")
+    serial = first.serial if first else ""
+    words = CAMERAS[driver].format(
+        serial=serial or ASK,
+        source=first.source if first else _NO_SOURCE,
+        known=f"  serial: {serial}\n" if serial else "",
+    )
+    return f"  driver: {driver}\n  {words}\n"

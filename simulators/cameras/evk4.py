@@ -1,0 +1,398 @@
+"""The simulated EVK4 on a socket: its commands, its settings, and its stream of EVT3 words.
+
+Knows the wire protocol of ``docs/protocols/simulated-evk4.md`` and which commands the camera takes when. What
+the words hold is ``sensor_stream``'s. One host at a time; another is told so and turned away.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import socket
+import struct
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, Final
+
+from simulators.cameras.keep_alive import KeepAlive
+from simulators.errors import SimulatorError
+from simulators.faults.stream_faults import StreamFaults
+from simulators.pixels.biases import ALLOWED, FACTORY, PixelSettings
+from simulators.pixels.event_filters import FILTERS
+from simulators.pixels.sensor_stream import CameraState, SensorStream
+from simulators.world.world import World
+
+HEADER: Final = struct.Struct("<cI")
+"""Frame header: type and payload length."""
+LONGEST_REQUEST: Final = 65536
+FIRMWARE: Final = "4.2.0-simulated"
+NOMINAL_LUX: Final = 250.0
+"""Illumination of the sensor at nominal brightness."""
+MEAN_COVERAGE: Final = 0.5
+"""Half of a star is black."""
+WAIT_S: Final = 0.1
+"""How often waiting threads look whether they are to end."""
+
+
+class _Refusal(Exception):
+    """A command that is refused: an error code of the protocol, and a sentence."""
+
+    def __init__(self, code: str, message: str) -> None:
+        self.code = code
+        super().__init__(message)
+
+
+class _HostGone(Exception):
+    """The host has closed the connection, or broken the protocol beyond repair."""
+
+
+class SimulatedEvk4:
+    """The camera, listening for a host.
+
+    Parameters
+    ----------
+    world
+        The world it looks at.
+    serial
+        Its serial number.
+    host, port
+        Where it listens; port 0 takes a free one.
+    paced
+        Whether the stream takes its time, as a sensor's does; if not, it comes as fast as it can be computed.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        serial: str = "00050423",
+        host: str = "127.0.0.1",
+        port: int = 0,
+        paced: bool = True,
+    ) -> None:
+        self._world = world
+        self._serial = serial
+        self._paced = paced
+        self._repeats: dict[str, int] = {}
+        self.stream_faults = StreamFaults()
+        self._closing = threading.Event()
+        self._listener = socket.create_server((host, port))
+        self._thread = threading.Thread(target=self._listen, name="simulated-evk4", daemon=True)
+        self._connection: _Connection | None = None
+
+    @property
+    def address(self) -> str:
+        """Where it listens, ``host:port``."""
+        host, port = self._listener.getsockname()[:2]
+        return f"{host}:{port}"
+
+    def start(self) -> None:
+        """Begin to answer."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hang up and stop listening; returns when all threads have ended."""
+        self._closing.set()
+        self.unplug()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._listener.close()
+
+    def unplug(self) -> None:
+        """Break the connection, as a pulled cable does; a host may connect again."""
+        connection = self._connection
+        if connection is not None:
+            connection.hang_up()
+            connection.join()
+
+    def fault(self, message: str) -> None:
+        """Tell the connected host, if there is one, of a fault."""
+        connection = self._connection
+        if connection is not None:
+            connection.notify(message)
+
+    def _listen(self) -> None:
+        """Accept hosts until closed."""
+        while not self._closing.is_set():
+            if not select.select([self._listener], [], [], WAIT_S)[0]:
+                continue
+            link, _ = self._listener.accept()
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self._connection is not None and self._connection.is_open():
+                with suppress(_HostGone):
+                    _send(link, b"N", _json({"event": "fault", "message": "Another host holds the camera."}))
+                link.close()
+                continue
+            self._connection = _Connection(
+                link, self._world, self._serial, self._repeats, self.stream_faults, paced=self._paced
+            )
+            # Only now: a host that has been answered must find the connection in its place.
+            self._connection.start()
+
+
+class _Connection:
+    """One host's connection: a thread that answers, and one that streams between start and stop."""
+
+    def __init__(
+        self,
+        link: socket.socket,
+        world: World,
+        serial: str,
+        repeats: dict[str, int],
+        faults: StreamFaults,
+        *,
+        paced: bool,
+    ) -> None:
+        self._link = link
+        self._world = world
+        self._serial = serial
+        self._repeats = repeats
+        self._faults = faults
+        self._paced = paced
+        self._sending = threading.Lock()
+        self._biases = dict(FACTORY)
+        self._filters = dict.fromkeys(FILTERS, False)
+        self._trigger_in = False
+        self._stop = threading.Event()
+        self._left = threading.Event()
+        self._streamer: threading.Thread | None = None
+        self._alive = KeepAlive(self._tell_that_it_computes)
+        self._thread = threading.Thread(target=self._serve, name="simulated-evk4-host", daemon=True)
+
+    def start(self) -> None:
+        """Begin to answer."""
+        self._alive.start()
+        self._thread.start()
+
+    def is_open(self) -> bool:
+        """Whether the host is still there."""
+        return not self._left.is_set()
+
+    def hang_up(self) -> None:
+        """Close the connection from this side."""
+        self._stop.set()
+        with suppress(OSError):  # the host may be faster
+            self._link.shutdown(socket.SHUT_RDWR)
+
+    def join(self) -> None:
+        """Wait until the connection has ended."""
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def notify(self, message: str) -> None:
+        """Send a fault notification; a host that has gone does not hear it."""
+        with suppress(_HostGone):
+            self._send(b"N", _json({"event": "fault", "message": message}))
+
+    def _tell_that_it_computes(self) -> None:
+        with suppress(_HostGone):
+            self._send(b"N", _json({"event": "computing"}))
+
+    # ------------------------------------------------------------- answering
+
+    def _serve(self) -> None:
+        """Answer requests until the host goes."""
+        try:
+            while True:
+                request = self._receive()
+                with self._alive.computing():
+                    answer = self._answer(request)
+                self._send(b"A", _json(answer))
+        except _HostGone:
+            self._stop.set()
+        if self._streamer is not None:
+            self._streamer.join()
+        self._alive.close()
+        self._left.set()  # first: a host that sees the connection end may connect again at once
+        self._link.close()
+
+    def _receive(self) -> bytes:
+        """Payload of the next request."""
+        kind, length = HEADER.unpack(self._receive_exactly(HEADER.size))
+        if kind != b"Q" or length > LONGEST_REQUEST:
+            self.notify(f"A frame {kind!r} of {length} bytes is no request.")
+            raise _HostGone
+        return self._receive_exactly(length)
+
+    def _receive_exactly(self, n: int) -> bytes:
+        """Read n bytes of the connection."""
+        data = bytearray()
+        while len(data) < n:
+            try:
+                part = self._link.recv(n - len(data))
+            except OSError as error:
+                raise _HostGone from error
+            if not part:
+                raise _HostGone
+            data += part
+        return bytes(data)
+
+    def _send(self, kind: bytes, payload: bytes) -> None:
+        """Send a frame, whole."""
+        with self._sending:
+            _send(self._link, kind, payload)
+
+    def _answer(self, payload: bytes) -> dict[str, Any]:
+        """Carry out a request and say how it went."""
+        number: object = None
+        try:
+            request = _request(payload)
+            number = request.get("id")
+            name = _one_of("command", request.get("cmd"), self._commands())
+            return {"id": number, "ok": True, **self._commands()[name](request)}
+        except _Refusal as refusal:
+            return {"id": number, "ok": False, "error": refusal.code, "message": str(refusal)}
+
+    def _commands(self) -> Mapping[str, Callable[[dict[str, Any]], dict[str, Any]]]:
+        """All commands by name."""
+        return {
+            "identify": self._identify,
+            "get_bias": lambda request: {
+                "value": self._biases[_one_of("bias", request.get("name"), ALLOWED)]
+            },
+            "get_biases": lambda _request: {"biases": dict(self._biases)},
+            "set_bias": self._set_bias,
+            "get_filters": lambda _request: dict(self._filters),
+            "set_filter": self._set_filter,
+            "get_trigger_in": lambda _request: {"enabled": self._trigger_in},
+            "set_trigger_in": self._set_trigger_in,
+            "monitor": self._monitor,
+            "start": self._start,
+            "stop": self._stop_stream,
+        }
+
+    def _identify(self, _request: dict[str, Any]) -> dict[str, Any]:
+        camera = self._world.truth.camera
+        return {
+            "maker": "Prophesee",
+            "model": "EVK4 (simulated)",
+            "sensor": "IMX636",
+            "serial": self._serial,
+            "firmware": FIRMWARE,
+            "width": camera.width,
+            "height": camera.height,
+            "format": "EVT3",
+        }
+
+    def _set_bias(self, request: dict[str, Any]) -> dict[str, Any]:
+        name = _one_of("bias", request.get("name"), ALLOWED)
+        value = request.get("value")
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise _Refusal("bad_value", f"A bias is a whole number, not {value!r}.")
+        low, high = ALLOWED[name]
+        if not low <= value <= high:
+            raise _Refusal("out_of_range", f"{name} {value} is outside {low} to {high}.")
+        self._refuse_while_streaming()
+        self._biases[name] = value
+        return {"name": name, "value": value}
+
+    def _set_filter(self, request: dict[str, Any]) -> dict[str, Any]:
+        name = _one_of("filter", request.get("name"), self._filters)
+        enabled = _flag(request)
+        self._refuse_while_streaming()
+        self._filters[name] = enabled
+        return {"name": name, "enabled": enabled}
+
+    def _set_trigger_in(self, request: dict[str, Any]) -> dict[str, Any]:
+        enabled = _flag(request)
+        self._refuse_while_streaming()
+        self._trigger_in = enabled
+        return {"enabled": enabled}
+
+    def _monitor(self, _request: dict[str, Any]) -> dict[str, Any]:
+        """Temperature, mean illumination, and the refractory time that the biases give."""
+        settings = PixelSettings.from_biases(self._biases)
+        now_s = self._world.now_s()
+        light = self._world.light(now_s)
+        driven = light.low + (light.high - light.low) * light.high_share
+        mean = settings.ambient + MEAN_COVERAGE * driven
+        return {
+            "temperature_c": self._world.temperature_c(now_s),
+            "illumination_lux": round(NOMINAL_LUX * mean, 3),
+            "pixel_dead_time_us": round(settings.dead_us, 3),
+        }
+
+    # ------------------------------------------------------------- streaming
+
+    def _is_streaming(self) -> bool:
+        return self._streamer is not None
+
+    def _refuse_while_streaming(self) -> None:
+        if self._is_streaming():
+            raise _Refusal("streaming", "Settings cannot change while the camera streams.")
+
+    def _start(self, _request: dict[str, Any]) -> dict[str, Any]:
+        if self._is_streaming():
+            raise _Refusal("streaming", "The camera streams already.")
+        self._stop.clear()
+        camera = CameraState(dict(self._biases), dict(self._filters), self._trigger_in)
+        self._streamer = threading.Thread(
+            target=self._stream, args=(camera,), name="simulated-evk4-stream", daemon=True
+        )
+        self._streamer.start()
+        return {}
+
+    def _stop_stream(self, _request: dict[str, Any]) -> dict[str, Any]:
+        if self._streamer is None:
+            raise _Refusal("not_streaming", "The camera does not stream.")
+        self._stop.set()
+        self._streamer.join()
+        self._streamer = None
+        return {}
+
+    def _stream(self, camera: CameraState) -> None:
+        """Send frames of words until told to stop, each when the sensor has seen it."""
+        try:
+            with self._alive.computing():
+                stream = SensorStream(self._world, camera, self._repeats)
+            while not self._stop.is_set():
+                with self._alive.computing():
+                    frame = self._faults.carry(stream.next_frame())
+                if self._paced and self._stop.wait(max(0.0, stream.covered_s - self._world.now_s())):
+                    return
+                if frame:
+                    self._send(b"D", frame)
+        except SimulatorError as error:
+            self.notify(f"The stream broke off: {error}")
+        except _HostGone:
+            return  # the thread that answers sees it too, and cleans up
+
+
+def _send(link: socket.socket, kind: bytes, payload: bytes) -> None:
+    """Send a frame over a connection, whole."""
+    try:
+        link.sendall(HEADER.pack(kind, len(payload)) + payload)
+    except OSError as error:
+        raise _HostGone from error
+
+
+def _json(content: Mapping[str, Any]) -> bytes:
+    """JSON of an answer or a notification."""
+    return json.dumps(content).encode()
+
+
+def _request(payload: bytes) -> dict[str, Any]:
+    """Parse a request."""
+    try:
+        request = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise _Refusal("bad_request", f"The request is no JSON: {error}.") from error
+    if not isinstance(request, dict):
+        raise _Refusal("bad_request", "The request is no JSON object.")
+    return request
+
+
+def _one_of(what: str, name: object, known: Mapping[str, Any]) -> str:
+    """Check a bias's or a filter's name."""
+    if not isinstance(name, str) or name not in known:
+        raise _Refusal(f"unknown_{what}", f"There is no {what} {name!r}; there are {', '.join(known)}.")
+    return name
+
+
+def _flag(request: Mapping[str, Any]) -> bool:
+    """Check the switch of a request."""
+    enabled = request.get("enabled")
+    if not isinstance(enabled, bool):
+        raise _Refusal("bad_value", f'"enabled" is true or false, not {enabled!r}.')
+    return enabled

@@ -1,0 +1,1 @@
+"""Generators and controllers that drive the lamp, the lamp, its sync line."""

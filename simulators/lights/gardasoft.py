@@ -1,0 +1,276 @@
+"""A Gardasoft RT strobe controller, as it drives the light of a bench.
+
+    CCn,a,b CR      commands of two letters and their parameters, several apart by semicolons
+    text CR LF >    what they answer; the last character is always ``>``
+
+Errors are answered as ``Err n``; number 5 warns that a value was held within its range. Events come unasked once
+``GT1`` has been said, as ``Evtc,e;``. Times are milliseconds unless their unit is said. With the internal
+trigger on, an output in pulse mode flickers; in continuous mode it shines steadily. Reading of the RT's manual;
+the layout of what ``STc`` answers is from memory.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from simulators.world.world import FULL_DRIVE_V, LightState
+
+_COMMAND: Final = re.compile(r"([A-Z]{2})(.*)")
+_TIME: Final = re.compile(r"([0-9]*\.?[0-9]+)(US|MS|S)?")
+_MS: Final = {"US": 1e-3, "MS": 1.0, "S": 1000.0, "": 1.0, None: 1.0}
+_LONGEST: Final = 256
+_CHANNELS: Final = 4
+
+#: Ranges of a pulse's width and delay, and of the internal trigger's period, ms.
+_WIDTH_MS: Final = (0.001, 999.0)
+_DELAY_MS: Final = (0.005, 999.0)
+_PERIOD_MS: Final = (0.1, 10_000.0)
+
+#: Highest brightness of a pulse, percent of the lamp's rating.
+_MOST_PERCENT: Final = 999.0
+
+CONTINUOUS, SWITCHED, PULSE = 0, 1, 2
+
+#: Events that a light's fault leads to.
+OVER_TEMPERATURE, OVER_CURRENT = 130, 131
+
+
+class _RtError(Exception):
+    """A command that is refused, by its error number; 5 only warns."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(f"Err {number}")
+
+
+@dataclass(frozen=True)
+class Output:
+    """Settings of one output."""
+
+    mode: int = CONTINUOUS
+    percent: float = 0.0
+    width_ms: float = 1.0
+    delay_ms: float = 0.005
+
+
+class GardasoftRt:
+    """The controller, as a dialect of a serial line.
+
+    Parameters
+    ----------
+    clock
+        Time in seconds.
+    drive
+        Called with what the light on the first output does from now on, whenever that changes.
+    version
+        What it says it is.
+    """
+
+    def __init__(
+        self,
+        clock: Callable[[], float],
+        drive: Callable[[LightState], None] = lambda _state: None,
+        version: str = "RT460-20 (HW02) V031",
+    ) -> None:
+        self._clock = clock
+        self._drive = drive
+        self._version = version
+        self._heard = b""
+        self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
+        self._trigger = False
+        self._period_ms = 20.0
+        self._tells_events = False
+        self._event = ""
+        self._unsaid = ""
+        self._tripped = False
+        self._most_percent = _MOST_PERCENT
+        self._light = LightState(origin_s=clock())
+        self._commands: dict[str, Callable[[list[str]], str]] = {
+            "VR": lambda _words: self._version,
+            "TT": self._set_trigger,
+            "RT": self._set_pulse,
+            "RS": lambda words: self._set_level(words, CONTINUOUS),
+            "RW": lambda words: self._set_level(words, SWITCHED),
+            "TR": self._fire,
+            "ST": self._status,
+            "GT": self._set_events,
+            "GR": self._clear,
+            "AW": lambda words: _no_more(words, 0),
+        }
+        self._tell()
+
+    @property
+    def baud(self) -> int:
+        """Baud rate of its serial port."""
+        return 115_200
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes as they arrive and give all answers."""
+        *lines, self._heard = (self._heard + data).replace(b"\n", b"").split(b"\r")
+        self._heard = self._heard[-_LONGEST:]
+        said = ""
+        for line in lines:
+            for command in line.decode("ascii", "replace").replace(" ", "").split(";"):
+                said += self._obey(command.upper())
+            said += ">"
+        return said.encode("ascii")
+
+    def unsolicited(self) -> bytes:
+        """Events, once they are wanted."""
+        said, self._unsaid = self._unsaid, ""
+        return said.encode("ascii")
+
+    def clip(self, most_v: float | None) -> None:
+        """Hold brightness to come within a share of the full drive, or no more."""
+        self._most_percent = _MOST_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
+
+    def trip(self, event: int = OVER_TEMPERATURE) -> None:
+        """Have a protection switch the light off; the event is told, or kept for ``GR``."""
+        self._tripped = True
+        self._event = f"Evt1,{event};"
+        if self._tells_events:
+            self._unsaid += f"{self._event}\r\n"
+        self._tell()
+
+    def exchange(self, serial: str) -> None:
+        """Be another controller from now on, fresh from power-up; it has no serial number to tell."""
+        del serial
+        self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
+        self._trigger = self._tells_events = self._tripped = False
+        self._event = ""
+        self._tell()
+
+    # ------------------------------------------------------------------ commands
+    def _obey(self, command: str) -> str:
+        if not command:
+            return ""
+        match = _COMMAND.fullmatch(command)
+        letters, rest = (match[1], match[2]) if match else ("", "")
+        try:
+            said = self._commands.get(letters, _unknown)([word for word in rest.split(",") if word])
+        except _RtError as error:
+            said = str(error)
+        return f"{said}\r\n" if said else ""
+
+    def _set_trigger(self, words: list[str]) -> str:
+        if words not in (["0"], ["1"]) and (len(words) != 2 or words[0] != "1"):
+            raise _RtError(1 if words else 4)
+        period, warned = self._period_ms, False
+        if len(words) == 2:
+            period, warned = _held(_time_ms(words[1]), _PERIOD_MS)
+        self._trigger, self._period_ms = words[0] == "1", period
+        return self._changed(warned=warned)
+
+    def _set_pulse(self, words: list[str]) -> str:
+        if len(words) not in {4, 5}:
+            raise _RtError(4)
+        channel = _channel(words[0])
+        width, too_wide = _held(_time_ms(words[1]), _WIDTH_MS)
+        delay, too_late = _held(_time_ms(words[2]), _DELAY_MS)
+        percent, too_bright = _held(_number(words[3]), (0.0, self._most_percent))
+        self.outputs[channel] = Output(PULSE, percent, width, delay)
+        return self._changed(warned=too_wide or too_late or too_bright)
+
+    def _set_level(self, words: list[str], mode: int) -> str:
+        if len(words) < 2 or len(words) > (2 if mode == CONTINUOUS else 4):
+            raise _RtError(4)
+        channel = _channel(words[0])
+        percent, warned = _held(_number(words[1]), (0.0, min(100.0, self._most_percent)))
+        self.outputs[channel] = replace(self.outputs[channel], mode=mode, percent=percent)
+        return self._changed(warned=warned)
+
+    def _fire(self, words: list[str]) -> str:
+        _channel(words[0] if words else "")
+        return _no_more(words, 1)
+
+    def _status(self, words: list[str]) -> str:
+        _no_more(words, 1)
+        if words in ([], ["0"]):
+            return f"TM {int(self._trigger)}, TP {self._period_ms:.3f}ms"
+        channel = _channel(words[0])
+        one = self.outputs[channel]
+        return (
+            f"CH {channel}, MD {one.mode}, S {one.percent:.1f}%, DL {one.delay_ms:.3f}ms, PU {one.width_ms:.3f}ms, "
+            f"RT 0.000ms, IP {channel}, FL 0, CS 1.000A, RA 1.000A"
+        )
+
+    def _set_events(self, words: list[str]) -> str:
+        if words not in (["0"], ["1"]):
+            raise _RtError(1 if words else 4)
+        self._tells_events = words == ["1"]
+        return ""
+
+    def _clear(self, words: list[str]) -> str:
+        _no_more(words, 0)
+        said, self._event = self._event, ""
+        self._tripped = False
+        self._tell()
+        return said
+
+    # ------------------------------------------------------------------ effect
+    def _changed(self, *, warned: bool) -> str:
+        self._tell()
+        if warned:
+            raise _RtError(5)
+        return ""
+
+    def _tell(self) -> None:
+        """Let the world know what the light does now: pulses begin with the internal trigger's edge."""
+        now, one = self._clock(), self.outputs[1]
+        frequency = 1000.0 / self._period_ms
+        level = one.percent / 100.0 * FULL_DRIVE_V
+        flickers = one.mode == PULSE and self._trigger
+        steady = one.mode == CONTINUOUS
+        self._light = LightState(
+            waveform="square",
+            frequency_hz=frequency,
+            duty_percent=min(99.0, 100.0 * one.width_ms / self._period_ms),
+            low_v=level if steady else 0.0,
+            high_v=level if steady or flickers else 0.0,
+            output=level > 0.0 and (steady or flickers) and not self._tripped,
+            sync=self._trigger,
+            origin_s=now - self._light.phase_at(now) / frequency,
+        )
+        self._drive(self._light)
+
+
+def _unknown(_words: list[str]) -> str:
+    raise _RtError(2)
+
+
+def _held(value: float, bounds: tuple[float, float]) -> tuple[float, bool]:
+    """Hold a value within bounds, and say whether it had to be."""
+    held = min(max(value, bounds[0]), bounds[1])
+    return held, held != value
+
+
+def _time_ms(text: str) -> float:
+    match = _TIME.fullmatch(text)
+    if match is None:
+        raise _RtError(3)
+    return float(match[1]) * _MS[match[2]]
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text.removesuffix("%"))
+    except ValueError:
+        raise _RtError(3) from None
+
+
+def _channel(text: str) -> int:
+    if not text.isdigit():
+        raise _RtError(3)
+    if not 1 <= int(text) <= _CHANNELS:
+        raise _RtError(1)
+    return int(text)
+
+
+def _no_more(words: list[str], most: int) -> str:
+    """See that there are not too many parameters; answers nothing."""
+    if len(words) > most:
+        raise _RtError(4)
+    return ""

@@ -1,0 +1,227 @@
+"""A function generator that speaks SCPI, in the way of the Keysight 33250A or of makes that number their channels.
+
+Knows the headers, and that the instrument holds what it cannot do within its range and says so only when asked
+for errors. SCPI's syntax is `scpi`'s, the instrument itself `generator`'s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from simulators.lights.generator import Generator, Held, Setting, Shape
+from simulators.lights.scpi import (
+    CommandTree,
+    ErrorQueue,
+    ScpiError,
+    boolean,
+    choice,
+    no_arguments,
+    number,
+    the_one,
+)
+from simulators.world.world import LightState
+
+_HERTZ: Final = {"UHZ": 1e-6, "HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6}
+_VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
+_PERCENT: Final = {"PCT": 1.0, "%": 1.0}
+_OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
+_LOAD_OHM: Final = (1.0, 10_000.0)
+
+_SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
+
+#: Longest message the input buffer takes.
+_LONGEST: Final = 2048
+
+_WHY: Final = {
+    "lower limit": (-222, "value clipped to lower limit"),
+    "upper limit": (-222, "value clipped to upper limit"),
+    "conflict": (-221, "the other level has been adjusted"),
+}
+
+
+@dataclass(frozen=True)
+class GeneratorModel:
+    """What a generator says it is, and how it speaks.
+
+    Attributes
+    ----------
+    error_queue
+        Whether it answers ``SYST:ERR?``; some do not.
+    numbered_channels
+        Whether headers carry a channel's number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is
+        told as ON or OFF instead of 1 or 0.
+    baud
+        Baud rate of its serial port.
+    """
+
+    serial: str = "SG0042"
+    maker: str = "Keysight Technologies"
+    name: str = "33250A"
+    firmware: str = "2.05-1.01-2.00-03-2"
+    error_queue: bool = True
+    numbered_channels: bool = False
+    baud: int = 9600
+
+
+class ScpiGenerator:
+    """The generator, as a dialect of a serial line.
+
+    Parameters
+    ----------
+    model
+        What it is.
+    clock
+        Time in seconds.
+    drive
+        Called with what the light does from now on, whenever that changes.
+    """
+
+    def __init__(
+        self,
+        model: GeneratorModel,
+        clock: Callable[[], float],
+        drive: Callable[[LightState], None] = lambda _state: None,
+    ) -> None:
+        self.model = model
+        self._generator = Generator(clock, drive)
+        self._heard = b""
+        self._tree = CommandTree(ErrorQueue())
+        self._teach()
+
+    @property
+    def baud(self) -> int:
+        """Baud rate of its serial port."""
+        return self.model.baud
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes as they arrive and give what they ask for."""
+        *messages, self._heard = (self._heard + data).split(b"\n")
+        self._heard = self._heard[-_LONGEST:]
+        answers = [self._tree.answer(message.decode("ascii", "replace")) for message in messages]
+        return b"".join(f"{answer}\n".encode("ascii") for answer in answers if answer is not None)
+
+    def unsolicited(self) -> bytes:
+        """Say nothing unasked."""
+        return b""
+
+    def clip(self, most_v: float | None) -> None:
+        """Hold levels to come within less than usual, or no more."""
+        self._generator.clip(most_v)
+
+    def trip(self) -> None:
+        """Have the overload protection switch the output off."""
+        self._generator.trip()
+
+    def exchange(self, serial: str) -> None:
+        """Be another instrument of this model from now on, fresh from power-up."""
+        self.model = replace(self.model, serial=serial)
+        self._tree.errors.clear()
+        self._generator.reset()
+
+    # ------------------------------------------------------------------ what it understands
+    def _teach(self) -> None:
+        tree, model, generator = self._tree, self.model, self._generator
+        source, output = ("[:SOURce#]", "OUTPut#") if model.numbered_channels else ("[:SOURce]", "OUTPut")
+        tree.add("*IDN", None, lambda _: self._identity())
+        tree.add("*RST", self._reset, None)
+        tree.add("*CLS", lambda _: tree.errors.clear(), None)
+        tree.add("*OPC", no_arguments, lambda _: "1")
+        tree.add("*WAI", no_arguments, None)
+        if model.error_queue:
+            tree.add("SYSTem:ERRor[:NEXT]", None, lambda _: tree.errors.next())
+        for word in ("REMote", "LOCal", "RWLock"):
+            tree.add(f"SYSTem:{word}", no_arguments, None)
+        tree.add(f"{source}:FUNCtion[:SHAPe]", self._set_shape, lambda _: self._shape())
+        self._teach_value(f"{source}:FREQuency", "frequency", _HERTZ, lambda: generator.settings.frequency_hz)
+        self._teach_value(
+            f"{source}:FUNCtion:SQUare:DCYCle", "duty", _PERCENT, lambda: generator.settings.duty_percent
+        )
+        self._teach_value(f"{source}:VOLTage", "amplitude", _VOLTS, lambda: generator.settings.amplitude_v)
+        self._teach_value(f"{source}:VOLTage:OFFSet", "offset", _VOLTS, lambda: generator.settings.offset_v)
+        self._teach_value(f"{source}:VOLTage:HIGH", "high", _VOLTS, lambda: generator.settings.high_v)
+        self._teach_value(f"{source}:VOLTage:LOW", "low", _VOLTS, lambda: generator.settings.low_v)
+        tree.add(
+            f"{output}[:STATe]",
+            lambda words: generator.switch(output=boolean(the_one(words))),
+            lambda _: self._switched(generator.settings.output),
+        )
+        tree.add(
+            f"{output}:SYNC[:STATe]",
+            lambda words: generator.switch(sync=boolean(the_one(words))),
+            lambda _: self._switched(generator.settings.sync),
+        )
+        tree.add(
+            f"{output}:LOAD", self._set_load, lambda _: _printed(min(generator.settings.load_ohm, 9.9e37))
+        )
+
+    def _teach_value(
+        self, header: str, name: Setting, unit_factors: dict[str, float], read: Callable[[], float]
+    ) -> None:
+        """Understand a number: set it, read it, and tell its bounds, as in ``FREQ? MAX``."""
+
+        def set_it(arguments: list[str]) -> None:
+            word = the_one(arguments)
+            bound = _bound(word)
+            lowest_highest = self._generator.bounds(name)
+            value = number(word, unit_factors) if bound is None else lowest_highest[bound]
+            _complain(self._generator.set(name, value))
+
+        def tell_it(arguments: list[str]) -> str:
+            if not arguments:
+                return _printed(read())
+            bound = _bound(the_one(arguments))
+            if bound is None:
+                raise ScpiError(-224)
+            return _printed(self._generator.bounds(name)[bound])
+
+        self._tree.add(header, set_it, tell_it)
+
+    def _identity(self) -> str:
+        model = self.model
+        return f"{model.maker},{model.name},{model.serial},{model.firmware}"
+
+    def _reset(self, arguments: list[str]) -> None:
+        no_arguments(arguments)
+        self._generator.reset()
+
+    def _set_shape(self, arguments: list[str]) -> None:
+        word = choice(the_one(arguments), list(_SHAPES))
+        self._generator.shape(next(shape for name, shape in _SHAPES.items() if name.startswith(word)))
+
+    def _shape(self) -> str:
+        return {"square": "SQU", "sine": "SIN", "dc": "DC"}[self._generator.settings.shape]
+
+    def _set_load(self, arguments: list[str]) -> None:
+        word = the_one(arguments)
+        if word.upper() in {"INF", "INFINITY"}:
+            self._generator.load(math.inf)
+            return
+        asked = number(word, _OHMS)
+        self._generator.load(min(max(asked, _LOAD_OHM[0]), _LOAD_OHM[1]))
+        _complain("lower limit" if asked < _LOAD_OHM[0] else "upper limit" if asked > _LOAD_OHM[1] else "")
+
+    def _switched(self, on: bool) -> str:
+        if self.model.numbered_channels:
+            return "ON" if on else "OFF"
+        return str(int(on))
+
+
+def _bound(word: str) -> int | None:
+    """Whether a word stands for the lower (0) or upper (1) bound; None for neither."""
+    if word.upper() in {"MIN", "MINIMUM"}:
+        return 0
+    return 1 if word.upper() in {"MAX", "MAXIMUM"} else None
+
+
+def _complain(held: Held) -> None:
+    """Queue the error of a value that was held."""
+    if held:
+        raise ScpiError(*_WHY[held])
+
+
+def _printed(value: float) -> str:
+    """Print a number as the instrument does."""
+    return f"{value:+.13E}"

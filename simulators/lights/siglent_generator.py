@@ -1,0 +1,164 @@
+"""A function generator in the way of Siglent's SDG series, whose commands set many values at once.
+
+    C1:BSWV WVTP,SQUARE,FRQ,60HZ,...       the waveform of channel 1, a pair of name and value for each setting
+    C1:BSWV?                               answered by the same header and all pairs
+    C1:OUTP ON,LOAD,HZ                     output and load
+
+It has no error queue: what it does not understand it passes over, what it cannot do it holds within its range,
+and says nothing of either. The instrument itself is `generator`'s.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from simulators.lights.generator import Generator, Setting, Shape
+from simulators.world.world import LightState
+
+_LONGEST: Final = 2048
+_HEADER: Final = re.compile(r"C1:(BSWV|OUTP|SYNC)(\?)?(?:\s+(.*))?", re.IGNORECASE)
+_NUMBER: Final = re.compile(r"([+-]?[0-9.]+(?:E[+-]?[0-9]+)?)(UHZ|MHZ|KHZ|HZ|MV|V|VPP|%|OHM)?", re.IGNORECASE)
+_FACTORS: Final = {"UHZ": 1e-6, "KHZ": 1e3, "MHZ": 1e6, "MV": 1e-3}
+
+_SHAPES: Final[Mapping[str, Shape]] = {"SQUARE": "square", "SINE": "sine", "DC": "dc"}
+_VALUES: Final[Mapping[str, Setting]] = {
+    "FRQ": "frequency",
+    "DUTY": "duty",
+    "AMP": "amplitude",
+    "OFST": "offset",
+    "HLEV": "high",
+    "LLEV": "low",
+}
+
+
+class SiglentGenerator:
+    """The generator, as a dialect of a serial line.
+
+    Parameters
+    ----------
+    serial
+        Its serial number.
+    clock
+        Time in seconds.
+    drive
+        Called with what the light does from now on, whenever that changes.
+    """
+
+    def __init__(
+        self,
+        serial: str,
+        clock: Callable[[], float],
+        drive: Callable[[LightState], None] = lambda _state: None,
+    ) -> None:
+        self._serial = serial
+        self._generator = Generator(clock, drive)
+        self._heard = b""
+
+    @property
+    def baud(self) -> int:
+        """Baud rate of the serial line to it."""
+        return 9600
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes as they arrive and give what they ask for."""
+        *messages, self._heard = (self._heard + data).split(b"\n")
+        self._heard = self._heard[-_LONGEST:]
+        answers = [
+            self._answer(command.strip())
+            for message in messages
+            for command in message.decode("ascii", "replace").split(";")
+        ]
+        return b"".join(f"{answer}\n".encode("ascii") for answer in answers if answer)
+
+    def unsolicited(self) -> bytes:
+        """Say nothing unasked."""
+        return b""
+
+    def clip(self, most_v: float | None) -> None:
+        """Hold levels to come within less than usual, or no more."""
+        self._generator.clip(most_v)
+
+    def trip(self) -> None:
+        """Have the overload protection switch the output off."""
+        self._generator.trip()
+
+    def exchange(self, serial: str) -> None:
+        """Be another instrument of this model from now on, fresh from power-up."""
+        self._serial = serial
+        self._generator.reset()
+
+    # ------------------------------------------------------------------ commands
+    def _answer(self, command: str) -> str:
+        if command.upper() == "*IDN?":
+            return f"Siglent Technologies,SDG1032X,{self._serial},1.01.01.33R6"
+        if command.upper() == "*OPC?":
+            return "1"
+        if command.upper() == "*RST":
+            self._generator.reset()
+            return ""
+        match = _HEADER.fullmatch(command)
+        if match is None:
+            return ""
+        name, asks, words = (
+            match[1].upper(),
+            match[2],
+            [word.strip().upper() for word in (match[3] or "").split(",")],
+        )
+        if asks:
+            return {"BSWV": self._wave, "OUTP": self._output, "SYNC": self._sync}[name]()
+        {"BSWV": self._set_wave, "OUTP": self._set_output, "SYNC": self._set_sync}[name](words)
+        return ""
+
+    def _set_wave(self, words: list[str]) -> None:
+        for name, value in zip(words[::2], words[1::2], strict=False):
+            number = _number(value)
+            if name == "WVTP" and value in _SHAPES:
+                self._generator.shape(_SHAPES[value])
+            elif name in _VALUES and number is not None:
+                self._generator.set(_VALUES[name], number)
+
+    def _set_output(self, words: list[str]) -> None:
+        if words[0] in {"ON", "OFF"}:
+            self._generator.switch(output=words[0] == "ON")
+        if "LOAD" in words[:-1]:
+            load = words[words.index("LOAD") + 1]
+            ohm = math.inf if load == "HZ" else _number(load)
+            if ohm is not None and ohm >= 1.0:
+                self._generator.load(ohm)
+
+    def _set_sync(self, words: list[str]) -> None:
+        if words[0] in {"ON", "OFF"}:
+            self._generator.switch(sync=words[0] == "ON")
+
+    def _wave(self) -> str:
+        now = self._generator.settings
+        if now.shape == "dc":
+            return f"C1:BSWV WVTP,DC,OFST,{now.offset_v:g}V"
+        shape = "SQUARE" if now.shape == "square" else "SINE"
+        duty = f",DUTY,{now.duty_percent:g}" if now.shape == "square" else ""
+        return (
+            f"C1:BSWV WVTP,{shape},FRQ,{now.frequency_hz:.10g}HZ,PERI,{1.0 / now.frequency_hz:.6g}S,"
+            f"AMP,{now.amplitude_v:g}V,OFST,{now.offset_v:g}V,HLEV,{now.high_v:g}V,LLEV,{now.low_v:g}V,PHSE,0{duty}"
+        )
+
+    def _output(self) -> str:
+        now = self._generator.settings
+        load = "HZ" if math.isinf(now.load_ohm) else f"{now.load_ohm:g}"
+        return f"C1:OUTP {'ON' if now.output else 'OFF'},LOAD,{load},PLRT,NOR"
+
+    def _sync(self) -> str:
+        return f"C1:SYNC {'ON' if self._generator.settings.sync else 'OFF'}"
+
+
+def _number(text: str) -> float | None:
+    """Read a number with an optional unit; None for what is none."""
+    match = _NUMBER.fullmatch(text)
+    if match is None:
+        return None
+    try:
+        return float(match[1]) * _FACTORS.get((match[2] or "").upper(), 1.0)
+    except ValueError:
+        return None

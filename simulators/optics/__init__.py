@@ -1,0 +1,1 @@
+"""What the camera would see: target, collimator, lens, screen."""

@@ -1,0 +1,190 @@
+"""How a real collimator departs from the ideal one: where a point of its reticle seems to lie.
+
+An ideal collimator sends the light of a reticle point P out in the direction P - c, whichever part of its pupil
+the camera looks through. A real one bends it, by an amount that depends on the place in the field,
+h = (P - (x, y)) / r, and on the place of the camera's pupil in the collimator's, which the disc of light shows:
+b = (disc's centre - (x, y)) / r. The apparent displacement of P is that of the third-order aberrations (Seidel;
+the gradient of the wave aberration along b), in units of r:
+
+    defocus b + spherical |b|^2 b + coma (|b|^2 h + 2 (h.b) b)
+    + astigmatism 2 (h.b) h + field_curvature 2 |h|^2 b + distortion |h|^2 h
+
+Defocus is finite collimation: all points move together, as if c moved with the disc. A bowed reticle acts as
+distortion. Besides, the camera's pupil is only partly filled towards the disc's edge, and points roll outwards (or
+inwards) with the fourth power of their distance from its centre; and what no law says of glass, `irregularity` does.
+Knows the target plane only: no camera, no image.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.optics.irregularity import coefficients, field, wandering
+from simulators.world.truth import CollimatorTruth
+
+FloatArray = NDArray[np.float64]
+
+ROLL_TO = 1.2
+"""Distance from the disc's centre, in radii, from which on the rim's roll grows no more than in proportion."""
+
+
+class Disc(NamedTuple):
+    """The disc of light in a pose: centre and radius on the target plane, mm."""
+
+    x: float
+    y: float
+    radius: float
+
+
+class Bending(NamedTuple):
+    """The collimator's errors in a pose, as the compiled functions take them."""
+
+    x: float
+    y: float
+    r: float
+    b_x: float
+    b_y: float
+    defocus: float
+    spherical: float
+    coma: float
+    astigmatism: float
+    field_curvature: float
+    distortion: float
+    roll_mm: float
+    disc_x: float
+    disc_y: float
+    disc_radius: float
+    irregular: FloatArray
+
+
+_NOTHING: Final = np.zeros((0, 2))
+NO_BENDING: Final = Bending(
+    *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 1.0), _NOTHING
+)
+"""That of no collimator at all."""
+
+
+def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
+    """Disc of light in a pose: it moves as the camera turns, unless its pupil stands on the turning point.
+
+    It walks in proportion to the turn, and wanders about that, as the pupil does on a mount that is moved by hand.
+
+    Parameters
+    ----------
+    rotation
+        (3, 3), camera <- target.
+    """
+    along = _axis(rotation)
+    x, y = collimator.x + collimator.disc_x, collimator.y + collimator.disc_y
+    radius = collimator.r * math.tan(math.radians(collimator.half_angle_deg))
+    if collimator.disc_wander_mm != 0.0 or collimator.disc_breathing != 0.0:
+        wander = wandering(along, 3, collimator.glass_seed)
+        x, y = (
+            x + collimator.disc_wander_mm * float(wander[0]),
+            y + collimator.disc_wander_mm * float(wander[1]),
+        )
+        radius *= 1.0 + collimator.disc_breathing * float(wander[2])
+    return Disc(
+        x + collimator.disc_walk * along[0],
+        y + collimator.disc_walk * along[1],
+        radius,
+    )
+
+
+def _axis(rotation: FloatArray) -> tuple[float, float]:
+    """Tangents of the camera's turn: where its optical axis points in the target's frame."""
+    axis = rotation[2]
+    return float(axis[0] / axis[2]), float(axis[1] / axis[2])
+
+
+def bending_of(collimator: CollimatorTruth, rotation: FloatArray) -> Bending:
+    """Errors of the collimator in a pose."""
+    disc = disc_of(collimator, rotation)
+    return Bending(
+        collimator.x,
+        collimator.y,
+        collimator.r,
+        (disc.x - collimator.x) / collimator.r,
+        (disc.y - collimator.y) / collimator.r,
+        collimator.defocus,
+        collimator.spherical,
+        collimator.coma,
+        collimator.astigmatism,
+        collimator.field_curvature,
+        collimator.distortion,
+        collimator.rim_roll_mm,
+        disc.x,
+        disc.y,
+        disc.radius,
+        _irregular(collimator, rotation),
+    )
+
+
+def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
+    """Coefficients of what follows no law, none if all does."""
+    c = collimator
+    if c.irregularity_mm == 0.0 and c.rim_irregularity_mm == 0.0:
+        return _NOTHING
+    return coefficients(_axis(rotation), c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
+
+
+def apparent(points_mm: FloatArray, bending: Bending) -> FloatArray:
+    """Where points of the reticle, (N, 2) mm, seem to lie, (N, 2) mm."""
+    return np.asarray(_apparent(np.ascontiguousarray(points_mm, np.float64), bending))
+
+
+@njit(cache=True, nogil=True)
+def displacement(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
+    """Apparent displacement of a reticle point, mm."""
+    h_x, h_y = (x_mm - e.x) / e.r, (y_mm - e.y) / e.r
+    hh, bb, hb = h_x * h_x + h_y * h_y, e.b_x * e.b_x + e.b_y * e.b_y, h_x * e.b_x + h_y * e.b_y
+    along_b = e.defocus + e.spherical * bb + 2.0 * e.coma * hb + 2.0 * e.field_curvature * hh
+    along_h = e.coma * bb + 2.0 * e.astigmatism * hb + e.distortion * hh
+    dx, dy = e.r * (along_b * e.b_x + along_h * h_x), e.r * (along_b * e.b_y + along_h * h_y)
+    from_x, from_y = x_mm - e.disc_x, y_mm - e.disc_y
+    own_x, own_y = field(from_x / e.disc_radius, from_y / e.disc_radius, e.irregular)
+    dx, dy = dx + own_x, dy + own_y
+    rho = math.sqrt(from_x * from_x + from_y * from_y)
+    near = min(rho / e.disc_radius, ROLL_TO)
+    roll = e.roll_mm * near**3 / e.disc_radius
+    return dx + roll * from_x, dy + roll * from_y
+
+
+@njit(cache=True, nogil=True)
+def reticle_point(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
+    """Point of the reticle that seems to lie at (x, y): ``apparent`` turned round, to about 1e-6 mm."""
+    p_x, p_y = x_mm, y_mm
+    for _ in range(6):
+        dx, dy = displacement(p_x, p_y, e)
+        p_x, p_y = x_mm - dx, y_mm - dy
+    return p_x, p_y
+
+
+@njit(cache=True, nogil=True)
+def is_ideal(e: Bending) -> bool:
+    """Whether nothing is displaced."""
+    return (
+        e.defocus == 0.0
+        and e.spherical == 0.0
+        and e.coma == 0.0
+        and e.astigmatism == 0.0
+        and e.field_curvature == 0.0
+        and e.distortion == 0.0
+        and e.roll_mm == 0.0
+        and e.irregular.shape[0] == 0
+    )
+
+
+@njit(cache=True, nogil=True)
+def _apparent(points: NDArray, e: Bending) -> NDArray:
+    """Loop of ``apparent``."""
+    out = np.empty_like(points)
+    for i in range(points.shape[0]):
+        dx, dy = displacement(points[i, 0], points[i, 1], e)
+        out[i, 0], out[i, 1] = points[i, 0] + dx, points[i, 1] + dy
+    return out

@@ -1,0 +1,170 @@
+"""The camera's lens: from rays to pixels and back.
+
+Two models, in OpenCV's conventions, pixel centres at integers: pinhole with Brown's distortion, and the fisheye
+of Kannala and Brandt. Knows directions in the camera's frame; nothing of what lies there.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.errors import ConfigError
+from simulators.world.truth import CameraTruth
+
+FloatArray = NDArray[np.float64]
+
+GRID_PX: Final = 8
+"""Distance of the points at which rays are computed; between them they are interpolated."""
+
+
+class Lens(NamedTuple):
+    """A lens as the compiled functions take it."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    k3: float
+    k4: float
+    p1: float
+    p2: float
+    fisheye: bool
+
+
+def lens_of(camera: CameraTruth) -> Lens:
+    """Lens of a camera."""
+    c = camera
+    return Lens(c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2, camera.projection == "fisheye")
+
+
+@njit(cache=True, nogil=True)
+def distorted(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
+    """Distorted normalised coordinates of undistorted ones, x/z and y/z.
+
+    Brown (1966): radial k1, k2, k3 and tangential p1, p2. Kannala and Brandt (2006): with theta = atan r, the point
+    lies at theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+    """
+    r2 = xn * xn + yn * yn
+    if lens.fisheye:
+        if r2 < 1e-16:
+            return xn, yn
+        r = math.sqrt(r2)
+        theta = math.atan(r)
+        t2 = theta * theta
+        scale = theta * (1.0 + t2 * (lens.k1 + t2 * (lens.k2 + t2 * (lens.k3 + t2 * lens.k4)))) / r
+        return scale * xn, scale * yn
+    radial = 1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    xd = xn * radial + 2.0 * lens.p1 * xn * yn + lens.p2 * (r2 + 2.0 * xn * xn)
+    yd = yn * radial + lens.p1 * (r2 + 2.0 * yn * yn) + 2.0 * lens.p2 * xn * yn
+    return xd, yd
+
+
+@njit(cache=True, nogil=True)
+def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]:
+    """Pixel coordinates of a point in the camera's frame; NaN if it does not lie in front."""
+    if not z > 0.0:
+        return math.nan, math.nan
+    xd, yd = distorted(x / z, y / z, lens)
+    return lens.fx * xd + lens.cx, lens.fy * yd + lens.cy
+
+
+def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[FloatArray, FloatArray]:
+    """Undistorted normalised coordinates of distorted ones, by fixed-point iteration to 1e-13.
+
+    Raises
+    ------
+    ConfigError
+        When the distortion cannot be inverted there: the radial polynomial turns back inside the image.
+    """
+    lens = lens_of(camera)
+    if lens.fisheye:
+        return _fisheye_undistorted(xd, yd, lens)
+    xn, yn = xd.copy(), yd.copy()
+    for _ in range(200):
+        xe, ye = distorted_arrays(xn, yn, lens)
+        step_x, step_y = xd - xe, yd - ye
+        xn += step_x
+        yn += step_y
+        worst = max(float(np.abs(step_x).max()), float(np.abs(step_y).max()))
+        if not worst < 1e3:
+            break
+        if worst < 1e-13:
+            return xn, yn
+    raise _not_invertible()
+
+
+def distorted_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
+    """``distorted`` for arrays of one shape."""
+    flat = _distorted(np.column_stack([np.ravel(xn), np.ravel(yn)]), lens)
+    return flat[:, 0].reshape(xn.shape), flat[:, 1].reshape(xn.shape)
+
+
+@njit(cache=True, nogil=True)
+def _distorted(points: NDArray, lens: Lens) -> NDArray:
+    """Loop of ``distorted_arrays``."""
+    out = np.empty_like(points)
+    for i in range(points.shape[0]):
+        out[i, 0], out[i, 1] = distorted(points[i, 0], points[i, 1], lens)
+    return out
+
+
+def _fisheye_undistorted(xd: FloatArray, yd: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
+    """Solve theta (1 + k1 theta^2 + ...) = |xd, yd| by Newton's method, from the undistorted angle."""
+    wanted = np.hypot(xd, yd)
+    theta = np.minimum(wanted, 1.5)
+    k1, k2, k3, k4 = lens.k1, lens.k2, lens.k3, lens.k4
+    for _ in range(50):
+        t2 = theta * theta
+        value = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+        slope = 1.0 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+        if not (slope > 0.0).all():
+            break
+        step = (wanted - value) / slope
+        theta = theta + step
+        if float(np.abs(step).max()) < 1e-13:
+            if not (theta < 0.5 * math.pi).all():
+                break
+            stretch = np.divide(np.tan(theta), wanted, out=np.ones_like(theta), where=wanted > 1e-12)
+            return stretch * xd, stretch * yd
+    raise _not_invertible()
+
+
+def _not_invertible() -> ConfigError:
+    return ConfigError(
+        "The distortion cannot be inverted over the whole image.", where="camera", remedy="Use weaker k1, k2."
+    )
+
+
+@lru_cache(maxsize=8)
+def ray_grid(camera: CameraTruth, margin_px: int = 0) -> FloatArray:
+    """Rays through points of the image about `GRID_PX` apart.
+
+    Parameters
+    ----------
+    margin_px
+        How far beyond the image's border the grid goes.
+
+    Returns
+    -------
+    (rows, columns, 2) float64, undistorted normalised coordinates; the grid divides the image, from the outer
+    edges of its outermost pixels (or the margin's), evenly.
+
+    Raises
+    ------
+    ConfigError
+        When the distortion cannot be inverted there.
+    """
+    u, v = (
+        np.linspace(-0.5 - margin_px, size - 0.5 + margin_px, math.ceil((size + 2 * margin_px) / GRID_PX) + 1)
+        for size in (camera.width, camera.height)
+    )
+    uu, vv = np.meshgrid(u, v)
+    return np.stack(undistort((uu - camera.cx) / camera.fx, (vv - camera.cy) / camera.fy, camera), axis=-1)

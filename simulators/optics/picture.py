@@ -1,0 +1,191 @@
+"""What the camera sees of the target through the collimator: a ray model of its own, shared with nobody.
+
+The print's black areas are followed from the target's plane through the collimator and the lens into the image,
+where each pixel gets the share that they cover, exactly; the light is dimmed by the collimator's disc and its
+unevenness, and blurred by the point spread. Knows where things lie and how bright they are; nothing of time, light
+drive or events.
+
+Frames: target plane Z = 0, X right, Y down, mm; camera centre c = (x, y, -r); X_cam = R (P - c); OpenCV's
+distortion and pixel convention.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from calib.target import StarTarget
+from simulators.optics.collimator_errors import Disc, bending_of, disc_of
+from simulators.optics.coverage import blank, gather, spread_kernel
+from simulators.optics.lens import lens_of, ray_grid
+from simulators.optics.print_outline import black_polygons
+from simulators.optics.sight import Cells, Sight, draw, image_points, plane_points
+from simulators.world.truth import OpticsTruth, Truth
+
+FloatArray = NDArray[np.float64]
+
+TARGET: Final = StarTarget()
+"""The printed target behind the collimator."""
+
+_BLACK: Final = black_polygons(TARGET)
+
+
+def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> FloatArray:
+    """Rotation camera <- target of a gimbal pose, R = Rz(roll) Rx(tilt) Ry(pan) R0.
+
+    Parameters
+    ----------
+    angles_deg
+        "pan" about the camera's y axis, "tilt" about its x axis, "roll" about its z axis; missing = 0.
+    optics
+        Holds the mounting rotation R0.
+
+    Returns
+    -------
+    (3, 3) float64.
+    """
+    pan, tilt, roll = (math.radians(angles_deg.get(name, 0.0)) for name in ("pan", "tilt", "roll"))
+    mounting = np.radians(np.asarray(optics.mounting_deg, np.float64))
+    return _turn((0, 0, roll)) @ _turn((tilt, 0, 0)) @ _turn((0, pan, 0)) @ _turn(mounting)
+
+
+def _turn(rotation_vector: FloatArray | tuple[float, float, float]) -> FloatArray:
+    """Rotation matrix of a rotation vector in radians (Rodrigues)."""
+    x, y, z = (float(v) for v in rotation_vector)
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle == 0.0:
+        return np.eye(3)
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
+    return np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
+
+
+def sight_of(truth: Truth, rotation: FloatArray) -> Sight:
+    """Sight of a pose, (3, 3) camera <- target."""
+    c = truth.collimator
+    return Sight(
+        lens_of(truth.camera),
+        np.ascontiguousarray(rotation, np.float64),
+        np.array([c.x, c.y, -c.r]),
+        bending_of(c, rotation),
+    )
+
+
+def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatArray:
+    """Image points, (N, 2) px, of target points, (N, 2) mm; NaN behind the camera."""
+    return np.asarray(image_points(np.ascontiguousarray(points_mm, np.float64), sight_of(truth, rotation)))
+
+
+def star_centres(
+    truth: Truth, rotation: FloatArray, *, clearance: float = 0.0, border_px: float = 0.0
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Compute the true image points of the stars that are visible in a pose.
+
+    Parameters
+    ----------
+    clearance
+        A star is visible if it lies at least that many squares inside the bright part of the disc.
+    border_px
+        ... and at least that far inside the image's edge.
+
+    Returns
+    -------
+    ids
+        (N,) int64, rising.
+    points_px
+        (N, 2) float64, pixel centres at integers.
+    """
+    ids = TARGET.ids
+    positions = np.asarray(TARGET.positions_mm(ids), np.float64)
+    points = project(positions, rotation, truth)
+    collimator, camera = truth.collimator, truth.camera
+    disc = disc_of(collimator, rotation)
+    offset = positions - np.array([disc.x, disc.y])
+    radius = disc.radius * (1.0 - collimator.rim) - clearance * TARGET.pitch_mm
+    low, high = border_px - 0.5, np.array([camera.width, camera.height]) - 0.5 - border_px
+    seen = (np.hypot(offset[:, 0], offset[:, 1]) <= radius) & ((points >= low) & (points <= high)).all(axis=1)
+    return ids[seen], points[seen]
+
+
+class Light(NamedTuple):
+    """How the target is lit: the disc, its soft rim, and the gradient."""
+
+    disc: Disc
+    rim: float
+    gradient_x: float
+    gradient_y: float
+
+
+def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArray[np.float32]:
+    """Share of the full light that reaches each pixel in a pose.
+
+    Parameters
+    ----------
+    rotation
+        (3, 3), camera <- target.
+    subsamples
+        Cells along each side of a pixel. What is black of a cell is exact; the point spread weighs whole cells.
+
+    Returns
+    -------
+    (height, width) float32, about 0 to 1: printed brightness x disc x illumination, after the point spread.
+    """
+    optics, camera, disc = truth.optics, truth.camera, disc_of(truth.collimator, rotation)
+    kernel, rim_kernel = (spread_kernel(sigma, subsamples) for sigma in (optics.psf_px, optics.psf_rim_px))
+    cells = Cells(subsamples, math.ceil((max(kernel.size, rim_kernel.size) / subsamples - 1) / 2))
+    steps = blank(camera.width, camera.height, cells.per_px, cells.margin_px)
+    rays, sight = ray_grid(camera, cells.margin_px), sight_of(truth, rotation)
+    lit = np.hypot(*(_BLACK[:, 0] - (disc.x, disc.y)).T) < disc.radius + TARGET.pitch_mm
+    draw(_BLACK[lit], sight, rays, cells, steps)
+    light, rho = _light(
+        plane_points(rays, sight),
+        Light(disc, truth.collimator.rim, optics.gradient_x, optics.gradient_y),
+        camera.height + 2 * cells.margin_px,
+        camera.width + 2 * cells.margin_px,
+    )
+    image = gather(steps, light, (1.0, optics.black - 1.0), kernel, *cells)
+    if optics.psf_rim_px > 0.0:
+        m = cells.margin_px
+        share = np.minimum(rho[m : m + camera.height, m : m + camera.width], 1.0) ** 2
+        image += share * (gather(steps, light, (1.0, optics.black - 1.0), rim_kernel, *cells) - image)
+    return np.asarray(image + np.float32(optics.stray), np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _light(plane: NDArray, light: Light, height: int, width: int) -> tuple[NDArray, NDArray]:
+    """Brightness of the disc, and distance from its centre in radii, at the corners of all pixels.
+
+    ``plane`` is where rays meet the target, on a grid that covers the image evenly.
+    """
+    brightness = np.zeros((height + 1, width + 1), np.float32)
+    distance = np.ones((height + 1, width + 1), np.float32)
+    down, along = (plane.shape[0] - 1) / height, (plane.shape[1] - 1) / width
+    for i in range(height + 1):
+        row = min(int(i * down), plane.shape[0] - 2)
+        v = i * down - row
+        between = (1 - v) * plane[row] + v * plane[row + 1]
+        for j in range(width + 1):
+            column = min(int(j * along), plane.shape[1] - 2)
+            u = j * along - column
+            x = (1 - u) * between[column, 0] + u * between[column + 1, 0]
+            y = (1 - u) * between[column, 1] + u * between[column + 1, 1]
+            x, y = (x - light.disc.x) / light.disc.radius, (y - light.disc.y) / light.disc.radius
+            rho = math.sqrt(x * x + y * y)
+            if rho < 1.0:
+                distance[i, j] = rho
+                brightness[i, j] = _disc_light(x, y, rho, light)
+    return brightness, distance
+
+
+@njit(cache=True, nogil=True)
+def _disc_light(x: float, y: float, rho: float, light: Light) -> float:
+    """Brightness of the disc at a point inside it, x and y in its radii."""
+    brightness = 1.0 + light.gradient_x * x + light.gradient_y * y
+    if rho > 1.0 - light.rim:
+        c = math.cos(0.5 * math.pi * (rho - 1.0 + light.rim) / light.rim)
+        brightness *= c * c
+    return brightness

@@ -1,0 +1,105 @@
+"""A flickering checkerboard on a screen at finite distance: what other calibration toolboxes look at.
+
+There is no collimator; lens, areas and point spread are those of ``optics``. Frames: screen plane Z = 0, X right,
+Y down, mm, its origin at the board's first inner corner; X_cam = R P + t.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulators.errors import SimulationMisuse
+from simulators.optics.collimator_errors import NO_BENDING
+from simulators.optics.coverage import blank, gather, spread_kernel
+from simulators.optics.lens import lens_of, ray_grid
+from simulators.optics.sight import Cells, Sight, draw, image_points
+from simulators.world.truth import CameraTruth
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Checkerboard:
+    """A board of ``columns`` x ``rows`` inner corners, with squares of ``square_mm``; the screen is dark around it."""
+
+    columns: int = 11
+    rows: int = 7
+    square_mm: float = 20.0
+
+    @property
+    def corners_mm(self) -> FloatArray:
+        """(columns * rows, 2) inner corners, row by row, mm."""
+        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        return self.square_mm * np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
+
+    @property
+    def bright_mm(self) -> FloatArray:
+        """(N, 4, 2) corners of the bright squares, mm, clockwise as seen; the upper left square is bright."""
+        i, j = np.meshgrid(np.arange(self.columns + 1), np.arange(self.rows + 1))
+        bright = (i + j) % 2 == 0
+        upper_left = np.column_stack([i[bright], j[bright]]) - 1.0
+        ring = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+        return np.asarray(self.square_mm * (upper_left[:, None] + ring[None]))
+
+
+def project_board(
+    board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray
+) -> FloatArray:
+    """Image points, (N, 2) px, of the inner corners; pixel centres at integers.
+
+    Parameters
+    ----------
+    rotation, position
+        R, (3, 3), and t, (3,) mm: X_cam = R P + t.
+
+    Raises
+    ------
+    SimulationMisuse
+        When the board is not in front of the camera.
+    """
+    return np.asarray(image_points(board.corners_mm, _sight(board, camera, rotation, position)))
+
+
+def _sight(board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray) -> Sight:
+    """Sight of the screen, the whole board in front of the camera."""
+    outline = board.bright_mm.reshape(-1, 2)
+    depth = outline @ rotation[2, :2] + position[2]
+    if not (depth > 0.0).all():
+        raise SimulationMisuse("The board is not in front of the camera.", where="position")
+    turn = np.ascontiguousarray(rotation, np.float64)
+    return Sight(lens_of(camera), turn, -turn.T @ np.asarray(position, np.float64), NO_BENDING)
+
+
+def render_board(
+    board: Checkerboard,
+    camera: CameraTruth,
+    rotation: FloatArray,
+    position: FloatArray,
+    *,
+    psf_px: float = 0.7,
+    subsamples: int = 4,
+) -> NDArray[np.float32]:
+    """Share of the full light that reaches each pixel, (height, width) float32, 0 to 1.
+
+    Parameters
+    ----------
+    rotation, position
+        As in ``project_board``.
+    psf_px
+        Standard deviation of the Gaussian point spread.
+    subsamples
+        Cells along each side of a pixel.
+    """
+    sight = _sight(board, camera, rotation, position)
+    kernel = spread_kernel(psf_px, subsamples)
+    cells = Cells(subsamples, math.ceil((kernel.size / subsamples - 1) / 2))
+    steps = blank(camera.width, camera.height, cells.per_px, cells.margin_px)
+    draw(board.bright_mm, sight, ray_grid(camera, cells.margin_px), cells, steps)
+    light = np.ones(
+        (camera.height + 2 * cells.margin_px + 1, camera.width + 2 * cells.margin_px + 1), np.float32
+    )
+    return np.asarray(gather(steps, light, (0.0, 1.0), kernel, *cells))

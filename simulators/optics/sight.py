@@ -1,0 +1,150 @@
+"""From a plane in the scene to the image: where its points are seen, and which pixels its outlines cover.
+
+A point goes through the collimator, which may bend its light, and through the lens. Knows neither what is printed
+there nor how it is lit.
+
+Frames: the plane is Z = 0, mm; X_cam = R (P - c), c the camera's centre in the plane's frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.optics.collimator_errors import Bending, displacement, is_ideal, reticle_point
+from simulators.optics.coverage import add_edge
+from simulators.optics.lens import Lens, image_point
+
+FloatArray = NDArray[np.float64]
+
+CHORD_PX: Final = 1e-3
+"""How far an edge that the lens bends may lie from the chords that stand for it."""
+
+
+class Sight(NamedTuple):
+    """A camera in a pose, as the compiled functions take it: ``turn`` is R, (3, 3), ``centre`` c, (3,) mm."""
+
+    lens: Lens
+    turn: FloatArray
+    centre: FloatArray
+    bending: Bending
+
+
+class Cells(NamedTuple):
+    """How finely a picture is drawn: cells along a pixel's side, and pixels of margin around the image."""
+
+    per_px: int
+    margin_px: int
+
+
+@njit(cache=True, nogil=True)
+def seen_at(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float]:
+    """Image point of a point of the plane; NaN if it does not lie in front of the camera."""
+    dx, dy = displacement(x_mm, y_mm, sight.bending)
+    x, y, z = x_mm + dx - sight.centre[0], y_mm + dy - sight.centre[1], -sight.centre[2]
+    r = sight.turn
+    return image_point(
+        r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
+        r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
+        r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
+        sight.lens,
+    )
+
+
+@njit(cache=True, nogil=True)
+def image_points(points_mm: NDArray, sight: Sight) -> NDArray:
+    """Image points, (N, 2) px, of points of the plane, (N, 2) mm."""
+    out = np.empty((points_mm.shape[0], 2))
+    for i in range(points_mm.shape[0]):
+        out[i, 0], out[i, 1] = seen_at(points_mm[i, 0], points_mm[i, 1], sight)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def plane_points(rays: NDArray, sight: Sight) -> NDArray:
+    """Points of the plane, (rows, columns, 2) mm, that rays see; NaN where they go away from it.
+
+    Parameters
+    ----------
+    rays
+        (rows, columns, 2) undistorted normalised coordinates.
+    """
+    out = np.empty_like(rays)
+    r, c = sight.turn, sight.centre
+    ideal = is_ideal(sight.bending)
+    for i in range(rays.shape[0]):
+        for j in range(rays.shape[1]):
+            xn, yn = rays[i, j]
+            dz = r[0, 2] * xn + r[1, 2] * yn + r[2, 2]
+            scale = -c[2] / dz if dz > 1e-6 else math.nan
+            x = c[0] + scale * (r[0, 0] * xn + r[1, 0] * yn + r[2, 0])
+            y = c[1] + scale * (r[0, 1] * xn + r[1, 1] * yn + r[2, 1])
+            if not ideal:
+                x, y = reticle_point(x, y, sight.bending)
+            out[i, j, 0], out[i, j, 1] = x, y
+    return out
+
+
+def draw(
+    polygons_mm: FloatArray, sight: Sight, rays: FloatArray, cells: Cells, steps: NDArray[np.float32]
+) -> None:
+    """Add the areas of polygons to a picture.
+
+    Parameters
+    ----------
+    polygons_mm
+        (N, corners, 2), clockwise as seen; corners may repeat. Smaller than the image.
+    rays
+        Of ``lens.ray_grid``. A polygon of which no corner lies within their angle from the optical axis is left
+        out: the lens's polynomial means nothing there.
+    steps
+        As ``coverage.add_edge`` takes it.
+    """
+    reach = float(np.linalg.norm(rays, axis=-1).max())
+    _draw(np.ascontiguousarray(polygons_mm, np.float64), sight, reach, cells, steps)
+
+
+@njit(cache=True, nogil=True)
+def _draw(polygons: NDArray, sight: Sight, reach: float, cells: Cells, steps: NDArray) -> None:
+    """Loop of ``draw``."""
+    corners = polygons.shape[1]
+    for n in range(polygons.shape[0]):
+        shown = False
+        for k in range(corners):
+            shown = shown or _within(polygons[n, k, 0], polygons[n, k, 1], sight, reach)
+        if not shown:
+            continue
+        for k in range(corners):
+            a, b = polygons[n, k], polygons[n, (k + 1) % corners]
+            if a[0] != b[0] or a[1] != b[1]:
+                _draw_edge(a, b, sight, cells, steps)
+
+
+@njit(cache=True, nogil=True)
+def _within(x_mm: float, y_mm: float, sight: Sight, reach: float) -> bool:
+    """Whether a point lies in front of the camera, and not further from the axis than that tangent."""
+    x, y, z = x_mm - sight.centre[0], y_mm - sight.centre[1], -sight.centre[2]
+    r = sight.turn
+    depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+    return depth > 0.0 and x * x + y * y + z * z < (1.0 + reach * reach) * depth * depth
+
+
+@njit(cache=True, nogil=True)
+def _draw_edge(a: NDArray, b: NDArray, sight: Sight, cells: Cells, steps: NDArray) -> None:
+    """Add an edge from a to b, as chords of its curve in the image."""
+    u0, v0 = seen_at(a[0], a[1], sight)
+    u1, v1 = seen_at(b[0], b[1], sight)
+    um, vm = seen_at(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), sight)
+    chords = 1 + int(math.sqrt(math.hypot(um - 0.5 * (u0 + u1), vm - 0.5 * (v0 + v1)) / CHORD_PX))
+    scale, shift = cells.per_px, (cells.margin_px + 0.5) * cells.per_px
+    for k in range(1, chords + 1):
+        u, v = u1, v1
+        if k < chords:
+            s = k / chords
+            u, v = seen_at((1 - s) * a[0] + s * b[0], (1 - s) * a[1] + s * b[1], sight)
+        add_edge(steps, u0 * scale + shift, v0 * scale + shift, u * scale + shift, v * scale + shift, 1.0)
+        u0, v0 = u, v

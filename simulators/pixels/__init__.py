@@ -1,0 +1,1 @@
+"""The sensor: pixels, readout, filters on the chip, words on the wire."""

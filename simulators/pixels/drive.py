@@ -1,0 +1,256 @@
+"""The light as the pixels feel it: its waveform, the photoreceptor's constants, and tables of where they lead.
+
+Under a square light everything is closed form and there is nothing to tabulate, as long as the photoreceptor's is
+the only pole. Under any other light with one rise and one fall a period, and behind the source follower's pole or
+the high-pass (which act on V, linearly), an atlas holds the periodic steady state of ln u over light and phase
+(u = exp(-V); see ``photoreceptor``), where each of its rows turns, and about when it crosses which value.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from math import exp, log, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.pixels.biases import PixelSettings
+from simulators.pixels.fast_math import JIT
+from simulators.world.world import LightState
+
+SQUARE: Final = 0
+SMOOTH: Final = 1
+BENT: Final = 2  # as smooth, but a square: the atlas's bins are not even
+
+# Rows of Drive.turns.
+LN_BRIGHT: Final = 0  # smallest ln u of a period
+LN_DARK: Final = 1  # largest
+T_BRIGHT: Final = 2  # phase of the smallest, after the largest: up to a period later
+T_DARK: Final = 3
+N_TURNS: Final = 4
+
+EDGE_BEND: Final = 6.0
+"""ln of the ratio of the longest bin to the shortest in a part of a square's period."""
+ATLAS_LEVELS: Final = 128
+ATLAS_BINS: Final = 2048
+WHEN_STEPS: Final = 256
+"""Steps of ``Drive.when`` from one turn of the curve to the other."""
+BRIGHTEST: Final = 1.5
+"""Highest light of a pixel that the atlas covers."""
+LOWEST_CONTRAST: Final = 0.02
+"""Relative change of brightness below which no pixel is ever near its threshold."""
+LEAST: Final = 1.0 + LOWEST_CONTRAST
+
+
+class Drive(NamedTuple):
+    """The light and the photoreceptor."""
+
+    kind: int
+    period_us: float
+    high_us: float  # square: length of the high part
+    w_high: float
+    w_low: float
+    ambient: float
+    q_us: float
+    start_us: float  # sensor time at which a period begins
+    atlas: NDArray[
+        np.float32
+    ]  # smooth: (bins + 1, levels) ln u over a period, light rising from level to level
+    flat: NDArray[np.float32]  # the same, one row after the other
+    turns: NDArray[np.float32]  # (N_TURNS, levels) where each level's curve turns
+    when: NDArray[
+        np.float32
+    ]  # (2 * levels * (WHEN_STEPS + 2),) phase of a crossing, ON and OFF, by light and height
+    grid: NDArray[np.float32]  # (bins + 1,) phases of the bins' edges; bent: half of the bins in either part
+    lowest: float  # light of the first row; below, nothing ever crosses
+    contrast: float  # relative change of brightness for a light of 1; levels are evenly spaced in
+    log_step: float  # ln of 1 + light * contrast: ln u is nearly linear in it
+
+
+def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
+    """The light as the pixels feel it, a period beginning at ``start_us`` of the sensor's clock."""
+    period = light.period_us
+    plain = settings.follower_us == 0.0 and settings.high_pass_hz == 0.0
+    closed = light.high == light.low or (light.waveform == "square" and plain)
+    shape = (light.waveform, period, light.high_share, light.high, light.low)
+    tables = _no_atlas() if closed else _atlas(*shape, settings)
+    return Drive(
+        SQUARE if closed else BENT if light.waveform == "square" else SMOOTH,
+        period,
+        period * light.high_share,
+        light.high,
+        light.low,
+        settings.ambient,
+        settings.q_us,
+        start_us,
+        *tables,
+    )
+
+
+class _Tables(NamedTuple):
+    """The tables of a ``Drive``, as it has them."""
+
+    atlas: NDArray[np.float32]
+    flat: NDArray[np.float32]
+    turns: NDArray[np.float32]
+    when: NDArray[np.float32]
+    grid: NDArray[np.float32]
+    lowest: float
+    contrast: float
+    log_step: float
+
+
+def _no_atlas() -> _Tables:
+    """Placeholders where u is closed form."""
+    one, flat = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
+    return _Tables(one, flat, one, flat, flat, 1.0, 1.0, 1.0)
+
+
+@lru_cache(maxsize=4)
+def _atlas(
+    waveform: str, period: float, high_share: float, high: float, low: float, settings: PixelSettings
+) -> _Tables:
+    """Atlas of a light's periodic steady states."""
+    first = math.log(LEAST)
+    log_step = (math.log1p(BRIGHTEST * high / settings.ambient) - first) / (ATLAS_LEVELS - 1)
+    lights = np.expm1(first + log_step * np.arange(ATLAS_LEVELS)) * settings.ambient / high
+    if waveform == "square":
+        grid = _bent_grid(period, high_share)
+        wave = np.where(np.arange(ATLAS_BINS) < ATLAS_BINS // 2, high, low)
+    else:
+        grid = np.linspace(0.0, period, ATLAS_BINS + 1)
+        middle = (np.arange(ATLAS_BINS) + 0.5) / ATLAS_BINS
+        wave = 0.5 * (high + low) + 0.5 * (high - low) * np.sin(2.0 * np.pi * middle)
+    curves = np.empty((ATLAS_LEVELS, ATLAS_BINS + 1))
+    fill_curves(curves, lights, wave, settings.ambient, np.diff(grid) / settings.q_us)
+    if settings.follower_us > 0.0:
+        low_pass(curves, np.diff(grid) / settings.follower_us)
+    if settings.high_pass_hz > 0.0:
+        slow = curves.copy()
+        low_pass(slow, np.diff(grid) * 1e-6 * 2.0 * math.pi * settings.high_pass_hz)
+        curves -= slow
+    turns = np.empty((N_TURNS, ATLAS_LEVELS), np.float32)
+    when = np.empty((2, ATLAS_LEVELS, WHEN_STEPS + 2), np.float32)
+    fill_when(curves, turns, when, grid)
+    atlas = np.ascontiguousarray(curves.T, np.float32)
+    lowest = LOWEST_CONTRAST * settings.ambient / high
+    contrast = high / settings.ambient
+    return _Tables(
+        atlas, atlas.ravel(), turns, when.ravel(), grid.astype(np.float32), lowest, contrast, log_step
+    )
+
+
+def _bent_grid(period: float, high_share: float) -> NDArray[np.float64]:
+    """Edges of bins, half of them for either part of a square's period, short after its edges and long later."""
+    half = np.expm1(EDGE_BEND * np.linspace(0.0, 1.0, ATLAS_BINS // 2 + 1)) / np.expm1(EDGE_BEND)
+    high_us = period * high_share
+    return np.concatenate([high_us * half[:-1], high_us + (period - high_us) * half])
+
+
+@njit(**JIT)
+def fill_curves(curves: NDArray, lights: NDArray, wave: NDArray, ambient: float, bin_q: NDArray) -> None:
+    """Tabulate the periodic steady state of ln u for each light.
+
+    Parameters
+    ----------
+    curves
+        (levels, bins + 1) ln u at the bins' edges; filled in.
+    lights
+        (levels,) light of each level.
+    wave
+        (bins,) w in the middle of each bin: within a bin I is taken as constant, which is exact for steps and
+        of second order in the bin's length for smooth waves.
+    ambient
+        Constant part of I.
+    bin_q
+        (bins,) length of each bin in units of q.
+    """
+    bins = wave.size
+    for j in range(lights.size):
+        scale, offset = 1.0, 0.0  # u after a period = scale * u + offset
+        for i in range(bins):
+            intensity = ambient + lights[j] * wave[i]
+            decay = exp(-intensity * bin_q[i])
+            scale *= decay
+            offset = offset * decay + (1.0 - decay) / intensity
+        u = offset / (1.0 - scale)
+        for i in range(bins):
+            curves[j, i] = log(u)
+            intensity = ambient + lights[j] * wave[i]
+            u = 1.0 / intensity + (u - 1.0 / intensity) * exp(-intensity * bin_q[i])
+        curves[j, bins] = log(u)
+
+
+@njit(**JIT)
+def low_pass(curves: NDArray, bin_tau: NDArray) -> None:
+    """Put each curve through a first-order low-pass, in place, in its periodic steady state.
+
+    Exact for a curve that is straight within a bin; ``bin_tau`` is the length of each bin in time constants.
+    """
+    bins = bin_tau.size
+    for j in range(curves.shape[0]):
+        scale, offset = 1.0, 0.0  # the output after a period = scale * output + offset
+        for i in range(bins):
+            decay = exp(-bin_tau[i])
+            mean = (1.0 - decay) / bin_tau[i]
+            scale *= decay
+            offset = offset * decay + curves[j, i] * (mean - decay) + curves[j, i + 1] * (1.0 - mean)
+        out = offset / (1.0 - scale)
+        before = curves[j, 0]
+        for i in range(bins):
+            decay = exp(-bin_tau[i])
+            mean = (1.0 - decay) / bin_tau[i]
+            curves[j, i], after = out, curves[j, i + 1]
+            out = out * decay + before * (mean - decay) + after * (1.0 - mean)
+            before = after
+        curves[j, bins] = out
+
+
+@njit(**JIT)
+def fill_when(curves: NDArray, turns: NDArray, when: NDArray, grid: NDArray) -> None:
+    """Find where each curve turns, and when it crosses the heights between its turns; as in ``Drive``."""
+    bins = curves.shape[1] - 1
+    period = grid[bins]
+    for j in range(curves.shape[0]):
+        curve = curves[j]
+        dark = bright = 0
+        for i in range(bins):
+            if curve[i] > curve[dark]:
+                dark = i
+            if curve[i] < curve[bright]:
+                bright = i
+        lowest, span = curve[bright], curve[dark] - curve[bright]
+        if bright < dark:
+            bright += bins
+        turns[LN_BRIGHT, j], turns[LN_DARK, j] = lowest, lowest + span
+        turns[T_DARK, j] = grid[dark]
+        turns[T_BRIGHT, j] = grid[bright - bins] + period if bright >= bins else grid[bright]
+        for off in range(2):
+            first, last = (bright, dark + bins) if off else (dark, bright)
+            for k in range(WHEN_STEPS + 2):
+                s = min(k / WHEN_STEPS, 1.0) * sqrt(2.0)
+                height = s * s if s < sqrt(0.5) else 1.0 - (sqrt(2.0) - s) ** 2
+                x = crossing_bin(curve, first, last, lowest + span * height, off == 1)
+                whole = int(x)
+                i = whole - bins if whole >= bins else whole
+                t = grid[i] + (x - whole) * (grid[min(i + 1, bins)] - grid[i])
+                when[off, j, k] = t + period if whole >= bins else t
+
+
+@njit(**JIT)
+def crossing_bin(curve: NDArray, first: int, last: int, target: float, off: bool) -> float:
+    """Bin at which a curve crosses the target, sought by halving on the branch between two bins."""
+    bins = curve.size - 1
+    low, high = first, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if (curve[middle % bins] >= target) == off:
+            high = middle
+        else:
+            low = middle
+    here, there = curve[low % bins], curve[high % bins]
+    share = (target - here) / (there - here) if there != here else 0.0
+    return low + min(max(share, 0.0), 1.0)

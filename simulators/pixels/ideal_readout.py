@@ -1,0 +1,284 @@
+"""Events of a sensor that reads every pixel the moment it asks: what the pixels see, before any readout.
+
+No arbiter, no link, no dead time, no noise but the mismatch of thresholds: a pixel's reference is moved by exactly
+its threshold at each event, so that all its crossings on a branch of the light are known at once, and the stream
+is sorted afterwards. For comparing readers and image methods with what an ideal sensor would give, and for
+streams of hundreds of millions of events a second. Knows the photoreceptor's tables; not the sensor's loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.errors import SimulationMisuse
+from simulators.pixels import photoreceptor as pr
+from simulators.pixels.biases import PixelSettings
+from simulators.pixels.drive import LN_BRIGHT, LN_DARK, SQUARE, T_DARK, Drive, make_drive
+from simulators.pixels.fast_math import JIT, KERNEL
+from simulators.world.world import LightState
+
+EVENT: Final = np.dtype(
+    {
+        "names": ["x", "y", "p", "t"],
+        "formats": ["<u2", "<u2", "<i2", "<i8"],
+        "offsets": [0, 2, 4, 8],
+        "itemsize": 16,
+    }
+)
+"""An event as Metavision's readers have it, 16 bytes: x, y, p (1 = ON), t in us."""
+
+WARM_UP: Final = 2
+"""Periods the pixels live through before time 0."""
+AT_ONCE: Final = 12
+"""Crossings of a pixel that are found together: a little more than a branch has at a contrast of 10 : 1."""
+
+# An event before it is sorted: polarity, x, y and the time within the slice, from the lowest bit up.
+_X: Final = np.uint64(1)
+_Y: Final = np.uint64(16)
+_T: Final = np.uint64(32)
+_COORDINATE: Final = np.uint64(0x7FFF)
+_BUCKET: Final = 4
+"""Events are first put in order by 16 us, then each of these, which the caches hold, by the microsecond."""
+_BUCKET_US: Final = 1 << _BUCKET
+
+
+def ideal_slices(
+    picture: NDArray[np.float32],
+    light: LightState,
+    duration_us: float,
+    *,
+    phase: float = 0.0,
+    settings: PixelSettings | None = None,
+    thresholds: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+) -> Iterator[NDArray[np.void]]:
+    """Events from time 0 to ``duration_us``, sorted by time, about a period of the light at a time.
+
+    Each array is a view of one buffer, which the next overwrites: copy what is to stay.
+
+    Parameters
+    ----------
+    picture
+        (height, width) float32, share of the light's drive that reaches each pixel.
+    light
+        A light with one smooth rise and fall a period: not a square, not a steady one.
+    phase
+        Phase of the light at time 0, in periods.
+    settings
+        Thresholds and time constant; the dead time does not enter.
+    thresholds
+        ON and OFF thresholds of each pixel, as ``Sensor.thresholds`` gives them; None: all as in the settings.
+
+    Raises
+    ------
+    SimulationMisuse
+        When the light is a square or does not change.
+    """
+    chosen = settings if settings is not None else PixelSettings()
+    drive = make_drive(light, -phase * light.period_us, chosen)
+    if drive.kind == SQUARE:
+        raise SimulationMisuse(
+            "The ideal readout needs a light that rises and falls smoothly.",
+            remedy="Use a sine, or Link.ideal().",
+        )
+    height, width = picture.shape
+    levels = _levels(drive, np.ascontiguousarray(picture, np.float32))
+    on, off = thresholds if thresholds is not None else (chosen.threshold_on, chosen.threshold_off)
+    steps = np.empty((2, height, width), np.float32)
+    steps[0], steps[1] = on, off
+    reference = _between(drive.turns[LN_DARK], levels)
+    period = light.period_us
+    first_dark = float(np.min(drive.turns[T_DARK]))
+    most = _most_events(drive, steps)
+    found, ordered = np.empty(0, np.uint64), np.empty(0, np.uint64)
+    counts = np.empty(3 * math.ceil(period / _BUCKET_US) + _BUCKET_US, np.int32)
+    buffer = np.empty(0, EVENT)
+    waiting = 0
+    cycle = math.floor(-drive.start_us / period) - WARM_UP - 2
+    while True:
+        start_us = drive.start_us + cycle * period
+        begin = math.floor(start_us + first_dark)
+        end = math.floor(start_us + period + first_dark)
+        if begin >= duration_us:
+            return
+        if found.size < waiting + most:
+            found = np.concatenate([found[:waiting], np.empty(most, np.uint64)])
+            ordered = np.empty(found.size, np.uint64)
+        counts[:] = 0
+        _count(found, waiting, counts)
+        n = _cycle_events(drive, levels, steps, reference, start_us, begin, found, waiting, counts)
+        if buffer.size < n:
+            buffer = np.empty(n + n // 8, EVENT)
+        waiting = _sort(found, n, counts, begin, end, ordered, buffer.view(np.uint64).reshape(-1, 2))
+        whole = n - waiting
+        cycle += 1
+        if end > 0:
+            first, last = np.searchsorted(buffer["t"][:whole], [0, math.ceil(duration_us)])
+            yield buffer[first:last]
+
+
+def ideal_events(
+    picture: NDArray[np.float32], light: LightState, duration_us: float, **options: Any
+) -> NDArray[np.void]:
+    """All events of ``ideal_slices`` in one array."""
+    slices = [events.copy() for events in ideal_slices(picture, light, duration_us, **options)]
+    events = np.empty(sum(map(len, slices)), EVENT)
+    np.concatenate(slices, out=events)
+    return events
+
+
+def _between(table: NDArray[np.float32], levels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Interpolate a table at the pixels' levels."""
+    return np.interp(levels, np.arange(table.size), table).astype(np.float32)
+
+
+def _most_events(drive: Drive, steps: NDArray[np.float32]) -> int:
+    """More events than a cycle can have."""
+    span = float(np.max(drive.turns[LN_DARK] - drive.turns[LN_BRIGHT]))
+    return int((span / steps + 1.0).sum()) + AT_ONCE
+
+
+@njit(cache=True, nogil=True)
+def _levels(drive: Drive, picture: NDArray) -> NDArray:
+    """Level of each pixel on the atlas."""
+    levels = np.empty(picture.shape, np.float32)
+    for r in range(picture.shape[0]):
+        for c in range(picture.shape[1]):
+            levels[r, c] = pr.place(drive, picture[r, c])
+    return levels
+
+
+@njit(forceinline=True, **KERNEL)
+def _branch_times(
+    drive: Drive, level: Any, off: bool, first: Any, step: Any, offset: float, times: NDArray
+) -> None:
+    """Whole microseconds, ``offset`` after the phase, at which a pixel crosses AT_ONCE targets, a step apart."""
+    for k in range(AT_ONCE):
+        times[k] = np.int32(pr.branch_crossing(drive, level, first + np.float32(k) * step, off) + offset)
+
+
+@njit(**JIT)
+def _cycle_events(
+    d: Drive, levels: NDArray, steps: NDArray, reference: NDArray, start_us: float, begin: int, found: NDArray,
+    n: int, counts: NDArray,
+) -> int:  # fmt: skip
+    """Add the events of one cycle of all pixels, from dark to bright and back; return how many there are now."""
+    height, width = levels.shape
+    offset = start_us - begin
+    times = counts[counts.size - AT_ONCE :]
+    for r in range(height):
+        for c in range(width):
+            level = levels[r, c]
+            if level < np.float32(0.0):
+                continue
+            j = np.uint32(np.int32(level))
+            f = level - np.float32(j)
+            for off in range(2):
+                turn = pr.between(d.turns[LN_DARK if off else LN_BRIGHT], j, f)
+                ref = reference[r, c]
+                step = steps[off, r, c]
+                here = np.int64((turn - ref if off else ref - turn) / step)
+                if here <= 0:
+                    continue
+                signed = step if off else -step
+                code = np.uint64(1 - off) | (np.uint64(c) << _X) | (np.uint64(r) << _Y)
+                done = 0
+                while done < here:
+                    _branch_times(
+                        d, level, off == 1, ref + np.float32(done + 1) * signed, signed, offset, times
+                    )
+                    room = found[n : n + AT_ONCE]
+                    for k in range(AT_ONCE):
+                        room[k] = code | (np.uint64(np.uint32(times[k])) << _T)
+                    here_now = min(AT_ONCE, int(here - done))
+                    for k in range(here_now):
+                        counts[np.uint32(times[k]) >> np.uint32(_BUCKET)] += 1
+                    n += here_now
+                    done += AT_ONCE
+                reference[r, c] = ref + np.float32(here) * signed
+    times[:] = 0
+    return n
+
+
+@njit(**JIT)
+def _count(found: NDArray, n: int, counts: NDArray) -> None:
+    """Count events by bucket."""
+    for i in range(n):
+        counts[found[i] >> (_T + np.uint64(_BUCKET))] += 1
+
+
+@njit(**JIT)
+def _sort(
+    found: NDArray, n: int, counts: NDArray, begin: int, end: int, ordered: NDArray, events: NDArray
+) -> int:
+    """Put events before ``end`` in order of time; the rest waits at the start of ``found``: return how many.
+
+    Two counting sorts, of all events into buckets and of each bucket; ``counts`` is used up, ``ordered`` scratch.
+    ``events`` is (n, 2) words: x, y, p in the first, t in the second.
+    """
+    buckets = counts.size - _BUCKET_US
+    place = 0
+    for b in range(buckets):
+        here = counts[b]
+        counts[b] = place
+        place += here
+    for i in range(n):
+        to: Any = np.uint32(found[i] >> (_T + np.uint64(_BUCKET)))
+        k = np.uint32(counts[to])
+        ordered[k] = found[i]
+        counts[to] = np.int32(k) + 1
+    first: Any = 0
+    place = waiting = 0
+    for b in range(buckets):
+        last: Any = np.int64(counts[b])
+        if last > first:
+            place, more = _sort_bucket(
+                ordered[first:last],
+                counts[buckets:],
+                b << _BUCKET,
+                begin,
+                end,
+                place,
+                found[waiting:],
+                events,
+            )
+            waiting += more
+        first = last
+    return waiting
+
+
+@njit(**JIT)
+def _sort_bucket(
+    bucket: NDArray, counts: NDArray, start: int, begin: int, end: int, place: int, rest: NDArray,
+    events: NDArray,
+) -> tuple[int, int]:  # fmt: skip
+    """Put a bucket's events in order, from ``place`` on, those not before ``end`` in ``rest``; return both ends."""
+    length = end - begin
+    for k in range(_BUCKET_US):
+        counts[k] = 0
+    for i in range(bucket.size):
+        counts[np.uint32(bucket[i] >> _T) & np.uint32(_BUCKET_US - 1)] += 1
+    for k in range(min(_BUCKET_US, length - start)):
+        here = counts[k]
+        counts[k] = place
+        place += here
+    waiting = 0
+    for i in range(bucket.size):
+        one = bucket[i]
+        t = np.int64(one >> _T)
+        if t >= length:
+            rest[waiting] = one - (np.uint64(length) << _T)
+            waiting += 1
+            continue
+        j = np.uint32(t) & np.uint32(_BUCKET_US - 1)
+        at: Any = np.uint32(counts[j])
+        counts[j] = np.int32(at) + 1
+        x, y = (one >> _X) & _COORDINATE, (one >> _Y) & _COORDINATE
+        events[at, 0] = x | (y << np.uint64(16)) | ((one & np.uint64(1)) << np.uint64(32))
+        events[at, 1] = np.uint64(begin + t)
+    return place, waiting

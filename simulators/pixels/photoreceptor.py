@@ -1,0 +1,347 @@
+"""The photoreceptors under a periodic light: their levels at any phase, and when they cross a threshold.
+
+The large-signal first-order model: light I(t) = ambient + light * w(t), and with u = exp(-V) of the
+receptor's output V = ln I (in the steady state),
+
+    du/dt = (1 - I u) / q
+
+is linear: the time constant is q / I, so ON edges are fast and OFF edges slow. Under a square light u is a
+pair of exponentials and everything is closed form; under any other light with one rise and one fall a period,
+u comes from an atlas of periodic steady states, tabulated over light and phase.
+
+Compiled functions over a batch of pixels: a float32 array of N_BATCH rows, one number of a pixel each. A phase
+is in microseconds after the start of a period of the light.
+"""
+
+from __future__ import annotations
+
+import math
+from math import floor, log
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.pixels.drive import (
+    ATLAS_BINS,
+    ATLAS_LEVELS,
+    BENT,
+    EDGE_BEND,
+    LEAST,
+    LN_BRIGHT,
+    LN_DARK,
+    SMOOTH,
+    SQUARE,
+    T_BRIGHT,
+    T_DARK,
+    WHEN_STEPS,
+    Drive,
+)
+from simulators.pixels.fast_math import JIT, KERNEL, exp32, log32
+
+# Rows of a batch.
+LIGHT: Final = 0  # its place: square: share of the drive that reaches the pixel; smooth: level on the atlas
+U_RISE: Final = 1  # square: u at the rising edge; smooth: level on the atlas, -1 = too dark ever to fire
+U_FALL: Final = 2  # square: u at the falling edge
+ON_AT: Final = 3  # an ON event comes when u has fallen to this
+OFF_AT: Final = 4  # an OFF event comes when u has risen to this
+U: Final = 5  # u at the phase asked for
+T: Final = 6  # phase of the next crossing; may exceed a period; inf = none
+IS_ON: Final = 7  # its polarity
+N_BATCH: Final = 8
+
+_ZERO: Final = np.float32(0.0)
+_ONE: Final = np.float32(1.0)
+_NEVER: Final = np.float32(np.inf)
+_HUGE: Final = np.float32(1e30)
+_TINY: Final = np.float32(1e-30)
+_ROOT_2: Final = np.float32(math.sqrt(2.0))
+_HALF: Final = np.float32(0.5)
+_NEXT: Final = np.uint32(1)
+
+
+@njit(**JIT)
+def period_start(drive: Drive, epoch: float, t: float) -> float:
+    """Start of the light's period in which t lies, us after the epoch."""
+    first = drive.start_us - epoch
+    return first + floor((t - first) / drive.period_us) * drive.period_us
+
+
+@njit(**JIT)
+def place(drive: Drive, light: float) -> float:
+    """What is kept of a pixel's light: itself under a square light, its level on the atlas under another."""
+    if drive.kind == SQUARE:
+        return light
+    if light < drive.lowest:
+        return -1.0
+    level = log((1.0 + light * drive.contrast) / LEAST) / drive.log_step
+    return min(level, ATLAS_LEVELS - 1.001)
+
+
+@njit(inline="always", **JIT)
+def steady(d: Drive, placed: Any) -> tuple[Any, Any]:
+    """U_RISE and U_FALL of a pixel, from its place."""
+    if d.kind != SQUARE:
+        return placed, _ZERO
+    return _steady_square(d, placed)
+
+
+@njit(**KERNEL)
+def steady_levels(drive: Drive, batch: NDArray, n: int) -> None:
+    """Fill in U_RISE and U_FALL from the place of each pixel."""
+    if drive.kind != SQUARE:
+        for k in range(n):
+            batch[U_RISE, k] = batch[LIGHT, k]
+    else:
+        for k in range(n):
+            batch[U_RISE, k], batch[U_FALL, k] = _steady_square(drive, batch[LIGHT, k])
+
+
+@njit(inline="always", **JIT)
+def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
+    """Value of u of one pixel at a phase below one period."""
+    if d.kind != SQUARE:
+        return _smooth_level(d, u_rise, phase, d.kind == BENT)
+    return _square_level(d, light, u_rise, u_fall, phase)
+
+
+@njit(inline="always", **JIT)
+def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float) -> Any:
+    """First crossing of one pixel at or after a phase below one period.
+
+    Returns its phase (float32; may exceed a period, inf = none) and its polarity (1.0 = ON).
+    """
+    if d.kind != SQUARE:
+        return _smooth_crossing(d, u_rise, on_at, off_at, phase, d.kind == BENT)
+    return _square_crossing(d, light, u_rise, u_fall, on_at, off_at, phase)
+
+
+@njit(**KERNEL)
+def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+    """Fill in U at a phase below one period."""
+    if drive.kind == SMOOTH:
+        for k in range(n):
+            batch[U, k] = _smooth_level(drive, batch[U_RISE, k], phase, False)
+    elif drive.kind == BENT:
+        for k in range(n):
+            batch[U, k] = _smooth_level(drive, batch[U_RISE, k], phase, True)
+    else:
+        for k in range(n):
+            batch[U, k] = _square_level(drive, batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k], phase)
+
+
+@njit(**KERNEL)
+def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+    """Fill in T and IS_ON: the first crossing of ON_AT or OFF_AT at or after a phase below one period."""
+    if drive.kind == SMOOTH:
+        for k in range(n):
+            on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
+            found = _smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, False)
+            batch[T, k], batch[IS_ON, k] = found
+    elif drive.kind == BENT:
+        for k in range(n):
+            on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
+            found = _smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, True)
+            batch[T, k], batch[IS_ON, k] = found
+    else:
+        for k in range(n):
+            light, u_rise, u_fall = batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k]
+            on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
+            batch[T, k], batch[IS_ON, k] = _square_crossing(
+                drive, light, u_rise, u_fall, on_at, off_at, phase
+            )
+
+
+# ---------------------------------------------------------------- square
+
+
+@njit(inline="always", **JIT)
+def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
+    """Values of u at the rising and the falling edge in the periodic steady state, in closed form."""
+    i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
+    i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
+    decay_high = exp32(-i_high * np.float32(d.high_us / d.q_us))
+    decay_low = exp32(-i_low * np.float32((d.period_us - d.high_us) / d.q_us))
+    bright, dark = _ONE / i_high, _ONE / i_low
+    rise = dark * (_ONE - decay_low) + bright * (_ONE - decay_high) * decay_low
+    u_rise = rise / (_ONE - decay_high * decay_low)
+    return u_rise, bright + (u_rise - bright) * decay_high
+
+
+@njit(inline="always", **JIT)
+def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
+    """Let u relax towards 1 / I from its value at the last edge."""
+    rising = phase >= d.high_us  # u rises in the low part
+    i = np.float32(d.ambient) + light * np.float32(d.w_low if rising else d.w_high)
+    since = np.float32((phase - (d.high_us if rising else 0.0)) / d.q_us)
+    end = _ONE / i
+    return end + ((u_fall if rising else u_rise) - end) * exp32(-since * i)
+
+
+@njit(inline="always", **JIT)
+def _square_crossing(
+    d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float
+) -> Any:
+    """The present part of the period is searched, then the one after it; beyond, all repeats.
+
+    Within a part u relaxes from its value at the part's start towards 1 / I and meets the target at
+    (q / I) ln((u_start - 1 / I) / (target - 1 / I)).
+    """
+    rising = phase >= d.high_us
+    now_start, now_end = (u_fall, u_rise) if rising else (u_rise, u_fall)
+    now_at, next_at = (off_at, on_at) if rising else (on_at, off_at)
+    sign = _ONE if rising else -_ONE
+    now_on, next_on = (_ZERO, _ONE) if rising else (_ONE, _ZERO)
+    now_w, next_w = np.float32(d.w_low if rising else d.w_high), np.float32(d.w_high if rising else d.w_low)
+    now_from = np.float32(d.high_us if rising else 0.0)
+    next_from = np.float32(d.period_us if rising else d.high_us)
+    in_now = sign * (now_end - now_at) >= _ZERO
+    in_next = sign * (next_at - now_start) >= _ZERO
+    u_start = now_start if in_now else now_end
+    target = now_at if in_now else next_at
+    end = _ONE / (np.float32(d.ambient) + light * (now_w if in_now else next_w))
+    ratio = min(max((u_start - end) / (target - end), _TINY), _HUGE)
+    begin = now_from if in_now else next_from
+    cross = max(begin + np.float32(d.q_us) * end * log32(ratio), begin, np.float32(phase))
+    never = not (in_now or in_next) or u_start == end
+    return _NEVER if never else cross, now_on if in_now else next_on
+
+
+# ---------------------------------------------------------------- smooth
+
+
+@njit(inline="always", **JIT)
+def _smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
+    """Interpolate u at a phase on the atlas."""
+    x = _bin_at(drive, np.float32(phase), bent)
+    i = np.int32(x)
+    g = x - np.float32(i)
+    here, there = drive.atlas[i], drive.atlas[i + 1]
+    j = np.uint32(np.int32(max(level, _ZERO)))
+    f = level - np.float32(j)
+    a = here[j] + f * (here[j + _NEXT] - here[j])
+    b = there[j] + f * (there[j + _NEXT] - there[j])
+    return exp32(a + g * (b - a)) if level >= _ZERO else np.float32(1.0 / drive.ambient)
+
+
+@njit(inline="always", **JIT)
+def between(table: NDArray, j: Any, f: Any) -> Any:
+    """Interpolate between the entries j and j + 1 of a table."""
+    return table[j] + f * (table[j + _NEXT] - table[j])
+
+
+@njit(inline="always", **JIT)
+def _on_curve(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
+    """Phase near ``at`` at which the atlas itself, as ``_smooth_level`` interpolates it, meets the target.
+
+    Each event takes its reference where the last one left it: were the two taken from curves that differ by a
+    trifle, it would add up from event to event.
+    """
+    period = np.float32(d.period_us)
+    later = period if at >= period else _ZERO
+    i = np.uint32(np.int32(_bin_at(d, at - later, False)))
+    share = _share(d, i, j, f, target)
+    start, length = d.grid[i], d.grid[i + _NEXT] - d.grid[i]
+    return later + start + share * length if abs(share - _HALF) <= _ONE else at
+
+
+@njit(inline="always", **JIT)
+def _share(d: Drive, i: Any, j: Any, f: Any, target: Any) -> Any:
+    """Where in bin i a curve meets the target, 0 at its start and 1 at its end."""
+    c = i * np.uint32(ATLAS_LEVELS) + j
+    here, there = between(d.flat, c, f), between(d.flat, c + np.uint32(ATLAS_LEVELS), f)
+    return (target - here) / (there - here)
+
+
+@njit(**JIT)
+def _sought(d: Drive, j: Any, f: Any, target: Any, first: Any, last: Any, off: Any) -> Any:
+    """Phase at which a curve meets the target on a branch, sought by halving: a curve with edges has no slope."""
+    bins = np.int64(ATLAS_BINS)
+    period = np.float32(d.period_us)
+    low = np.int64(_bin_at(d, first - (period if first >= period else _ZERO), True))
+    low += bins if first >= period else 0
+    high = np.int64(_bin_at(d, last - (period if last >= period else _ZERO), True)) + 1
+    high += bins if last >= period else 0
+    while high - low > 1:
+        middle = (low + high) // 2
+        c = np.uint32(middle % bins) * np.uint32(ATLAS_LEVELS) + j
+        if (between(d.flat, c, f) >= target) == off:
+            high = middle
+        else:
+            low = middle
+    i = np.uint32(low % bins)
+    share = min(max(_share(d, i, j, f, target), _ZERO), _ONE)
+    later = period if low >= bins else _ZERO
+    return later + d.grid[i] + share * (d.grid[i + _NEXT] - d.grid[i])
+
+
+@njit(inline="always", **JIT)
+def _bin_at(d: Drive, phase: Any, bent: bool) -> Any:
+    """Where a phase below one period lies among the atlas's bins, a fraction included."""
+    bins = np.float32(ATLAS_BINS)
+    if not bent:
+        x = phase * np.float32(ATLAS_BINS / d.period_us)
+    else:
+        low = phase >= np.float32(d.high_us)
+        since = phase - np.float32(d.high_us) if low else phase
+        part = np.float32(d.period_us - d.high_us) if low else np.float32(d.high_us)
+        s = log32(_ONE + since / part * np.float32(math.expm1(EDGE_BEND)))
+        x = s * np.float32(ATLAS_BINS / 2 / EDGE_BEND) + (np.float32(ATLAS_BINS / 2) if low else _ZERO)
+    return min(max(x, _ZERO), bins - np.float32(0.001))
+
+
+@njit(inline="always", **JIT)
+def _tabled(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark: Any, off: Any) -> Any:
+    """Phase of a crossing, from ``Drive.when``: to about a tenth of a microsecond."""
+    above, below = max(target - bright, _ZERO), max(dark - target, _ZERO)
+    root = np.sqrt(min(above, below) / max(dark - bright, _TINY))
+    s = (root if above <= below else _ROOT_2 - root) * np.float32(WHEN_STEPS / math.sqrt(2.0))
+    k = np.uint32(np.int32(s))
+    g = s - np.float32(k)
+    i = (j + (np.uint32(ATLAS_LEVELS) if off else np.uint32(0))) * np.uint32(WHEN_STEPS + 2) + k
+    here, there = between(d.when, i, g), between(d.when, i + np.uint32(WHEN_STEPS + 2), g)
+    return here + f * (there - here)
+
+
+@njit(inline="always", **JIT)
+def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
+    """Phase at which a pixel's ln u meets a target on its falling (ON) or its rising (OFF) branch."""
+    j = np.uint32(np.int32(level))
+    f = level - np.float32(j)
+    bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
+    return _tabled(d, j, f, target, bright, dark, off)
+
+
+@njit(inline="always", **JIT)
+def _smooth_crossing(
+    d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
+) -> tuple[Any, Any]:
+    """Phase and polarity of a pixel's next crossing: on the present branch of the curve, or on the one after it.
+
+    ``Drive.when`` has the phase of a crossing over the light and the height of the target between the curve's
+    turns, in a scale that grows as the root of the distance from either turn, in which the phase is smooth.
+    """
+    j = np.uint32(np.int32(max(level, _ZERO)))
+    f = level - np.float32(j)
+    bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
+    t_bright, t_dark = between(d.turns[T_BRIGHT], j, f), between(d.turns[T_DARK], j, f)
+    period = np.float32(d.period_us)
+    turn = period if np.float32(phase) < t_dark else _ZERO  # the period that begins in the dark
+    now = np.float32(phase) + turn
+    rising = now >= t_bright
+    on_ln, off_ln = log32(on_at), log32(off_at)
+    can_on, can_off = on_ln >= bright, off_ln <= dark
+    in_now = can_off if rising else can_on
+    off = rising == in_now
+    never = not (can_on or can_off) or level < _ZERO
+    target = off_ln if off else on_ln
+    if bent:
+        cross = _sought(
+            d, j, f, target, t_bright if off else t_dark, t_dark + period if off else t_bright, off
+        )
+    else:
+        cross = _on_curve(d, j, f, target, _tabled(d, j, f, target, bright, dark, off))
+    cross = max(cross, now if in_now else _ZERO)
+    cross += (period if rising and not in_now else _ZERO) - turn
+    return _NEVER if never else cross, _ZERO if off else _ONE

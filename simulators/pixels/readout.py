@@ -1,0 +1,386 @@
+"""The sensor's loop in compiled form: pixels that cross thresholds, rows that are read, the link that is full.
+
+The oldest request is served first; all pixels of a row that wait are read together, with one timestamp, and
+each takes its new reference from the light *then*: what the light did while the pixel waited is lost. A full
+link stops the arbiter, so pixels wait longer. Knows arrays and numbers only; what they mean, and where they
+come from, is said in ``pixels``. Times are microseconds after the epoch, the moment to which the float32
+times of the pixels are relative.
+"""
+
+from __future__ import annotations
+
+from math import floor
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.pixels import photoreceptor as pr
+from simulators.pixels.drive import Drive
+from simulators.pixels.fast_math import JIT, KERNEL
+from simulators.pixels.photoreceptor import crossings, levels_at, period_start, steady_levels
+from simulators.pixels.pixel_noise import draw_arrivals, reset_error, reset_errors, uniform
+from simulators.pixels.sensor_state import (
+    AHEAD,
+    BLOCK,
+    EPOCH,
+    FIFO,
+    FIFO_T,
+    FREE,
+    FULL,
+    GAINS,
+    GROUP,
+    NOISE,
+    ON_BITS,
+    PLACE,
+    QUEUE,
+    STALL,
+    T_LIVE,
+    U_REF,
+    Pixels,
+    Readout,
+    count_bits,
+    lowest_bit,
+    retime,
+    row_at,
+    smallest,
+    update_minima,
+    update_row,
+    waiting,
+)
+
+VECTOR_FROM: Final = 5
+"""Events of a block from which on the sensor sends them as a vector."""
+VECTOR_WORDS: Final = 4
+FEW: Final = 9
+"""Events of a row below which they are worked on one by one, not as a batch."""
+LANES: Final = 16
+"""Pixels are worked on in multiples of this many."""
+LONE_WORDS: Final = 3
+"""EVT3 words of an event that is read alone."""
+LONGEST_ROW_WORDS: Final = 512
+"""Room the link must have before a row is read."""
+_GAIN: Final = np.float32(1.0 / 65536.0)
+
+
+@njit(**JIT)
+def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray) -> Any:
+    """Draw the next background and hot-pixel events; return a number that means nothing.
+
+    They are drawn many at a time, and their pixels touched: memory then serves many at once, and has them
+    ready when their time comes.
+    """
+    draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
+    touched = np.float32(0.0)
+    for k in range(AHEAD):
+        r, c = (px.noise_at[k] >> 1) // width, (px.noise_at[k] >> 1) % width
+        touched += px.cell[r, c, T_LIVE] + px.t_next[r, c]
+    return touched
+
+
+@njit(forceinline=True, **JIT)
+def _place_noise(px: Pixels, at: int, width: int, t: float) -> None:
+    """Let a pixel request a read at t, unless it is dead or waits already."""
+    r, c = (at >> 1) // width, (at >> 1) % width
+    if t < px.cell[r, c, T_LIVE] or px.t_next[r, c] <= t:
+        return
+    px.t_next[r, c] = t
+    px.is_on[r, c] = at & 1
+    b = c // BLOCK
+    t32 = px.t_next[r, c]
+    px.block_min[r, b] = min(px.block_min[r, b], t32)
+    px.row_min[r] = min(px.row_min[r], t32)
+    px.group_min[r // GROUP] = min(px.group_min[r // GROUP], t32)
+
+
+@njit(inline="always", **JIT)
+def _block_words(n: int) -> int:
+    """EVT3 words of n events of one polarity in a block: single events, or a vector triple with its base."""
+    return n if n < VECTOR_FROM else VECTOR_WORDS
+
+
+@njit(forceinline=True, **JIT)
+def _gather_row(px: Pixels, r: int, t: float) -> tuple[int, int, int]:
+    """List the waiting pixels of a row in ``px.column``; return their number, how many are ON, and their words."""
+    n, n_on, words = 0, 0, 2
+    t32 = np.float32(t)
+    for b in range(px.block_min.shape[1]):
+        if px.block_min[r, b] > t32:
+            continue
+        first, last = b * BLOCK, (b + 1) * BLOCK
+        asking, on = waiting(px.t_next[r, first:last], px.is_on[r, first:last], t32)
+        all_here, on_here = int(count_bits(asking)), int(count_bits(on))
+        for _ in range(all_here):
+            px.column[n] = np.uint32(first) + lowest_bit(asking)
+            asking &= asking - np.uint32(1)
+            n += 1
+        n_on += on_here
+        words += _block_words(on_here) + _block_words(all_here - on_here)
+    return n, n_on, words
+
+
+@njit(forceinline=True, **JIT)
+def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: tuple, first: int) -> None:
+    """Write a row's events: ON first, then OFF, each from left to right."""
+    ts, xs, ys, ps = out
+    i_on, i_off = first, first + n_on
+    for k in range(n):
+        c = px.column[k]
+        on = int(px.is_on[r, c])
+        xs[i_on if on else i_off] = c
+        i_on += on
+        i_off += 1 - on
+    for i in range(first, first + n):
+        ts[i] = stamp
+    for i in range(first, first + n):
+        ys[i] = r
+    for i in range(first, first + n):
+        ps[i] = i < first + n_on
+
+
+@njit(forceinline=True, **JIT)
+def _reset_pixel(
+    px: Pixels, drive: Drive, ro: Readout, r: int, c: int, phase: float, start: float, random: NDArray
+) -> None:
+    """Give one pixel its new reference at a phase, and its next crossing: ``_reset_row`` for a row of one."""
+    light = px.cell[r, c, PLACE]
+    u_rise, u_fall = pr.steady(drive, light)
+    u = pr.level_at(drive, light, u_rise, u_fall, phase) * reset_error(ro.normals, ro.reset_noise, random)
+    on_at, off_at = _targets(u, px.gains[r, c, GAINS])
+    cross, on = pr.crossing(drive, light, u_rise, u_fall, on_at, off_at, phase)
+    live = np.float32(start + phase)
+    px.cell[r, c, U_REF] = u
+    px.cell[r, c, T_LIVE] = live
+    px.is_on[r, c] = np.uint8(on)
+    px.t_next[r, c] = max(live, np.float32(start) + cross)
+
+
+@njit(inline="always", **JIT)
+def _targets(u: Any, gains: Any) -> tuple[Any, Any]:
+    """Levels at which a pixel fires, from its reference and its gains."""
+    on = np.float32(np.int32(gains & np.uint32(0xFFFF))) * _GAIN
+    off = np.float32(np.int32(gains >> np.uint32(ON_BITS))) * _GAIN
+    return u * on, u / off
+
+
+@njit(**KERNEL)
+def _load(cell: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
+    """Fetch the places of the listed pixels of a row into the batch."""
+    for k in range(n):
+        batch[pr.LIGHT, k] = cell[column[k], PLACE]
+
+
+@njit(**KERNEL)
+def _aim(gains: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
+    """Fill in the levels at which the pixels of the batch fire."""
+    for k in range(n):
+        batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = _targets(batch[pr.U, k], gains[column[k], GAINS])
+
+
+@njit(**KERNEL)
+def _store(px_row: tuple, column: NDArray, batch: NDArray, n: int, start: float, live: float) -> None:
+    """Put the references and the next crossings of the batch back to the listed pixels of a row."""
+    cell, t_next, is_on = px_row
+    start32, live32 = np.float32(start), np.float32(live)
+    for k in range(n):
+        c = column[k]
+        cell[c, U_REF] = batch[pr.U, k]
+        cell[c, T_LIVE] = live32
+        t_next[c] = max(live32, start32 + batch[pr.T, k])
+        is_on[c] = np.uint8(batch[pr.IS_ON, k])
+
+
+@njit(forceinline=True, **JIT)
+def _reset_row(
+    px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
+) -> None:
+    """Give the listed pixels of a row their new references, at the end of the dead time, and next crossings.
+
+    Parameters
+    ----------
+    t
+        When the row is read.
+    start
+        Start of a period of the light not after ``t``.
+    """
+    t_live = t + ro.dead_us
+    start += floor((t_live - start) / drive.period_us) * drive.period_us
+    phase = t_live - start
+    if n < FEW:
+        for k in range(n):
+            _reset_pixel(px, drive, ro, r, np.int64(px.column[k]), phase, start, random)
+        return
+    whole = -(-n // LANES) * LANES  # the rest of the batch holds pixels of former rows: harmless
+    _load(px.cell[r], px.column, px.batch, whole)
+    steady_levels(drive, px.batch, whole)
+    levels_at(drive, px.batch, whole, phase)
+    reset_errors(ro.normals, ro.reset_noise, random, px.batch[pr.U], n)
+    _aim(px.gains[r], px.column, px.batch, whole)
+    crossings(drive, px.batch, whole, phase)
+    _store((px.cell[r], px.t_next[r], px.is_on[r]), px.column, px.batch, n, start, t_live)
+
+
+@njit(forceinline=True, **JIT)
+def _update_blocks(px: Pixels, r: int, t: float) -> None:
+    """Earliest requests of the blocks of a row that were read at t, and of the row."""
+    t32 = np.float32(t)
+    for b in range(px.block_min.shape[1]):
+        if px.block_min[r, b] <= t32:
+            px.block_min[r, b] = smallest(px.t_next[r, b * BLOCK : (b + 1) * BLOCK])
+    update_row(px, r)
+
+
+@njit(forceinline=True, **JIT)
+def _next_noise(px: Pixels, ro: Readout, width: int, state: NDArray, random: NDArray) -> None:
+    """Go on to the next background or hot-pixel event."""
+    queue = int(state[QUEUE])
+    if queue + 1 == AHEAD:
+        draw_noise(px, ro, width, state[NOISE], random)
+        queue = -1
+    state[QUEUE] = queue + 1
+    state[NOISE] = px.noise_t[queue + 1]
+
+
+@njit(forceinline=True, **JIT)
+def _read_alone(
+    px: Pixels, drive: Drive, ro: Readout, at: int, width: int, state: NDArray, start: float, random: NDArray,
+    out: tuple, n: int,
+) -> int:  # fmt: skip
+    """Read the one pixel that a noise event makes request while nothing else waits; return the events written."""
+    r, c = (at >> 1) // width, (at >> 1) % width
+    t = state[NOISE]
+    if t < px.cell[r, c, T_LIVE]:
+        return 0
+    ts, xs, ys, ps = out
+    ts[n], xs[n], ys[n], ps[n] = np.int64(floor(state[EPOCH] + t)), c, r, at & 1
+    t_live = t + ro.dead_us
+    start += floor((t_live - start) / drive.period_us) * drive.period_us
+    before = px.t_next[r, c]
+    _reset_pixel(px, drive, ro, r, c, t_live - start, start, random)
+    retime(px, r, c, before)
+    _account(state, ro, t, 1, LONE_WORDS)
+    return 1
+
+
+@njit(forceinline=True, **JIT)
+def _account(state: NDArray, ro: Readout, t: float, n: int, words: int) -> None:
+    """Keep the arbiter and the link busy for a row read at t."""
+    state[FREE] = t + ro.row_us + n * ro.event_us
+    state[FIFO] = max(0.0, state[FIFO] - (t - state[FIFO_T]) * ro.link_words_us) + words
+    state[FIFO_T] = t
+
+
+@njit(**JIT)
+def read_rows(
+    px: Pixels,
+    drive: Drive,
+    ro: Readout,
+    state: NDArray,
+    random: NDArray,
+    until: float,
+    width: int,
+    out: tuple,
+) -> int:
+    """Run the sensor's loop up to a time, or until the output is nearly full.
+
+    Parameters
+    ----------
+    until
+        End, us after the epoch, exclusive.
+    width
+        Columns of the sensor.
+    out
+        t (int64, sensor time), x, y (uint16), p (uint8): arrays of equal length, filled from the start.
+
+    Returns
+    -------
+    Number of events written. The state and the pixels carry on: calling again goes on exactly there. When
+    the output was nearly full before ``until``, ``state[FULL]`` is 1.
+    """
+    room = out[0].size - width
+    start = period_start(drive, state[EPOCH], state[FREE])
+    n = 0
+    state[FULL] = 0.0
+    while True:
+        oldest = np.float64(smallest(px.group_min))
+        # The link drains while the arbiter waits for room for the longest row.
+        t_link = state[FIFO_T] + (state[FIFO] + LONGEST_ROW_WORDS - ro.fifo_words) / ro.link_words_us
+        t = max(oldest, state[FREE], t_link)
+        if min(t, state[NOISE]) >= until:
+            break
+        if n > room:
+            state[FULL] = 1.0
+            break
+        if min(t, state[NOISE]) - start >= drive.period_us:
+            start = period_start(drive, state[EPOCH], min(t, state[NOISE]))
+        if state[NOISE] <= t:
+            at = px.noise_at[int(state[QUEUE])]
+            if state[NOISE] < oldest and max(state[FREE], t_link) <= state[NOISE]:
+                n += _read_alone(px, drive, ro, at, width, state, start, random, out, n)
+            else:
+                _place_noise(px, at, width, state[NOISE])
+            _next_noise(px, ro, width, state, random)
+            continue
+        r = row_at(px, smallest(px.group_min))
+        n_row, n_on, words = _gather_row(px, r, t)
+        _emit_row(px, r, n_row, n_on, np.int64(floor(state[EPOCH] + t)), out, n)
+        _reset_row(px, drive, ro, r, n_row, t, start, random)
+        _update_blocks(px, r, t)
+        n += n_row
+        state[STALL] += max(0.0, t_link - max(oldest, state[FREE]))
+        _account(state, ro, t, n_row, words)
+    return n
+
+
+# ---------------------------------------------------------------- beginning and changing
+
+
+@njit(**JIT)
+def see(px: Pixels, drive: Drive, picture: NDArray) -> None:
+    """Take over a picture, (rows, width)."""
+    for r in range(picture.shape[0]):
+        for c in range(picture.shape[1]):
+            px.cell[r, c, PLACE] = pr.place(drive, picture[r, c])
+
+
+@njit(**JIT)
+def start_pixels(px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArray, random: NDArray) -> None:
+    """Set every pixel as if its dead time ended now, ``state[FREE]``."""
+    t = state[FREE] - ro.dead_us
+    start = period_start(drive, state[EPOCH], t)
+    for r in range(px.t_next.shape[0]):
+        for c in range(width):
+            px.column[c] = c
+        _reset_row(px, drive, ro, r, width, t, start, random)
+    update_minima(px)
+
+
+@njit(**JIT)
+def redrive(
+    px: Pixels, drive: Drive, width: int, t: float, step_us: float, state: NDArray, random: NDArray
+) -> None:
+    """Let a new light or a new picture take effect at t: references stay, next crossings are found anew.
+
+    A pixel that the change itself carries beyond its threshold requests at a random time of the step.
+    """
+    batch = px.batch
+    start = period_start(drive, state[EPOCH], t)
+    for r in range(px.t_next.shape[0]):
+        for c in range(width):
+            batch[pr.LIGHT, c] = px.cell[r, c, PLACE]
+            targets = _targets(px.cell[r, c, U_REF], px.gains[r, c, GAINS])
+            batch[pr.ON_AT, c], batch[pr.OFF_AT, c] = targets
+        steady_levels(drive, batch, width)
+        levels_at(drive, batch, width, t - start)
+        crossings(drive, batch, width, t - start)
+        for c in range(width):
+            if px.t_next[r, c] <= t:
+                continue  # it waits already
+            cross, on = start + batch[pr.T, c], batch[pr.IS_ON, c]
+            u = batch[pr.U, c]
+            if u <= batch[pr.ON_AT, c] or u >= batch[pr.OFF_AT, c]:
+                cross, on = t + step_us * uniform(random), np.float32(u <= batch[pr.ON_AT, c])
+            px.t_next[r, c] = max(np.float64(px.cell[r, c, T_LIVE]), cross)
+            px.is_on[r, c] = np.uint8(on)
+    update_minima(px)

@@ -1,0 +1,373 @@
+"""The sensor: a picture and a flickering light in, contrast events out.
+
+Knows the sensor's fixed pattern and noise, and holds the state that goes on from slice to slice; the loop
+itself is in ``readout``, the photoreceptor in ``photoreceptor``. Knows no optics and no wire format.
+
+The same seeds give the same events, however the time is sliced.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from simulators.errors import SimulationMisuse
+from simulators.pixels import readout, sensor_state
+from simulators.pixels.biases import PixelSettings
+from simulators.pixels.drive import Drive, make_drive
+from simulators.pixels.photoreceptor import N_BATCH
+from simulators.pixels.pixel_noise import fill_alias
+from simulators.pixels.sensor_state import BLOCK, GROUP, Pixels, Readout
+from simulators.world.truth import NOISE_LEVELS, NoiseTruth
+from simulators.world.world import LightState
+
+EPOCH_US: Final = 16384.0
+"""The pixels' times are counted from a multiple of this: float32 then resolves 4 ns."""
+GAIN_ONE: Final = 1 << sensor_state.ON_BITS
+"""The gain that is no threshold at all, as it is stored."""
+FIRST_ROOM: Final = 1 << 16
+"""Events that a slice has room for at first; must exceed the longest row."""
+
+PEAK_EVENTS_US: Final = 1066.0
+"""The sensor reads no faster (1.066 GEPS)."""
+ROW_US: Final = 0.1
+LINK_WORDS_US: Final = 100.0 - 1.0 / 16.0 - 8.0 / 200.0
+"""1.6 Gbit/s of 16-bit words, less those that carry time and counters."""
+FIFO_WORDS: Final = 65536.0
+RATE_SPREAD: Final = 0.4
+"""Standard deviation of the log of a pixel's background rate."""
+THINNEST_THRESHOLD: Final = 0.2
+"""Lowest threshold the mismatch leads to, as a share of the nominal one."""
+
+
+class Events(NamedTuple):
+    """Contrast events, in the order they are read: t int64 us of the sensor's clock, x, y uint16, p uint8."""
+
+    t: NDArray[np.int64]
+    x: NDArray[np.uint16]
+    y: NDArray[np.uint16]
+    p: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Link:
+    """How fast rows are read and carried away.
+
+    ``ideal`` reads at once and carries everything: what the pixels alone would give.
+    """
+
+    row_us: float = ROW_US
+    event_us: float = 1.0 / PEAK_EVENTS_US
+    words_us: float = LINK_WORDS_US
+    fifo_words: float = FIFO_WORDS
+
+    @classmethod
+    def ideal(cls) -> Link:
+        """Neither the arbiter nor the link costs any time."""
+        return cls(row_us=0.0, event_us=0.0, words_us=1e12, fifo_words=1e15)
+
+
+class Sensor:
+    """An event sensor under a flickering light.
+
+    Parameters
+    ----------
+    width, height
+        Pixels of the sensor.
+    noise
+        Fixed pattern and noise.
+    settings
+        Thresholds, dead time, time constant.
+    camera_seed
+        Seed of the fixed pattern.
+    seed
+        Seed of the noise over time.
+    link
+        Readout and link.
+    """
+
+    def __init__(
+        self,
+        width: int = 1280,
+        height: int = 720,
+        *,
+        noise: NoiseTruth = NOISE_LEVELS["typical"],
+        settings: PixelSettings | None = None,
+        camera_seed: int = 0,
+        seed: int | np.random.SeedSequence = 0,
+        link: Link | None = None,
+    ) -> None:
+        self.width, self.height = width, height
+        self.settings = settings if settings is not None else PixelSettings()
+        self._pixels = _make_pixels(width, height, noise, self.settings, camera_seed)
+        self._readout = _make_readout(width, height, noise, self.settings, camera_seed, link or Link())
+        self._state = np.zeros(sensor_state.N_STATE)
+        self._random = np.random.default_rng(seed).integers(1, 2**63, 2, dtype=np.uint64)
+        self._drive: Drive | None = None
+        self._picture = np.zeros((height, width), np.float32)
+        self._now_us = 0.0
+        self._rate_us = 0.0
+
+    @property
+    def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Thresholds of this camera's pixels, ON and OFF, (height, width) each, in units of log intensity."""
+        gains = self._pixels.gains[:, : self.width, sensor_state.GAINS]
+        on, off = gains & np.uint32(GAIN_ONE - 1), gains >> np.uint32(sensor_state.ON_BITS)
+        with np.errstate(divide="ignore"):  # a dead pixel's are infinite
+            return -np.log(on / GAIN_ONE), -np.log(off / GAIN_ONE)
+
+    @property
+    def stalled_us(self) -> float:
+        """How long the readout has waited for the link."""
+        return float(self._state[sensor_state.STALL])
+
+    def begin(
+        self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
+    ) -> None:
+        """Settle under a picture and a light whose phase (in periods) at ``at_us`` is given.
+
+        The pixels live through two periods of the light before that, at most 100 ms, so that they begin in the state a
+        sensor is in that has watched the light for long.
+
+        Parameters
+        ----------
+        picture
+            (height, width), share of the light's drive that reaches each pixel.
+        """
+        warmup_us = min(2.0 * light.period_us, 1e5) if light.high > light.low else 1000.0
+        begin_us = at_us - warmup_us
+        epoch = math.floor(begin_us / EPOCH_US) * EPOCH_US
+        self._drive = make_drive(light, at_us - phase * light.period_us, self.settings)
+        state = self._state
+        state[:] = 0.0
+        state[sensor_state.EPOCH] = epoch
+        state[sensor_state.FREE] = state[sensor_state.FIFO_T] = begin_us - epoch
+        state[sensor_state.NOISE] = math.inf
+        if self._readout.noise_rate_us > 0.0:
+            readout.draw_noise(
+                self._pixels, self._readout, self.width, state[sensor_state.FREE], self._random
+            )
+            state[sensor_state.NOISE] = self._pixels.noise_t[0]
+        self._see(picture)
+        readout.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
+        self._now_us = begin_us
+        self._live(at_us, _Output(FIRST_ROOM, keep=False))
+        state[sensor_state.STALL] = 0.0
+
+    def change(
+        self, picture: NDArray[np.float32] | None, light: LightState, phase: float, step_us: float
+    ) -> None:
+        """Let a new picture (None: the same) or light take effect now; ``phase`` is the light's phase now.
+
+        What the change itself carries beyond a threshold fires within the next ``step_us``.
+        """
+        self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
+        self._see(picture)
+        t = self._now_us - self._state[sensor_state.EPOCH]
+        readout.redrive(self._pixels, self._drive, self.width, t, step_us, self._state, self._random)
+
+    def _see(self, picture: NDArray[np.float32] | None) -> None:
+        """Take over the picture and find the steady state of each pixel."""
+        if picture is not None:
+            if picture.shape != (self.height, self.width):
+                raise SimulationMisuse(
+                    f"A picture of shape {picture.shape} for {self.height} rows of {self.width}."
+                )
+            self._picture = np.ascontiguousarray(picture, np.float32)
+        readout.see(self._pixels, self._drive, self._picture)
+
+    def run(self, until_us: float) -> Events:
+        """Events from where the last call ended up to a time of the sensor's clock.
+
+        Raises
+        ------
+        SimulationMisuse
+            When no picture has been shown yet.
+        """
+        if self._drive is None:
+            raise SimulationMisuse("The sensor has seen no picture yet.", remedy="Call begin first.")
+        expected = int(1.1 * self._rate_us * (until_us - self._now_us))
+        found = _Output(FIRST_ROOM + max(expected, 0))
+        self._live(until_us, found)
+        return found.events()
+
+    def _live(self, until_us: float, found: _Output) -> None:
+        """Go on to a time of the sensor's clock."""
+        begin_us = self._now_us
+        while self._now_us < until_us:
+            next_epoch = self._state[sensor_state.EPOCH] + EPOCH_US
+            end = min(until_us, next_epoch)
+            self._run_epoch(end - self._state[sensor_state.EPOCH], found)
+            if end == next_epoch:
+                sensor_state.move_epoch(self._pixels, self._state, EPOCH_US)
+            self._now_us = end
+        if self._now_us > begin_us:
+            self._rate_us = found.total / (self._now_us - begin_us)
+
+    def _run_epoch(self, until: float, found: _Output) -> None:
+        """Find the events up to a time within the epoch."""
+        while True:
+            found.n += readout.read_rows(
+                self._pixels,
+                self._drive,
+                self._readout,
+                self._state,
+                self._random,
+                until,
+                self.width,
+                found.room(),
+            )
+            if self._state[sensor_state.FULL] == 0.0:
+                return
+            found.grow()
+
+
+class _Output:
+    """Arrays that events are written to; they grow in place, so that no event is ever held twice.
+
+    Those that are not to be kept are overwritten.
+    """
+
+    def __init__(self, room: int, *, keep: bool = True) -> None:
+        self.n = 0
+        self._keep = keep
+        self._overwritten = 0
+        self._arrays: tuple[NDArray[Any], ...] = tuple(
+            np.empty(room, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8)
+        )
+
+    @property
+    def total(self) -> int:
+        """Events found, kept or not."""
+        return self._overwritten + self.n
+
+    def room(self) -> tuple[NDArray[Any], ...]:
+        """What is still free of each array."""
+        return tuple(array[self.n :] for array in self._arrays)
+
+    def grow(self) -> None:
+        """Make half as much room again."""
+        if self._keep:
+            self._resize(len(self._arrays[0]) * 3 // 2)
+        else:
+            self._overwritten += self.n
+            self.n = 0
+
+    def events(self) -> Events:
+        """Give the arrays away, at their right size."""
+        self._resize(self.n)
+        return Events(*self._arrays)
+
+    def _resize(self, size: int) -> None:
+        for array in self._arrays:
+            array.resize(size, refcheck=False)
+
+
+def simulate(
+    picture: NDArray[np.float32],
+    light: LightState,
+    duration_us: float,
+    *,
+    phase: float = 0.0,
+    noise: NoiseTruth = NOISE_LEVELS["typical"],
+    settings: PixelSettings | None = None,
+    camera_seed: int = 0,
+    seed: int = 0,
+    link: Link | None = None,
+) -> Events:
+    """Events of a still picture under a flickering light, from time 0 to ``duration_us``.
+
+    Parameters
+    ----------
+    picture
+        (height, width) float32, share of the light's drive that reaches each pixel (``optics.render``).
+    light
+        Waveform, frequency and levels.
+    phase
+        Phase of the light at time 0, in periods.
+    noise, settings, camera_seed, seed, link
+        As ``Sensor`` takes them.
+    """
+    height, width = picture.shape
+    sensor = Sensor(
+        width, height, noise=noise, settings=settings, camera_seed=camera_seed, seed=seed, link=link
+    )
+    sensor.begin(picture, light, phase)
+    return sensor.run(duration_us)
+
+
+def _make_pixels(
+    width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
+) -> Pixels:
+    """Pixels with the thresholds of that camera; columns padded to whole blocks, which never request."""
+    blocks = -(-width // BLOCK)
+    shape = (height, blocks * BLOCK)
+    pattern = np.random.default_rng([camera_seed, 1])
+
+    def share(threshold: float) -> NDArray[np.uint32]:
+        spread = 1.0 + noise.mismatch * pattern.standard_normal((height, width), np.float32)
+        gain = np.exp(-threshold * np.maximum(spread, THINNEST_THRESHOLD))
+        return np.clip(np.rint(gain * GAIN_ONE), 1, GAIN_ONE - 1).astype(np.uint32)
+
+    cell = np.zeros((*shape, sensor_state.N_CELL), np.float32)
+    cell[:, :, sensor_state.U_REF] = 1.0
+    gains = cell.view(np.uint32)
+    gains[:, :width, sensor_state.GAINS] = share(settings.threshold_on)
+    gains[:, :width, sensor_state.GAINS] |= share(settings.threshold_off) << np.uint32(sensor_state.ON_BITS)
+    gains[:, :width, sensor_state.GAINS][_dead(width, height, noise, camera_seed)] = 0  # beyond any threshold
+    groups = -(-height // GROUP)
+    return Pixels(
+        t_next=np.full(shape, np.inf, np.float32),
+        is_on=np.zeros(shape, np.uint8),
+        cell=cell,
+        gains=gains,
+        block_min=np.full((height, blocks), np.inf, np.float32),
+        row_min=np.full(groups * GROUP, np.inf, np.float32),
+        group_min=np.full(groups, np.inf, np.float32),
+        batch=np.zeros((N_BATCH, shape[1]), np.float32),
+        column=np.zeros(shape[1], np.uint32),
+        noise_t=np.zeros(sensor_state.AHEAD),
+        noise_at=np.zeros(sensor_state.AHEAD, np.int64),
+    )
+
+
+def _dead(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArray[np.bool_]:
+    """Which pixels of that camera are dead, (height, width)."""
+    dead = np.zeros(width * height, np.bool_)
+    dead[: round(noise.dead_share * dead.size)] = True
+    if dead[0]:
+        np.random.default_rng([camera_seed, 3]).shuffle(dead)
+    return dead.reshape(height, width)
+
+
+def _make_readout(
+    width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int, link: Link
+) -> Readout:
+    """Readout with the noise rates of that camera's pixels."""
+    pattern = np.random.default_rng([camera_seed, 2])
+    n = width * height
+    spread = np.exp(RATE_SPREAD * pattern.standard_normal(n, np.float32) - 0.5 * RATE_SPREAD**2)
+    rates = noise.background_hz * settings.background_gain * spread
+    hot = pattern.choice(n, round(noise.hot_share * n), replace=False)
+    rates[hot] = noise.hot_hz
+    rates[_dead(width, height, noise, camera_seed).ravel()] = 0.0
+    total = float(rates.sum(dtype=np.float64))
+    alias = np.zeros(n, np.uint64)
+    if total > 0.0:
+        fill_alias(rates * (n / total), alias)
+    return Readout(
+        settings.dead_us,
+        noise.reset_noise,
+        float(link.row_us),
+        float(link.event_us),
+        float(link.words_us),
+        float(link.fifo_words),
+        total * 1e-6,
+        alias,
+        ndtri((np.arange(4096) + 0.5) / 4096).astype(np.float32),
+    )

@@ -1,0 +1,1 @@
+"""Lines at which devices answer: pseudo-terminals, sockets."""

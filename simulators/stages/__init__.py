@@ -1,0 +1,1 @@
+"""Motor controllers, and the axes they turn."""

@@ -1,0 +1,397 @@
+"""A Newport ESP301 controller with up to three rotary axes.
+
+    nCC value CR         a command to axis n; several may stand on a line, apart by semicolons
+    nCC? CR              a question, answered by a line that ends in CR LF; nothing else is answered
+
+There is no checksum and no message id, and a command that is refused says nothing: its error waits in a queue,
+axis * 100 + number, for ``TE?`` or ``TB?``. Positions are degrees, and those that are read come from the
+encoder. Motors are off at power-up and after every fault.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from simulators.stages.axis_motion import Axis, Mechanics
+from simulators.world.trajectory import Pointing
+
+_COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
+_QUEUE_LENGTH: Final = 10
+_LONGEST: Final = 256
+
+_MESSAGES: Final = {
+    0: "NO ERROR DETECTED",
+    4: "EMERGENCY STOP ACTIVATED",
+    6: "COMMAND DOES NOT EXIST",
+    7: "PARAMETER OUT OF RANGE",
+    9: "AXIS NUMBER OUT OF RANGE",
+    37: "AXIS NUMBER MISSING",
+    38: "COMMAND PARAMETER MISSING",
+}
+_AXIS_MESSAGES: Final = {
+    1: "PARAMETER OUT OF RANGE",
+    3: "FOLLOWING ERROR THRESHOLD EXCEEDED",
+    4: "POSITIVE HARDWARE LIMIT DETECTED",
+    5: "NEGATIVE HARDWARE LIMIT DETECTED",
+    6: "POSITIVE SOFTWARE LIMIT DETECTED",
+    7: "NEGATIVE SOFTWARE LIMIT DETECTED",
+    10: "MAXIMUM VELOCITY EXCEEDED",
+    11: "MAXIMUM ACCELERATION EXCEEDED",
+    13: "MOTOR NOT ENABLED",
+    20: "HOMING ABORTED",
+    30: "COMMAND NOT ALLOWED DURING HOMING",
+}
+
+
+@dataclass(frozen=True)
+class EspAxisModel:
+    """One axis: the stage, and the settings it comes with.
+
+    Attributes
+    ----------
+    serial
+        Serial number of the stage.
+    lowest_deg, highest_deg
+        Software limits.
+    """
+
+    mechanics: Mechanics
+    serial: str
+    lowest_deg: float
+    highest_deg: float
+    name: str = "URS75BCC"
+    speed_deg_s: float = 40.0
+    acceleration_deg_s2: float = 200.0
+    home_speed_deg_s: float = 20.0
+    most_speed_deg_s: float = 80.0
+    most_acceleration_deg_s2: float = 320.0
+
+
+class _EspError(Exception):
+    """A command that is refused; the number is that of an axis or of the controller, as its place says."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(str(number))
+
+
+@dataclass
+class EspAxis:
+    """One axis at work: its mechanics, and what the controller has set for it."""
+
+    controller: EspController
+    number: int
+    model: EspAxisModel
+    axis: Axis
+    motor_on: bool = False
+    homing: bool = False
+    settings: dict[str, float] = field(default_factory=dict)
+
+    def restart(self, t_s: float) -> None:
+        """Restart the controller, and with it all axes."""
+        self.controller.restart(t_s)
+
+    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
+        """Press or release the controller's emergency stop."""
+        self.controller.emergency_stop(t_s, released=released)
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Have another stage of this model on the axis, and the controller started anew."""
+        self.model = replace(self.model, serial=serial)
+        self.controller.restart(t_s)
+
+
+class EspController:
+    """The controller, as a dialect of a serial line.
+
+    Parameters
+    ----------
+    models
+        Its axes, from number 1 on.
+    clock
+        Time in seconds.
+    publish
+        Called with an axis's number and every new course of it.
+    baud
+        Of its port: 19200 on RS-232, 921600 on USB.
+    """
+
+    def __init__(
+        self,
+        models: list[EspAxisModel],
+        clock: Callable[[], float],
+        publish: Callable[[int, Pointing], None] = lambda _number, _pointing: None,
+        baud: int = 19_200,
+    ) -> None:
+        self._clock = clock
+        self.baud = baud
+
+        def publisher(number: int) -> Callable[[Pointing], None]:
+            return lambda pointing: publish(number, pointing)
+
+        self.axes = {
+            number: EspAxis(self, number, model, Axis(model.mechanics, clock(), publisher(number)))
+            for number, model in enumerate(models, start=1)
+        }
+        self._pressed = False
+        self._awake_from_s = clock()
+        self._power_up()
+        self._axis_commands = self._for_one_axis()
+
+    def _power_up(self) -> None:
+        """Have all that a restart leaves."""
+        self._heard = b""
+        self._commands: deque[str] = deque()
+        self._waiting_for: EspAxis | None = None
+        self._errors: deque[int] = deque(maxlen=_QUEUE_LENGTH)
+        for one in self.axes.values():
+            one.motor_on = one.homing = False
+            one.settings = {
+                "VA": one.model.speed_deg_s,
+                "AC": one.model.acceleration_deg_s2,
+                "AG": one.model.acceleration_deg_s2,
+                "OH": one.model.home_speed_deg_s,
+                "SL": one.model.lowest_deg,
+                "SR": one.model.highest_deg,
+                "VU": one.model.most_speed_deg_s,
+                "AU": one.model.most_acceleration_deg_s2,
+                "SN": 7.0,
+            }
+
+    # ------------------------------------------------------------------ the line
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes as they arrive and give what they ask for."""
+        now = self._clock()
+        if now < self._awake_from_s:
+            return b""
+        *lines, self._heard = (self._heard + data).replace(b"\n", b"").split(b"\r")
+        self._heard = self._heard[-_LONGEST:]
+        for line in lines:
+            self._commands.extend(line.decode("ascii", "replace").split(";"))
+        return self._work(now)
+
+    def unsolicited(self) -> bytes:
+        """Give what commands that had to wait have answered by now."""
+        return self._work(self._clock())
+
+    def _work(self, now: float) -> bytes:
+        """Take up what has happened, and obey commands in their order as long as none has to wait."""
+        self._notice(now)
+        said = ""
+        while self._commands:
+            if self._waiting_for is not None and self._waiting_for.axis.says_busy(now):
+                break
+            self._waiting_for = None
+            answer = self._obey(self._commands.popleft(), now)
+            said += "" if answer is None else f"{answer}\r\n"
+        return said.encode("ascii")
+
+    def _obey(self, command: str, now: float) -> str | None:
+        if not command.strip():
+            return None
+        match = _COMMAND.fullmatch(command)
+        if match is None:
+            self._errors.append(6)
+            return None
+        number, name, rest = match[1], match[2].upper(), match[3]
+        try:
+            if name in {"VE", "TE", "TB", "TS", "RS", "AB", "ST"} and not number:
+                return self._of_all(name, now)
+            return self._of_one(number, name, rest, now)
+        except _EspError as error:
+            self._errors.append(error.number)
+            return None
+
+    # ------------------------------------------------------------------ commands to the controller
+    def _of_all(self, name: str, now: float) -> str | None:
+        if name == "VE":
+            return "ESP301 Version 3.0.1 6/1/99"
+        if name == "TE":
+            return str(self._errors.popleft() if self._errors else 0)
+        if name == "TB":
+            number = self._errors.popleft() if self._errors else 0
+            text = _AXIS_MESSAGES[number % 100] if number >= 100 else _MESSAGES[number]
+            return f"{number}, {int(now * 1000) % 10_000_000}, {text}"
+        if name == "TS":
+            bits = sum(1 << (one.number - 1) for one in self.axes.values() if one.axis.says_busy(now))
+            return chr(0x40 | bits | (0x10 if any(one.motor_on for one in self.axes.values()) else 0))
+        if name == "RS":
+            self.restart(now)
+            return None
+        for one in self.axes.values():
+            self._stop(one, now)
+            one.motor_on = one.motor_on and name == "ST"
+        return None
+
+    # ------------------------------------------------------------------ commands to an axis
+    def _of_one(self, number: str, name: str, rest: str, now: float) -> str | None:
+        if name not in self._axis_commands and name not in self.axes[1].settings:
+            raise _EspError(6)
+        if not number:
+            raise _EspError(37)
+        if int(number) not in self.axes:
+            raise _EspError(9)
+        one = self.axes[int(number)]
+        try:
+            if name in one.settings:
+                return self._setting(one, name, rest)
+            return self._axis_commands[name](one, rest, now)
+        except _EspError as error:
+            raise _EspError(
+                error.number if error.number in {4, 38} else one.number * 100 + error.number
+            ) from None
+
+    def _for_one_axis(self) -> Mapping[str, Callable[[EspAxis, str, float], str | None]]:
+        return {
+            "ID": lambda one, _rest, _now: f"{one.model.name}, SN{one.model.serial}",
+            "TP": lambda one, _rest, now: f"{one.axis.encoder(now) / one.model.mechanics.counts_per_deg:.5f}",
+            "DP": lambda one, _rest, now: (
+                f"{one.axis.rest_counter(now) / one.model.mechanics.counts_per_deg:.5f}"
+            ),
+            "TV": lambda one, _rest, now: (
+                f"{one.axis.velocity(now) / one.model.mechanics.counts_per_deg:.5f}"
+            ),
+            "MD": lambda one, _rest, now: str(int(not one.axis.says_busy(now))),
+            "MO": self._motor_on,
+            "MF": self._motor_off,
+            "PA": lambda one, rest, now: self._move(one, rest, now, start=0.0),
+            "PR": self._move_by,
+            "OR": self._home,
+            "DH": self._define_home,
+            "ST": lambda one, _rest, now: self._stop(one, now),
+            "WS": self._wait,
+        }
+
+    def _setting(self, one: EspAxis, name: str, rest: str) -> str | None:
+        if rest in {"", "?"}:
+            return f"{one.settings[name]:g}"
+        value = _number(rest)
+        if name in {"VU", "AU"} and value <= 0.0:
+            raise _EspError(1)
+        if name in {"VA", "OH"} and not 0.0 < value <= one.settings["VU"]:
+            raise _EspError(10)
+        if name in {"AC", "AG"} and not 0.0 < value <= one.settings["AU"]:
+            raise _EspError(11)
+        if (
+            (name == "SN" and value != 7.0)
+            or (name == "SL" and value > 0.0)
+            or (name == "SR" and value < 0.0)
+        ):
+            raise _EspError(1)
+        one.settings[name] = value
+        return None
+
+    def _motor_on(self, one: EspAxis, rest: str, _now: float) -> str | None:
+        if rest == "?":
+            return str(int(one.motor_on))
+        if self._pressed:
+            raise _EspError(4)
+        one.motor_on = True
+        return None
+
+    def _motor_off(self, one: EspAxis, rest: str, now: float) -> str | None:
+        if rest == "?":
+            return str(int(not one.motor_on))
+        if one.axis.busy(now):
+            one.axis.halt(now)
+        one.motor_on = False
+        return None
+
+    def _move_by(self, one: EspAxis, rest: str, now: float) -> str | None:
+        return self._move(
+            one, rest, now, start=one.axis.rest_counter(now) / one.model.mechanics.counts_per_deg
+        )
+
+    def _move(self, one: EspAxis, rest: str, now: float, *, start: float) -> str | None:
+        scale = one.model.mechanics.counts_per_deg
+        if rest == "?":
+            return f"{one.axis.rest_counter(now) / scale:.5f}"
+        target = start + _number(rest)
+        self._see_that_it_may_move(one)
+        if target > one.settings["SR"]:
+            raise _EspError(6)
+        if target < one.settings["SL"]:
+            raise _EspError(7)
+        speed, acceleration = one.settings["VA"] * scale, one.settings["AC"] * scale
+        one.axis.move_to(float(round(target * scale)), now, speed, acceleration)
+        return None
+
+    def _home(self, one: EspAxis, rest: str, now: float) -> str | None:
+        if rest not in {"", "0", "1", "2", "3", "4"}:
+            raise _EspError(1)
+        self._see_that_it_may_move(one)
+        scale = one.model.mechanics.counts_per_deg
+        speed = one.settings["OH"] * scale
+        one.homing = True
+        one.axis.home(now, speed, speed / 10.0, one.settings["AC"] * scale)
+        return None
+
+    def _see_that_it_may_move(self, one: EspAxis) -> None:
+        if not one.motor_on:
+            raise _EspError(13)
+        if one.homing:
+            raise _EspError(30)
+
+    def _define_home(self, one: EspAxis, rest: str, now: float) -> str | None:
+        if rest == "?":
+            return "0.00000"
+        value = (_number(rest) if rest else 0.0) * one.model.mechanics.counts_per_deg
+        one.axis.set_counter(value, now)
+        one.axis.set_encoder(value, now)
+        return None
+
+    def _stop(self, one: EspAxis, now: float) -> None:
+        if one.axis.busy(now):
+            one.axis.stop(now, one.settings["AG"] * one.model.mechanics.counts_per_deg)
+        if one.homing:
+            one.homing = False
+            self._errors.append(one.number * 100 + 20)
+
+    def _wait(self, one: EspAxis, _rest: str, _now: float) -> None:
+        self._waiting_for = one
+
+    # ------------------------------------------------------------------ what is not on the wire
+    def _notice(self, now: float) -> None:
+        """Take up what has happened to the motions by now."""
+        for one in self.axes.values():
+            if one.homing and not one.axis.busy(now):
+                one.homing = False
+            event = one.axis.take_event(now)
+            if event is None:
+                continue
+            if event.kind == "restart":
+                self.restart(event.t_s)
+                return
+            one.motor_on = False
+            limit = 4 if one.axis.counter(now) > 0.0 else 5
+            self._errors.append(one.number * 100 + (limit if event.kind == "limit" else 3))
+
+    def restart(self, t_s: float) -> None:
+        """Reboot: silent for a while, motors off, counting from 0."""
+        for one in self.axes.values():
+            one.axis.restart(t_s)
+        self._power_up()
+        self._awake_from_s = t_s + 1.0
+
+    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
+        """Press the emergency stop, which switches all motors off, or release it; they stay off."""
+        self._pressed = not released
+        if released:
+            return
+        self._errors.append(4)
+        for one in self.axes.values():
+            one.axis.halt(t_s)
+            one.motor_on = one.homing = False
+
+
+def _number(text: str) -> float:
+    if not text:
+        raise _EspError(38)
+    if not _NUMBER.fullmatch(text):
+        raise _EspError(1)
+    return float(text)

@@ -1,0 +1,377 @@
+"""A GRBL 1.1 controller that turns the axes of a home-built gimbal: X pan, Y tilt, Z roll, a degree for a unit.
+
+Knows lines and their ``ok`` or ``error:n``, the real-time bytes that jump every queue, states, alarms, settings
+and homing. There is no encoder, and nothing notices a stall. What a block says is `gcode`'s, how axes move
+together is `grbl_planner`'s.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from simulators.stages.axis_motion import Axis
+from simulators.stages.gcode import Block, GcodeError, parse_block
+from simulators.stages.grbl_planner import (
+    GrblAxisModel,
+    Motion,
+    Planner,
+    divides,
+)
+from simulators.stages.grbl_settings import factory_settings, shown
+from simulators.world.trajectory import Pointing
+
+State = Literal["Idle", "Run", "Jog", "Home", "Alarm"]
+
+_BANNER: Final = "\r\nGrbl 1.1h ['$' for help]\r\n"
+_LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
+_LONGEST: Final = 80
+_SETTING: Final = re.compile(r"(\d+)=([+-]?(?:\d+\.?\d*|\.\d+))")
+_SOFT_LIMITS, _HOMING_ENABLED = 20, 22
+
+#: What else a status report tells, each now and then, by the number of the report modulo ten.
+_NOW_AND_THEN: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
+
+
+class GrblController:
+    """The controller, as a dialect of a serial line.
+
+    Parameters
+    ----------
+    models
+        Its axes by letter, of X, Y and Z in this order.
+    clock
+        Time in seconds.
+    publish
+        Called with an axis's letter and every new course of it.
+    pull_off_deg
+        Distance from the switch at which homing ends.
+
+    Attributes
+    ----------
+    name
+        What somebody has called it by ``$I=``.
+    """
+
+    def __init__(
+        self,
+        models: Mapping[str, GrblAxisModel],
+        clock: Callable[[], float],
+        publish: Callable[[str, Pointing], None] = lambda _letter, _pointing: None,
+        pull_off_deg: float = 1.0,
+    ) -> None:
+        self._clock = clock
+        self.name = ""
+        self._factory = factory_settings(models, pull_off_deg)
+        self.settings = dict(self._factory)
+        self._planner = Planner(models, self.settings, clock(), publish)
+        self._letters = "".join(models)
+        self._in_reset = False
+        self._reports = 0
+        self._say = ""
+        self._begin_anew("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
+        self._real_time: Mapping[int, Callable[[], None]] = {
+            ord("?"): self._report,
+            ord("!"): self._hold,
+            ord("~"): self._resume,
+            0x18: self._reset,
+            0x85: self._cancel_jog,
+        }
+
+    @property
+    def baud(self) -> int:
+        """GRBL's baud rate."""
+        return 115_200
+
+    @property
+    def axes(self) -> Mapping[str, Axis]:
+        """Its axes, by letter."""
+        return self._planner.axes
+
+    def _begin_anew(self, state: State) -> None:
+        """Have all that a reset leaves."""
+        self._typed = ""
+        self._lines: deque[str] = deque()
+        self._planner.forget()
+        self._state: State = state
+        self._must_reset = False
+        self._dwell_s: float | None = None
+        self._dwell_until_s: float | None = None
+        self._motion, self._distance, self._feed = "G0", "G90", 0.0
+        self._say += _BANNER + (_LOCKED if state == "Alarm" else "")
+
+    # ------------------------------------------------------------------ the line
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes as they arrive: real-time bytes act at once, lines in their turn."""
+        self._advance()
+        for byte in data if not self._in_reset else b"":
+            if byte in self._real_time:
+                self._real_time[byte]()
+            elif byte in b"\r\n":
+                self._lines.append(self._typed)
+                self._typed = ""
+            elif 0x20 <= byte < 0x7F:
+                self._typed += chr(byte)
+            self._take_lines()
+        return self._said()
+
+    def unsolicited(self) -> bytes:
+        """Give what has come up by now: late ``ok``, alarms, the banner."""
+        self._advance()
+        return self._said()
+
+    def _said(self) -> bytes:
+        said, self._say = self._say, ""
+        return said.encode("ascii")
+
+    def _take_lines(self) -> None:
+        """Obey lines in their order, as long as none has to wait; before a reset that is due, none is heard."""
+        while self._lines and not self._waiting() and not self._must_reset:
+            line = self._lines.popleft().strip()
+            try:
+                self._obey(line)
+            except GcodeError as error:
+                self._say += f"{error}\r\n"
+            else:
+                if not self._waiting() and not self._must_reset:
+                    self._say += "ok\r\n"
+
+    def _waiting(self) -> bool:
+        return self._state == "Home" or self._dwell_s is not None
+
+    # ------------------------------------------------------------------ lines
+    def _obey(self, line: str) -> None:
+        if len(line) > _LONGEST:
+            raise GcodeError(14)
+        if not line:
+            return
+        if line.startswith("$J="):
+            self._jog(parse_block(line[3:], self._letters))
+        elif line.startswith("$"):
+            self._system(line[1:])
+        elif self._state in {"Alarm", "Jog"}:
+            raise GcodeError(9)
+        else:
+            self._block(parse_block(line, self._letters))
+
+    def _system(self, command: str) -> None:
+        if command == "I":
+            self._need_rest()
+            self._say += f"[VER:1.1h.20190830:{self.name}]\r\n[OPT:V,15,128]\r\n"
+        elif command.startswith("I="):
+            self._need_rest()
+            self.name = command[2:].replace(" ", "").upper()
+        elif command == "G":
+            self._say += (
+                f"[GC:{self._motion} G54 G17 G21 {self._distance} G94 M5 M9 T0 F{self._feed:g} S0]\r\n"
+            )
+        elif command == "$":
+            if self._state != "Jog":
+                self._need_rest()
+            self._say += "".join(
+                f"${number}={shown(number, value)}\r\n" for number, value in self.settings.items()
+            )
+        elif command == "X":
+            if self._state == "Alarm":
+                self._state = "Idle"
+                self._say += "[MSG:Caution: Unlocked]\r\n"
+        elif command == "H":
+            self._home()
+        elif command[:1] in {"I", "G", "$", "X", "H"}:
+            raise GcodeError(3)
+        else:
+            self._set(command)
+
+    def _need_rest(self) -> None:
+        if self._state not in {"Idle", "Alarm"}:
+            raise GcodeError(8)
+
+    def _set(self, command: str) -> None:
+        setting = _SETTING.fullmatch(command)
+        if setting is None:
+            raise GcodeError(3 if command[:1].isdigit() and "=" not in command else 2)
+        self._need_rest()
+        number, value = int(setting[1]), float(setting[2])
+        # The firmware takes a scale, speed or acceleration of zero, and is of no use afterwards.
+        if value < 0.0 or (value == 0.0 and divides(number)):
+            raise GcodeError(4)
+        if number not in self.settings:
+            raise GcodeError(3)
+        if number == _SOFT_LIMITS and value and not self.settings[_HOMING_ENABLED]:
+            raise GcodeError(10)
+        self.settings[number] = value
+
+    def _home(self) -> None:
+        if not self.settings[_HOMING_ENABLED]:
+            raise GcodeError(5)
+        self._need_rest()
+        self._state = "Home"
+        self._planner.home(self._clock())
+
+    def _block(self, block: Block) -> None:
+        self._motion = block.motion or self._motion
+        self._distance = block.distance or self._distance
+        self._feed = self._feed if block.feed is None else block.feed
+        if block.dwell_s is not None:
+            self._dwell_s = block.dwell_s
+        elif block.targets:
+            if self._motion == "G1" and not self._feed:
+                raise GcodeError(22)
+            relative = self._distance == "G91" and not block.machine_coordinates
+            targets = self._targets(block, relative=relative)
+            if self.settings[_SOFT_LIMITS] and not self._planner.inside(targets):
+                self._alarm(2)
+                return
+            self._planner.add(Motion(targets, self._feed if self._motion == "G1" else None), self._clock())
+            self._state = "Run"
+
+    def _jog(self, block: Block) -> None:
+        if self._state not in {"Idle", "Jog"}:
+            raise GcodeError(8)
+        if block.motion or block.dwell_s is not None:
+            raise GcodeError(16)
+        if not block.feed:
+            raise GcodeError(22)
+        if not block.targets:
+            return
+        targets = self._targets(block, relative=(block.distance or self._distance) == "G91")
+        if self.settings[_SOFT_LIMITS] and not self._planner.inside(targets):
+            raise GcodeError(15)
+        self._planner.add(Motion(targets, block.feed), self._clock())
+        self._state = "Jog"
+
+    def _targets(self, block: Block, *, relative: bool) -> dict[str, float]:
+        """Where a block leads, from where all that was ordered before it ends."""
+        targets = self._planner.last_target(self._clock())
+        for letter, value in block.targets.items():
+            targets[letter] = value + (targets[letter] if relative else 0.0)
+        return targets
+
+    # ------------------------------------------------------------------ what happens in time
+    def _advance(self) -> None:
+        """Take up what has happened since the last call."""
+        now = self._clock()
+        for axis in self.axes.values():
+            event = axis.take_event(now)
+            if event is not None and event.kind == "restart":
+                self.restart(event.t_s)
+            elif event is not None:
+                self._planner.halt(now)
+                self._alarm(1)
+        self._planner.go_on(now)
+        if self._state == "Home" and not self._planner.moving(now):
+            self._finish_homing(now)
+        if self._state in {"Run", "Jog"} and self._planner.done(now):
+            self._state = "Idle"
+        self._finish_dwell(now)
+        self._take_lines()
+
+    def _finish_homing(self, now: float) -> None:
+        if self._planner.homed(now):
+            self._state = "Idle"
+            self._say += "ok\r\n"
+        else:
+            self._alarm(9, must_reset=False)
+
+    def _finish_dwell(self, now: float) -> None:
+        """A dwell begins when all motion before it has ended, and is answered at its end."""
+        if self._dwell_s is None or not self._planner.done(now):
+            return
+        if self._dwell_until_s is None:
+            self._dwell_until_s = now + self._dwell_s
+        if now >= self._dwell_until_s:
+            self._dwell_s = self._dwell_until_s = None
+            self._say += "ok\r\n"
+
+    def _alarm(self, number: int, *, must_reset: bool = True) -> None:
+        self._planner.forget()
+        self._state = "Alarm"
+        self._must_reset = must_reset
+        self._say += f"ALARM:{number}\r\n" + ("[MSG:Reset to continue]\r\n" if must_reset else "")
+
+    # ------------------------------------------------------------------ real-time bytes
+    def _report(self) -> None:
+        now = self._clock()
+        state: str = self._state
+        if self._planner.held:
+            state = "Hold:1" if self._planner.moving(now) else "Hold:0"
+        elif self._planner.flickers(now):
+            state = "Idle"
+        position = ",".join(f"{value:.3f}" for value in self._planner.position(now))
+        extra = _NOW_AND_THEN.get(self._reports % 10, "")
+        self._reports += 1
+        self._say += f"<{state}|MPos:{position}|FS:{self._planner.feed(now):.0f},0{extra}>\r\n"
+
+    def _hold(self) -> None:
+        if self._state == "Run":
+            self._planner.hold(self._clock())
+        elif self._state == "Jog":
+            self._planner.cancel(self._clock())
+
+    def _resume(self) -> None:
+        self._planner.resume(self._clock())
+
+    def _cancel_jog(self) -> None:
+        if self._state == "Jog":
+            self._planner.cancel(self._clock())
+
+    def _reset(self) -> None:
+        """Soft reset: harmless at rest; in motion steps are lost, and the position with them."""
+        now = self._clock()
+        if self._planner.moving(now):
+            self._say += f"ALARM:{6 if self._state == 'Home' else 3}\r\n"
+            self._planner.halt(now)
+            self._state = "Alarm"
+        self._begin_anew("Alarm" if self._state == "Alarm" else "Idle")
+
+    # ------------------------------------------------------------------ what is not on the wire
+    def restart(self, t_s: float) -> None:
+        """Lose power and have it again: position 0, locked until homed."""
+        for axis in self.axes.values():
+            axis.restart(t_s)
+        self._begin_anew("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
+
+    def exchange(self, name: str, t_s: float) -> None:
+        """Be another board from now on, of another name: settings that somebody has made are gone."""
+        self.name = name
+        self.settings.clear()
+        self.settings.update(self._factory)
+        self.restart(t_s)
+
+    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
+        """Hold the board in reset, as a stop button on its reset pin does, or let it go."""
+        self._in_reset = not released
+        if released:
+            self._begin_anew("Alarm")
+        else:
+            self._planner.halt(t_s)
+            self._state = "Alarm"
+            self._say = ""
+
+
+@dataclass(frozen=True)
+class GrblAxis:
+    """One axis of a controller, as faults see it."""
+
+    controller: GrblController
+    letter: str
+
+    @property
+    def axis(self) -> Axis:
+        """The axis."""
+        return self.controller.axes[self.letter]
+
+    def restart(self, t_s: float) -> None:
+        """Restart the controller, and with it all axes."""
+        self.controller.restart(t_s)
+
+    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
+        """Press or release the controller's emergency stop."""
+        self.controller.emergency_stop(t_s, released=released)
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Be another board from now on; GRBL has no serial number, but the name that somebody gave it by ``$I=``."""
+        self.controller.exchange(serial, t_s)

@@ -1,0 +1,43 @@
+"""Settings of a GRBL controller: what they are at the factory, and how they are printed. Knows them by number alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from simulators.stages.grbl_planner import ACCELERATION, MAX_RATE, MAX_TRAVEL, STEPS, GrblAxisModel
+
+#: Settings that are told with decimals, apart from those of the axes.
+_WITH_DECIMALS: Final = {11, 12, 24, 25, 27}
+
+
+def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:
+    """Give the settings of a board with these axes, by number."""
+    settings = {
+        0: 10.0,
+        1: 255.0,
+        2: 0.0,
+        3: 0.0,
+        4: 0.0,
+        5: 0.0,
+        6: 0.0,
+        10: 1.0,
+        11: 0.01,
+        12: 0.002,
+        13: 0.0,
+    }
+    settings |= {20: 1.0, 21: 1.0, 22: 1.0, 23: 0.0, 24: 120.0, 25: 1200.0, 26: 250.0, 27: pull_off_deg}
+    settings |= {30: 1000.0, 31: 0.0, 32: 0.0}
+    for number, model in enumerate(models.values()):
+        settings |= {
+            STEPS + number: model.mechanics.counts_per_deg,
+            MAX_RATE + number: model.max_rate_deg_s * 60.0,
+            ACCELERATION + number: model.acceleration_deg_s2,
+            MAX_TRAVEL + number: model.travel_deg,
+        }
+    return dict(sorted(settings.items()))
+
+
+def shown(number: int, value: float) -> str:
+    """Print a setting: those that are no whole numbers with three decimals."""
+    return f"{value:.3f}" if number in _WITH_DECIMALS or number >= STEPS else f"{value:.0f}"

@@ -1,0 +1,178 @@
+"""The simulated stages that a bench can have, by kind, built from their configuration.
+
+Knows which device a kind stands for, at which ports it answers, and which controller turns which axis; nothing of
+how one speaks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+from simulators.config import AxisConfig
+from simulators.faults.fault_injection import AxisController
+from simulators.ports.serial_device import Dialect
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.grbl import GrblAxis, GrblController
+from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.ximc import XimcController, XimcModel
+from simulators.stages.zaber import ZaberChain
+from simulators.stages.zaber_controller import ZaberController, ZaberModel
+from simulators.world.trajectory import Pointing
+from simulators.world.world import AxisName
+
+#: End stops lie this much beyond the soft limits.
+_STOP_MARGIN_DEG: Final = 2.0
+
+#: A GRBL axis homes at its upper soft limit, this much below its switch.
+_PULL_OFF_DEG: Final = 1.0
+
+Axes = Mapping[AxisName, AxisConfig]
+Clock = Callable[[], float]
+Publish = Callable[[AxisName, Pointing], None]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage, ready to be put on its ports.
+
+    Attributes
+    ----------
+    dialects
+        Who answers, by the name of the port.
+    controllers
+        Who turns an axis.
+    ports
+        Name of the port at which an axis's controller answers.
+    """
+
+    dialects: Mapping[str, Dialect]
+    controllers: Mapping[str, AxisController]
+    ports: Mapping[str, str]
+
+
+def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
+    """Build a stage.
+
+    Parameters
+    ----------
+    kind
+        "zaber", "ximc", "grbl" or "esp301", as the configuration has checked.
+    axes
+        Its axes, in the order of their addresses.
+    clock
+        Time in seconds.
+    publish
+        Called with an axis's name and every new course of it.
+    """
+    return _MAKERS[kind](axes, clock, publish)
+
+
+def _mechanics(axis: AxisConfig, *, home_deg: float = 0.0, notices_stalls: bool = True) -> Mechanics:
+    return Mechanics(
+        counts_per_deg=float(axis.microsteps_per_deg),
+        lowest_deg=-axis.limit_deg - _STOP_MARGIN_DEG,
+        highest_deg=axis.limit_deg + _STOP_MARGIN_DEG,
+        home_deg=home_deg,
+        start_deg=axis.start_deg,
+        settle_s=axis.settle_s,
+        backlash_deg=axis.backlash_deg,
+        stall_detection=notices_stalls,
+    )
+
+
+def _zaber(axes: Axes, clock: Clock, publish: Publish) -> Stage:
+    """Chain X-RST controllers on one line."""
+    controllers = {
+        str(name): ZaberController(
+            ZaberModel(
+                _mechanics(axis),
+                axis.serial,
+                lowest=-round(axis.limit_deg * axis.microsteps_per_deg),
+                highest=round(axis.limit_deg * axis.microsteps_per_deg),
+                speed_deg_s=axis.speed_deg_s,
+                acceleration_deg_s2=axis.acceleration_deg_s2,
+                encoder=axis.encoder,
+            ),
+            clock(),
+            partial(publish, name),
+        )
+        for name, axis in axes.items()
+    }
+    return Stage(
+        {"gimbal": ZaberChain([*controllers.values()], clock)}, controllers, dict.fromkeys(axes, "gimbal")
+    )
+
+
+def _ximc(axes: Axes, clock: Clock, publish: Publish) -> Stage:
+    """Give each axis its own controller and port."""
+    controllers = {
+        str(name): XimcController(
+            XimcModel(
+                _mechanics(axis),
+                int(axis.serial),
+                -axis.limit_deg,
+                axis.limit_deg,
+                speed_deg_s=axis.speed_deg_s,
+                acceleration_deg_s2=axis.acceleration_deg_s2,
+                encoder_counts_per_step=20 if axis.encoder else 0,
+            ),
+            clock,
+            partial(publish, name),
+        )
+        for name, axis in axes.items()
+    }
+    return Stage(
+        {f"gimbal-{name}": one for name, one in controllers.items()},
+        controllers,
+        {name: f"gimbal-{name}" for name in axes},
+    )
+
+
+def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
+    """Turn all axes, lettered X, Y and Z in their order, by one board."""
+    names = dict(zip("XYZ", axes, strict=False))
+    models = {
+        letter: GrblAxisModel(
+            _mechanics(axes[name], home_deg=axes[name].limit_deg, notices_stalls=False),
+            travel_deg=2.0 * axes[name].limit_deg + _PULL_OFF_DEG,
+            max_rate_deg_s=axes[name].speed_deg_s,
+            acceleration_deg_s2=axes[name].acceleration_deg_s2,
+        )
+        for letter, name in names.items()
+    }
+    board = GrblController(
+        models, clock, lambda letter, pointing: publish(names[letter], pointing), _PULL_OFF_DEG
+    )
+    controllers = {str(name): GrblAxis(board, letter) for letter, name in names.items()}
+    return Stage({"gimbal": board}, controllers, dict.fromkeys(axes, "gimbal"))
+
+
+def _esp301(axes: Axes, clock: Clock, publish: Publish) -> Stage:
+    """Turn all axes, numbered in their order, by one controller."""
+    names = dict(enumerate(axes, start=1))
+    models = [
+        EspAxisModel(
+            _mechanics(axis),
+            axis.serial,
+            -axis.limit_deg,
+            axis.limit_deg,
+            speed_deg_s=axis.speed_deg_s,
+            acceleration_deg_s2=axis.acceleration_deg_s2,
+        )
+        for axis in axes.values()
+    ]
+    controller = EspController(models, clock, lambda number, pointing: publish(names[number], pointing))
+    controllers = {str(name): controller.axes[number] for number, name in names.items()}
+    return Stage({"gimbal": controller}, controllers, dict.fromkeys(axes, "gimbal"))
+
+
+_MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
+    "zaber": _zaber,
+    "ximc": _ximc,
+    "grbl": _grbl,
+    "esp301": _esp301,
+}

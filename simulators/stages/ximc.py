@@ -1,0 +1,394 @@
+"""A Standa 8SMC controller with one axis, speaking the binary XIMC protocol.
+
+    four letters                                a command without data
+    four letters, data, CRC16                   a command with data; the CRC is over the data alone
+    the four letters again (, data, CRC16)      its answer; errc, errd, errv instead: unknown, CRC, value
+
+All numbers are little endian. A byte 0 where a command should begin is answered by a byte 0: that is how a host
+finds the beginning again. A command whose bytes stop coming is forgotten after 0.4 s. Positions are steps and
+1/256 steps, and homing does not set them: the host does. Reading of the protocol's published definition.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from simulators.stages.axis_motion import Axis, Mechanics
+from simulators.world.trajectory import Pointing
+
+#: Microsteps a step, as positions are given whatever the motor's mode.
+MICROSTEPS: Final = 256
+
+_BYTE_TIMEOUT_S: Final = 0.4
+
+_MOVING, _AT_SPEED = 0x01, 0x02
+_RUNNING, _FAILED = 0x80, 0x40
+_IS_HOMED, _ALARM, _SLIPPED = 0x20, 0x40, 0x80
+_ERROR_FLAGS: Final = {b"errc": 0x01, b"errd": 0x02, b"errv": 0x04}
+_RIGHT_EDGE, _LEFT_EDGE = 0x01, 0x02
+_STOP_LEFT, _STOP_RIGHT = 0x02, 0x04
+_IGNORE_POSITION, _IGNORE_ENCODER = 0x01, 0x02
+
+#: Number of each command in the status's record of the last one.
+_COMMAND_NUMBERS: Final = {
+    "move": 1,
+    "movr": 2,
+    "left": 3,
+    "rigt": 4,
+    "stop": 5,
+    "home": 6,
+    "loft": 7,
+    "sstp": 8,
+}
+
+#: Layouts of settings, by the letters that follow g (get) or s (set); the rest of each is reserved.
+_LAYOUTS: Final = {
+    "mov": (struct.Struct("<IBHHIBB9x"), 24),
+    "eng": (struct.Struct("<HHIBHhBH12x"), 28),
+    "ent": (struct.Struct("<BB6x"), 8),
+    "eds": (struct.Struct("<BBihih6x"), 20),
+    "hom": (struct.Struct("<IBIBihH9x"), 27),
+    "fbs": (struct.Struct("<HBBI4x"), 12),
+}
+
+
+@dataclass(frozen=True)
+class XimcModel:
+    """What a controller says it is, and the axis behind it.
+
+    Attributes
+    ----------
+    serial
+        Its serial number.
+    lowest_deg, highest_deg
+        Borders at which it stops, as it comes.
+    encoder_counts_per_step
+        Of the encoder on the shaft; 0 for none.
+    """
+
+    mechanics: Mechanics
+    serial: int
+    lowest_deg: float
+    highest_deg: float
+    speed_deg_s: float = 40.0
+    acceleration_deg_s2: float = 200.0
+    home_speed_deg_s: float = 20.0
+    encoder_counts_per_step: int = 20
+    boot_s: float = 0.5
+
+
+def crc16(data: bytes) -> int:
+    """Cyclic redundancy check with polynomial 0xA001 (reflected) from 0xFFFF.
+
+    Examples
+    --------
+    >>> hex(crc16(b"123456789"))
+    '0x4b37'
+    """
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0xA001 if crc & 1 else 0)
+    return crc
+
+
+class _ErrorReply(Exception):
+    """An answer that refuses: errc, errd or errv."""
+
+    def __init__(self, letters: bytes) -> None:
+        self.letters = letters
+        super().__init__(letters.decode())
+
+
+class XimcController:
+    """The controller, as a dialect of a serial line.
+
+    Parameters
+    ----------
+    model
+        What it is.
+    clock
+        Time in seconds.
+    publish
+        Called with every new course of the axis.
+    """
+
+    def __init__(
+        self,
+        model: XimcModel,
+        clock: Callable[[], float],
+        publish: Callable[[Pointing], None] = lambda _pointing: None,
+    ) -> None:
+        self.model = model
+        self._clock = clock
+        self.axis = Axis(model.mechanics, clock(), publish)
+        self._heard = b""
+        self._heard_at_s = self._awake_from_s = clock()
+        self._settings = self._factory_settings()
+        self._command = 0
+        self._failed = False
+        self._flags = 0
+        self._edges = 0
+        self._pressed = False
+        self._commands = self._known_commands()
+
+    @property
+    def baud(self) -> int:
+        """The family's baud rate."""
+        return 115_200
+
+    # ------------------------------------------------------------------ the line
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes as they arrive and give all answers."""
+        now = self._clock()
+        self._notice(now)
+        if now < self._awake_from_s:
+            return b""
+        if now - self._heard_at_s > _BYTE_TIMEOUT_S:
+            self._heard = b""
+        self._heard_at_s = now
+        self._heard += data
+        answers = b""
+        while self._heard:
+            if self._heard[0] == 0:
+                self._heard = self._heard[1:]
+                answers += b"\0"
+                continue
+            letters = self._heard[:4]
+            if len(letters) < 4:
+                break
+            length = self._data_length(letters)
+            if len(self._heard) < 4 + length:
+                break
+            content, self._heard = self._heard[4 : 4 + length], self._heard[4 + length :]
+            answers += self._answer(letters, content, now)
+        return answers
+
+    def unsolicited(self) -> bytes:
+        """Say nothing unasked."""
+        return b""
+
+    def _data_length(self, letters: bytes) -> int:
+        """Bytes that follow the letters, CRC included."""
+        name = letters.decode("latin-1")
+        if name in {"move", "movr"}:
+            return 14
+        if name == "spos":
+            return 22
+        if name[0] == "s" and name[1:] in _LAYOUTS:
+            return _LAYOUTS[name[1:]][1] + 2
+        return 0
+
+    def _answer(self, letters: bytes, content: bytes, now: float) -> bytes:
+        try:
+            said = self._carry_out(letters.decode("latin-1"), content, now)
+        except _ErrorReply as error:
+            # What follows an error cannot be trusted to be the beginning of a command.
+            self._heard = b""
+            self._flags |= _ERROR_FLAGS[error.letters]
+            return error.letters
+        return letters + (said + struct.pack("<H", crc16(said)) if said else b"")
+
+    def _carry_out(self, name: str, content: bytes, now: float) -> bytes:
+        if content:
+            content, crc = content[:-2], struct.unpack("<H", content[-2:])[0]
+            if crc != crc16(content):
+                raise _ErrorReply(b"errd")
+        if name[0] == "g" and name[1:] in _LAYOUTS:
+            return _LAYOUTS[name[1:]][0].pack(*self._settings[name[1:]])
+        if name[0] == "s" and name[1:] in _LAYOUTS:
+            return self._set(name[1:], content)
+        if name not in self._commands:
+            raise _ErrorReply(b"errc")
+        return self._commands[name](content, now)
+
+    # ------------------------------------------------------------------ commands
+    def _known_commands(self) -> dict[str, Callable[[bytes, float], bytes]]:
+        return {
+            "geti": lambda _data, _now: struct.pack("<4s2s8sBBH12x", b"XIMC", b"SM", b"8SMC5\0\0\0", 4, 5, 8),
+            "gser": lambda _data, _now: struct.pack("<I", self.model.serial),
+            "gfwv": lambda _data, _now: struct.pack("<BBH", 4, 6, 12),
+            "gets": lambda _data, now: self._status(now),
+            "gpos": lambda _data, now: struct.pack("<ihq6x", *self._position(now), self._encoder(now)),
+            "spos": self._set_position,
+            "zero": lambda _data, now: self._set_position(struct.pack("<ihqB5x", 0, 0, 0, 0), now),
+            "move": lambda data, now: self._move("move", _counts(*struct.unpack("<ih6x", data)), now),
+            "movr": self._move_by,
+            "left": lambda _data, now: self._move("left", self._border(0), now),
+            "rigt": lambda _data, now: self._move("rigt", self._border(1), now),
+            "home": self._home,
+            "stop": self._stop,
+            "sstp": self._soft_stop,
+            "pwof": self._stop,
+        }
+
+    def _move_by(self, data: bytes, now: float) -> bytes:
+        return self._move("movr", round(self.axis.counter(now)) + _counts(*struct.unpack("<ih6x", data)), now)
+
+    def _move(self, name: str, target: int, now: float) -> bytes:
+        """Move to a position, or to the border that lies before it: then the command ends in error."""
+        if not self._begins(name):
+            return b""
+        flags = self._settings["eds"][0]
+        lowest, highest = self._border(0), self._border(1)
+        if target < lowest and flags & _STOP_LEFT:
+            target, self._failed, self._edges = lowest, True, _LEFT_EDGE
+        elif target > highest and flags & _STOP_RIGHT:
+            target, self._failed, self._edges = highest, True, _RIGHT_EDGE
+        speed, fraction, acceleration, *_ = self._settings["mov"]
+        self.axis.move_to(target, now, float(_counts(speed, fraction)), float(acceleration * MICROSTEPS))
+        return b""
+
+    def _home(self, _data: bytes, now: float) -> bytes:
+        if self._begins("home"):
+            fast, fraction, slow, slow_fraction, *_ = self._settings["hom"]
+            acceleration = float(self._settings["mov"][2] * MICROSTEPS)
+            fast_speed, slow_speed = float(_counts(fast, fraction)), float(_counts(slow, slow_fraction))
+            self.axis.home(now, fast_speed, slow_speed, acceleration, set_counter=False)
+        return b""
+
+    def _begins(self, name: str) -> bool:
+        """Note the command; in alarm it is taken and ignored."""
+        if self._flags & _ALARM:
+            return False
+        self._command = _COMMAND_NUMBERS[name]
+        self._failed = False
+        self._edges = 0
+        return True
+
+    def _stop(self, _data: bytes, now: float) -> bytes:
+        """Stop harshly: steps may be lost, so the reference is no longer trusted. Also ends an alarm."""
+        if self.axis.busy(now):
+            self.axis.halt(now)
+            self.axis.forget_reference()
+        self._command = _COMMAND_NUMBERS["stop"]
+        if not self._pressed:
+            self._flags &= ~(_ALARM | _SLIPPED)
+        return b""
+
+    def _soft_stop(self, _data: bytes, now: float) -> bytes:
+        if self.axis.busy(now):
+            self.axis.stop(now, float(self._settings["mov"][3] * MICROSTEPS))
+        self._command = _COMMAND_NUMBERS["sstp"]
+        return b""
+
+    def _set_position(self, data: bytes, now: float) -> bytes:
+        position, fraction, encoder, ignore = struct.unpack("<ihqB5x", data)
+        if not ignore & _IGNORE_POSITION:
+            self.axis.set_counter(_counts(position, fraction), now)
+        if not ignore & _IGNORE_ENCODER and self.model.encoder_counts_per_step:
+            self.axis.set_encoder(encoder * MICROSTEPS / self.model.encoder_counts_per_step, now)
+        return b""
+
+    def _set(self, name: str, content: bytes) -> bytes:
+        values = _LAYOUTS[name][0].unpack(content)
+        if name == "mov" and (values[:2] == (0, 0) or not values[2] or not values[3]):
+            raise _ErrorReply(b"errv")
+        if name == "hom" and (values[:2] == (0, 0) or values[2:4] == (0, 0)):
+            raise _ErrorReply(b"errv")
+        self._settings[name] = values
+        return b""
+
+    # ------------------------------------------------------------------ readings
+    def _status(self, now: float) -> bytes:
+        busy = self.axis.says_busy(now)
+        velocity = round(self.axis.velocity(now))
+        speed = _counts(*self._settings["mov"][:2])
+        moving = (_MOVING if busy else 0) | (_AT_SPEED if abs(velocity) >= speed else 0)
+        command = self._command | (_RUNNING if busy else 0) | (_FAILED if self._failed and not busy else 0)
+        flags = self._flags | (_IS_HOMED if self.axis.referenced(now) else 0)
+        self._flags &= ~0x07
+        encoder = 0x04 if self.model.encoder_counts_per_step else 0x00
+        edges = self._edges if not busy else 0
+        return struct.pack(
+            "<BBBBBihqihhhhhhIIB4x",
+            *(moving, command, 0x03 if busy else 0x04, encoder, 0),
+            *self._position(now),
+            self._encoder(now),
+            *_steps(velocity),
+            *(420, 2410, 95, 508, 318),
+            *(flags, edges, 10),
+        )
+
+    def _position(self, now: float) -> tuple[int, int]:
+        return _steps(round(self.axis.counter(now)))
+
+    def _encoder(self, now: float) -> int:
+        return round(self.axis.encoder(now) * self.model.encoder_counts_per_step / MICROSTEPS)
+
+    def _border(self, side: int) -> int:
+        return _counts(*self._settings["eds"][2 + 2 * side : 4 + 2 * side])
+
+    # ------------------------------------------------------------------ what is not on the wire
+    def restart(self, t_s: float) -> None:
+        """Reboot: silent for a while, then without a reference, counting from 0."""
+        self.axis.restart(t_s)
+        self._heard = b""
+        self._command = self._flags = self._edges = 0
+        self._failed = False
+        self._awake_from_s = t_s + self.model.boot_s
+
+    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
+        """Press the emergency input, which halts and raises the alarm, or release it; the alarm stays."""
+        self._pressed = not released
+        if not released:
+            self.axis.halt(t_s)
+            self.axis.forget_reference()
+            self._flags |= _ALARM
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Be another controller of this model from now on, fresh from power-up."""
+        self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
+        self._settings = self._factory_settings()
+        self.restart(t_s)
+
+    def _notice(self, now: float) -> None:
+        """Take up what has happened to the motion by now."""
+        event = self.axis.take_event(now)
+        if event is None:
+            return
+        if event.kind == "restart":
+            self.restart(event.t_s)
+        elif event.kind in {"stall", "twist"}:
+            self._flags |= _SLIPPED | _ALARM
+            self._failed = True
+            self.axis.forget_reference()
+        else:
+            self._failed = True
+            self._edges = _RIGHT_EDGE if self.axis.counter(now) > 0.0 else _LEFT_EDGE
+
+    def _factory_settings(self) -> dict[str, tuple[int, ...]]:
+        model, scale = self.model, self.model.mechanics.counts_per_deg
+        speed = _steps(round(model.speed_deg_s * scale))
+        acceleration = round(model.acceleration_deg_s2 * scale / MICROSTEPS)
+        fast, slow = (_steps(round(model.home_speed_deg_s * scale / part)) for part in (1, 10))
+        left, right = (_steps(round(border * scale)) for border in (model.lowest_deg, model.highest_deg))
+        return {
+            "mov": (*speed, acceleration, acceleration, *speed, 0),
+            "eng": (3600, 670, *speed, 0, 0, 0x09, 200),
+            "ent": (0x03, 0x02),
+            "eds": (_STOP_LEFT | _STOP_RIGHT, 0, *left, *right),
+            "hom": (*fast, *slow, 0, 0, 0x0130),
+            "fbs": (4000, 0x01, 0, 200 * model.encoder_counts_per_step),
+        }
+
+
+def _counts(steps: int, fraction: int) -> int:
+    return steps * MICROSTEPS + fraction
+
+
+def _steps(counts: int) -> tuple[int, int]:
+    """Whole steps and 1/256 steps, both with the sign of the whole.
+
+    Examples
+    --------
+    >>> _steps(-257)
+    (-1, -1)
+    """
+    sign = -1 if counts < 0 else 1
+    whole, fraction = divmod(abs(counts), MICROSTEPS)
+    return sign * whole, sign * fraction

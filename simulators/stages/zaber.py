@@ -1,0 +1,134 @@
+r"""Controllers chained on one line, speaking the Zaber ASCII protocol: frames, addresses, ids, checksums.
+
+    /device axis id words:LRC\n         a request; device 0 is all of them, id and checksum are optional
+    @dd axis id OK|RJ BUSY|IDLE WW data:LRC\r\n     a reply, with the id of its request
+    !dd axis BUSY|IDLE WW:LRC\r\n                   an alert, sent unasked once a motion has ended
+
+The checksum (LRC) is the two's complement of the sum of all bytes between the first character and the colon.
+A request whose checksum is wrong is not answered. Knows no command: `zaber_controller` does.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from simulators.stages.zaber_controller import Refused, ZaberController
+
+#: Longer requests are dropped.
+_LONGEST = 80
+
+_END_OF_LINE = re.compile(rb"[\r\n]+")
+
+
+class Request(NamedTuple):
+    """A request, taken apart."""
+
+    device: int
+    axis: int
+    message_id: str | None
+    words: list[str]
+
+
+def checksum(body: str) -> str:
+    """Longitudinal redundancy check of a message without its first character, as two hex digits.
+
+    Examples
+    --------
+    >>> checksum("1 1 03 home")
+    '32'
+    """
+    return f"{-sum(body.encode('ascii')) & 0xFF:02X}"
+
+
+def parse_request(line: bytes) -> Request | None:
+    """Take a line apart; None for what a controller does not answer: noise, or a wrong checksum.
+
+    Examples
+    --------
+    >>> parse_request(b"/1 1 05 move abs 50000:B7")
+    Request(device=1, axis=1, message_id='05', words=['move', 'abs', '50000'])
+    >>> parse_request(b"/1 1 05 move abs 50001:B7") is None
+    True
+    """
+    _, slash, rest = line.rpartition(b"/")
+    if not slash or len(line) > _LONGEST or not rest.isascii():
+        return None
+    body, colon, given = rest.decode("ascii").partition(":")
+    if colon and given.strip().upper() != checksum(body):
+        return None
+    words = body.split()
+    numbers = 0
+    while numbers < 3 and numbers < len(words) and words[numbers].isdigit():
+        numbers += 1
+    device, axis = ([int(word) for word in words[: min(numbers, 2)]] + [0, 0])[:2]
+    message_id = f"{int(words[2]) % 100:02d}" if numbers == 3 else None
+    return Request(device, axis, message_id, words[numbers:])
+
+
+class ZaberChain:
+    """Controllers on one line, in the order of their addresses, from 1.
+
+    Parameters
+    ----------
+    controllers
+        Who is on the line.
+    clock
+        Time in seconds.
+    """
+
+    def __init__(self, controllers: Sequence[ZaberController], clock: Callable[[], float]) -> None:
+        self.controllers = tuple(controllers)
+        self._clock = clock
+        self._heard = b""
+
+    @property
+    def baud(self) -> int:
+        """The family's default baud rate."""
+        return 115_200
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes as they arrive and give all replies."""
+        *lines, self._heard = _END_OF_LINE.split(self._heard + data)
+        self._heard = self._heard[-2 * _LONGEST :]
+        return b"".join(self._answers(line) for line in lines)
+
+    def unsolicited(self) -> bytes:
+        """Alerts of motions that have ended."""
+        now = self._clock()
+        return b"".join(
+            _frame("!", f"{address:02d} 1 {one.status(now)} {_flag(one, now)}", one)
+            for address, one in enumerate(self.controllers, start=1)
+            if one.awake(now) and one.came_to_rest(now)
+        )
+
+    def _answers(self, line: bytes) -> bytes:
+        request = parse_request(line)
+        if request is None:
+            return b""
+        return b"".join(
+            self._answer(address, one, request)
+            for address, one in enumerate(self.controllers, start=1)
+            if request.device in {0, address} and one.awake(self._clock())
+        )
+
+    def _answer(self, address: int, one: ZaberController, request: Request) -> bytes:
+        now = self._clock()
+        try:
+            verdict, data = "OK", one.execute(request.axis, request.words, now)
+        except Refused as refusal:
+            verdict, data = "RJ", refusal.reason
+        message_id = f"{request.message_id} " if request.message_id else ""
+        status = f"{verdict} {one.status(now)} {_flag(one, now)}"
+        return _frame("@", f"{address:02d} {request.axis} {message_id}{status} {data}", one)
+
+
+def _flag(one: ZaberController, now: float) -> str:
+    """Name the gravest warning, or none."""
+    return (one.warnings(now) or ["--"])[0]
+
+
+def _frame(kind: str, body: str, one: ZaberController) -> bytes:
+    end = f":{checksum(body)}" if one.checksums else ""
+    return f"{kind}{body}{end}\r\n".encode("ascii")

@@ -1,0 +1,167 @@
+"""The truth as a configuration has it: sections of keys, each checked, over the defaults and profiles of `truth`.
+
+Knows names, types and ranges; a fault is one sentence that names the key.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any, Final, TypeVar
+
+from simulators.errors import ConfigError
+from simulators.world.truth import (
+    CAMERAS,
+    COLLIMATORS,
+    NOISE_LEVELS,
+    CameraTruth,
+    CollimatorTruth,
+    MountTruth,
+    NoiseTruth,
+    OpticsTruth,
+    ScreenTruth,
+    ThermalTruth,
+    Truth,
+)
+
+_Section = TypeVar(
+    "_Section", CameraTruth, CollimatorTruth, OpticsTruth, NoiseTruth, ThermalTruth, MountTruth, ScreenTruth
+)
+
+
+def truth_from_config(config: Mapping[str, Any]) -> Truth:
+    """Truth from the sections of a configuration that are named as the attributes of `Truth`.
+
+    Every section and every key in it is optional; other sections are not looked at. ``noise`` is the name
+    of a level or a mapping, which starts from the typical level; ``collimator`` may be the name of a profile, or
+    name it as ``profile`` beside the keys that differ from it.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key that is unknown or whose value is no finite number in its range.
+
+    Examples
+    --------
+    >>> truth_from_config({"collimator": {"r": 700}, "noise": "clean"}).collimator.r
+    700.0
+    """
+    noise = config.get("noise", "typical")
+    if isinstance(noise, str):
+        if noise not in NOISE_LEVELS:
+            names = ", ".join(NOISE_LEVELS)
+            raise ConfigError(f"No noise level {noise!r}.", where="noise", remedy=f"Use one of: {names}.")
+        level = NOISE_LEVELS[noise]
+    else:
+        level = _section("noise", NoiseTruth(), noise)
+    return Truth(
+        camera=_camera(config.get("camera", {})),
+        collimator=_collimator(config.get("collimator", {})),
+        optics=_section("optics", OpticsTruth(), config.get("optics", {})),
+        noise=level,
+        thermal=_section("thermal", ThermalTruth(), config.get("thermal", {})),
+        mount=_section("mount", MountTruth(), config.get("mount", {})),
+        screen=_screen(config.get("screen", {})),
+    )
+
+
+def _screen(given: object) -> ScreenTruth:
+    """Read the screen's section."""
+    screen = _section("screen", ScreenTruth(), given)
+    if screen.columns == 0:
+        if given:
+            raise ConfigError(
+                "A board needs columns.", where="screen.columns", remedy="Say how many inner corners."
+            )
+        return screen
+    if screen.position_mm[2] <= 0.0:
+        raise ConfigError("The screen stands behind the camera.", where="screen.position_mm")
+    for name in ("columns", "rows"):
+        if getattr(screen, name) < 2:
+            raise ConfigError("A board has at least 2 inner corners each way.", where=f"screen.{name}")
+    return screen
+
+
+def _camera(given: object) -> CameraTruth:
+    """Read the camera's section: what is not said depends on the kind of lens."""
+    kind = given.get("projection", "pinhole") if isinstance(given, Mapping) else "pinhole"
+    if not isinstance(kind, str) or kind not in CAMERAS:
+        names = ", ".join(CAMERAS)
+        raise ConfigError(f"No lens {kind!r}.", where="camera.projection", remedy=f"Use one of: {names}.")
+    camera = _section("camera", CAMERAS[kind], given)
+    foreign = ("p1", "p2") if kind == "fisheye" else ("k4",)
+    for name in foreign:
+        if getattr(camera, name) != 0.0:
+            raise ConfigError(f"A {kind} lens has no {name}.", where=f"camera.{name}", remedy="Leave it out.")
+    return camera
+
+
+def _collimator(given: object) -> CollimatorTruth:
+    """Read the collimator's section: a profile and what differs from it."""
+    if isinstance(given, str):
+        given = {"profile": given}
+    name, rest = "ideal", given
+    if isinstance(given, Mapping):
+        name, rest = given.get("profile", name), {k: v for k, v in given.items() if k != "profile"}
+    if not isinstance(name, str) or name not in COLLIMATORS:
+        names = ", ".join(COLLIMATORS)
+        raise ConfigError(f"No profile {name!r}.", where="collimator.profile", remedy=f"Use one of: {names}.")
+    return _section("collimator", COLLIMATORS[name], rest)
+
+
+def _section(name: str, default: _Section, given: object) -> _Section:
+    """``default`` with the given keys replaced, each checked against the type of its default."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"A mapping is expected, not {given!r}.", where=name)
+    known = {f.name: getattr(default, f.name) for f in dataclasses.fields(default)}
+    values: dict[str, Any] = {}
+    for key, value in given.items():
+        where = f"{name}.{key}"
+        if key not in known:
+            raise ConfigError("Unknown key.", where=where, remedy=f"Known are: {', '.join(known)}.")
+        values[key] = _like(known[key], value, where)
+    return dataclasses.replace(default, **values)
+
+
+def _like(default: object, value: object, where: str) -> object:
+    """Check the value and give it its default's type (float, int or a tuple of floats)."""
+    if isinstance(default, tuple):
+        if not isinstance(value, (list, tuple)) or len(value) != len(default):
+            raise ConfigError(f"{len(default)} numbers are expected, not {value!r}.", where=where)
+        return tuple(_number(v, where) for v in value)
+    if isinstance(default, str):
+        return value  # the projection: looked at before
+    number = _number(value, where)
+    if isinstance(default, int):
+        if number != int(number) or number < 1:
+            raise ConfigError(f"A whole number of at least 1 is expected, not {value!r}.", where=where)
+        return int(number)
+    if (where in _POSITIVE and number <= 0) or (where in _NOT_NEGATIVE and number < 0):
+        raise ConfigError(f"{value!r} is outside its range.", where=where, remedy="Give a positive number.")
+    return number
+
+
+_POSITIVE: Final = {"screen.square_mm", "camera.fx", "camera.fy", "collimator.r", "collimator.half_angle_deg"}
+_NOT_NEGATIVE: Final = {
+    "collimator.rim",
+    "collimator.disc_wander_mm",
+    "collimator.disc_breathing",
+    "collimator.irregularity_mm",
+    "collimator.rim_irregularity_mm",
+    "optics.psf_px",
+    "optics.psf_rim_px",
+    "optics.black",
+    "optics.stray",
+    "thermal.warm_up_min",
+    "mount.vibration_arcsec",
+    "mount.vibration_hz",
+    *(f"noise.{f.name}" for f in dataclasses.fields(NoiseTruth)),
+}
+
+
+def _number(value: object, where: str) -> float:
+    """Check that it is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ConfigError(f"A finite number is expected, not {value!r}.", where=where)
+    return float(value)
