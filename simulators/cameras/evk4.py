@@ -326,7 +326,8 @@ class _Connection:
         if self._is_streaming():
             raise _Refusal("streaming", "The camera streams already.")
         self._stop.clear()
-        camera = CameraState(dict(self._biases), dict(self._filters), self._trigger_in)
+        acting = {**self._filters, "erc": self._filters["erc"] or self._faults.overflows}
+        camera = CameraState(dict(self._biases), acting, self._trigger_in)
         self._streamer = threading.Thread(
             target=self._stream, args=(camera,), name="simulated-evk4-stream", daemon=True
         )

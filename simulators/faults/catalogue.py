@@ -105,6 +105,9 @@ CAMERA_FAULTS: Final[Mapping[str, Fault]] = {
     "unplug": Fault("the camera goes away; it may be connected again", {}),
     "fault": Fault("the camera tells of a fault", {"message": "sensor fault"}),
     **{name: Fault(what, {"skip": 0, "count": 1}) for name, what in STREAM_FAULTS.items()},
+    "overflow": Fault(
+        "more events than the sensor's rate controller lets through, from the next recording on", {}
+    ),
     "mend": Fault("nothing more goes wrong with the camera's stream", {}),
 }
 

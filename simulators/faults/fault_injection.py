@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, cast
 
 from simulators.errors import ConfigError
@@ -149,6 +150,8 @@ def _on_camera(one: Order, camera: Camera) -> Callable[[], None]:
         return lambda: camera.fault(str(one.parameters["message"]))
     if one.fault == "mend":
         return camera.stream_faults.clear
+    if one.fault == "overflow":
+        return partial(setattr, camera.stream_faults, "overflows", True)
     fault = StreamFault(one.fault, int(one.parameters["skip"]), int(one.parameters["count"]))
     return lambda: camera.stream_faults.inject(fault)
 

@@ -1,4 +1,4 @@
-"""Faults of the camera's stream between sensor and host: frames lost, cut, doubled or garbled, a clock that jumps.
+"""Faults of the camera's stream: too many events; frames lost, cut, doubled or garbled; a clock that jumps.
 
 Knows frames of EVT3 words and which words carry the clock; neither sensor nor socket. Thread-safe: faults are
 ordered by one thread while another streams.
@@ -56,6 +56,8 @@ class StreamFaults:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._faults: list[StreamFault] = []
+        self.overflows = False
+        """Whether the sensor's rate controller drops events from the next start on, whatever its setting says."""
 
     def inject(self, fault: StreamFault) -> None:
         """Let something go wrong with frames to come.
@@ -74,6 +76,7 @@ class StreamFaults:
 
     def clear(self) -> None:
         """Let nothing more go wrong."""
+        self.overflows = False
         with self._lock:
             self._faults.clear()
 

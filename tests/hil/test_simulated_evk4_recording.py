@@ -127,3 +127,24 @@ def test_a_camera_that_falls_silent_is_noticed(tmp_path):
     finally:
         camera.close()
         simulated.close()
+
+
+def test_more_events_than_the_sensor_lets_through_are_told_by_its_counters_until_it_is_mended(tmp_path):
+    world = World(truth_from_config({}), seed=1)
+    world.set_light(LightState(output=True, sync=True))
+    simulated = SimulatedEvk4(world, paced=False)
+    simulated.start()
+    try:
+        camera = SimulatedEvk4Camera.open(
+            simulated.address, serial="00050423", clock=SystemClock(), utc_now=lambda: NOW
+        )
+        camera.apply(SETTINGS)
+        simulated.stream_faults.overflows = True
+        spoilt = camera.record(tmp_path / "spoilt.raw", 0.020)
+        simulated.stream_faults.clear()
+        good = camera.record(tmp_path / "good.raw", 0.020)
+        camera.close()
+    finally:
+        simulated.close()
+    assert spoilt.rate_controller_out < 0.9 * spoilt.rate_controller_in
+    assert good.rate_controller_out == good.rate_controller_in

@@ -160,10 +160,13 @@ def test_the_camera_hears_of_its_faults(bench: Bench):
     assert bench.camera.told == ["unplugged", "too hot"]
     bench.order("camera frames_lost skip=1 count=2")
     assert [bench.camera.stream_faults.carry(b"ab") for _ in range(4)] == [b"ab", b"", b"", b"ab"]
+    bench.order("camera overflow")
+    assert bench.camera.stream_faults.overflows
     bench.order("camera silence")
     assert bench.camera.stream_faults.carry(b"ab") == b""
     bench.order("camera mend")
     assert bench.camera.stream_faults.carry(b"ab") == b"ab"
+    assert not bench.camera.stream_faults.overflows
 
 
 @pytest.mark.parametrize(
