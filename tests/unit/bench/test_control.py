@@ -211,6 +211,7 @@ def test_to_ask_whether_a_run_is_worked_on_does_not_keep_others_from_it(tmp_path
     finally:
         stop.set()
         asking.join()
+    assert not is_worked_on(tmp_path / "run")
 
 
 @given(st.binary(max_size=200) | st.dictionaries(st.text(), st.text()).map(lambda v: json.dumps(v).encode()))
