@@ -304,19 +304,19 @@ def test_a_restart_in_mid_move_is_noticed_and_undoes_the_reference(rig, homed) -
 @each_in_turn
 def test_a_limit_switch_in_mid_move_is_noticed(rig, homed) -> None:
     rig.order("limit")
-    bounded(lambda: homed.move_to({"pan": -9.0}))
+    assert bounded(lambda: homed.move_to({"pan": -9.0})).where == "pan"
 
 
 @with_encoder
 def test_a_stall_is_noticed(rig, homed) -> None:
     rig.order("stall")
-    bounded(lambda: homed.move_to({"pan": -9.0}))
+    assert bounded(lambda: homed.move_to({"pan": -9.0})).where == "pan"
 
 
 @with_encoder
 def test_a_slip_is_noticed_where_there_is_an_encoder(rig, homed) -> None:
     rig.order("slip")
-    bounded(lambda: homed.move_to({"pan": -9.0}))
+    assert bounded(lambda: homed.move_to({"pan": -9.0})).where == "pan"
 
 
 @each_in_turn
