@@ -172,17 +172,7 @@ class Evt3Decoder:
         start = 0
         while start < len(words):
             out = empty_events(min(max(max_events, MARGIN), 12 * (len(words) - start) + MARGIN))
-            stop = run(
-                words,
-                start,
-                Mode.STORE,
-                self._state,
-                self._gaps,
-                out,
-                self._no_image,
-                self._edges,
-                self._packed,
-            )
+            stop = self._store(words, start, out)
             yield out.part(0, int(self._state[S.TAKEN])), self._taken_triggers()
             start = self._went_on(words, start, stop)
 
@@ -195,17 +185,7 @@ class Evt3Decoder:
         start = 0
         while start < len(words):
             out = events.part(at, len(events.t))
-            stop = run(
-                words,
-                start,
-                Mode.STORE,
-                self._state,
-                self._gaps,
-                out,
-                self._no_image,
-                self._edges,
-                self._packed,
-            )
+            stop = self._store(words, start, out)
             found.append(self._taken_triggers())
             if stop == start and self._state[S.FAULT] == Fault.ROOM:
                 raise ValueError(f"arrays of {len(events.t)} events have no room for more")
@@ -237,6 +217,11 @@ class Evt3Decoder:
             found.append(self._taken_triggers())
             start = self._went_on(words, start, stop)
         return join_triggers(found)
+
+    def _store(self, words: Words, start: int, out: Events) -> int:
+        """Decode words into ``out`` until they end or it is full; returns where it stopped."""
+        state, gaps, edges = self._state, self._gaps, self._edges
+        return int(run(words, start, Mode.STORE, state, gaps, out, self._no_image, edges, self._packed))
 
     def _taken_triggers(self) -> Triggers:
         """Return the trigger edges of the last run, copied out of the buffer."""
