@@ -35,16 +35,19 @@ class ScriptedPort:
 
 
 class TurnedClock:
-    """Time passes only where somebody waits."""
+    """Time passes only where somebody waits; `error` is raised by the next wait."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
+        self.error: BaseException | None = None
 
     def monotonic(self) -> float:
         return self.now_s
 
     def sleep(self, seconds: float) -> None:
         self.now_s += seconds
+        if self.error is not None:
+            raise self.error
 
 
 @pytest.fixture(autouse=True)

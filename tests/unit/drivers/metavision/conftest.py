@@ -1,0 +1,25 @@
+"""A camera behind the fake HAL, alone on its bench."""
+
+import sys
+
+import pytest
+
+from drivers.camera.metavision import MetavisionEvk4
+from tests.unit.drivers.metavision.fake_hal import SERIAL, Device, Hal
+
+
+@pytest.fixture
+def device():
+    return Device()
+
+
+@pytest.fixture
+def devices(monkeypatch, device):
+    found = {SERIAL: device}
+    monkeypatch.setitem(sys.modules, "metavision_hal", Hal(found))
+    return found
+
+
+@pytest.fixture
+def camera(devices, clock):
+    return MetavisionEvk4.open(serial=SERIAL, clock=clock)

@@ -1,0 +1,329 @@
+"""A strict fake of the Metavision HAL's Python API.
+
+It knows the calls of OpenEB 5.1 and nothing else: an attribute that the vendor's objects do not have is an error,
+the calls that block are forbidden, and the log is written as the vendor writes it.
+"""
+
+import enum
+from pathlib import Path
+from types import ModuleType
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+SERIAL = "00051234"
+
+
+HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% serial_number 00051234\n% end\n"
+
+
+def words_of(step):
+    t = 9_000_000 + 2000 * step
+    words = [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, step % 720, 0x2800 | step % 1280, 0xA001]
+    t += 1999
+    return np.array([*words, 0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF], "<u2").tobytes()
+
+
+class Channel(enum.Enum):
+    MAIN = 0
+    AUX = 1
+    LOOPBACK = 2
+
+
+class TrailType(enum.Enum):
+    TRAIL = 0
+    STC_CUT_TRAIL = 1
+    STC_KEEP_TRAIL = 2
+
+
+class Switch:
+    """A facility with enable and is_enabled, such as ERC, anti-flicker and the region of interest."""
+
+    def __init__(self, on):
+        self._on = on
+        self.sticks = False
+
+    def enable(self, on):
+        if not self.sticks:
+            self._on = bool(on)
+        return True
+
+    def is_enabled(self):
+        return self._on
+
+
+class RoiMode(enum.Enum):
+    ROI = 0
+    RONI = 1
+
+
+class Window:
+    def __init__(self, x, y, width, height):
+        self.place = (x, y, width, height)
+
+
+class Region:
+    def __init__(self):
+        self.on = True
+        self.mode = None
+        self.window = None
+        self.takes = True
+
+    def set_mode(self, mode):
+        self.mode = RoiMode(mode)
+        return self.takes
+
+    def set_window(self, window):
+        self.window = window.place
+        return self.takes
+
+    def enable(self, on):
+        self.on = on
+        return self.takes
+
+
+class Trail(Switch):
+    def __init__(self, on, kind):
+        super().__init__(on)
+        self._kind = kind
+
+    def get_type(self):
+        return self._kind
+
+
+class Trigger:
+    def __init__(self):
+        self._on = set()
+        self.deaf = False
+
+    def enable(self, channel):
+        if not self.deaf:
+            self._on.add(Channel(channel))
+        return not self.deaf
+
+    def disable(self, channel):
+        self._on.discard(Channel(channel))
+        return True
+
+    def is_enabled(self, channel):
+        return Channel(channel) in self._on
+
+
+class BiasInfo:
+    def __init__(self, low, high):
+        self._range = (low, high)
+
+    def get_bias_range(self):
+        return self._range
+
+
+class Biases:
+    RANGES: ClassVar = {
+        "bias_diff": (-25, 23),
+        "bias_diff_on": (-85, 140),
+        "bias_diff_off": (-35, 190),
+        "bias_fo": (-35, 55),
+        "bias_hpf": (0, 120),
+        "bias_refr": (-20, 235),
+    }
+
+    def __init__(self):
+        self.values = dict.fromkeys(self.RANGES, 0)
+        self.values["bias_fo"] = 12
+        self.deaf_to = set()
+
+    def get_all_biases(self):
+        return dict(self.values)
+
+    def get(self, name):
+        return self.values[name]
+
+    def set(self, name, value):
+        low, high = self.RANGES[name]
+        if not low <= value <= high:
+            raise RuntimeError("Error 102001: outside recommended range")
+        if name not in self.deaf_to:
+            self.values[name] = value
+        return True
+
+    def get_bias_info(self, name):
+        return BiasInfo(*self.RANGES[name])
+
+
+class Monitoring:
+    def get_temperature(self):
+        return 43
+
+    def get_illumination(self):
+        raise RuntimeError("Error 101202: not implemented")
+
+
+class SensorInfo:
+    name = "IMX636"
+    major_version = 4
+    minor_version = 2
+
+
+class Identification:
+    def __init__(self, serial):
+        self._serial = serial
+        self.encoding = "EVT3"
+
+    def get_serial(self):
+        return self._serial
+
+    def get_sensor_info(self):
+        return SensorInfo()
+
+    def get_integrator(self):
+        return "Prophesee"
+
+    def get_system_info(self):
+        return {"EVK4 Release Version": "3.9.0", "EVK4 Speed": "5000"}
+
+    def get_current_data_encoding_format(self):
+        return self.encoding
+
+
+class Geometry:
+    def get_width(self):
+        return 1280
+
+    def get_height(self):
+        return 720
+
+
+class RawBuffer:
+    def __init__(self, data):
+        self._data = data
+
+    def size(self):
+        return len(self._data)
+
+
+class Stream:
+    """Logs inside get_latest_raw_data, as the vendor's does; every second poll finds nothing."""
+
+    def __init__(self):
+        self.running = False
+        self.log = None
+        self.step = 0
+        self.polls = 0
+        self.hook = {}
+        self.buffers = 10**9
+        self.ends_with = 0
+        self.may_log = True
+        self.log_takes = 10**9
+
+    def log_raw_data(self, path):
+        assert not self.running, "its first buffers would be lost"
+        if not self.may_log:
+            return False
+        self.log = Path(path).open("wb")  # noqa: SIM115 - closed by stop_log_raw_data
+        self.log.write(HEADER)
+        return True
+
+    def stop_log_raw_data(self):
+        if self.log is not None:
+            self.log.close()
+        self.log = None
+
+    def start(self):
+        self.running = True
+
+    def stop(self):
+        self.running = False
+
+    def poll_buffer(self):
+        assert self.running
+        self.polls += 1
+        if self.step >= self.buffers:
+            return self.ends_with
+        return self.polls % 2
+
+    def get_latest_raw_data(self):
+        self.hook.get(self.step, lambda: None)()
+        data = words_of(self.step)
+        self.step += 1
+        if self.log is not None and self.step <= self.log_takes:
+            self.log.write(data)
+        return RawBuffer(data)
+
+    def wait_next_buffer(self):
+        pytest.fail("this call blocks all of Python")
+
+
+class Decoder:
+    def __init__(self):
+        self._last = -1
+
+    def decode(self, buffer):
+        t = int.from_bytes(buffer._data[-4:-2], "little") & 0xFFF
+        self._last = t << 12 | int.from_bytes(buffer._data[-2:], "little") & 0xFFF
+
+    def get_last_timestamp(self):
+        return self._last
+
+
+class Device:
+    """All facilities; a test takes some away by setting them to None."""
+
+    def __init__(self, serial=SERIAL):
+        self.facilities = {
+            "events_stream": Stream(),
+            "events_stream_decoder": Decoder(),
+            "hw_identification": Identification(serial),
+            "geometry": Geometry(),
+            "ll_biases": Biases(),
+            "antiflicker_module": Switch(True),
+            "event_trail_filter_module": Trail(True, TrailType.STC_CUT_TRAIL),
+            "erc_module": Switch(True),
+            "roi": Region(),
+            "trigger_in": Trigger(),
+            "monitoring": Monitoring(),
+        }
+
+    def __getattr__(self, getter):
+        if not getter.startswith("get_i_"):
+            raise AttributeError(getter)
+        return lambda: self.facilities[getter.removeprefix("get_i_")]
+
+
+class Description:
+    serial = SERIAL
+    integrator_name = "Prophesee"
+    plugin_name = "hal_plugin_prophesee"
+    connection = "ConnectionType.USB_LINK"
+
+
+class DeviceConfig:
+    def __init__(self):
+        self.encoding = ""
+
+    def set_format(self, encoding):
+        self.encoding = encoding
+
+
+class Hal(ModuleType):
+    def __init__(self, devices):
+        super().__init__("metavision_hal")
+
+        class DeviceDiscovery:
+            @staticmethod
+            def open(serial, config):
+                assert config.encoding == "EVT3"
+                found = devices.get(serial or SERIAL)
+                if isinstance(found, Exception):
+                    raise found
+                return found
+
+            @staticmethod
+            def list_available_sources():
+                return [Description()] if SERIAL in devices else []
+
+        self.DeviceDiscovery = DeviceDiscovery
+        self.DeviceConfig = DeviceConfig
+        self.I_ROI = type("I_ROI", (), {"Mode": RoiMode, "Window": Window})
+        self.I_TriggerIn = type("I_TriggerIn", (), {"Channel": Channel})
+        self.I_EventTrailFilterModule = type("I_EventTrailFilterModule", (), {"Type": TrailType})

@@ -1,0 +1,103 @@
+"""Opening a camera behind the Metavision HAL: found or not, free or held, the one that was asked for."""
+
+import sys
+from datetime import UTC, datetime
+from types import ModuleType
+
+import pytest
+
+from drivers.camera import FoundCamera
+from drivers.camera import metavision as metavision_driver
+from drivers.camera.metavision import MetavisionEvk4, discover
+from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
+from drivers.errors import (
+    CameraBusy,
+    CameraNotFound,
+    CameraSettingRefused,
+    CameraSoftwareMissing,
+    WrongDevice,
+)
+from tests.unit.drivers.metavision.fake_hal import SERIAL, Device
+
+
+def test_missing_software_is_told_with_how_to_get_it(monkeypatch, clock):
+    monkeypatch.setitem(sys.modules, "metavision_hal", None)
+    with pytest.raises(CameraSoftwareMissing, match="Install OpenEB"):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+
+
+def test_importing_the_driver_needs_no_vendor_software():
+    assert "metavision_hal" not in vars(metavision_driver)
+
+
+def test_connected_cameras_are_listed(devices):
+    assert discover() == (FoundCamera("metavision", SERIAL, "Prophesee, USB_LINK, hal_plugin_prophesee"),)
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_camera_that_is_not_there_is_told_with_those_that_are(clock):
+    with pytest.raises(CameraNotFound, match=f"00099999 cannot be opened; connected cameras: {SERIAL}"):
+        MetavisionEvk4.open(serial="00099999", clock=clock)
+
+
+def test_no_camera_at_all_is_told(devices, clock):
+    devices.clear()
+    with pytest.raises(CameraNotFound, match="connected cameras: none"):
+        MetavisionEvk4.open(clock=clock)
+
+
+def test_the_vendors_reason_for_not_opening_is_passed_on(devices, clock):
+    devices[SERIAL] = RuntimeError("\n------\nMetavision HAL exception\n\nError 103000: device busy\n")
+    with pytest.raises(CameraNotFound, match=r"cannot be opened \(Error 103000: device busy\)"):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+
+
+def test_another_camera_under_that_name_is_refused(devices, clock):
+    devices[SERIAL] = Device("00077777")
+    with pytest.raises(WrongDevice, match="camera 00077777, not 00051234"):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+
+
+@pytest.mark.usefixtures("camera")
+def test_a_second_opener_is_refused_before_the_camera_is_touched(devices, clock):
+    devices[SERIAL] = RuntimeError("it was touched")
+    with pytest.raises(CameraBusy, match="Another program of this bench holds it"):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+
+
+def test_a_camera_is_free_again_after_closing_and_after_a_failed_opening(devices, device, camera, clock):
+    camera.close()
+    devices[SERIAL] = RuntimeError("Error 103000: device busy")
+    with pytest.raises(CameraNotFound):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+    devices[SERIAL] = device
+    MetavisionEvk4.open(serial=SERIAL, clock=clock).close()
+    first_found = MetavisionEvk4.open(clock=clock)
+    with pytest.raises(CameraBusy):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+    first_found.close()
+
+
+def test_the_other_driver_of_the_same_camera_is_kept_out_too(camera, clock, monkeypatch):
+    monkeypatch.setitem(sys.modules, "neuromorphic_drivers", ModuleType("neuromorphic_drivers"))
+    with pytest.raises(CameraBusy):
+        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: datetime.now(UTC))
+
+
+def test_a_camera_that_does_not_send_evt3_is_refused(device, devices, clock):
+    device.facilities["hw_identification"].encoding = "EVT21"
+    with pytest.raises(CameraSettingRefused, match="EVT21, not EVT3"):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+
+
+def test_identity_is_what_the_camera_says(camera):
+    identity = camera.identify()
+    assert (identity.maker, identity.model, identity.sensor) == ("Prophesee", "EVK4", "IMX636")
+    assert (identity.serial, identity.firmware, identity.width) == (SERIAL, "3.9.0", 1280)
+
+
+def test_a_closed_camera_is_told_as_such(camera):
+    camera.close()
+    with pytest.raises(metavision_driver.CameraError, match="cannot be reached"):
+        camera.identify()
+    assert camera.temperature_c() is None

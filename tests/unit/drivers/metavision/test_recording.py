@@ -1,0 +1,156 @@
+"""Recordings of a camera behind the Metavision HAL: whole, or the reason told."""
+
+import pytest
+
+from drivers.camera import CameraSettings
+from drivers.camera import metavision as metavision_driver
+from drivers.camera.raw_file import RawFile
+from drivers.errors import CameraLost, RecordingFailed
+from tests.unit.drivers.metavision.fake_hal import HEADER, SERIAL, words_of
+
+
+def test_a_camera_without_optional_facilities_works(device, camera, tmp_path):
+    for name in (
+        "ll_biases",
+        "antiflicker_module",
+        "event_trail_filter_module",
+        "erc_module",
+        "roi",
+        "trigger_in",
+        "monitoring",
+    ):
+        device.facilities[name] = None
+    assert camera.apply(CameraSettings(trigger_in=False)) == CameraSettings({}, trigger_in=False)
+    assert camera.temperature_c() is None
+    facts = camera.record(tmp_path / "pose.raw", 0.01)
+    assert (facts.filters, facts.biases, facts.complete) == ({}, {}, True)
+
+
+@pytest.mark.parametrize("name", ["events_stream", "events_stream_decoder", "geometry", "hw_identification"])
+def test_a_camera_without_what_every_camera_has_is_told(device, camera, tmp_path, name):
+    device.facilities[name] = None
+    with pytest.raises(metavision_driver.CameraError, match="cannot be reached"):
+        camera.record(tmp_path / "pose.raw", 0.01)
+
+
+def test_what_the_camera_cannot_measure_is_left_out(camera, tmp_path):
+    assert camera.temperature_c() == 43.0
+    assert camera.record(tmp_path / "pose.raw", 0.01).illumination_lux is None
+
+
+def test_a_recording_holds_all_buffers_and_covers_the_time(device, camera, tmp_path):
+    path = tmp_path / "pose.raw"
+    facts = camera.record(path, 0.033)
+    recording = RawFile.open(path)
+    scan = recording.scan()
+    assert path.read_bytes() == HEADER + b"".join(
+        words_of(k) for k in range(device.facilities["events_stream"].step)
+    )
+    assert 0.033 <= facts.duration_s < 0.038
+    assert (facts.events, facts.triggers, facts.bytes) == (scan.events, scan.triggers, path.stat().st_size)
+    assert recording.serial == SERIAL
+
+
+def test_the_stream_and_the_log_are_stopped_after_a_recording(device, camera, tmp_path):
+    camera.record(tmp_path / "pose.raw", 0.01)
+    stream = device.facilities["events_stream"]
+    assert not stream.running
+    assert stream.log is None
+
+
+def test_a_clock_that_starts_anew_between_recordings_does_not_end_one_early(device, camera, tmp_path):
+    camera.record(tmp_path / "a.raw", 0.5)
+    device.facilities["events_stream"].step = 0
+    assert camera.record(tmp_path / "b.raw", 0.02).duration_s >= 0.02
+
+
+def test_a_clock_that_has_gone_on_between_recordings_does_not_end_one_early(device, camera, tmp_path):
+    camera.record(tmp_path / "a.raw", 0.02)
+    device.facilities["events_stream"].step += 1000
+    assert camera.record(tmp_path / "b.raw", 0.02).duration_s >= 0.02
+
+
+def test_an_existing_file_is_never_overwritten(camera, tmp_path):
+    path = tmp_path / "pose.raw"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordingFailed, match="such a file already"):
+        camera.record(path, 0.01)
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_missing_folder_is_told(camera, tmp_path):
+    with pytest.raises(RecordingFailed, match="no such folder"):
+        camera.record(tmp_path / "none" / "pose.raw", 0.01)
+
+
+def test_a_log_that_cannot_be_opened_is_told(device, camera, tmp_path):
+    device.facilities["events_stream"].may_log = False
+    with pytest.raises(RecordingFailed, match="cannot write"):
+        camera.record(tmp_path / "pose.raw", 0.01)
+
+
+def test_bytes_that_did_not_reach_the_file_are_noticed(device, camera, tmp_path):
+    device.facilities["events_stream"].log_takes = 5
+    with pytest.raises(RecordingFailed, match=r"covers only 0\.009999 s"):
+        camera.record(tmp_path / "pose.raw", 0.033)
+
+
+def test_a_full_disk_is_told_as_such(device, camera, tmp_path, monkeypatch):
+    device.facilities["events_stream"].log_takes = 5
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 0})())
+    with pytest.raises(RecordingFailed, match="disk is full"):
+        camera.record(tmp_path / "pose.raw", 0.033)
+
+
+def test_unplugging_is_told_with_the_partial_file(device, camera, tmp_path):
+    def unplug():
+        raise RuntimeError("HalConnectionException: device disconnected")
+
+    device.facilities["events_stream"].hook[4] = unplug
+    path = tmp_path / "pose.raw"
+    with pytest.raises(CameraLost, match=r"device disconnected.*pose\.raw"):
+        camera.record(path, 1.0)
+    assert RawFile.open(path).scan().events == 4
+    assert not device.facilities["events_stream"].running
+
+
+def test_a_silent_camera_is_given_up(device, camera, clock, tmp_path):
+    device.facilities["events_stream"].buffers = 3
+    with pytest.raises(CameraLost, match=r"sent nothing for 5 s.*pose\.raw"):
+        camera.record(tmp_path / "pose.raw", 1.0)
+    assert clock.now_s < 10
+
+
+def test_a_stream_that_ends_by_itself_is_not_complete(device, camera, tmp_path):
+    device.facilities["events_stream"].buffers = 3
+    device.facilities["events_stream"].ends_with = -1
+    facts = camera.record(tmp_path / "pose.raw", 1.0)
+    assert not facts.complete
+    assert facts.events == 3
+
+
+def test_stop_ends_a_recording_early(device, camera, tmp_path):
+    device.facilities["events_stream"].hook[4] = camera.stop
+    assert not camera.record(tmp_path / "pose.raw", 1.0).complete
+
+
+def test_an_interrupt_stops_the_stream_and_leaves_a_readable_file(device, camera, clock, tmp_path):
+    device.facilities["events_stream"].hook[4] = lambda: setattr(clock, "error", KeyboardInterrupt())
+    path = tmp_path / "pose.raw"
+    with pytest.raises(KeyboardInterrupt):
+        camera.record(path, 1.0)
+    assert not device.facilities["events_stream"].running
+    assert RawFile.open(path).scan().events == 5
+
+
+def test_garbled_words_fail_the_recording(device, camera, tmp_path):
+    stream = device.facilities["events_stream"]
+    stream.hook[2] = lambda: stream.log.write(b"\x00\x90")
+    with pytest.raises(RecordingFailed, match="0x9000"):
+        camera.record(tmp_path / "pose.raw", 0.01)
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_no_time_at_all_is_refused(camera, tmp_path, duration_s):
+    with pytest.raises(RecordingFailed):
+        camera.record(tmp_path / "pose.raw", duration_s)

@@ -1,0 +1,106 @@
+"""Settings of a camera behind the Metavision HAL: set, read back, refused where they do not hold."""
+
+import pytest
+
+from drivers.camera import CameraSettings
+from drivers.errors import CameraSettingRefused
+from tests.unit.drivers.metavision.fake_hal import Channel, RoiMode, Trail, TrailType
+
+
+def test_settings_are_set_and_read_back_with_all_filters_off(device, camera):
+    found = camera.apply(CameraSettings({"bias_diff_on": 20}, trigger_in=True))
+    assert found.biases == {
+        "bias_diff_on": 20,
+        "bias_diff_off": 0,
+        "bias_fo": 0,
+        "bias_hpf": 0,
+        "bias_refr": 0,
+    }
+    assert found.trigger_in
+    assert device.facilities["trigger_in"].is_enabled(Channel.MAIN)
+    assert camera.filters() == {"afk": False, "stc": False, "trail": False, "erc": False}
+    assert device.facilities["roi"].on is False
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        (TrailType.TRAIL, {"stc": False, "trail": True}),
+        (TrailType.STC_CUT_TRAIL, {"stc": True, "trail": True}),
+        (TrailType.STC_KEEP_TRAIL, {"stc": True, "trail": False}),
+    ],
+)
+def test_the_trail_filter_is_told_as_what_it_does(device, camera, kind, expected):
+    device.facilities["event_trail_filter_module"] = Trail(True, kind)
+    assert camera.filters() == {"afk": True, "erc": True, **expected}
+
+
+def test_a_filter_that_stays_on_is_noticed(device, camera):
+    device.facilities["antiflicker_module"].sticks = True
+    with pytest.raises(CameraSettingRefused, match="afk stays on"):
+        camera.apply(CameraSettings())
+
+
+def test_a_region_of_interest_is_set_and_taken_away_again(device, camera):
+    region = device.facilities["roi"]
+    assert camera.apply(CameraSettings(roi=(320, 180, 640, 360))).roi == (320, 180, 640, 360)
+    assert (region.on, region.mode, region.window) == (True, RoiMode.ROI, (320, 180, 640, 360))
+    camera.apply(CameraSettings())
+    assert not region.on
+
+
+def test_a_region_beyond_the_sensor_is_refused_before_it_is_set(device, camera):
+    with pytest.raises(CameraSettingRefused, match="beyond its 1280 x 720 px"):
+        camera.apply(CameraSettings(roi=(640, 0, 641, 720)))
+    assert device.facilities["roi"].window is None
+
+
+def test_a_region_that_is_not_taken_or_that_there_is_none_of_is_told(device, camera):
+    device.facilities["roi"].takes = False
+    for roi in ((0, 0, 10, 10), None):
+        with pytest.raises(CameraSettingRefused, match="did not take the region of interest"):
+            camera.apply(CameraSettings(roi=roi))
+    device.facilities["roi"] = None
+    with pytest.raises(CameraSettingRefused, match="has no region of interest"):
+        camera.apply(CameraSettings(roi=(0, 0, 10, 10)))
+
+
+def test_a_bias_out_of_range_is_refused_with_the_range(device, camera):
+    with pytest.raises(CameraSettingRefused, match="bias_fo from -35 to 55, not 60"):
+        camera.apply(CameraSettings({"bias_fo": 60}))
+    assert device.facilities["ll_biases"].values["bias_fo"] != 60
+
+
+@pytest.mark.parametrize("value", [-35, 55])
+def test_biases_reach_the_ends_of_their_range(device, camera, value):
+    camera.apply(CameraSettings({"bias_fo": value}))
+    assert device.facilities["ll_biases"].values["bias_fo"] == value
+
+
+def test_a_bias_that_does_not_stick_is_noticed(device, camera):
+    device.facilities["ll_biases"].deaf_to.add("bias_hpf")
+    with pytest.raises(CameraSettingRefused, match="bias_hpf was set to 7, but reads back 0"):
+        camera.apply(CameraSettings({"bias_hpf": 7}))
+
+
+def test_an_unknown_bias_is_refused(camera):
+    with pytest.raises(CameraSettingRefused, match="no bias bias_pr"):
+        camera.apply(CameraSettings({"bias_pr": 1}))
+
+
+def test_a_trigger_input_that_stays_off_is_noticed(device, camera):
+    device.facilities["trigger_in"].deaf = True
+    with pytest.raises(CameraSettingRefused, match="trigger input stays off"):
+        camera.apply(CameraSettings(trigger_in=True))
+
+
+def test_a_trigger_input_that_is_missing_is_told_when_needed(device, camera):
+    device.facilities["trigger_in"] = None
+    with pytest.raises(CameraSettingRefused, match="no trigger input"):
+        camera.apply(CameraSettings(trigger_in=True))
+
+
+def test_biases_that_are_missing_are_told_when_needed(device, camera):
+    device.facilities["ll_biases"] = None
+    with pytest.raises(CameraSettingRefused, match="no biases"):
+        camera.apply(CameraSettings({"bias_fo": 3}, trigger_in=False))
