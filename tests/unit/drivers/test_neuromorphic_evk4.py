@@ -1,7 +1,5 @@
 """EVK4 through neuromorphic-drivers, against a strict fake of that package's device."""
 
-import dataclasses
-import inspect
 import sys
 from datetime import UTC, datetime
 from types import SimpleNamespace
@@ -22,112 +20,9 @@ from drivers.errors import (
     RecordingFailed,
     WrongDevice,
 )
+from tests.unit.drivers.neuromorphic_fake import SERIAL, Biases, Configuration, Device, words_of
 
-SERIAL = "00051234"
 NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
-BIASES = ("pr", "fo", "hpf", "diff_on", "diff", "diff_off", "inv", "refr")
-
-
-def words_of(step):
-    t = 9_000_000 + 2000 * step
-    words = [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, step % 720, 0x2800 | step % 1280]
-    t += 1999
-    return np.array([*words, 0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF], "<u2").tobytes()
-
-
-@dataclasses.dataclass
-class Ring:
-    system_time: float
-    backlog: int
-    raw_packets: int
-    clutch_engaged: bool
-    overflow_indices: list
-    dropped_packets: int
-
-
-@dataclasses.dataclass
-class Status:
-    system_time: float
-    ring: Ring | None
-
-
-Biases = dataclasses.make_dataclass("Biases", [(name, int, 0) for name in BIASES])
-
-
-@dataclasses.dataclass
-class Configuration:
-    biases: Biases = dataclasses.field(default_factory=Biases)
-    enable_external_trigger: bool = True
-    rate_limiter: object = None
-
-
-class Device:
-    """Streams at once; every second turn has nothing within the timeout."""
-
-    def __init__(self, serial=SERIAL):
-        self._serial = serial
-        self.configuration = None
-        self.step = 0
-        self.turns = 0
-        self.cleared = []
-        self.packets = {}
-        self.overflows = {}
-        self.dropped = {}
-        self.gone_at = 10**9
-        self.closed = False
-
-    def serial(self):
-        return self._serial
-
-    def properties(self):
-        return SimpleNamespace(width=1280, height=720)
-
-    def biases_bounds(self):
-        return SimpleNamespace(**{name: SimpleNamespace(minimum=-100, maximum=100) for name in BIASES})
-
-    def update_configuration(self, configuration):
-        self.configuration = configuration
-
-    def temperature_celsius(self):
-        return 41.25
-
-    def illuminance(self):
-        raise RuntimeError("illuminance timeout")
-
-    def clear_backlog(self, until):
-        self.cleared.append(until)
-
-    def close(self):
-        self.closed = True
-
-    def __iter__(self):
-        return self
-
-    def __next__(self):
-        assert not self.closed
-        self.turns += 1
-        if self.step >= self.gone_at:
-            raise RuntimeError("NoDevice")
-        if self.turns % 2:
-            return Status(0.0, None), None
-        step = self.step
-        self.step += 1
-        ring = Ring(1000.0 + step, 0, 1, False, self.overflows.get(step), self.dropped.get(step, 0))
-        return Status(0.0, ring), self.packets.get(step, words_of(step))
-
-
-class Clock:
-    def __init__(self):
-        self.now = 0.0
-        self.error = None
-
-    def monotonic(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += seconds
-        if self.error:
-            raise self.error
 
 
 @pytest.fixture
@@ -166,11 +61,6 @@ def package(monkeypatch, device):
     )
     monkeypatch.setitem(sys.modules, "neuromorphic_drivers", package)
     return package
-
-
-@pytest.fixture
-def clock():
-    return Clock()
 
 
 @pytest.fixture
@@ -337,7 +227,7 @@ def test_unplugging_is_told_with_the_partial_file(device, camera, tmp_path):
 
 def test_a_silent_camera_is_given_up(device, camera, clock, tmp_path):
     device.packets = dict.fromkeys(range(5, 10_000), b"")
-    clock.sleep = lambda _: setattr(clock, "now", clock.now + 0.02)
+    clock.sleep = lambda _: setattr(clock, "now_s", clock.now_s + 0.02)
     with pytest.raises(CameraLost, match="clock has not gone on for 5 s"):
         camera.record(tmp_path / "pose.raw", 1.0)
 
@@ -359,54 +249,3 @@ def test_an_existing_file_is_never_overwritten(camera, tmp_path):
     (tmp_path / "pose.raw").write_bytes(b"precious")
     with pytest.raises(RecordingFailed, match="such a file already"):
         camera.record(tmp_path / "pose.raw", 0.01)
-
-
-def test_the_fake_has_the_fields_of_the_real_package():
-    real = pytest.importorskip("neuromorphic_drivers", reason="the extra evk4 is not installed")
-    evk4 = real.prophesee_evk4
-    assert {f.name for f in dataclasses.fields(Configuration)} <= {
-        f.name for f in dataclasses.fields(evk4.Configuration)
-    }
-    assert {f.name for f in dataclasses.fields(Biases)} <= {f.name for f in dataclasses.fields(evk4.Biases)}
-    assert {f.name for f in dataclasses.fields(Ring)} == {
-        f.name for f in dataclasses.fields(sys.modules["neuromorphic_drivers.status"].RawRingStatus)
-    }
-    calls = (
-        "serial",
-        "properties",
-        "biases_bounds",
-        "update_configuration",
-        "temperature_celsius",
-        "illuminance",
-    )
-    assert all(
-        hasattr(evk4.PropheseeEvk4DeviceRawOptional, call) for call in (*calls, "clear_backlog", "close")
-    )
-    assert real.Name.PROPHESEE_EVK4
-    assert {"configuration", "iterator_timeout", "raw", "serial"} <= set(
-        inspect.signature(real.open).parameters
-    )
-    named = {"Properties": {"width", "height"}, "Bounds": {"minimum", "maximum"}, "BiasesBounds": set(BIASES)}
-    for name, wanted in named.items():
-        assert wanted <= {f.name for f in dataclasses.fields(getattr(evk4, name))}
-    assert {"name", "serial", "error"} <= {f.name for f in dataclasses.fields(real.ListedDevice)}
-    device = evk4.PropheseeEvk4DeviceRawOptional
-    for call, ours in (
-        ("clear_backlog", Device.clear_backlog),
-        ("update_configuration", Device.update_configuration),
-    ):
-        assert list(inspect.signature(getattr(device, call)).parameters) == list(
-            inspect.signature(ours).parameters
-        )
-
-
-def test_without_a_camera_the_real_package_gives_a_clear_error(clock):
-    real = pytest.importorskip("neuromorphic_drivers", reason="the extra evk4 is not installed")
-    try:
-        present = [device for device in real.list_devices() if device.name == real.Name.PROPHESEE_EVK4]
-    except RuntimeError:
-        present = []
-    if present:
-        pytest.skip("an EVK4 is connected")
-    with pytest.raises(CameraNotFound, match="connected EVK4: none"):
-        NeuromorphicEvk4.open(serial="00000001", clock=clock, utc_now=lambda: NOW)

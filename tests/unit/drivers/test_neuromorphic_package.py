@@ -1,0 +1,70 @@
+"""neuromorphic-drivers itself, where it is installed: the fake agrees with it, and its errors are told."""
+
+import dataclasses
+import inspect
+import sys
+from datetime import UTC, datetime
+
+import pytest
+
+from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
+from drivers.errors import CameraNotFound
+from tests.unit.drivers.neuromorphic_fake import BIASES, Biases, Configuration, Device, Ring
+
+
+@pytest.fixture
+def real():
+    return pytest.importorskip("neuromorphic_drivers", reason="the extra evk4 is not installed")
+
+
+def fields(kind):
+    return {field.name for field in dataclasses.fields(kind)}
+
+
+def parameters(call):
+    return list(inspect.signature(call).parameters)
+
+
+def test_the_fake_has_the_fields_of_the_real_package(real):
+    evk4 = real.prophesee_evk4
+    assert fields(Configuration) <= fields(evk4.Configuration)
+    assert fields(Biases) <= fields(evk4.Biases)
+    assert fields(Ring) == fields(sys.modules["neuromorphic_drivers.status"].RawRingStatus)
+
+
+def test_the_real_package_has_the_fields_that_are_read(real):
+    evk4 = real.prophesee_evk4
+    assert {"width", "height"} <= fields(evk4.Properties)
+    assert {"minimum", "maximum"} <= fields(evk4.Bounds)
+    assert set(BIASES) <= fields(evk4.BiasesBounds)
+    assert {"name", "serial", "error"} <= fields(real.ListedDevice)
+    assert real.Name.PROPHESEE_EVK4
+
+
+@pytest.mark.parametrize(
+    "call", ["serial", "properties", "biases_bounds", "temperature_celsius", "illuminance", "close"]
+)
+def test_the_real_device_has_the_calls_of_the_fake(real, call):
+    assert hasattr(Device, call)
+    assert hasattr(real.prophesee_evk4.PropheseeEvk4DeviceRawOptional, call)
+
+
+@pytest.mark.parametrize("call", ["clear_backlog", "update_configuration"])
+def test_calls_take_the_parameters_that_the_fake_takes(real, call):
+    device = real.prophesee_evk4.PropheseeEvk4DeviceRawOptional
+    assert parameters(getattr(device, call)) == parameters(getattr(Device, call))
+
+
+def test_opening_takes_the_parameters_that_the_driver_gives(real):
+    assert {"configuration", "iterator_timeout", "raw", "serial"} <= set(parameters(real.open))
+
+
+def test_without_a_camera_the_real_package_gives_a_clear_error(real, clock):
+    try:
+        present = [device for device in real.list_devices() if device.name == real.Name.PROPHESEE_EVK4]
+    except RuntimeError:
+        present = []
+    if present:
+        pytest.skip("an EVK4 is connected")
+    with pytest.raises(CameraNotFound, match="connected EVK4: none"):
+        NeuromorphicEvk4.open(serial="00000001", clock=clock, utc_now=lambda: datetime.now(UTC))
