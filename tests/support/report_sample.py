@@ -31,6 +31,7 @@ OFF = {
     "y": 0.27,
     "r": 0.64,
 }
+SMALL = (320, 180)
 NAMES = ("first", "second & third", "roll <b>$x$")
 
 

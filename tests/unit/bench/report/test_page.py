@@ -1,0 +1,105 @@
+"""The report's page: well formed, alone, the same bytes for the same data, and nothing else can get in."""
+
+import copy
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_sample import SMALL, sample
+
+from bench.report import ReportData, ViewPicture, render_report
+from tests.unit.bench.report.structure import Structure
+
+
+def test_every_element_is_closed_and_every_id_is_unique(html):
+    found = Structure(html)
+    assert (found.wrong, found.open) == ([], [])
+    ids = [value for _, name, value in found.attributes if name == "id"]
+    assert len(ids) == len(set(ids))
+    references = {
+        value[1:] for _, name, value in found.attributes if name.endswith("href") and value.startswith("#")
+    }
+    assert references <= set(ids)
+
+
+def test_every_picture_has_a_name_for_those_who_do_not_see_it(html):
+    pictures = re.findall(r'<svg [^>]*role="img"[^>]*>', html)
+    labels = [re.search(r'aria-label="([^"]+)"', picture) for picture in pictures]
+    assert all(labels)
+    assert len({label[1] for label in labels}) == len(pictures) == 9
+
+
+def test_it_needs_no_network_and_runs_no_script(html):
+    found = Structure(html)
+    assert not {"script", "iframe", "object", "embed", "link", "form", "base"} & set(found.tags)
+    assert not [a for a in found.attributes if a[1].startswith("on")]
+    loaded = [
+        value
+        for _, name, value in found.attributes
+        if name in {"src", "href", "xlink:href", "data", "action"}
+    ]
+    assert loaded
+    assert all(value.startswith(("#", "data:image/")) for value in loaded)
+    assert not re.findall(r"url\((?!#)", html)
+    assert "@import" not in html
+
+
+def test_it_forbids_all_but_its_own_pictures_and_style(html):
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', html)
+    assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline';")
+
+
+def test_the_same_data_give_the_same_bytes_in_another_process(html, tmp_path):
+    code = "import sys; sys.path.insert(0, sys.argv[1]); from report_sample import SMALL, sample; from bench.report import render_report; print(render_report(sample(size=SMALL)), end='')"
+    other = subprocess.run(
+        [sys.executable, "-c", code, Path(__file__).parents[3] / "support"],
+        capture_output=True,
+        check=True,
+        env={
+            "PYTHONHASHSEED": "7",
+            "PATH": "",
+            "HOME": "/nonexistent",
+            "TZ": "Asia/Tokyo",
+            "LC_ALL": "C.UTF-8",
+            "MPLCONFIGDIR": str(tmp_path),
+        },
+        cwd=Path(__file__).parents[4],
+    ).stdout.decode()
+    assert other == html
+
+
+def test_names_cannot_become_markup(data):
+    evil = "</style><script>alert(1)</script>\"' onload=x {{ 7*7 }} $\\alpha"
+    results = copy.deepcopy(dict(data.results))
+    results["run"] |= {"id": evil, "operator": evil, "station": evil}
+    results["deviations"] = [evil]
+    results["calibration"]["notes"] = [evil]
+    results["states"][0]["state"] = evil
+    results["poses"][0] |= {"name": evil}
+    results["gates"][0] |= {"name": evil, "limit": evil, "unit": evil}
+    views = [ViewPicture(evil, v.image, v.detected, v.reprojected, v.ids) for v in data.views]
+    html = render_report(ReportData(results, views, evil))
+    found = Structure(html)
+    assert (found.wrong, found.open) == ([], [])
+    assert "script" not in found.tags
+    (page_rule,) = re.findall(r"@page \{.*?\n\}", html, re.DOTALL)
+    assert re.findall(r"Calibration report [^;]*;", page_rule) == [
+        'Calibration report ??style??script?alert?1???script??? onload?x ?? 7?7 ?? ??alpha";'
+    ]
+    assert not [a for a in found.attributes if a[1].startswith("on")]
+    assert "{{ 7*7 }}" in html
+
+
+@pytest.mark.slow
+def test_a_page_of_twenty_noisy_poses_stays_small():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(10, 700, (450, 2))
+    noise = rng.integers(0, 256, (720, 1280), dtype=np.uint8)
+    views = [
+        ViewPicture(f"pose {i}", noise, points + rng.normal(0, 0.1, points.shape), points, np.arange(450))
+        for i in range(20)
+    ]
+    assert len(render_report(ReportData(sample(size=SMALL).results, views, ""))) < 3_000_000

@@ -1,0 +1,93 @@
+"""The report's pictures and plots show stars, residuals and states where and as they are."""
+
+import re
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from report_sample import SMALL
+
+from bench.report import ViewPicture
+from bench.report.plots import residual_vectors
+from bench.report.walk import walk_diagram
+from tests.unit.bench.report.structure import Structure
+
+
+def test_each_pose_is_pictured_with_its_stars_where_they_are(data, html):
+    pictures = re.findall(r'<svg class="pose".*?</svg></svg>', html, re.DOTALL)
+    assert len(pictures) == 3
+    for view, picture in zip(data.views, pictures, strict=True):
+        rings = np.array(re.findall(r"M(-?[\d.]+) (-?[\d.]+)a7 7", picture), float) + np.array([7, 0])
+        np.testing.assert_allclose(rings, view.detected, atol=0.006)
+        crosses = np.array(re.findall(r"M(-?[\d.]+) (-?[\d.]+)h8", picture), float) + np.array([4, 0])
+        np.testing.assert_allclose(crosses, view.reprojected, atol=0.006)
+
+
+def test_pixel_centres_lie_at_integers_in_the_pictures(html):
+    (places,) = {
+        tuple(map(float, p))
+        for p in re.findall(r'<image x="([^"]*)" y="([^"]*)" width="320" height="180"', html)
+    }
+    assert places == (-0.5, -0.5)
+
+
+def test_the_star_with_the_largest_residual_is_looked_at_closely(data, html):
+    pictures = re.findall(r'<svg class="pose".*?</svg></svg>', html, re.DOTALL)
+    for view, picture in zip(data.views, pictures, strict=True):
+        corners = re.findall(r'<svg class="close-up"[^>]* viewBox="([-\d.]+) ([-\d.]+) 36 36"', picture)
+        middle, worst = np.array(corners, float) + 18
+        lengths = np.linalg.norm(view.detected - view.reprojected, axis=1)
+        np.testing.assert_allclose(worst, view.detected[lengths.argmax()], atol=0.006)
+        distances = np.linalg.norm(view.detected - (159.5, 89.5), axis=1)
+        np.testing.assert_allclose(middle, view.detected[distances.argmin()], atol=0.006)
+
+
+def test_a_small_picture_is_embedded_without_loss(data, html):
+    import base64
+
+    encoded = re.findall(r'href="data:image/png;base64,([^"]+)"', html)
+    images = [
+        cv2.imdecode(np.frombuffer(base64.b64decode(e), np.uint8), cv2.IMREAD_GRAYSCALE) for e in encoded
+    ]
+    assert len(images) == 3
+    for view, image in zip(data.views, images, strict=True):
+        np.testing.assert_array_equal(image, view.image)
+
+
+def test_residuals_are_drawn_from_the_star_in_their_direction():
+    residual = np.array([[0.1, 0.0], [0.0, 0.05]])
+    detected = np.array([[100.0, 100.0], [200.0, 50.0]])
+    svg = residual_vectors(
+        [ViewPicture("a", np.zeros((180, 320), np.uint8), detected, detected - residual, np.arange(2))], SMALL
+    )
+    assert "magnified 100 times" in svg
+    drawn = [
+        path for path in re.findall(r'<path d="([^"]*)" [^>]*stroke: #0072b2', svg) if path.count("M") == 2
+    ]
+    dots, lines = drawn
+    assert len(re.findall(r"M[\d.]+ [\d.]+h0", dots)) == 2
+    strokes = [tuple(map(float, s)) for s in re.findall(r"M([\d.]+) ([\d.]+)L([\d.]+) ([\d.]+)", lines)]
+    (right,) = [s for s in strokes if s[2] > s[0] + 1 and abs(s[3] - s[1]) < 0.1]
+    (down,) = [s for s in strokes if s[3] > s[1] + 1 and abs(s[2] - s[0]) < 0.1]
+    assert right[2] - right[0] == pytest.approx(2 * (down[3] - down[1]), rel=0.02)
+
+
+@given(st.lists(st.sampled_from(["homing", "slewing", "settling", "<b>"]), max_size=12))
+def test_any_walk_can_be_drawn(names):
+    states = [{"state": name, "utc": f"2026-03-01T12:00:{i:02d}Z"} for i, name in enumerate(names)]
+    svg = walk_diagram(states)
+    found = Structure(svg)
+    assert (found.wrong, found.open) == ([], [])
+    assert found.tags.count("rect") == len(set(names))
+    assert svg.count('class="edge"') == len(set(pairwise(names)))
+
+
+def test_a_walk_tells_how_often_and_how_long():
+    names = ["slewing", "recording", "slewing", "recording", "solving"]
+    states = [{"state": name, "utc": f"2026-03-01T12:00:{2 * i:02d}Z"} for i, name in enumerate(names)]
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", walk_diagram(states))
+    assert texts.count("\N{MULTIPLICATION SIGN}2, 4.0 s") == 2
+    assert "\N{MULTIPLICATION SIGN}2" in texts

@@ -1,0 +1,150 @@
+"""The report prints every number of the results, each value with its uncertainty."""
+
+import copy
+import re
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
+
+from bench.report import ReportData, printed_text, render_report
+from bench.report.text import with_uncertainty
+from calib.camera import CameraModel
+from calib.infinity import camera_difference, uncertainty_map
+
+
+def test_uncertainty_comes_before_reprojection_error(html):
+    words = " ".join(printed_text(html))
+    assert words.index("Expanded uncertainty") < words.index("RMS reprojection error")
+    assert "It does not say that the values are accurate" in words
+
+
+def test_each_value_is_printed_with_its_uncertainty(html):
+    words = printed_text(html)
+    values = dict(
+        zip(SIGMA, [3346.4, 3346.7, 640.5, 363.7, 0.064, -0.96, 96.22, 142.51, 255.10], strict=True)
+    )
+    for name, sigma in SIGMA.items():
+        value, expanded = with_uncertainty(values[name], 2 * sigma)
+        assert value in words, name
+        assert f"± {expanded}" in words, name
+    assert words[words.index("3346.4") - 1 :][:4] == ["focal length, along rows", "3346.4", "± 4.3", "0.13 %"]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *[("calibration", "camera", name) for name in TRUE],
+        *[("calibration", "collimator", name) for name in COLLIMATOR],
+        *[("calibration", "sigma", name) for name in SIGMA],
+        ("calibration", "rms_px"),
+        ("calibration", "mean_px"),
+        ("calibration", "covariance", "matrix", 0, 2),
+        ("calibration", "views", 0, "n"),
+        ("calibration", "disagreement"),
+        ("calibration", "left_out_rms_px"),
+        ("calibration", "coverage_factor"),
+        ("calibration", "budget", "noise of the stars", "cx"),
+        ("halves", "worst_px"),
+        ("gimbal", "rms_arcsec"),
+        ("gimbal", "scale_sigma", "pan_deg"),
+        ("planar", "camera", "fx"),
+        ("planar", "sigma", "fx"),
+        ("comparison", 0, "error_sigmas"),
+        ("comparison", 3, "truth"),
+        ("poses", 1, "measured_deg", "pan"),
+        ("poses", 1, "rms_px"),
+        ("poses", 2, "attempts", 0, "events"),
+        ("poses", 2, "attempts", 0, "event_rate_mev_s"),
+        ("gates", 4, "value"),
+        ("conditions", "camera", "temperature_c"),
+        ("run", "seed"),
+    ],
+    ids=lambda path: ".".join(map(str, path)),
+)  # fmt: skip
+def test_each_number_of_the_results_is_printed(data, html, path, monkeypatch):
+    monkeypatch.setattr("bench.report.html.deviations_from_truth", lambda *_: "")  # it takes most of the time
+    results = copy.deepcopy(dict(data.results))
+    place = results
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = place[path[-1]] * 1.5 + 1
+    changed = printed_text(render_report(ReportData(results, (), data.journal_head)))
+    assert changed != printed_text(html)
+
+
+def test_the_expanded_uncertainty_takes_the_factor_that_few_poses_ask_for(data):
+    results = copy.deepcopy(dict(data.results))
+    results["calibration"]["coverage_factor"] = 3.5
+    words = printed_text(render_report(ReportData(results)))
+    assert words[words.index("focal length, along rows") + 2] == "± 7.5"  # 3.5 * 2.13
+    assert "3.5" in words[words.index("k") : words.index("k") + 6] or any("= 3.5" in word for word in words)
+    compared = words[words.index("How far from the truth") :]
+    assert "± 7.5" in compared
+
+
+def test_a_collimator_s_imperfections_are_named_with_their_uncertainty(data):
+    results = copy.deepcopy(dict(data.results))
+    results["calibration"]["model"] = "pupil"
+    results["calibration"]["collimator"]["pupil_shift"] = -0.0712
+    results["calibration"]["sigma"]["pupil_shift"] = 0.0052
+    words = printed_text(render_report(ReportData(results)))
+    place = words.index("collimator: reticle out of focus")
+    assert words[place - 1 : place + 3] == ["pupil shift", words[place], "\N{MINUS SIGN}0.071", "± 0.010"]
+    assert any("model “pupil”" in word for word in words)
+
+
+def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html):
+    # of the shown digits, "at most" is k times what the engine's own map says
+    camera = CameraModel(
+        *(data.results["calibration"]["camera"][n] for n in ("fx", "fy", "cx", "cy")),
+        SMALL,
+        {
+            "k1": data.results["calibration"]["camera"]["k1"],
+            "k2": data.results["calibration"]["camera"]["k2"],
+        },
+    )
+    covariance = np.array(data.results["calibration"]["covariance"]["matrix"])[:6, :6]
+    found = uncertainty_map(camera, covariance)
+    titles = re.findall(
+        r">U, (px|arc seconds)</text>\s*<text[^>]*>median [\d.e+]+, at most ([\d.e+]+)<", html
+    )
+    assert titles == [("px", f"{2 * found.worst_px:.2g}"), ("arc seconds", f"{2 * found.worst_arcsec:.2g}")]
+
+
+def test_beside_it_stands_how_far_halves_of_the_poses_lie_apart(data, html):
+    halves = data.results["halves"]["cameras"]
+    first, second = (
+        CameraModel(
+            *(half[name] for name in ("fx", "fy", "cx", "cy")),
+            SMALL,
+            {name: half[name] for name in ("k1", "k2")},
+        )
+        for half in halves
+    )
+    worst = camera_difference(first, second).worst_px
+    title = r">Halves of the poses apart, px</text>\s*<text[^>]*>median [\d.e\-]+, at most ([\d.e\-]+)<"
+    assert re.findall(title, html) == [f"{worst:.2g}"]
+    alone = copy.deepcopy(dict(data.results))
+    del alone["halves"]
+    assert "Halves of the poses" not in render_report(ReportData(alone, data.views))
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e5))
+def test_a_value_is_rounded_to_two_digits_of_its_uncertainty(value, expanded):
+    texts = with_uncertainty(value, expanded)
+    printed_value, printed_expanded = (Decimal(text.replace("\N{MINUS SIGN}", "-")) for text in texts)
+    assert len(texts[0].partition(".")[2]) == len(texts[1].partition(".")[2])
+    step = Decimal(1).scaleb(printed_expanded.adjusted() - 1)  # the second digit of U
+    assert printed_expanded % step == 0
+    assert printed_value % step == 0
+    assert abs(printed_value - Decimal(value)) <= step / 2 + Decimal(abs(value)).scaleb(-15)
+    assert abs(printed_expanded - Decimal(expanded)) <= Decimal(expanded) / 20
+
+
+@pytest.mark.parametrize("expanded", [0.0, float("nan"), float("inf")])
+def test_without_an_uncertainty_none_is_printed(expanded):
+    assert with_uncertainty(3345.0637, expanded) == ("3345.06", "\N{EN DASH}")

@@ -1,0 +1,110 @@
+"""The report tells what was done and found, and claims no more."""
+
+import copy
+import re
+from pathlib import Path
+
+from report_sample import SIGMA, SMALL, TRUE, sample
+
+from bench.report import ReportData, printed_text, render_report
+from tests.unit.bench.report.structure import Structure
+
+
+def test_simulated_stands_on_screen_in_the_title_and_on_every_printed_page(html):
+    assert any(words.startswith("SIMULATED: no camera was measured") for words in printed_text(html))
+    assert "<title>SIMULATED" in html
+    assert '@top-right { content: "SIMULATED DEVICES"' in html
+    assert '<div class="watermark" aria-hidden="true"><span>SIMULATED</span></div>' in html
+
+
+def test_nothing_is_called_simulated_on_a_real_bench():
+    data = sample(size=SMALL, simulated=False)
+    html = render_report(data)
+    assert "SIMULATED" not in html
+    assert "truth" not in " ".join(printed_text(html)).lower()
+
+
+def test_words_are_the_same_with_and_without_pictures(data, html):
+    assert printed_text(render_report(ReportData(data.results, (), data.journal_head))) == printed_text(html)
+
+
+def test_a_page_s_words_leave_out_what_is_drawn():
+    page = "<style>a</style><p>one &amp;\n two</p><section><p>three</p></section><svg><text>x</text></svg><p>four</p>"
+    assert printed_text(page) == ["one & two", "four"]
+
+
+def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
+    words = printed_text(html)
+    assert "run 12; of this camera 2 finished, 1 open, this one included" in words
+    assert data.results["run"]["ledger"]["head"] in words
+    results = copy.deepcopy(dict(data.results))
+    del results["run"]["ledger"]
+    assert "ledger" not in " ".join(printed_text(render_report(ReportData(results)))).lower()
+
+
+def test_refused_recordings_deviations_and_gates_are_told(html):
+    words = " ".join(printed_text(html))
+    assert "stars 31, wanted >= 40" in words
+    assert "refused" in words
+    assert "the first recording had 31 stars" in words
+    assert "marginal" in words
+    assert "captures/pose-002-attempt-2.raw" in words
+
+
+def test_the_journal_and_the_way_to_verify_are_told(html, data):
+    words = printed_text(html)
+    assert data.journal_head in words
+    assert any("ssh-keygen -Y verify" in word for word in words)
+
+
+def test_nothing_is_claimed_that_was_not_done(html):
+    words = " ".join(printed_text(html)).lower()
+    assert "not a certificate" in words
+    assert "no metrological traceability is claimed" in words
+    assert " due" not in words  # no recalibration interval
+
+
+def test_it_ends_with_its_number(html):
+    assert printed_text(html)[-1] == "END OF REPORT three_pose-20260301-120000"
+
+
+def test_a_calibration_that_did_not_converge_is_called_none(data):
+    results = copy.deepcopy(dict(data.results))
+    results["calibration"]["converged"] = False
+    words = " ".join(printed_text(render_report(ReportData(results))))
+    assert "did not converge" in words
+    assert "did not converge" not in " ".join(printed_text(render_report(data)))
+
+
+def test_a_planar_calibration_without_devices_is_reported_too(data):
+    results = {
+        "run": data.results["run"] | {"simulated": False},
+        "calibration": dict(data.results["calibration"]),
+    }
+    results["calibration"] |= {"model": "planar", "collimator": None}
+    results["calibration"]["sigma"] = {name: SIGMA[name] for name in TRUE}
+    html = render_report(ReportData(results))
+    found = Structure(html)
+    assert (found.wrong, found.open) == ([], [])
+    assert "a position and a rotation of its own" in html
+    assert not {"Poses", "Gates", "Recordings", "Devices", "How far from the truth"} & set(printed_text(html))
+
+
+def test_what_is_documented_of_the_results_is_in_them(data):
+    table = (Path(__file__).parents[4] / "docs" / "results.md").read_text(encoding="utf-8")
+    paths = [
+        p for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE) for p in re.findall(r"`([^`]+)`", row)
+    ]
+    assert len(paths) > 30
+    for path in paths:
+        place = data.results
+        for key in path.split("."):
+            place = place[0] if isinstance(place, list) else place
+            assert key in place, path
+            place = place[key]
+
+
+def test_every_part_of_the_results_is_documented(data):
+    table = (Path(__file__).parents[4] / "docs" / "results.md").read_text(encoding="utf-8")
+    names = [*data.results, *data.results["run"], *data.results["calibration"], *data.results["poses"][0]]
+    assert [name for name in names if not re.search(rf"\b{name}\b", table)] == []
