@@ -10,13 +10,13 @@ After a run that did not finish, the cause is removed and it is resumed: it must
 
 import sys
 import tempfile
-from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 from rehearsed import TWO, Journal, Scene, with_runner
+from run_faults import FAULTS, FINISHED, Died, Fault, command, raising
 
 import bench.rehearsals.rehearsal
 from bench.clock import VirtualClock
@@ -25,22 +25,6 @@ from bench.records.captures import stored_captures
 from bench.records.history import Event, replay
 from bench.records.journal import read_journal
 from bench.records.storage import sha256_of
-from bench.run.control import Command
-from drivers.errors import (
-    CameraLost,
-    DeviceRefused,
-    LightFault,
-    MoveFailed,
-    MoveTimeout,
-    NotHomed,
-    PortLost,
-    PortNotFound,
-    RecordingFailed,
-    ReplyGarbled,
-    ReplyTimeout,
-    SettingRefused,
-    WrongDevice,
-)
 
 STATES = (
     "preflight",
@@ -61,155 +45,6 @@ STATES = (
 END = "  - wait: {duration_s: 1}\n  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
 MOST_S = 120.0
 """A run that nothing befalls takes 15 s of virtual time, its hold included; none may take longer than that."""
-LOST = "\ninterlocks: {device_lost: {retry_s: 5, max_hold_s: 60}}\n"
-
-
-class Died(BaseException):
-    """The process is gone."""
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A fault as a run meets it.
-
-    Attributes
-    ----------
-    name
-        In the words of the table of faults.
-    of
-        Beginnings of the calls it strikes: ``stage.``, ``light.off``; ``tick`` for anything that passes the clock.
-    strike
-        Called with the scene when it strikes: raises, or returns what becomes of the call's result.
-    ends
-        How the run may end.
-    lasts
-        Whether it strikes every such call from then on, until the cause is removed.
-    station
-        What the station file says besides.
-    """
-
-    name: str
-    of: tuple[str, ...]
-    strike: Callable[[Scene], object]
-    ends: frozenset[str]
-    lasts: bool = False
-    station: str = ""
-
-
-def raising(error):
-    def strike(_scene):
-        raise error
-
-    return strike
-
-
-def _stop(scene):
-    scene.clock.request_stop("SIGTERM received")
-
-
-def _abort(scene):
-    command(scene, "abort")
-
-
-def _die(scene):
-    scene.dead = True
-    raise Died
-
-
-def _light_off(scene):
-    scene.light_and_stage()[0]._on = False
-
-
-def _moved(_scene):
-    return lambda found: {axis: angle + 0.01 for axis, angle in found.items()}
-
-
-def _facts(**changed):
-    return lambda _scene: lambda facts: replace(facts, **changed)
-
-
-def _back_after(error, seconds):
-    def strike(scene):
-        if scene.struck_at_s is None:
-            scene.struck_at_s = scene.clock.monotonic()
-        if scene.clock.monotonic() < scene.struck_at_s + seconds:
-            raise error
-
-    return strike
-
-
-FAILED, ENDED = frozenset({"failed"}), frozenset({"finished", "failed"})
-ABORTED, FINISHED = frozenset({"aborted"}), frozenset({"finished"})
-FAULTS = (
-    Fault("stage unplugged", ("stage.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
-    Fault("light unplugged", ("light.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
-    Fault("camera unplugged", ("camera.", "open"), raising(CameraLost("gone")), FAILED, lasts=True),
-    Fault(
-        "stage gone for 20 s, waited for",
-        ("stage.", "open"),
-        _back_after(PortLost("gone"), 20),
-        FINISHED,
-        True,
-        LOST,
-    ),
-    Fault(
-        "light gone for 20 s, waited for",
-        ("light.", "open"),
-        _back_after(PortLost("gone"), 20),
-        FINISHED,
-        True,
-        LOST,
-    ),
-    Fault(
-        "camera gone for 20 s, waited for",
-        ("camera.", "open"),
-        _back_after(CameraLost("gone"), 20),
-        FINISHED,
-        True,
-        LOST,
-    ),
-    Fault(
-        "stage gone for good, waited for", ("stage.", "open"), raising(PortLost("gone")), FAILED, True, LOST
-    ),
-    Fault("another device on the port", ("open",), raising(WrongDevice("another serial number")), FAILED),
-    Fault("no such port", ("open",), raising(PortNotFound("no such port")), FAILED),
-    Fault("stage: reply lost or late", ("stage.",), raising(ReplyTimeout("silent")), FAILED),
-    Fault("stage: reply garbled, echo, wrong id", ("stage.",), raising(ReplyGarbled("checksum")), FAILED),
-    Fault("light: reply lost or late", ("light.",), raising(ReplyTimeout("silent")), FAILED),
-    Fault("light: reply garbled", ("light.",), raising(ReplyGarbled("form")), FAILED),
-    Fault("stall, limit, twist", ("stage.move_to", "stage.home"), raising(MoveFailed("stalled")), FAILED),
-    Fault(
-        "stops short, slips, reboots in mid-move", ("stage.move_to",), raising(MoveFailed("short")), FAILED
-    ),
-    Fault("stuck busy, no progress", ("stage.move_to", "stage.home"), raising(MoveTimeout("busy")), FAILED),
-    Fault("no reference after a power cycle", ("stage.move_to",), raising(NotHomed("no reference")), FAILED),
-    Fault(
-        "command refused (e-stop)", ("stage.move_to", "stage.home"), raising(DeviceRefused("stopped")), FAILED
-    ),
-    Fault("lamp open, too hot", ("light.on", "light.read"), raising(LightFault("lamp open")), FAILED),
-    Fault("level or frequency clipped", ("light.apply",), raising(SettingRefused("clipped")), FAILED),
-    Fault("light silently off", ("camera.record",), _light_off, ENDED),
-    Fault("creeps while it is recorded", ("stage.position_deg",), _moved, ENDED),
-    Fault("recording broken off", ("camera.record",), raising(RecordingFailed("USB drop")), FINISHED),
-    Fault("events or triggers lost", ("camera.record",), _facts(gaps=("12 ms are missing",)), FINISHED),
-    Fault("recording cut short", ("camera.record",), _facts(complete=False), FINISHED),
-    Fault("event rate too high", ("camera.record",), _facts(events=10**9), FINISHED),
-    Fault("disk full", ("disk",), raising(OSError(28, "No space left on device")), FAILED),
-    Fault("disk fails", ("disk",), raising(OSError(5, "Input/output error")), FAILED),
-    Fault("process killed", ("stage.", "light.", "camera.", "tick"), _die, frozenset({"died"})),
-    Fault("SIGINT, SIGTERM, SIGHUP", ("stage.", "light.", "camera.", "tick"), _stop, ABORTED | FINISHED),
-    Fault("abort by an operator", ("stage.", "light.", "camera.", "tick"), _abort, ABORTED | FINISHED),
-)
-
-
-def command(scene, word):
-    """Play the thread that takes commands."""
-    inbox = getattr(scene.runner, "_inbox", None)
-    if inbox is not None and not inbox._closing.is_set():
-        path = scene.folder / "command.json"
-        path.write_text(Command(word=word, by="ada").model_dump_json())
-        inbox._answer(path, "")
-        path.unlink()
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from fault_matrix import FAULTS, SIGNS, STATES, matrix, patched, strike, text
+from fault_matrix import SIGNS, STATES, matrix, patched, strike, text
+from run_faults import FAULTS
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "faults.md"
 SOME = [
