@@ -227,13 +227,18 @@ class Link:
         return data
 
     def take_line(self) -> bytes | None:
-        """Take one line with its terminator, or None when there is none yet."""
+        """Take one line with its terminator, or None when there is none yet.
+
+        Raises ReplyGarbled for one without end, which is thrown away: who goes on receiving must not meet it again.
+        """
         end = self._buffer.find(self._terminator)
         if end < 0 and len(self._buffer) <= LONGEST_LINE:
             return None
         if end < 0 or end > LONGEST_LINE:
+            begins = bytes(self._buffer[:40])
+            self._buffer.clear()
             raise ReplyGarbled(
-                f"a line of more than {LONGEST_LINE} bytes: {bytes(self._buffer[:40])!r}...",
+                f"a line of more than {LONGEST_LINE} bytes: {begins!r}...",
                 where=self.name,
                 remedy="See that the station file names the device's port and baud rate.",
             )
