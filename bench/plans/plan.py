@@ -16,7 +16,8 @@ from typing import Any
 from bench.errors import ScriptError
 from bench.plans.script_check import angle_faults, check_script
 from bench.stations.station import Station, load_station
-from bench.stations.station_devices import AxisWords, FrameCameraWords
+from bench.stations.station_cameras import FrameCameraWords
+from bench.stations.station_stages import AxisWords
 from sequences.errors import DocumentFaults, Fault
 from sequences.flatten import unfold
 from sequences.reader import Located, find_document, read_document

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from bench.stations.station import Station
-from bench.stations.station_devices import FrameCameraWords
+from bench.stations.station_cameras import FrameCameraWords
 from sequences.errors import Fault
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence

@@ -20,7 +20,7 @@ from bench.plans.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA
 from bench.simulated import rehearsed_world
 from bench.stations.devices import Devices
 from bench.stations.station import Station
-from bench.stations.station_devices import FrameCameraWords
+from bench.stations.station_cameras import FrameCameraWords
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts

@@ -16,7 +16,7 @@ from bench.run.gates import FILTERS_THAT_EAT_FLICKER, Gate, recording_gates, ref
 from bench.run.measure import Expect, Measurement, measure
 from bench.run.pictures import measure_pictures, picture_gates, picture_refusals
 from bench.stations.station import Station
-from bench.stations.station_devices import FrameCameraWords
+from bench.stations.station_cameras import FrameCameraWords
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameSettings

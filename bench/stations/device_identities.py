@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
-from bench.stations import station_devices as words
+from bench.stations import station_lights, station_stages
 from bench.stations.station import Station
-from bench.stations.station_devices import SIMULATED
+from bench.stations.station_words import SIMULATED
 from drivers.device_hold import DeviceHold
 
 
@@ -22,15 +22,15 @@ def serial_devices(station: Station) -> tuple[str, ...]:
     """
     found: list[tuple[str, str, str | None]] = []
     match station.stage:
-        case words.ZaberAsciiStage() as said:
+        case station_stages.ZaberAsciiStage() as said:
             found += [(said.port, "Zaber", axis.serial) for axis in said.axes.values()]
-        case words.XimcStage() as said:
+        case station_stages.XimcStage() as said:
             found += [(axis.port, "Standa", axis.serial) for axis in said.axes.values()]
-        case words.EspStage() as said:
+        case station_stages.EspStage() as said:
             found += [(said.port, "Newport", axis.serial) for axis in said.axes.values()]
-        case words.GrblStage() as said:
+        case station_stages.GrblStage() as said:
             found.append((said.port, "GRBL", said.serial))
-    if isinstance(station.light, words.ScpiLight):
+    if isinstance(station.light, station_lights.ScpiLight):
         found.append((station.light.port, "generator", station.light.serial))
     real = [
         f"{family} {serial}" for port, family, serial in found if serial and not port.startswith(SIMULATED)

@@ -13,11 +13,11 @@ from typing import Any
 from bench.clock import BenchClock
 from bench.errors import SimulationError
 from bench.simulated import SimulatedBench
-from bench.stations import station_devices as words
+from bench.stations import station_cameras, station_lights, station_stages
 from bench.stations.camera_kinds import Camera
 from bench.stations.device_identities import held
 from bench.stations.station import Station
-from bench.stations.station_devices import SIMULATED
+from bench.stations.station_words import SIMULATED
 from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
@@ -160,18 +160,18 @@ PortName = Callable[[str], str]
 
 def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
     match station.stage:
-        case words.ZaberAsciiStage() as said:
+        case station_stages.ZaberAsciiStage() as said:
             zaber = [ZaberAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
             return ZaberStage.open(
                 port(said.port), zaber, baudrate=said.baudrate, clock=clock, wire_log=wire_log
             )
-        case words.XimcStage() as said:
+        case station_stages.XimcStage() as said:
             ximc = [
                 XimcAxis(name=n, limits=a.limits, **(a.own_words() | {"port": port(a.port)}))
                 for n, a in said.axes.items()
             ]
             return XimcStage.open(ximc, clock=clock, wire_log=wire_log)
-        case words.GrblStage() as said:
+        case station_stages.GrblStage() as said:
             grbl = [GrblAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
             return GrblStage.open(
                 port(said.port),
@@ -181,14 +181,14 @@ def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: W
                 clock=clock,
                 wire_log=wire_log,
             )
-        case words.EspStage() as said:
+        case station_stages.EspStage() as said:
             esp = [EspAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
             return EspStage.open(port(said.port), esp, baudrate=said.baudrate, clock=clock, wire_log=wire_log)
 
 
 def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
     match station.light:
-        case words.ScpiLight() as said:
+        case station_lights.ScpiLight() as said:
             return ScpiLight.open(
                 port(said.port),
                 serial=said.serial,
@@ -198,7 +198,7 @@ def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: W
                 clock=clock,
                 wire_log=wire_log,
             )
-        case words.GardasoftLight() as said:
+        case station_lights.GardasoftLight() as said:
             return GardasoftLight.open(
                 port(said.port),
                 model=said.model,
@@ -214,17 +214,17 @@ def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: W
 
 def _open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
     match station.camera:
-        case words.SimulatedEvk4() as said:
+        case station_cameras.SimulatedEvk4() as said:
             return SimulatedEvk4Camera.open(
                 port(said.address), serial=said.serial, clock=clock, utc_now=clock.utc_now
             )
-        case words.MetavisionCamera() as said:
+        case station_cameras.MetavisionCamera() as said:
             return MetavisionEvk4.open(serial=said.serial, clock=clock)
-        case words.NeuromorphicEvk4() as said:
+        case station_cameras.NeuromorphicEvk4() as said:
             return NeuromorphicEvk4.open(serial=said.serial, clock=clock, utc_now=clock.utc_now)
-        case words.RecordedCamera() as said:
+        case station_cameras.RecordedCamera() as said:
             return RecordedCamera.open(said.path, serial=said.serial, clock=clock)
-        case words.OpenCvCamera() as said:
+        case station_cameras.OpenCvCamera() as said:
             return OpenCvFrameCamera.open(port(said.source), serial=said.serial, clock=clock)
-        case words.PictureFolder() as said:
+        case station_cameras.PictureFolder() as said:
             return FolderFrameCamera.open(said.path, serial=said.serial, clock=clock)

@@ -1,7 +1,8 @@
 """What a station file says: which devices stand on a bench, where, and what they may be asked for.
 
-Knows the shape and the sense of the file; the words of each device stand in ``station_devices``, how it is
-opened in ``devices``. The station alone differs between a simulated bench and a real one; sequences fit both.
+Knows the shape and the sense of the file; the words of each device stand in ``station_stages``, ``station_lights``
+and ``station_cameras``, how it is opened in ``devices``. The station alone differs between a simulated bench and a
+real one; sequences fit both.
 """
 
 from __future__ import annotations
@@ -15,20 +16,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_devices import (
-    SIMULATED,
-    AxisWords,
-    Camera,
-    Light,
-    PictureFolder,
-    Positive,
-    RecordedCamera,
-    Serial,
-    Stage,
-    Text,
-)
+from bench.stations.station_cameras import Camera, PictureFolder, RecordedCamera
 from bench.stations.station_interlocks import InterlockWords
+from bench.stations.station_lights import Light
 from bench.stations.station_messages import Messages
+from bench.stations.station_stages import AxisWords, Stage
+from bench.stations.station_words import SIMULATED, Positive, Serial, Text
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from sequences.reader import Located, find_document, read_document

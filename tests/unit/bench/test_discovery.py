@@ -10,7 +10,7 @@ from bench.console.output import show_devices
 from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
 from bench.stations.station import load_station
-from bench.stations.station_devices import Camera
+from bench.stations.station_cameras import Camera
 from bench.stations.station_draft import ASK, CAMERAS, STAGES, draft_station
 from drivers.camera import FoundCamera
 

@@ -3,7 +3,7 @@
 import pytest
 
 from bench.stations.station import SHIPPED, Station, load_station
-from bench.stations.station_devices import ScpiLight
+from bench.stations.station_lights import ScpiLight
 from calib.target import StarTarget
 from drivers.light import LightSettings
 from drivers.stage import AxisLimits

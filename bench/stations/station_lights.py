@@ -1,0 +1,101 @@
+"""What a station file says of lights: their words, their bounds, their defaults.
+
+One model a driver; `devices` opens what they describe.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from bench.stations.station_words import Port, Positive, Serial, Text
+from drivers.light import LightSettings
+from drivers.light.scpi_dialects import DialectName, Load
+from sequences.schema import Words
+from sequences.script import Flicker
+
+Volts = Annotated[float, Field(ge=-20, le=20)]
+
+
+class ScpiLight(Words):
+    """A function generator that drives the lamp; its sync output goes to the camera's trigger input."""
+
+    driver: Literal["scpi"]
+    port: Port
+    baudrate: Annotated[int, Field(gt=0)] = 9600
+    serial: Serial | None = None
+    dialect: Annotated[DialectName, Field(description="How it wants its commands; see docs/stations.md.")] = (
+        "keysight"
+    )
+    load: Annotated[Load, Field(description="What its levels are stated for.")] = "high-z"
+    low_v: Annotated[Volts, Field(description="The lamp dark.")] = 0.0
+    high_v: Annotated[Volts, Field(description="The lamp at its brightest.")] = 5.0
+    frequency_range_hz: tuple[Positive, Positive] = (0.1, 10_000.0)
+    sync_output: bool = True
+
+    @model_validator(mode="after")
+    def _in_order(self) -> ScpiLight:
+        if self.low_v >= self.high_v:
+            raise PydanticCustomError("levels_order", "low_v must be below high_v.")
+        if self.frequency_range_hz[0] >= self.frequency_range_hz[1]:
+            raise PydanticCustomError("range_order", "frequency_range_hz must be [lowest, highest].")
+        return self
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Its port."""
+        return (self.port,)
+
+    def settings(self, flicker: Flicker) -> LightSettings:
+        """Turn a sequence's flicker into this light's settings."""
+        return LightSettings(
+            waveform=flicker.waveform,
+            frequency_hz=flicker.frequency_hz,
+            duty_percent=flicker.duty_percent,
+            low_v=self.low_v,
+            high_v=self.low_v + (self.high_v - self.low_v) * flicker.level_percent / 100,
+            sync_output=self.sync_output,
+        )
+
+
+class GardasoftLight(Words):
+    """A Gardasoft RT strobe controller; one of its channels is the lamp, another the sync to the camera."""
+
+    driver: Literal["gardasoft"]
+    port: Port
+    baudrate: Annotated[int, Field(gt=0)] = 115_200
+    model: Annotated[
+        Text | None, Field(description="As it says itself (RT420F-20); without it, any will do.")
+    ] = None
+    channel: Annotated[int, Field(ge=1, le=8)] = 1
+    sync_channel: Annotated[int, Field(ge=1, le=8)] | None = 2
+    full_percent: Annotated[
+        float, Field(gt=0, le=1000, description="Brightness of the lamp at its fullest.")
+    ] = 100.0
+    sync_percent: Annotated[float, Field(gt=0, le=1000)] = 100.0
+    frequency_range_hz: tuple[Positive, Positive] = (1.0, 1_000.0)
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Its port."""
+        return (self.port,)
+
+    @property
+    def sync_output(self) -> bool:
+        """Whether one of its channels gives the camera its sync."""
+        return self.sync_channel is not None
+
+    def settings(self, flicker: Flicker) -> LightSettings:
+        """Turn a sequence's flicker into this light's settings: its brightest is 5 V's worth."""
+        return LightSettings(
+            waveform=flicker.waveform,
+            frequency_hz=flicker.frequency_hz,
+            duty_percent=flicker.duty_percent,
+            high_v=LightSettings.high_v * flicker.level_percent / 100,
+            sync_output=self.sync_output,
+        )
+
+
+Light = Annotated[ScpiLight | GardasoftLight, Field(discriminator="driver")]
