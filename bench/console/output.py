@@ -98,7 +98,7 @@ def _run_text(results: Mapping[str, Any]) -> str:
 
 def calibration_text(calibration: Mapping[str, Any]) -> str:
     """Lay out a calibration: values with uncertainties first, reprojection error second."""
-    from bench.report.tables import coverage_factor
+    from bench.report.calibration_tables import coverage_factor
     from bench.report.text import exact, with_uncertainty
 
     values = {**calibration["camera"], **(calibration["collimator"] or {})}

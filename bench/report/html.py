@@ -1,7 +1,7 @@
 """The report as HTML: joins results, tables, plots and pictures in one page.
 
-Knows the results' structure and the page's template; formats numbers by `bench.report.text`, rows of tables
-by `bench.report.tables`. Nothing a results file holds can become markup: the template escapes everything.
+Knows the results' structure and the page's template; formats numbers by `text`, rows of tables by `run_tables` and
+`calibration_tables`. Nothing a results file holds can become markup: the template escapes everything.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from bench.report import tables, text
+from bench.report import calibration_tables, run_tables, text
 from bench.report.pictures import ViewPicture, pose_pictures
 from bench.report.plots import (
     coverage,
@@ -73,31 +73,31 @@ def render_report(data: ReportData) -> str:
     """
     results = data.results
     calibration = results["calibration"]
-    k = tables.coverage_factor(calibration)
+    k = calibration_tables.coverage_factor(calibration)
     return (
         environment()
         .get_template("report.html.j2")
         .render(
             run=results["run"],
             takes_pictures=results["run"].get("camera") == "frame",
-            identification=tables.identification(results),
-            software=tables.software(results),
+            identification=run_tables.identification(results),
+            software=run_tables.software(results),
             journal_head=data.journal_head,
             calibration=calibration,
-            values=tables.values(calibration),
-            agreement=tables.agreement(calibration),
-            correlation=tables.correlation(calibration),
-            planar=tables.against_planar(calibration, results.get("planar")),
-            candidates=tables.candidates(calibration),
-            budget=tables.budget(calibration),
-            checks=tables.checks(results),
+            values=calibration_tables.values(calibration),
+            agreement=calibration_tables.agreement(calibration),
+            correlation=calibration_tables.correlation(calibration),
+            planar=calibration_tables.against_planar(calibration, results.get("planar")),
+            candidates=calibration_tables.candidates(calibration),
+            budget=calibration_tables.budget(calibration),
+            checks=calibration_tables.checks(results),
             halves=bool((results.get("halves") or {}).get("cameras")),
-            comparison=tables.comparison(results.get("comparison") or [], k),
-            conditions=tables.conditions(results.get("conditions") or {}),
-            devices=tables.devices(results.get("devices") or {}),
-            poses=tables.poses(results.get("poses") or []),
-            recordings=tables.recordings(results.get("poses") or []),
-            gates=tables.gates(results.get("gates") or []),
+            comparison=calibration_tables.comparison(results.get("comparison") or [], k),
+            conditions=run_tables.conditions(results.get("conditions") or {}),
+            devices=run_tables.devices(results.get("devices") or {}),
+            poses=run_tables.poses(results.get("poses") or []),
+            recordings=run_tables.recordings(results.get("poses") or []),
+            gates=run_tables.gates(results.get("gates") or []),
             deviations=list(results.get("deviations") or []),
             walk=_drawn(walk_diagram(results["states"])) if results.get("states") else "",
             plots=_plots(data),
@@ -189,7 +189,7 @@ def _uncertainty(results: Mapping[str, Any]) -> str:
     if cameras := (results.get("halves") or {}).get("cameras"):
         first, second = (_camera(half, size) for half in cameras)
         difference = camera_difference(first, second)
-    return uncertainty_contours(found, tables.coverage_factor(calibration), difference)
+    return uncertainty_contours(found, calibration_tables.coverage_factor(calibration), difference)
 
 
 def _camera(values: Mapping[str, float], image_size: tuple[int, int]) -> CameraModel:
