@@ -254,11 +254,10 @@ class EspStage(WatchedStage[EspAxis]):
         return Look(position_deg, not done, trouble)
 
     def _look_at_rest(self, axis: EspAxis, *, homing: bool) -> Look:
-        """Ask for the errors too."""
+        """Ask for the errors too, of all our axes: the buffer tells each of them once."""
         look = self._look(axis, homing=homing)
-        errors = [error for error in self._errors() if error.code // 100 in {0, axis.number}]
-        if errors:
-            return look._replace(trouble="; ".join(map(str, errors)))
+        if errors := self._our_errors():
+            return look._replace(trouble=self._in_words(errors, axis))
         if not homing and self._homed_at != self._restarts:
             return look._replace(trouble="the controller restarted in mid-move: its position is lost")
         return look
@@ -284,10 +283,9 @@ class EspStage(WatchedStage[EspAxis]):
         """Send a command, once, and ask for errors. Raises DeviceRefused."""
         command = f"{axis.number}{words}"
         self._line.send(command)
-        errors = self._errors()
-        if errors:
+        if errors := self._our_errors():
             raise DeviceRefused(
-                f"the controller refuses '{command}': {'; '.join(map(str, errors))}.",
+                f"the controller refuses '{command}': {self._in_words(errors, axis)}.",
                 where=axis.name,
                 remedy="Check limits, speed and acceleration in the station file.",
             )
@@ -306,6 +304,19 @@ class EspStage(WatchedStage[EspAxis]):
                 return found
             found.append(error)
         raise self._line.garbled("the error buffer never ends.")
+
+    def _our_errors(self) -> list[EspError]:
+        """Empty the error buffer; return the errors of the controller and of our axes."""
+        ours = {0} | {axis.number for axis in self._axes.values()}
+        return [error for error in self._errors() if error.code // 100 in ours]
+
+    def _in_words(self, errors: Sequence[EspError], asked: EspAxis) -> str:
+        """Say errors in plain words, and whose they are when it is another axis than the one asked about."""
+        names = {axis.number: axis.name for axis in self._axes.values() if axis is not asked}
+        whose = [names.get(error.code // 100) for error in errors]
+        return "; ".join(
+            f"{name}: {error}" if name else str(error) for name, error in zip(whose, errors, strict=True)
+        )
 
     def _hear_time(self, time: int) -> None:
         if time < self._time:

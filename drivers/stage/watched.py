@@ -189,12 +189,14 @@ class WatchedStage(ABC, Generic[A]):
         self.identify()
         for axis in self._axes.values():
             self._clear_faults(axis)
+        self._doubt = self._doubt or "homing was broken off"
         try:
             self._start_homing(go_on)
             now_s = self._clock.monotonic()
             self._wait([(axis, _homing_watch(axis, now_s)) for axis in self._axes.values()], go_on)
             for axis in self._axes.values():
                 self._see_end(axis, None)
+            for axis in self._axes.values():
                 self._finish_homing(axis)
             self._doubt = ""
         except DriverError as error:
@@ -264,7 +266,7 @@ class WatchedStage(ABC, Generic[A]):
         """Return where an axis stands; raise unless it may be moved from there."""
         if self._doubt:
             raise NotHomed(
-                f"the position is in doubt since a move failed ({self._doubt}). Nothing was moved.",
+                f"the position is in doubt ({self._doubt}). Nothing was moved.",
                 where=axis.name,
                 remedy="Home the stage first.",
             )

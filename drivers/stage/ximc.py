@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, DriverError, MoveFailed, NotHomed, OutsideLimits, WrongDevice
+from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, ximc_protocol
 from drivers.stage.watched import GoOn, Look, WatchedStage
@@ -217,15 +218,11 @@ class XimcStage(WatchedStage[XimcAxis]):
         self._controllers[axis.name].set("zero", b"")
 
     def _send_stop(self) -> None:
-        """Stop every axis, whatever the others do."""
-        failed: list[DriverError] = []
-        for controller in self._controllers.values():
-            try:
-                controller.stop()
-            except DriverError as error:
-                failed.append(error)
-        if failed:
-            raise failed[0]
+        """Stop every axis, whatever the others do: none waits for an answer of another's controller."""
+        with ThreadPoolExecutor(len(self._controllers)) as at_once:
+            stops = [at_once.submit(controller.stop) for controller in self._controllers.values()]
+        for stop in stops:
+            stop.result()
 
     def _listen(self, seconds: float) -> None:
         next(iter(self._controllers.values())).listen(seconds)
