@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 #: A promised reduction below this share of the cost a star has is far below the parameters' own uncertainty.
 RELATIVE_TOLERANCE = 1e-12
 _ABSOLUTE_TOLERANCE = 1e-16
+#: Focal length and radius lie along a bent valley, of which the damped step follows the tangent only: the less damping,
+#: the fewer steps, and the more starts reach its bottom.
+_FIRST_DAMPING = 1e-6
 _MAX_DAMPING = 1e12
 #: A projection is a few operations, each of them rounded.
 _ROUNDED_OPERATIONS = 10.0
@@ -136,7 +139,7 @@ def refine(
         ``converged`` is False when the bound was met or the start cannot be projected.
     """
     state, (cost, equations) = start, _linearised(bundle, start, loss)
-    damping, growth, iteration = 1e-4, 2.0, 0
+    damping, growth, iteration = _FIRST_DAMPING, 2.0, 0
     while equations is not None and iteration < max_iterations and damping < _MAX_DAMPING:
         iteration += 1
         try:

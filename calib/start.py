@@ -24,8 +24,13 @@ Array = NDArray[np.float64]
 
 #: Focal lengths tried last, as shares of the image's diagonal: from a wide lens to a long one.
 _FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)
+#: The race: on so many stars a view all starts take a few steps, and the best few run on.
 _RACE_STARS = 40
-_RACE_STEPS = 30
+_HEAT_STEPS = 4
+_FINALISTS = 3
+_FINAL_STEPS = 30
+#: The winner is refined on all stars anyway; the race is decided when no step lowers the cost by this share.
+_RACE_TOLERANCE = 1e-6
 
 
 def spherical_states(
@@ -83,7 +88,7 @@ def passport_states(
 
 
 def winner(bundle: Bundle, states: Sequence[State]) -> State:
-    """Refine every start a little on a share of the stars, and return the best.
+    """Refine every start a little on a share of the stars, the best of them further, and return the best.
 
     Raises
     ------
@@ -91,14 +96,22 @@ def winner(bundle: Bundle, states: Sequence[State]) -> State:
         When no start leads anywhere.
     """
     thinned = bundle.thinned(_RACE_STARS)
-    raced = [refine(thinned, state, Loss("l2"), _RACE_STEPS) for state in states]
-    finished = [r for r in raced if np.isfinite(r.cost) and _is_camera(r)]
-    if not finished:
+
+    heat = _raced(thinned, states, _HEAT_STEPS)
+    final = _raced(thinned, [one.state for one in heat[:_FINALISTS]], _FINAL_STEPS)
+    if not final or not _is_camera(final[0]):
         raise DegenerateViews(
             "No camera explains these views.",
             remedy="Check that the stars' ids belong to this target, and add views that look at it aslant.",
         )
-    return min(finished, key=lambda r: r.cost).state
+    return final[0].state
+
+
+def _raced(bundle: Bundle, starts: Sequence[State], steps: int) -> list[Refined]:
+    """Refine every start by some steps; those that are cameras come first, and of these the best."""
+    ends = (refine(bundle, start, Loss("l2"), steps, _RACE_TOLERANCE) for start in starts)
+    finite = (one for one in ends if np.isfinite(one.cost))
+    return sorted(finite, key=lambda one: (not _is_camera(one), one.cost))
 
 
 def _is_camera(refined: Refined) -> bool:
