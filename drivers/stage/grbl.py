@@ -21,7 +21,7 @@ from drivers.wire_log import WireLog
 
 _LETTERS = "XYZABC"
 _REPORT_MACHINE = 1
-_SOFT_LIMITS, _HOMING, _REPORT_MASK = 20, 22, 10
+_SOFT_LIMITS, _HOMING, _HOMES_DOWN, _REPORT_MASK, _INCHES = 20, 22, 23, 10, 13
 _STEPS, _RATE, _ACCELERATION, _TRAVEL = 100, 110, 120, 130
 """Setting numbers; of the last four, of the first axis."""
 _PRINTED = 0.0011
@@ -270,6 +270,8 @@ class GrblStage(WatchedStage[GrblAxis]):
                 where=self._where,
                 remedy="Fit limit switches and set $22=1.",
             )
+        if present.get(_INCHES):
+            wanted[_INCHES] = 0
         for axis in self._axes.values():
             self._check(axis, present)
             place = self._places[axis.name]
@@ -299,6 +301,15 @@ class GrblStage(WatchedStage[GrblAxis]):
                 f" ${_STEPS + place} says {steps:g}.",
                 where=axis.name,
                 remedy="Correct the one that is wrong; the board's is set by hand.",
+            )
+        if (homes_down := int(present.get(_HOMES_DOWN, 0.0))) >> place & 1:
+            # Homing then sets the position to the end of the travel, which is about to be set anew: all angles shift.
+            raise OutsideLimits(
+                f"the axis homes downwards ($23={homes_down}): its zero would move with its travel"
+                f" ${_TRAVEL + place}.",
+                where=axis.name,
+                remedy=f"Set $23={homes_down & ~(1 << place)} and turn the axis round with $3, so that its switch"
+                " lies at the top of its travel; then correct zero_deg and the limits.",
             )
         wanted = axis.limits.lowest_deg, axis.limits.highest_deg
         motion.check_travel(axis.name, wanted, (axis.zero_deg - travel, axis.zero_deg), "deg", slack=_PRINTED)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port, SerialPort
-from drivers.stage import AxisIdentity, AxisLimits, ximc_protocol
+from drivers.stage import AxisIdentity, AxisLimits, motion, ximc_protocol
 from drivers.stage.watched import GoOn, Look, WatchedStage
 from drivers.stage.ximc_controller import XimcController
 from drivers.stage.ximc_protocol import Status
@@ -270,12 +270,17 @@ class XimcStage(WatchedStage[XimcAxis]):
         _compare(axis, "speed and acceleration", wanted, got)
 
     def _program_borders(self, axis: XimcAxis) -> None:
-        """Set the controller's own borders, unless it stops at limit switches: those are better."""
+        """Narrow the controller's own borders, unless it stops at limit switches: those are better."""
         controller = self._controllers[axis.name]
         present = controller.edge_settings()
         if not present.border_flags & ximc_protocol.BORDERS_COUNTED:
             return
         ends = sorted(self._count(axis, end) for end in (axis.limits.lowest_deg, axis.limits.highest_deg))
+        set_before = (
+            controller.count(present.left_steps, present.left_microsteps),
+            controller.count(present.right_steps, present.right_microsteps),
+        )
+        motion.check_travel(axis.name, (ends[0], ends[1]), set_before, "microsteps")
         (left, left_micro), (right, right_micro) = map(controller.split, ends)
         wanted = replace(
             present,

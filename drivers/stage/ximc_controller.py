@@ -44,7 +44,7 @@ class XimcController:
     Raises
     ------
     DeviceRefused
-        When it drives no stepper motor.
+        When it drives no stepper motor, or counts by an encoder.
     ReplyError, PortLost
     """
 
@@ -59,6 +59,15 @@ class XimcController:
                 f"the controller drives no stepper motor (engine type {engine_type}); its units are others.",
                 where=self.name,
                 remedy="Use a stepper stage; this driver knows no other.",
+            )
+        _, feedback, *_ = ximc_protocol.FEEDBACK_LAYOUT.unpack(
+            self._get("gfbs", ximc_protocol.FEEDBACK_LAYOUT)
+        )
+        if feedback in ximc_protocol.BY_ENCODER:
+            raise DeviceRefused(
+                f"the controller counts by its encoder (feedback type {feedback}), and its speeds are in rpm.",
+                where=self.name,
+                remedy="Set its feedback to 'None' with the maker's software; the encoder is read all the same.",
             )
         engine = ximc_protocol.ENGINE_LAYOUT.unpack(self._get("geng", ximc_protocol.ENGINE_LAYOUT))
         mode: int = engine[ximc_protocol.MICROSTEP_MODE]

@@ -211,6 +211,9 @@ MICROSTEP_MODE = 6
 ENGINE_TYPE_LAYOUT = struct.Struct("<BB6x")
 STEPPER = 3
 """Engine type of ``gent``; of other motors, positions are encoder counts and speeds revolutions a minute."""
+FEEDBACK_LAYOUT = struct.Struct("<HBBI4x")
+BY_ENCODER = frozenset({0x01, 0x06})
+"""Feedback types of ``gfbs``, in its second place, with which a stepper's positions are encoder counts as well."""
 INFORMATION_LAYOUT = struct.Struct("<4s2s8sBBH12x")
 VERSION_LAYOUT = struct.Struct("<BBH")
 SERIAL_LAYOUT = struct.Struct("<I")

@@ -79,7 +79,8 @@ def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
 def program(chain: ZaberChain, axis: ZaberAxis) -> None:
     """Set limits, speed and acceleration where they differ (they are kept in non-volatile memory).
 
-    Raises DeviceRefused when one reads back otherwise.
+    Raises OutsideLimits for a speed or an acceleration below the controller's unit (its acceleration 0 means
+    none at all: full speed at once), DeviceRefused when a setting reads back otherwise.
     """
     lowest, highest = _travel(axis)
     scale = abs(axis.microsteps_per_deg)
@@ -89,6 +90,13 @@ def program(chain: ZaberChain, axis: ZaberAxis) -> None:
         "maxspeed": math.floor(axis.limits.speed_deg_s * scale * SPEED_UNITS),
         "accel": math.floor(axis.limits.acceleration_deg_s2 * scale * ACCELERATION_UNITS),
     }
+    if not (wanted["maxspeed"] and wanted["accel"]):
+        raise OutsideLimits(
+            f"{axis.limits.speed_deg_s:g} deg/s or {axis.limits.acceleration_deg_s2:g} deg/s^2 is less than the"
+            " controller can count.",
+            where=axis.name,
+            remedy="Raise speed_deg_s or acceleration_deg_s2 in the station file.",
+        )
     for name, value in wanted.items():
         if _setting(chain, axis, name) == value:
             continue

@@ -373,7 +373,7 @@ class XimcController:
             "ent": (0x03, 0x02),
             "eds": (_STOP_LEFT | _STOP_RIGHT, 0, *left, *right),
             "hom": (*fast, *slow, 0, 0, 0x0130),
-            "fbs": (4000, 0x01, 0, 200 * model.encoder_counts_per_step),
+            "fbs": (4000, 0x05, 0, 200 * model.encoder_counts_per_step),
         }
 
 

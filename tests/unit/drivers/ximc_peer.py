@@ -7,7 +7,21 @@ import struct
 from collections.abc import Callable
 
 WITH_DATA = {"move": 12, "smov": 24, "seds": 20}
-BARE = {"geti", "gser", "gfwv", "gets", "gmov", "geds", "geng", "gent", "home", "stop", "sstp", "zero"}
+BARE = {
+    "geti",
+    "gser",
+    "gfwv",
+    "gets",
+    "gmov",
+    "geds",
+    "geng",
+    "gent",
+    "gfbs",
+    "home",
+    "stop",
+    "sstp",
+    "zero",
+}
 DIVISION = 256
 
 
@@ -29,6 +43,7 @@ class XimcPeer:
         self.clock = clock
         self.serial = serial
         self.engine_type = 3
+        self.feedback = 5
         self.flags = 0
         self.command_state = 0
         self.start = self.goal = 700.0 * DIVISION
@@ -36,7 +51,7 @@ class XimcPeer:
         self.speed = 800.0 * DIVISION
         self.slip = 0
         self.mov = struct.pack("<IBHHIBB9s", 1000, 0, 2000, 2000, 50, 0, 0, b"reserved!")
-        self.eds = struct.pack("<BBihih6s", 0x07, 0, -1, 0, 1, 0, b"\0" * 6)
+        self.eds = struct.pack("<BBihih6s", 0x07, 0, -2000, 0, 2000, 0, b"\0" * 6)
         self.ready = b""
         self.pending = b""
         self.sent: list[bytes] = []
@@ -95,6 +110,8 @@ class XimcPeer:
                 return struct.pack("<BBH", 4, 7, 1)
             case "gent":
                 return struct.pack("<BB6x", self.engine_type, 2)
+            case "gfbs":
+                return struct.pack("<HBBI4x", 0, self.feedback, 0, 4000)
             case "geng":
                 return struct.pack("<HHIBHhBH12x", 0, 0, 5000, 0, 0, 0, 9, 200)
             case "gmov":
