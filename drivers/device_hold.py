@@ -59,23 +59,22 @@ class DeviceHold:
         path = (locks_folder() if folder is None else folder) / _file_name(device)
         try:
             _make_folder(path.parent)
-            descriptor = _open(path)
-        except OSError as error:
-            raise self.DENIED(
-                f"The lock that keeps it to one program cannot be made: {error.strerror}.",
-                where=str(path),
-                remedy="Remove that file, or let everybody write in its folder.",
-            ) from error
-        try:
-            file_lock.lock(descriptor)
-        except OSError as error:
-            os.close(descriptor)
+            self._descriptor = _open(path)
+            file_lock.lock(self._descriptor)
+        except BlockingIOError as error:
+            self.release()
             raise self.BUSY(
                 "Another program of this bench holds it, perhaps by another port.",
                 where=device,
                 remedy="End the other run, or the program that uses it, then try again.",
             ) from error
-        self._descriptor = descriptor
+        except OSError as error:
+            self.release()
+            raise self.DENIED(
+                f"The lock that keeps it to one program cannot be made: {error.strerror}.",
+                where=str(path),
+                remedy=f"Remove that file, let everybody write in its folder, or name another by {FOLDER_VARIABLE}.",
+            ) from error
 
     def release(self) -> None:
         """Let others hold the device; once more does no harm."""

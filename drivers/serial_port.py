@@ -8,6 +8,7 @@ termios.error depending on the call, and all three become PortLost.
 from __future__ import annotations
 
 import errno
+import os
 import time
 from collections.abc import Callable
 from typing import Any, ParamSpec, Protocol, TypeVar
@@ -23,6 +24,9 @@ except ImportError:  # Windows
     _termios_error = OSError  # type: ignore[misc, assignment]
 
 _LOST = (serial.SerialException, OSError, _termios_error)
+_NO_SERIAL_PORT = (ValueError, NotImplementedError)
+"""What pyserial raises for settings that a port, or a system, does not have."""
+_SYSTEM = os.name
 _SLICE_S = 0.05
 """One blocking read; setting another on an open port would write its line settings again."""
 _WRITE_S = 2.0
@@ -150,10 +154,12 @@ def _open(address: str, baudrate: int, stopbits: int) -> Any:
             timeout=_SLICE_S,
             write_timeout=None if "://" in address else _WRITE_S,  # device servers know none
             exclusive=True,  # flock, before pyserial touches a line setting
-            dsrdtr=True,  # with it pyserial leaves DTR alone; it turns no flow control on
+            # With it pyserial leaves DTR alone, and turns no flow control on; on Windows it is flow control,
+            # and nothing is sent to a device that does not raise DSR.
+            dsrdtr=_SYSTEM == "posix",
             do_not_open=True,
         )
-    except ValueError as error:
+    except _NO_SERIAL_PORT as error:
         raise PortNotFound(
             f"this is no port: {error}.", where=address, remedy="Give a device file or socket://host:port."
         ) from error
@@ -163,7 +169,7 @@ def _open(address: str, baudrate: int, stopbits: int) -> Any:
         if descriptor is not None:
             port_lock.keep_to_ourselves(descriptor)
             port_lock.keep_lines_up_after_closing(descriptor)
-    except _LOST as error:
+    except (*_LOST, *_NO_SERIAL_PORT) as error:
         port.close()
         raise _why_not_opened(address, error) from error
     return port
@@ -195,5 +201,5 @@ def _why_not_opened(address: str, error: BaseException) -> PortError:
     return PortNotFound(
         f"it cannot be opened as a serial port: {error}.",
         where=address,
-        remedy="See that the station file names the device's port.",
+        remedy="See that the station file names the device's port, and a baud rate that it can do.",
     )
