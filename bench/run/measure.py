@@ -113,7 +113,7 @@ def measure(
     try:
         raw = RawFile.open(path)
         size = raw.width, raw.height
-        events, triggers = raw.read()
+        events, triggers, origin_us = _from_the_begin(*raw.read())
         flicker = _flicker(triggers, (events.t, events.p), expected_hz)
         span_us = _span_us(events.t, triggers)
         facts.update(_flicker_facts(flicker, triggers, span_us))
@@ -121,7 +121,7 @@ def measure(
         images = make_images(*_arrays(events), size, flicker, window_us=span_us, periods=periods)
         chosen = _choose(images, image)
         picture = chosen.image
-        facts.update(_image_facts(images, chosen))
+        facts.update(_image_facts(images, chosen, origin_us))
         view = mistrust_rim(named(chosen.image, target, name, expect, facts), target)
         halves = _halves(events, size, flicker, images.facts, chosen.name)
         facts["motion_px"] = motion_px(halves, target, facts)
@@ -272,6 +272,16 @@ def _flicker(
         return flicker_from_events(*events)
 
 
+def _from_the_begin(events: Events, triggers: Triggers) -> tuple[Events, Triggers, int]:
+    """Count times from the first event or edge; give its own, too.
+
+    The sensor's clock goes on from recording to recording: what stands in one is not to depend, by the last digits
+    of its numbers, on how many were made before.
+    """
+    origin_us = int(_span_us(events.t, triggers)[0])
+    return events._replace(t=events.t - origin_us), triggers._replace(t=triggers.t - origin_us), origin_us
+
+
 def _span_us(t: NDArray[np.int64], triggers: Triggers) -> tuple[float, float]:
     """Sensor time covered: events and triggers; nothing is known of the time before and after."""
     times = [a for a in (t, triggers.t) if len(a)]
@@ -300,13 +310,13 @@ def _choose(images: EventImages, kind: str) -> BestImage:
     return BestImage(name, images.named(name), "asked for by the sequence")
 
 
-def _image_facts(images: EventImages, chosen: BestImage) -> dict[str, Any]:
+def _image_facts(images: EventImages, chosen: BestImage, origin_us: int) -> dict[str, Any]:
     facts = images.facts
     return {
         "image": {
             "kind": chosen.name,
             "reason": chosen.reason,
-            "window_us": [facts.start_us, facts.end_us],
+            "window_us": [origin_us + facts.start_us, origin_us + facts.end_us],
             "periods": facts.periods,
             "events_per_edge": facts.events_per_edge,
             "events_per_edge_on": facts.events_per_edge_on,

@@ -15,7 +15,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
+from simulators.cameras.evk4_requests import Refusal, flag, frames_kept, one_of, parsed
 from simulators.cameras.keep_alive import KeepAlive
+from simulators.cameras.time_base import TimeBase
 from simulators.errors import SimulatorError
 from simulators.faults.stream_faults import StreamFaults
 from simulators.pixels.biases import ALLOWED, FACTORY, PixelSettings
@@ -33,14 +35,6 @@ MEAN_COVERAGE: Final = 0.5
 """Half of a star is black."""
 WAIT_S: Final = 0.1
 """How often waiting threads look whether they are to end."""
-
-
-class _Refusal(Exception):
-    """A command that is refused: an error code of the protocol, and a sentence."""
-
-    def __init__(self, code: str, message: str) -> None:
-        self.code = code
-        super().__init__(message)
 
 
 class _HostGone(Exception):
@@ -75,6 +69,7 @@ class SimulatedEvk4:
         self._serial = serial
         self._paced = paced
         self._repeats: dict[str, int] = {}
+        self.time_base = TimeBase()
         self.stream_faults = StreamFaults()
         self._closing = threading.Event()
         self._listener = socket.create_server((host, port))
@@ -100,11 +95,12 @@ class SimulatedEvk4:
         self._listener.close()
 
     def unplug(self) -> None:
-        """Break the connection, as a pulled cable does; a host may connect again."""
+        """Break the connection, as a pulled cable does, by which the camera is powered; a host may connect again."""
         connection = self._connection
         if connection is not None:
             connection.hang_up()
             connection.join()
+        self.time_base.power_up()
 
     def fault(self, message: str) -> None:
         """Tell the connected host, if there is one, of a fault."""
@@ -125,7 +121,13 @@ class SimulatedEvk4:
                 link.close()
                 continue
             self._connection = _Connection(
-                link, self._world, self._serial, self._repeats, self.stream_faults, paced=self._paced
+                link,
+                self._world,
+                self._serial,
+                self._repeats,
+                self.time_base,
+                self.stream_faults,
+                paced=self._paced,
             )
             # Only now: a host that has been answered must find the connection in its place.
             self._connection.start()
@@ -140,6 +142,7 @@ class _Connection:
         world: World,
         serial: str,
         repeats: dict[str, int],
+        time_base: TimeBase,
         faults: StreamFaults,
         *,
         paced: bool,
@@ -148,6 +151,7 @@ class _Connection:
         self._world = world
         self._serial = serial
         self._repeats = repeats
+        self._time_base = time_base
         self._faults = faults
         self._paced = paced
         self._sending = threading.Lock()
@@ -237,20 +241,18 @@ class _Connection:
         """Carry out a request and say how it went."""
         number: object = None
         try:
-            request = _request(payload)
+            request = parsed(payload)
             number = request.get("id")
-            name = _one_of("command", request.get("cmd"), self._commands())
+            name = one_of("command", request.get("cmd"), self._commands())
             return {"id": number, "ok": True, **self._commands()[name](request)}
-        except _Refusal as refusal:
+        except Refusal as refusal:
             return {"id": number, "ok": False, "error": refusal.code, "message": str(refusal)}
 
     def _commands(self) -> Mapping[str, Callable[[dict[str, Any]], dict[str, Any]]]:
         """All commands by name."""
         return {
             "identify": self._identify,
-            "get_bias": lambda request: {
-                "value": self._biases[_one_of("bias", request.get("name"), ALLOWED)]
-            },
+            "get_bias": lambda request: {"value": self._biases[one_of("bias", request.get("name"), ALLOWED)]},
             "get_biases": lambda _request: {"biases": dict(self._biases)},
             "set_bias": self._set_bias,
             "get_filters": lambda _request: dict(self._filters),
@@ -276,26 +278,26 @@ class _Connection:
         }
 
     def _set_bias(self, request: dict[str, Any]) -> dict[str, Any]:
-        name = _one_of("bias", request.get("name"), ALLOWED)
+        name = one_of("bias", request.get("name"), ALLOWED)
         value = request.get("value")
         if isinstance(value, bool) or not isinstance(value, int):
-            raise _Refusal("bad_value", f"A bias is a whole number, not {value!r}.")
+            raise Refusal("bad_value", f"A bias is a whole number, not {value!r}.")
         low, high = ALLOWED[name]
         if not low <= value <= high:
-            raise _Refusal("out_of_range", f"{name} {value} is outside {low} to {high}.")
+            raise Refusal("out_of_range", f"{name} {value} is outside {low} to {high}.")
         self._refuse_while_streaming()
         self._biases[name] = value
         return {"name": name, "value": value}
 
     def _set_filter(self, request: dict[str, Any]) -> dict[str, Any]:
-        name = _one_of("filter", request.get("name"), self._filters)
-        enabled = _flag(request)
+        name = one_of("filter", request.get("name"), self._filters)
+        enabled = flag(request)
         self._refuse_while_streaming()
         self._filters[name] = enabled
         return {"name": name, "enabled": enabled}
 
     def _set_trigger_in(self, request: dict[str, Any]) -> dict[str, Any]:
-        enabled = _flag(request)
+        enabled = flag(request)
         self._refuse_while_streaming()
         self._trigger_in = enabled
         return {"enabled": enabled}
@@ -320,11 +322,11 @@ class _Connection:
 
     def _refuse_while_streaming(self) -> None:
         if self._is_streaming():
-            raise _Refusal("streaming", "Settings cannot change while the camera streams.")
+            raise Refusal("streaming", "Settings cannot change while the camera streams.")
 
     def _start(self, _request: dict[str, Any]) -> dict[str, Any]:
         if self._is_streaming():
-            raise _Refusal("streaming", "The camera streams already.")
+            raise Refusal("streaming", "The camera streams already.")
         self._stop.clear()
         acting = {**self._filters, "erc": self._filters["erc"] or self._faults.overflows}
         camera = CameraState(dict(self._biases), acting, self._trigger_in)
@@ -334,19 +336,23 @@ class _Connection:
         self._streamer.start()
         return {}
 
-    def _stop_stream(self, _request: dict[str, Any]) -> dict[str, Any]:
+    def _stop_stream(self, request: dict[str, Any]) -> dict[str, Any]:
+        frames = frames_kept(request)
         if self._streamer is None:
-            raise _Refusal("not_streaming", "The camera does not stream.")
+            raise Refusal("not_streaming", "The camera does not stream.")
         self._stop.set()
         self._streamer.join()
         self._streamer = None
+        if frames is not None and not self._time_base.stop(frames):
+            raise Refusal("bad_value", f"It has stopped, but not sent {frames} frames.")
         return {}
 
     def _stream(self, camera: CameraState) -> None:
         """Send frames of words until told to stop, each when the sensor has seen it."""
         try:
             with self._alive.computing():
-                stream = SensorStream(self._world, camera, self._repeats)
+                stream = SensorStream(self._world, camera, self._repeats, self._time_base.now_us)
+            self._time_base.start(stream.clock_us)
             while not self._stop.is_set():
                 with self._alive.computing():
                     frame = self._faults.carry(stream.next_frame())
@@ -354,6 +360,7 @@ class _Connection:
                     return
                 if frame:
                     self._send(b"D", frame)
+                self._time_base.made(stream.clock_us, sent=bool(frame))
         except SimulatorError as error:
             self.notify(f"The stream broke off: {error}")
         except _HostGone:
@@ -371,29 +378,3 @@ def _send(link: socket.socket, kind: bytes, payload: bytes) -> None:
 def _json(content: Mapping[str, Any]) -> bytes:
     """JSON of an answer or a notification."""
     return json.dumps(content).encode()
-
-
-def _request(payload: bytes) -> dict[str, Any]:
-    """Parse a request."""
-    try:
-        request = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise _Refusal("bad_request", f"The request is no JSON: {error}.") from error
-    if not isinstance(request, dict):
-        raise _Refusal("bad_request", "The request is no JSON object.")
-    return request
-
-
-def _one_of(what: str, name: object, known: Mapping[str, Any]) -> str:
-    """Check a bias's or a filter's name."""
-    if not isinstance(name, str) or name not in known:
-        raise _Refusal(f"unknown_{what}", f"There is no {what} {name!r}; there are {', '.join(known)}.")
-    return name
-
-
-def _flag(request: Mapping[str, Any]) -> bool:
-    """Check the switch of a request."""
-    enabled = request.get("enabled")
-    if not isinstance(enabled, bool):
-        raise _Refusal("bad_value", f'"enabled" is true or false, not {enabled!r}.')
-    return enabled

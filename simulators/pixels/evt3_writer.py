@@ -35,7 +35,7 @@ TICK_US: Final = 16
 COUNTER_US: Final = 200
 """Window of the rate controller's counters; they are sent with the first TIME_HIGH after it."""
 MARK_US: Final = 2000
-"""At multiples of this a TIME_LOW follows the TIME_HIGH in any case, so that an idle stream tells its time."""
+"""At multiples of this after the start a TIME_LOW follows the TIME_HIGH in any case: an idle stream tells its time."""
 BLOCK: Final = 32
 """Pixels of a vector triple (12 + 12 + 8)."""
 VECTOR_FROM: Final = 5
@@ -50,7 +50,8 @@ _COUNT_IN: Final = 4  # events that entered the rate controller in the window
 _BASE: Final = 5  # where the vector base stands, with polarity in bit 11; -1 unknown
 _Y: Final = 6  # row in force, -1 unknown: said again with each read
 _READ_T: Final = 7  # time of the row read in progress
-_N_STATE: Final = 8
+_START: Final = 8  # time at which the stream started
+_N_STATE: Final = 9
 
 
 class Evt3Writer:
@@ -72,7 +73,7 @@ class Evt3Writer:
         self.width, self.height = width, height
         self._now_us = start_us
         self._state = np.zeros(_N_STATE, np.int64)
-        self._state[_TICK] = start_us
+        self._state[_TICK] = self._state[_START] = start_us
         self._state[_COUNT_END] = start_us + COUNTER_US
         self._state[_LOW] = self._state[_BASE] = self._state[_Y] = self._state[_READ_T] = -1
 
@@ -153,7 +154,7 @@ def _write(
             words[n] = TIME_HIGH | ((tick >> 12) & 0xFFF)
             n += 1
             state[_LOW] = -1
-            if tick % MARK_US == 0:
+            if (tick - state[_START]) % MARK_US == 0:
                 n = _write_time_low(words, n, state, tick)
             if tick >= state[_COUNT_END]:
                 while entered < entered_t.size and entered_t[entered] < tick:

@@ -7,6 +7,9 @@ are simulated, of the camera's warmth and of how far the mount has crept), and o
 exactly these before: the moment at which it was asked for does not enter. For the light to go on as one physical
 clock all the same, the sensor starts a little after it is asked to, by up to a period of the light, when the light
 has just the phase that the seed has drawn.
+
+The sensor's clock goes on from stream to stream. A stream begins at a multiple of 102.4 ms, so that its words are the
+same whenever it is taken, but for the upper part of the clock.
 """
 
 from __future__ import annotations
@@ -31,6 +34,8 @@ from simulators.world.world import AxisName, LightState, World
 
 FRAME_US: Final = 2000
 """Sensor time of a frame."""
+START_US: Final = 102_400
+"""A stream begins at a multiple of this: of the 4096 us that TIME_LOW counts, and of the counters' 200 us."""
 MOVING_SUBSAMPLES: Final = 2
 """A moving picture is blurred by its motion: coarser cells do."""
 
@@ -56,9 +61,11 @@ class SensorStream:
     repeats
         How many streams were taken at this very pose and these settings before, by ``stream_key``; this one
         is counted.
+    clock_us
+        Where the sensor's clock stands, us, not wrapped.
     """
 
-    def __init__(self, world: World, camera: CameraState, repeats: dict[str, int]) -> None:
+    def __init__(self, world: World, camera: CameraState, repeats: dict[str, int], clock_us: int = 0) -> None:
         self._world = world
         self._camera = camera
         asked_s = world.now_s()
@@ -72,7 +79,8 @@ class SensorStream:
         self._shaking = float(rng.random()), float(rng.random())
         self.start_s = asked_s + ((phase - self._light.phase_at(asked_s)) % 1.0) / self._light.frequency_hz
         self._period_starts_us = -phase * self._light.period_us
-        self._now_us = 0
+        self._begins_us = -(-clock_us // START_US) * START_US
+        self._now_us = 0  # since then
         self._truth = truth = world.truth_at(asked_s)
         self._crept = mount.crept_arcsec(truth.mount, world.on_s(asked_s))
         self._angles = self._angles_now()
@@ -86,8 +94,13 @@ class SensorStream:
             seed=seeds.spawn(1)[0],
         )
         self._filters = EventFilters(width, height, camera.filters)
-        self._writer = Evt3Writer(width=width, height=height)
+        self._writer = Evt3Writer(self._begins_us, width=width, height=height)
         self._sensor.begin(self._picture(moving=False), self._light, phase)
+
+    @property
+    def clock_us(self) -> int:
+        """Sensor time, not wrapped, up to which the stream has been made."""
+        return self._begins_us + self._now_us
 
     @property
     def covered_s(self) -> float:
@@ -100,10 +113,12 @@ class SensorStream:
         self._follow_world()
         events, entered_t = self._filters.apply(self._sensor.run(end_us))
         edge_t, edge_value = self._edges(self._now_us, end_us)
-        words = self._writer.write(
-            *events, until_us=end_us, trigger_t=edge_t, trigger_value=edge_value, entered_t=entered_t
-        )
         self._now_us = end_us
+        at = self._begins_us
+        words = self._writer.write(
+            events.t + at, events.x, events.y, events.p, until_us=self.clock_us, trigger_t=edge_t + at,
+            trigger_value=edge_value, entered_t=entered_t + at,
+        )  # fmt: skip
         return words.astype("<u2", copy=False).tobytes()
 
     def _follow_world(self) -> None:

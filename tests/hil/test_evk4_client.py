@@ -65,6 +65,7 @@ class Peer:
         self.before_frame = {}
         self.frames = 10**9
         self.asked = []
+        self.kept = None
         self.closed = threading.Event()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
@@ -98,6 +99,7 @@ class Peer:
         assert head[:1] == b"Q"
         request = json.loads(self._exactly(struct.unpack("<I", head[1:])[0]))
         self.asked.append(request["cmd"])
+        self.kept = request.get("frames")
         return request
 
     def _exactly(self, n):
@@ -323,6 +325,14 @@ def test_equal_streams_make_equal_files_however_late_they_are_stopped(connect, t
     for name in ("a.raw", "b.raw"):
         camera.record(tmp_path / name, 0.02)
     assert (tmp_path / "a.raw").read_bytes() == (tmp_path / "b.raw").read_bytes()
+
+
+def test_the_camera_is_told_how_many_frames_were_kept(peer, connect, tmp_path):
+    camera = connect()
+    camera.record(tmp_path / "pose.raw", 0.033)
+    assert peer.kept == 17
+    camera.record(tmp_path / "again.raw", 0.002)
+    assert peer.kept == 2
 
 
 def test_the_camera_answers_after_a_recording(connect, tmp_path):

@@ -6,9 +6,12 @@ import select
 import socket
 import struct
 import threading
+import time
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.faults.stream_faults import StreamFault
@@ -83,7 +86,7 @@ class Host:
             kind, payload = self.frame()
             assert kind == b"D"
             self.words.append(payload)
-        assert self.ask("stop")["ok"]
+        assert self.ask("stop", frames=frames)["ok"]
         return b"".join(self.words[:frames])
 
 
@@ -158,6 +161,8 @@ def test_settings_are_held_and_forgotten_at_the_next_connect(camera):
         ({"cmd": "set_filter", "name": "nfl", "enabled": True}, "unknown_filter"),
         ({"cmd": "set_filter", "name": "afk", "enabled": 1}, "bad_value"),
         ({"cmd": "stop"}, "not_streaming"),
+        ({"cmd": "stop", "frames": -1}, "bad_value"),
+        ({"cmd": "stop", "frames": True}, "bad_value"),
     ],
 )
 def test_what_it_refuses(camera, request_, code):
@@ -224,6 +229,73 @@ def test_a_recording_depends_on_seed_pose_settings_and_count_only():
     assert first[0] != first[1]  # the second of a process is another one
     assert first[0] != recordings(2)[0]
     assert first[0] != recordings(1, pan=0.5)[0]
+
+
+def began_us(words):
+    """Sensor time of the first words."""
+    high, low = np.frombuffer(words[:4], "<u2")
+    assert (high >> 12, low >> 12) == (0x8, 0x6)
+    return ((int(high) & 0xFFF) << 12) | (int(low) & 0xFFF)
+
+
+def test_the_sensors_clock_goes_on_from_recording_to_recording(camera):
+    with Host(camera) as host:
+        assert [began_us(host.record(frames)) for frames in (60, 1, 52)] == [0, 204_800, 307_200]
+    while camera._connection.is_open():
+        time.sleep(0.01)
+    with Host(camera) as host:  # another one, the same camera
+        assert began_us(host.record(1)) == 512_000
+
+
+def test_frames_that_the_host_has_thrown_away_are_as_if_never_made(camera):
+    def begins(late_s):
+        with Host(camera) as host:
+            for _ in range(2):
+                assert host.ask("start")["ok"]
+                while len(host.words) < 40:
+                    host.words.append(host.frame()[1])
+                time.sleep(late_s)
+                assert host.ask("stop", frames=40)["ok"]
+                host.words = []
+            return began_us(host.record(1))
+
+    at_once = begins(0.0)
+    camera.unplug()
+    assert begins(0.3) == at_once == 204_800
+
+
+def test_a_host_cannot_have_kept_more_than_it_was_sent(camera):
+    with Host(camera) as host:
+        host.record(3)
+        assert host.ask("start")["ok"]
+        assert host.ask("stop", frames=10**6)["error"] == "bad_value"
+        assert host.ask("stop")["error"] == "not_streaming"
+
+
+def test_a_camera_that_was_without_power_begins_at_0(camera):
+    with Host(camera) as host:
+        host.record(2)
+    camera.unplug()
+    with Host(camera) as host:
+        assert began_us(host.record(1)) == 0
+
+
+@given(clock_us=st.integers(1, 1 << 26))
+@example(clock_us=(1 << 24) - 60_000)  # the clock wraps in its middle
+@settings(max_examples=6, deadline=None)
+def test_when_a_stream_is_taken_shows_in_the_upper_part_of_its_clock_alone(clock_us):
+    def taken(at_us):
+        stream = SensorStream(bench(), CameraState(trigger_in=True), {}, at_us)
+        return stream, np.concatenate([np.frombuffer(stream.next_frame(), "<u2") for _ in range(35)])
+
+    _, first = taken(0)
+    later, words = taken(clock_us)
+    is_high = first >> 12 == 0x8
+    assert later.clock_us - 70_000 >= clock_us
+    np.testing.assert_array_equal(words[~is_high], first[~is_high])
+    on = (words[is_high].astype(int) - first[is_high]) % 4096
+    assert (on == (later.clock_us - 70_000 >> 12) % 4096).all()
+    np.testing.assert_array_equal(words >> 12, first >> 12)
 
 
 def test_an_independent_decoder_reads_the_same_events(camera, tmp_path):

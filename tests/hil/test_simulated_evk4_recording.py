@@ -1,5 +1,6 @@
 """Recordings of the simulated EVK4, made by the driver over its socket."""
 
+import itertools
 import time
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -7,6 +8,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
+from bench.run.measure import measure
+from calib.target import StarTarget
 from drivers.camera import CameraSettings
 from drivers.camera.raw_file import RawFile
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
@@ -22,7 +25,7 @@ SETTINGS = CameraSettings({"bias_diff_on": 5})
 
 
 @contextmanager
-def bench(light):
+def bench(light, clock=None):
     """A simulated camera under that light, as the driver sees it, and its address."""
     world = World(truth_from_config({}), seed=1)
     world.set_light(light)
@@ -30,8 +33,9 @@ def bench(light):
     simulated.start()
     try:
         camera = SimulatedEvk4Camera.open(
-            simulated.address, serial="00050423", clock=SystemClock(), utc_now=lambda: NOW
+            simulated.address, serial="00050423", clock=clock or SystemClock(), utc_now=lambda: NOW
         )
+        camera.simulated = simulated
         try:
             yield camera, simulated.address
         finally:
@@ -95,6 +99,58 @@ def test_the_lights_edges_arrive_as_triggers_a_half_period_apart(recorded):
 def test_the_same_seed_gives_the_same_file(recorded, tmp_path):
     record_flicker(tmp_path / "again.raw")
     assert (tmp_path / "again.raw").read_bytes() == recorded[0].read_bytes()
+
+
+class LateClock(SystemClock):
+    """A computer that is always busy with something else."""
+
+    def sleep(self, duration_s):
+        super().sleep(duration_s + 0.002)
+
+
+def test_equal_runs_give_the_same_files_however_late_they_are_stopped(tmp_path):
+    def files(name, clock):
+        with bench(LightState(output=True, sync=True), clock) as (camera, _):
+            camera.apply(SETTINGS)
+            paths = [tmp_path / f"{name}-{k}.raw" for k in range(3)]
+            for path, duration_s in zip(paths, (0.1, 0.01, 0.01), strict=True):
+                camera.record(path, duration_s)
+        return paths
+
+    punctual, late = files("punctual", SystemClock()), files("late", LateClock())
+    assert [path.read_bytes() for path in punctual] == [path.read_bytes() for path in late]
+    spans = [(scan.first_t_us, scan.last_t_us) for scan in (RawFile.open(path).scan() for path in late)]
+    assert [first for first, _ in spans] == [0, 102_400, 204_800]
+    assert all(last < first for (_, last), (first, _) in itertools.pairwise(spans))
+
+
+def test_a_recording_over_the_wrap_of_the_clock_is_read_as_any_other(tmp_path):
+    def recorded_at(clock_us):
+        path = tmp_path / f"{clock_us}.raw"
+        with bench(LightState(output=True, sync=True)) as (camera, _):
+            camera.apply(SETTINGS)
+            camera.simulated.time_base.now_us = clock_us
+            facts = camera.record(path, 0.04)
+        return facts, *RawFile.open(path).read(), measured(path)
+
+    before_us = 819 * 102_400  # 20 ms before the fifth wrap
+    told_us = before_us % (1 << 24)
+    facts, events, triggers, found = recorded_at(0)
+    later_facts, later, later_triggers, later_found = recorded_at(before_us - 1)
+    assert later.t[0] < 1 << 24 < later.t[-1]
+    assert (np.diff(later.t) >= 0).all()
+    assert later_facts == facts
+    np.testing.assert_array_equal(later.t - told_us, events.t)
+    np.testing.assert_array_equal(later_triggers.t - told_us, triggers.t)
+    # to the last digit: a run that was interrupted ends as one that was not, whatever the clock said
+    assert np.array_equal(later_found.view.points_px, found.view.points_px)
+    begin_us, end_us = found.facts["image"].pop("window_us")
+    assert later_found.facts["image"].pop("window_us") == [told_us + begin_us, told_us + end_us]
+    assert later_found.facts == found.facts
+
+
+def measured(path):
+    return measure(path, name="p", target=StarTarget(), image="auto", periods=None, expected_hz=60.0)
 
 
 def test_without_trigger_input_there_are_no_triggers(dark, tmp_path):
