@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calib import uncertainty
 from calib.calibration import Calibration, CalibrationOptions
 from calib.camera import PINHOLE, CameraModel
-from calib.errors import DegenerateViews
+from calib.errors import CalibrationError, DegenerateViews, NotConverged
 from calib.fit import begin
 from calib.fit import fit as fit_model
 from calib.lens import BROWN, FISHEYE, is_fisheye
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 _PUBLISHED_LIMIT_PX = 1.0
 #: OpenCV's steps, and the change of its parameters at which it ends.
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+_PUBLISHED = "published recipe, spherical"
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,26 @@ class Baseline:
     left_out_rms_px: float | None
 
 
+@dataclass(frozen=True)
+class NoAnswer:
+    """A method that has no answer on these points, and why."""
+
+    name: str
+    why: str
+
+
+def others(views: Sequence[View], options: CalibrationOptions) -> list[Baseline | NoAnswer]:
+    """Ask every other method on the same points; one that has no answer says why, and the next is asked."""
+    rows: list[Baseline | NoAnswer] = []
+    methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
+    for name, method in methods:
+        try:
+            rows.append(method(views, options))
+        except CalibrationError as error:
+            rows.append(NoAnswer(name, str(error)))
+    return rows
+
+
 def ours(calibration: Calibration) -> Baseline:
     """Put our own calibration into the same row."""
     name = f"Starbench, {calibration.model} model"
@@ -82,11 +103,14 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baselin
         When OpenCV finds no calibration.
     """
     names = tuple(options.distortion)
-    fisheye = is_fisheye(dict.fromkeys(names, 0.0))
+    fisheye = _fisheye(options)
     try:
         rms, matrix, found, spread = (_by_fisheye if fisheye else _by_brown)(views, names)
     except cv2.error as error:
-        raise DegenerateViews(f"OpenCV finds no calibration: {error}.", remedy="Add views.") from error
+        told = " ".join(str(error).split())
+        raise DegenerateViews(f"OpenCV finds no calibration: {told}", remedy="Add views.") from error
+    if not (np.isfinite(rms) and np.isfinite(matrix).all() and np.isfinite(found).all()):
+        raise DegenerateViews("OpenCV's calibration is not finite.", remedy="Add views from other angles.")
     family = FISHEYE if fisheye else BROWN
     coefficients = dict(zip(family, np.ravel(found).tolist(), strict=False))
     fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
@@ -95,7 +119,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baselin
     planar = fit_model(views, CalibrationOptions("planar", names, "l2"), "planar", leave_out=True)
     lengths = np.linalg.norm(planar.bundle.misses_px(planar.state), axis=1)
     return Baseline(
-        "OpenCV, planar (fisheye)" if fisheye else "OpenCV, planar (Zhang)",
+        _opencv_name(options),
         camera,
         {name: spreads[name] for name in (*PINHOLE, *names) if name in spreads},
         float(rms),
@@ -105,22 +129,41 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baselin
 
 
 def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Baseline:
-    """Calibrate as the paper says: linear spherical solution, then Huber, no more; sigmas from J^T J alone."""
+    """Calibrate as the paper says: linear spherical solution, then Huber, no more; sigmas from J^T J alone.
+
+    Raises
+    ------
+    DegenerateViews, NotConverged
+        When the views leave a parameter free, or there is no optimum.
+    """
     bundle, start = begin(views, options, "spherical")
     loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.per_px)
-    state = refine(bundle, start, loss).state
+    refined = refine(bundle, start, loss)
+    state = refined.state
     known = uncertainty.at_optimum(bundle, state, loss)
+    if not refined.converged:
+        raise NotConverged(f"No optimum after {refined.iterations} steps.", remedy="Add views.")
     lengths = np.linalg.norm(bundle.misses_px(state), axis=1)
     left_out = leave_one_out(bundle, state, loss).total_rms_px if len(views) >= MIN_VIEWS else None
     sigmas = np.sqrt(np.diag(known.covariance)).tolist()
     return Baseline(
-        "published recipe, spherical",
+        _PUBLISHED,
         state.camera,
         dict(zip(bundle.names, sigmas, strict=True)),
         float(np.sqrt(np.mean(lengths**2))),
         float(lengths.mean()),
         left_out,
     )
+
+
+def _fisheye(options: CalibrationOptions) -> bool:
+    """Tell whether a fisheye lens is asked for."""
+    return is_fisheye(dict.fromkeys(tuple(options.distortion), 0.0))
+
+
+def _opencv_name(options: CalibrationOptions) -> str:
+    """Return the name of the method that OpenCV is asked for."""
+    return "OpenCV, planar (fisheye)" if _fisheye(options) else "OpenCV, planar (Zhang)"
 
 
 def _by_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:

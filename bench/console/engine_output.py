@@ -12,15 +12,17 @@ from bench.plans.plan import Plan
 from bench.plans.plan_text import render_plan
 from bench.report.text import with_uncertainty
 from bench.results.studies import expected_worth, suggested_poses
-from calib.baselines import Baseline
+from calib.baselines import Baseline, NoAnswer
 from calib.passport import Passport
 from calib.planning import Forecast
 from calib.rig import RelativeRotation
 from calib.study import Study
 
 
-def baseline_dict(row: Baseline) -> dict[str, Any]:
-    """Give one method's answer as JSON holds it."""
+def baseline_dict(row: Baseline | NoAnswer) -> dict[str, Any]:
+    """Give one method's answer as JSON holds it, or why it has none."""
+    if isinstance(row, NoAnswer):
+        return {"name": row.name, "failed": row.why}
     return {
         "name": row.name,
         "camera": row.camera.to_dict(),
@@ -31,11 +33,14 @@ def baseline_dict(row: Baseline) -> dict[str, Any]:
     }
 
 
-def comparison_text(baselines: list[Baseline]) -> str:
+def comparison_text(baselines: list[Baseline | NoAnswer]) -> str:
     """Lay out what several methods make of the same points."""
     head = f"  {'':<34}{'fx':>10}{'stated':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
     lines = ["On the same points:", head]
     for row in baselines:
+        if isinstance(row, NoAnswer):
+            lines.append(f"  {row.name:<34}no answer: {row.why}")
+            continue
         left_out = f"{row.left_out_rms_px:.4f}" if row.left_out_rms_px is not None else "-"
         stated = f"{row.sigma['fx']:.2f}" if "fx" in row.sigma else "-"
         lines.append(

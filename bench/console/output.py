@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from bench.results.offline import OfflineResult
     from bench.run.runner import RunEnd
     from bench.stations.discovery import Discovery
-    from calib.baselines import Baseline
+    from calib.baselines import Baseline, NoAnswer
 
 STOPPED = 3
 
@@ -64,7 +64,9 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
     return status
 
 
-def print_calibration(result: OfflineResult, baselines: list[Baseline] | None, *, as_json: bool) -> None:
+def print_calibration(
+    result: OfflineResult, baselines: list[Baseline | NoAnswer] | None, *, as_json: bool
+) -> None:
     """Show a calibration made without devices, and other methods on the same points where asked for."""
     from bench.console.engine_output import baseline_dict, comparison_text
 

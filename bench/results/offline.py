@@ -26,7 +26,7 @@ from bench.run.expectation import as_before
 from bench.run.job import Job
 from bench.run.measure import Expect, Measurement, measure
 from bench.stations.station import load_station
-from calib.baselines import Baseline, opencv_planar, ours, published_recipe
+from calib.baselines import Baseline, NoAnswer, others, ours
 from calib.calibrate import Calibration, CalibrationOptions, calibrate
 from calib.detect import detect
 from calib.errors import CalibrationError, TooFewStars
@@ -171,10 +171,12 @@ def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
     return OfflineResult(calibration, planar, skipped, views)
 
 
-def compared(result: OfflineResult, choices: Choices) -> list[Baseline]:
-    """Hold a calibration against the published recipe and OpenCV's planar method, on the same points."""
-    methods = (published_recipe, opencv_planar)
-    return [ours(result.calibration), *(method(result.views, choices.options) for method in methods)]
+def compared(result: OfflineResult, choices: Choices) -> list[Baseline | NoAnswer]:
+    """Hold a calibration against the published recipe and OpenCV's planar method, on the same points.
+
+    A method without an answer says why in its row; that is no fault of ours.
+    """
+    return [ours(result.calibration), *others(result.views, choices.options)]
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,19 @@ def test_other_methods_stand_beside_ours_on_the_same_points(capsys, points):
     )
 
 
+def test_a_method_without_an_answer_has_a_row_that_says_why(capsys, points, tmp_path):
+    folder, bench = points
+    made = tmp_path / "collimator.json"
+    say(capsys, "passport", "make", folder, "--image-size", "1280x720", "--output", made)
+    words = ("calibrate", folder / "view1.txt", "--image-size", "1280x720", "--passport", made, "--compare")
+    ours, published, opencv = json.loads(say(capsys, *words, "--json"))["compared"]
+    assert abs(ours["camera"]["fx"] - bench.camera.fx) < 10
+    assert "camera" in published
+    assert opencv.keys() == {"name", "failed"}
+    assert "same pose" in opencv["failed"]
+    assert f"no answer: {opencv['failed']}" in say(capsys, *words)
+
+
 def test_two_cameras_on_a_rig_get_the_turn_between_them_and_no_translation(capsys, points, tmp_path):
     folder, _ = points
     # The second camera stands on its head: every image point and the principal point mirrored through the middle.

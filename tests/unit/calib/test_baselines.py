@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.baselines import opencv_planar, ours, published_recipe
+from calib.baselines import Baseline, NoAnswer, opencv_planar, others, ours, published_recipe
 from calib.calibrate import CalibrationOptions, calibrate
+from calib.passport import Passport
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60))
 
@@ -59,3 +60,12 @@ def test_on_ideal_data_the_published_recipe_is_our_spherical_model(bench):
     assert published.sigma["r"] == pytest.approx(own.sigma["r"], rel=1e-3)
     assert published.left_out_rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.2)
     assert own.name == "Starbench, spherical model"
+
+
+def test_a_method_without_an_answer_says_why_and_the_others_stand(bench):
+    known = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), 1e-4 * np.eye(3))
+    published, opencv = others(bench.views()[:1], CalibrationOptions(passport=known))
+    assert isinstance(published, Baseline)
+    assert isinstance(opencv, NoAnswer)
+    assert opencv.name == "OpenCV, planar (Zhang)"
+    assert "same pose" in opencv.why
