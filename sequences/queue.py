@@ -7,6 +7,7 @@ and no device.
 from __future__ import annotations
 
 import zoneinfo
+from collections import Counter
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -87,7 +88,10 @@ class Queue(Words):
     @model_validator(mode="after")
     def _names_differ(self) -> Queue:
         names = [job.name for job in self.jobs]
-        doubled = sorted({name for name in names if names.count(name) > 1})
+        known = Counter(
+            name.lower() for name in names
+        )  # not every disk tells A from a in the name of a folder
+        doubled = sorted({name for name in names if known[name.lower()] > 1})
         if doubled:
             raise PydanticCustomError(
                 "doubled", "two jobs have the same name: {names}.", {"names": ", ".join(doubled)}

@@ -23,7 +23,7 @@ from bench.batches.batch_summary import RUNS, write_summary
 from bench.batches.schedule import NEVER_S, Item, choose
 from bench.batches.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.clock import Aborted, BenchClock
-from bench.errors import RunFolderError
+from bench.errors import BenchError, RunFolderError
 from bench.records.folder_lock import hold_folder
 from bench.records.history import History, replay
 from bench.records.journal import Journal, read_journal
@@ -193,6 +193,7 @@ class Batch:
         """Do run after run; say how that ended, and why."""
         told_wait = False
         try:
+            self._take_over()
             while (found := self._next()) is not None:
                 if not isinstance(found, Item):
                     if not told_wait:
@@ -220,27 +221,46 @@ class Batch:
 
     def _one(self, item: Item) -> None:
         """Begin a run, or take it up again, and wait for its end."""
-        run = self.folder / RUNS / item.key
-        if run.is_dir() and (silent_s := adopt(run, self._clock, self._say)):  # it outlived its supervisor
-            self._alarm(item, WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s))
+        run, record, unreadable = self.folder / RUNS / item.key, self._record, ""
+        self._wait_for_its_end(item, run)
         if is_sealed(run):  # done, but cut off before that was told
             self._end(item, WorkerEnd("finished", ""))
             return
-        record = self._record
-        if item.key in record.tries and item.key not in record.ends:  # we died while it was at work
-            ended = _history_of(run).ended
-            unsafe = [] if ended else make_safe_after(run, self._clock)
-            for fault in unsafe:
-                self._say(f"CHECK THE BENCH: {fault}")
-            if not ended:
-                self._alarm(item, WorkerEnd("died", "together with what watched it", 0.0, unsafe))
-        _set_aside_unbegun(run)
+        try:
+            _set_aside_unbegun(run)
+            recorded = _poses_recorded(run)
+        except BenchError as error:  # one folder that cannot be read must not end the night
+            unreadable, recorded = str(error), record.recorded.get(item.key, 0)
         again = (run / JOURNAL).exists()
         attempt = record.tries.get(item.key, 0) + 1
-        recorded = _poses_recorded(run)
         self._tell(BatchEvent.ITEM_BEGUN, item=item.key, again=again, attempt=attempt, recorded=recorded)
+        if unreadable:
+            self._end(item, WorkerEnd("failed", unreadable))
+            return
         self._say(f"{item.key}: {'taken up again' if again else 'begun'}")
         self._end(item, self._work(item, run, self.folder / RUNS / f"{item.key}.log"))
+
+    def _take_over(self) -> None:
+        """See to the run that was at work when the process before this one died: before any other is begun."""
+        item = self._record.items.get(self._record.at_work)
+        if item is None:
+            return
+        run = self.folder / RUNS / item.key
+        hung = self._wait_for_its_end(item, run)
+        if is_sealed(run):
+            self._end(item, WorkerEnd("finished", ""))
+        elif not hung and not _has_ended(run):
+            unsafe = make_safe_after(run, self._clock)
+            for fault in unsafe:
+                self._say(f"CHECK THE BENCH: {fault}")
+            self._alarm(item, WorkerEnd("died", "together with what watched it", 0.0, unsafe))
+
+    def _wait_for_its_end(self, item: Item, run: Path) -> bool:
+        """Watch whoever works on a run already: it outlived its supervisor. Tell whether it hung."""
+        silent_s = adopt(run, self._clock, self._say) if run.is_dir() else 0.0
+        if silent_s:
+            self._alarm(item, WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s))
+        return silent_s > 0.0
 
     def _end(self, item: Item, end: WorkerEnd) -> None:
         self._tell(BatchEvent.ITEM_ENDED, item=item.key, **asdict(end))
@@ -270,6 +290,14 @@ def command_of(item: Item, run: Path) -> list[str]:
 
 def _history_of(run: Path) -> History:
     return replay(read_journal(run / JOURNAL)[0] if (run / JOURNAL).is_file() else ())
+
+
+def _has_ended(run: Path) -> bool:
+    """Whether the journal of a run tells of an end, and so of a bench left safe; not where it cannot be read."""
+    try:
+        return bool(_history_of(run).ended)
+    except BenchError:
+        return False
 
 
 def _poses_recorded(run: Path) -> int:

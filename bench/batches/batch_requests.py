@@ -12,6 +12,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +26,7 @@ from bench.records.folder_lock import is_worked_on
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
-from bench.records.storage import is_temporary, make_folder, storing, write_whole
+from bench.records.storage import is_temporary, make_folder, remove, storing, write_whole
 from sequences.queue import JobWords, Key
 
 REQUESTS = "requests"
@@ -75,7 +76,7 @@ def refusal(request: Request, record: BatchRecord) -> str:
             return f"there is no job {request.name}"
         return "" if record.withdrawable(request.name) else f"no run of {request.name} is left to begin"
     assert request.job is not None
-    if request.job.name in record.jobs():
+    if request.job.name.lower() in map(str.lower, record.jobs()):
         return f"the batch has a job {request.job.name}, or had one"
     return "; ".join(job_faults(request.job)[:3])
 
@@ -108,8 +109,9 @@ class Desk:
             if not self._path.is_dir():
                 return
             for path in sorted(p for p in self._path.iterdir() if not is_temporary(p)):
-                self._answer(_read(path), path.name)
-                path.unlink(missing_ok=True)
+                with suppress(FileNotFoundError):  # taken back at this moment
+                    self._answer(_read(path), path.name)
+                    remove(path)
 
     def watch(self) -> None:
         """Begin to answer while the batch is busy with a run."""

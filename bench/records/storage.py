@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -121,6 +122,14 @@ def write_whole(path: Path, data: bytes, *, mode: int = 0o644) -> None:
                 part.unlink()
             raise
         sync_folder(path.parent)
+
+
+def remove(path: Path) -> None:
+    """Remove whatever lies there, a folder with all in it too; of a link, the link alone. Raises OSError."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
 
 
 def is_temporary(path: Path) -> bool:

@@ -29,7 +29,7 @@ from bench.records.folder_lock import is_worked_on
 from bench.records.history import Event, History, RunLog
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
-from bench.records.storage import is_temporary, make_folder, storing, sync_folder, write_whole
+from bench.records.storage import is_temporary, make_folder, remove, storing, sync_folder, write_whole
 from bench.run.heartbeat import CONTROL, HEARTBEAT
 from sequences.schema import Answer
 
@@ -196,7 +196,7 @@ class Inbox:
         for path in names:
             with storing(path), suppress(FileNotFoundError):  # taken back by its sender at this moment
                 self._answer(path, why_not)
-                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+                remove(path)
 
     def _answer(self, path: Path, why_not: str) -> None:
         command = _read(path)

@@ -15,6 +15,7 @@ from bench.clock import Aborted
 from bench.errors import RunFolderError, ScriptError
 from bench.records.history import Event
 from bench.records.journal import Journal, read_journal
+from sequences.errors import DocumentFaults
 from sequences.queue import JobWords, Queue
 from sequences.reader import check_document
 
@@ -194,3 +195,53 @@ def test_a_run_that_somebody_aborted_is_not_taken_up_again(tmp_path):
     batch, workers = night(tmp_path, queue(("a", ", attempts: 5")), "aborted")
     assert hows(batch.run()) == {"a-001": "aborted"}
     assert begun(workers) == ["run a-001"]
+
+
+# ---------------------------------------------------------------- what a batch finds that was cut off
+
+
+def test_a_run_whose_journal_cannot_be_read_fails_and_the_night_goes_on(tmp_path):
+    jobs = queue(("a", ""), ("b", ""))
+    with pytest.raises(KeyboardInterrupt):
+        night(tmp_path, jobs, KeyboardInterrupt())[0].run()
+    (tmp_path / "runs" / "a-001" / "journal.jsonl").write_bytes(b"rotten\n")
+    batch, workers = night(tmp_path, jobs)
+    summary = batch.run()
+    assert hows(summary) == {"a-001": "failed", "b-001": "finished"}
+    assert "journal" in summary["items"][0]["why"]
+    assert begun(workers) == ["run b-001"]
+
+
+def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, monkeypatch):
+    jobs = queue(("a", ""), ("late", ', priority: 9, start_at: "20:05"'))
+    top = check_document(jobs.text.replace(b"jobs:", b"zone: UTC\njobs:", 1), "queue.yaml", Queue)
+    with pytest.raises(KeyboardInterrupt):
+        night(tmp_path, top, KeyboardInterrupt())[0].run()
+    clock, seen = NightClock(), []
+    clock.now_s = 900.0  # 20:15: the other one is due, and comes first
+    monkeypatch.setattr(
+        "bench.batches.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}") or 0.0
+    )
+    monkeypatch.setattr(
+        "bench.batches.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
+    )
+    batch, workers = night(tmp_path, top, clock=clock)
+    monkeypatch.setattr(batch, "_work", lambda *words: seen.append(words[0].key) or workers(*words))
+    assert batch.run()["how"] == "finished"
+    assert seen[:2] == ["wait for a-001", "make safe a-001"]
+    assert [word for word in seen if word in {"a-001", "late-001"}] == ["late-001", "a-001"]
+
+
+def test_the_bench_is_made_safe_after_a_later_try_too(tmp_path, monkeypatch):
+    jobs = queue(("a", ", attempts: 5"))
+    with pytest.raises(KeyboardInterrupt):
+        night(tmp_path, jobs, "failed", KeyboardInterrupt())[0].run()
+    safe = []
+    monkeypatch.setattr("bench.batches.batch.make_safe_after", lambda run, *_: safe.append(run.name) or [])
+    assert night(tmp_path, jobs)[0].run()["how"] == "finished"
+    assert safe == ["a-001"]
+
+
+def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
+    with pytest.raises(DocumentFaults, match="same name: Cam7, cam7"):
+        queue(("cam7", ""), ("Cam7", ""))

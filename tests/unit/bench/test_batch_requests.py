@@ -192,3 +192,19 @@ def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
     ended = read_batch_status(tmp_path, clock.utc_now)
     assert (ended.running, ended.ended) == (False, "stopped")
     assert json.loads(json.dumps(ended.to_dict()))["coming"] == []
+
+
+def test_a_folder_among_the_requests_is_answered_and_gone_and_the_night_goes_on(tmp_path):
+    (tmp_path / REQUESTS / "stray" / "deep").mkdir(parents=True)
+    clock = NightClock()
+    summary = Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()
+    assert summary["how"] == "finished"
+    assert [(data["word"], data["taken"]) for data in asked(tmp_path)] == [("unknown", False)]
+    assert not (tmp_path / REQUESTS / "stray").exists()
+
+
+def test_a_job_whose_name_differs_in_capitals_alone_is_refused(tmp_path):
+    clock = NightClock()
+    workers = Asked(clock, tmp_path, [add("A")])
+    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, workers).run()
+    assert [data["why"] for data in asked(tmp_path)] == ["the batch has a job A, or had one"]
