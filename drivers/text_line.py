@@ -122,12 +122,12 @@ class TextLine:
         return float(text)
 
     def decimal(self, query: str) -> float:
-        """Send a query whose answer has a decimal point, so that no switch's or count's can pass for it.
+        """Send a query whose answer is a finite number with a decimal point: no switch's or count's can pass for it.
 
         Raises as ``ask``.
         """
         text = self.ask(query)
-        if "." not in text or not _NUMBER.fullmatch(text):
+        if "." not in text or not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
             raise self.garbled(f"{query} answered {text!r}, not a number with decimals.")
         return float(text)
 

@@ -28,6 +28,8 @@ machine compiles its pixels."""
 POLL_S: Final = 0.02
 """Longest wait for bytes between two safe points of the clock."""
 
+_ONE_VERSION: Final = "See that a simulated EVK4 of this version listens at that address."
+
 _HEAD: Final = struct.Struct("<cI")
 
 
@@ -175,7 +177,7 @@ class Evk4Line:
             raise ReplyGarbled(
                 f"It sent something else than a frame: {bytes(self._received[:16])!r}.",
                 where=self._where,
-                remedy="See that a simulated EVK4 of this version listens at that address.",
+                remedy=_ONE_VERSION,
             )
         end = _HEAD.size + length
         if len(self._received) < end:
@@ -189,11 +191,13 @@ class Evk4Line:
             value = json.loads(frame.payload)
         except (ValueError, RecursionError) as error:
             raise ReplyGarbled(
-                f"An answer that is no JSON: {frame.payload[:80]!r}.", where=self._where
+                f"An answer that is no JSON: {frame.payload[:80]!r}.", where=self._where, remedy=_ONE_VERSION
             ) from error
         if not isinstance(value, dict):
             raise ReplyGarbled(
-                f"An answer that is no JSON object: {frame.payload[:80]!r}.", where=self._where
+                f"An answer that is no JSON object: {frame.payload[:80]!r}.",
+                where=self._where,
+                remedy=_ONE_VERSION,
             )
         return value
 
@@ -201,7 +205,11 @@ class Evk4Line:
         if answer.get("ok") is True:
             return answer
         reason = answer.get("message") or answer.get("error") or "it gives no reason"
-        raise DeviceRefused(f'It refused "{command}": {reason}', where=self._where)
+        raise DeviceRefused(
+            f'It refused "{command}": {reason}',
+            where=self._where,
+            remedy="Correct that setting, or restart the simulated bench.",
+        )
 
     def _heed(self, notification: Mapping[str, Any]) -> None:
         """Take a fault for what it is; that it computes is heard by its coming, and others are let pass."""

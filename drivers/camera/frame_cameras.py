@@ -206,7 +206,8 @@ class OpenCvFrameCamera:
                 raise CameraLost(error.what, where=error.where, remedy=error.remedy) from error
         for _ in range(STALE_FRAMES if self._device is not None else 0):
             self._clock.sleep(0.0)
-            self._source.grab()
+            if not self._source.grab():
+                raise self._silent()
         seen = _Seen(self._last, frames, where=self._where)
         facts = capture_frames(
             path,
@@ -294,12 +295,15 @@ class OpenCvFrameCamera:
     def _next(self) -> Frame:
         got, picture = self._source.read()
         if not got:
-            raise CameraLost(
-                "It sends no more pictures.",
-                where=self._where,
-                remedy="Check its cable and power; a video may have come to its end.",
-            )
+            raise self._silent()
         return grey(picture, where=self._where)
+
+    def _silent(self) -> CameraLost:
+        return CameraLost(
+            "It sends no more pictures.",
+            where=self._where,
+            remedy="Check its cable and power; a video may have come to its end.",
+        )
 
 
 class _Seen:

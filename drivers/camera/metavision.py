@@ -38,6 +38,8 @@ SILENCE_S: Final = 5.0
 
 _POLL_S: Final = 0.001
 
+_RECONNECT: Final = "Check its cable and power, then resume the run."
+
 _LARGEST_STEP_US: Final = 1_000_000
 """Between two buffers of one stream lie milliseconds; a longer step is the clock of another start."""
 
@@ -56,7 +58,9 @@ def discover() -> tuple[FoundCamera, ...]:
         )
     except RuntimeError as error:
         raise CameraError(
-            f"Its software cannot list cameras ({_reason(error)}).", where="metavision_hal"
+            f"Its software cannot list cameras ({_reason(error)}).",
+            where="metavision_hal",
+            remedy="See that its plugins are found (MV_HAL_PLUGIN_PATH), and that this user may use USB.",
         ) from error
 
 
@@ -104,15 +108,15 @@ class MetavisionEvk4:
         """
         hal = _vendor_software()
         hold = CameraHold(event_camera(serial)) if serial else None
+        camera = cls(None, hal, serial=serial, clock=clock, hold=hold)
         try:
-            camera = cls(cls._opened(hal, serial), hal, serial=serial, clock=clock, hold=hold)
+            camera._device = cls._opened(hal, serial)
             identity = camera.identify()
             camera._see_encoding()
             if hold is None:
                 camera._hold = CameraHold(event_camera(identity.serial))
         except BaseException:
-            if hold is not None:
-                hold.release()
+            camera.close()
             raise
         return camera
 
@@ -257,7 +261,9 @@ class MetavisionEvk4:
                 return False
             if ready == 0:
                 if self._clock.monotonic() > deadline:
-                    raise CameraLost(f"It has sent nothing for {SILENCE_S:g} s.", where=self._where)
+                    raise CameraLost(
+                        f"It has sent nothing for {SILENCE_S:g} s.", where=self._where, remedy=_RECONNECT
+                    )
                 self._clock.sleep(_POLL_S)
                 continue
             decoder.decode(stream.get_latest_raw_data())
@@ -309,9 +315,7 @@ class MetavisionEvk4:
     def _lost(self, error: Exception, path: Path | None = None) -> CameraLost:
         kept = f" What came before is in {path}." if path else ""
         said = error.what if isinstance(error, CameraError) else f"It has gone ({_reason(error)})."
-        return CameraLost(
-            said + kept, where=self._where, remedy="Check its cable and power, then resume the run."
-        )
+        return CameraLost(said + kept, where=self._where, remedy=_RECONNECT)
 
 
 def _vendor_software() -> Any:

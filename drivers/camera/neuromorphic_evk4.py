@@ -305,9 +305,9 @@ class _Stream:
         data = self._rest + bytes(packet)
         whole = len(data) // 2 * 2
         start = 0 if self._begun else first_time_high(np.frombuffer(data[:whole], "<u2"))
+        self._rest = data[whole:]
         if start is None:
             return None
-        self._rest = data[whole:]
         self._note_losses(status.ring, after=2 * start - 1 if self._begun else 2 * start)
         self._begun = True
         return data[2 * start : whole] or None

@@ -93,7 +93,11 @@ class SimulatedEvk4Camera:
         """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
         answer = self._ask("identify")
         if (encoding := self._text(answer, "format")) != "EVT3":
-            raise ReplyGarbled(f"It sends {encoding}, not EVT3.", where=self._where)
+            raise ReplyGarbled(
+                f"It sends {encoding}, not EVT3.",
+                where=self._where,
+                remedy="See that simulator and driver are of one version.",
+            )
         identity = CameraIdentity(
             maker=self._text(answer, "maker"),
             model=self._text(answer, "model"),

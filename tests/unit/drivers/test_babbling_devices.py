@@ -36,7 +36,9 @@ class Babbler:
         self.silent.set()
 
 
-@pytest.mark.parametrize("says", [b"\xf8" * 512, b"\xf8" * LONGEST_LINE + b"\n"], ids=["no end", "long lines"])
+@pytest.mark.parametrize(
+    "says", [b"\xf8" * 512, b"\xf8" * LONGEST_LINE + b"\n"], ids=["no end", "long lines"]
+)
 def test_a_stop_ends_within_its_deadlines_on_a_line_without_end(clock, says, monkeypatch) -> None:
     monkeypatch.setattr(zaber_chain, "_REPLY_S", 0.1)
     port = Babbler(says)

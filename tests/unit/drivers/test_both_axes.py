@@ -126,3 +126,9 @@ def test_a_homing_that_is_broken_off_leaves_no_reference(clock) -> None:
     peer.before = lambda command: None
     stage.home()
     stage.move_to({"pan": 1.0})
+
+
+def test_a_position_beyond_all_numbers_is_no_position(esp_stage, esp) -> None:
+    esp.spoil = lambda line: b"9.0e999\r\n" if esp.sent[-1] == "1TP" else line
+    with pytest.raises(ReplyError, match="not a number with decimals"):
+        esp_stage.position_deg()

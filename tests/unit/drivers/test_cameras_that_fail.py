@@ -1,0 +1,86 @@
+"""Cameras that fail half way: nothing is waited for twice, nothing stays open, no byte goes astray."""
+
+from __future__ import annotations
+
+import weakref
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.camera import frame_cameras, metavision, neuromorphic_evk4
+from drivers.camera.frame_cameras import OpenCvFrameCamera
+from drivers.camera.metavision import MetavisionEvk4
+from drivers.errors import CameraError, CameraLost
+
+
+# ---------------------------------------------------------------- frame cameras
+class Stalled:
+    """A video device that is there, and sends nothing: OpenCV waits ten seconds for each picture."""
+
+    WAIT_S = 10.0
+
+    def __init__(self, clock) -> None:
+        self.clock = clock
+
+    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+        return True
+
+    def get(self, what) -> float:
+        return 64.0
+
+    def grab(self) -> bool:
+        self.clock.now_s += self.WAIT_S
+        return False
+
+    def read(self):
+        return self.grab(), None
+
+    def release(self) -> None:
+        """Release nothing."""
+
+
+def test_a_video_device_that_has_stalled_is_waited_for_once(clock, monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: Stalled(clock))
+    camera = OpenCvFrameCamera.open("/dev/video7", clock=clock, system=tmp_path / "none")
+    with pytest.raises(CameraLost, match="sends no more pictures"):
+        camera.capture(tmp_path / "a.tiff", 4)
+    camera.close()
+    assert clock.now_s == Stalled.WAIT_S
+
+
+# ---------------------------------------------------------------- Metavision
+class Dumb:
+    """A HAL device whose facilities cannot be reached."""
+
+    def get_i_hw_identification(self) -> None:
+        return None
+
+
+def test_a_camera_that_turns_out_wrong_is_let_go_before_its_lock(clock, monkeypatch) -> None:
+    opened = []
+
+    def open_device(serial: str, config: object) -> Dumb:
+        device = Dumb()
+        opened.append(weakref.ref(device))
+        return device
+
+    hal = SimpleNamespace(
+        DeviceConfig=lambda: SimpleNamespace(set_format=lambda _: None),
+        DeviceDiscovery=SimpleNamespace(open=open_device, list_available_sources=list),
+    )
+    monkeypatch.setattr(metavision.importlib, "import_module", lambda _: hal)
+    for serial in ("50423", None, "50423"):  # the lock has been given back as well
+        with pytest.raises(CameraError, match="identification cannot be reached") as caught:
+            MetavisionEvk4.open(serial=serial, clock=clock)
+        assert caught.tb is not None  # the error still holds where it was raised
+        assert opened[-1]() is None
+
+
+# ---------------------------------------------------------------- neuromorphic-drivers
+def test_half_a_word_before_the_first_clock_word_shifts_nothing() -> None:
+    ring = SimpleNamespace(dropped_packets=0, overflow_indices=None, system_time=0.0)
+    packets = [b"", b"\x05\x00", b"\x03\x28\x05", b"\x00\x01\x80\x02\x60", b"\x05\x00\x03\x28"]
+    device = iter([(SimpleNamespace(ring=ring), packet) for packet in packets])
+    stream = neuromorphic_evk4._Stream(device, lambda error: CameraLost(str(error)))
+    words = b"".join(filter(None, (stream.next_words() for _ in packets)))
+    assert words == b"\x01\x80\x02\x60\x05\x00\x03\x28"
