@@ -14,8 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.evt3_kernel import MARGIN, Fault, S, new_state, run
+from drivers.camera.evt3_kernel import run
 from drivers.camera.evt3_plain import PACKED, Mode, add_events
+from drivers.camera.evt3_state import Fault, S, new_state
+from drivers.camera.evt3_vectors import MARGIN
 from drivers.errors import RecordingCorrupt
 
 Words = NDArray[np.uint16]

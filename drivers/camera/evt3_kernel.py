@@ -1,7 +1,9 @@
 """The loop over EVT3 words, compiled: knows the word types and the sensor clock, no files and no devices.
 
-An EVT3 word has 16 bits; its upper four are the type. State is carried between calls in one int64 array,
-so a stream may be cut between any two words.
+An EVT3 word has 16 bits; its upper four are the type. Words of events are read by ``evt3_vectors``, stretches of
+nothing but single events by ``evt3_plain``, all others by ``evt3_other_words``; what is carried from word to word, and
+between calls, stands in ``evt3_state``. Parts of the loop are pasted into it (``inline``): so it keeps its state in
+registers, and is as quick as in one piece.
 
 ==== =============== =====================================================================
 type name            payload
@@ -24,260 +26,15 @@ type name            payload
 
 from __future__ import annotations
 
-from enum import IntEnum
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from drivers.camera.evt3_plain import (
-    JIT,
-    LONGEST_WAIT,
-    SHORTEST_WAIT,
-    STRETCH,
-    Mode,
-    ones,
-    take_plain,
-)
-
-MARGIN: Final = 32
-"""Events that three vectors in a row can hold: room that output arrays need to take them."""
-
-MAX_BACK_STEP_US: Final = 64
-"""TIME_LOW of a busy sensor steps back by some us (11 seen); much more means that words are missing."""
-
-_DE_BRUIJN: Final = 0x077CB531
-"""Shifted left by k and cut to 32 bits, its upper five bits differ for every k."""
-_PLACE: Final = np.array(
-    [k for _, k in sorted(((_DE_BRUIJN << k) >> 27 & 31, k) for k in range(32))], np.uint8
-)
-"""The k of those five bits."""
-
-_RATE_IN: Final = 0x014
-_RATE_OUT: Final = 0x016
-_WINDOW_US: Final = 200
-"""Between two reports."""
-_TICK_US: Final = 16
-"""Between two TIME_HIGH, said whether there is anything else to say or not."""
-_MOST_TICKS: Final = 1024
-
-
-class Fault(IntEnum):
-    """Why the loop stopped before the end of the words."""
-
-    NONE = 0
-    ROOM = 1
-    ROW = 2
-    COLUMN = 3
-    VECTOR = 4
-    CLOCK = 5
-    RESERVED = 6
-
-
-class S(IntEnum):
-    """Places in the state array."""
-
-    HIGH = 0
-    """Last TIME_HIGH, -1 before the first."""
-    LOOPS_US = 1
-    """Full turns of the 24-bit clock, us."""
-    T = 2
-    """Clock, us, unwrapped; -1 before the first TIME_HIGH."""
-    Y = 3
-    """Row, -1 before the first and in rows of other events."""
-    BASE = 4
-    """Column of the next vector, -1 before the first."""
-    POLARITY = 5
-    SUBTYPE = 6
-    """Subtype of the OTHERS word whose payload is being read."""
-    PARTS = 7
-    """How many 12-bit parts of it have come."""
-    FIRST_T = 8
-    """Clock at the first TIME_LOW after a TIME_HIGH, -1 before."""
-    EVENTS = 9
-    ON_EVENTS = 10
-    TRIGGERS = 11
-    RATE_IN = 12
-    RATE_OUT = 13
-    GAPS = 14
-    UNPLACED = 15
-    """Events without a time, a row or a vector base: the stream was joined in its middle."""
-    BACK_STEPS = 16
-    FAULT = 17
-    TAKEN = 18
-    """Events taken in this call."""
-    TAKEN_EDGES = 19
-    WIDTH = 20
-    HEIGHT = 21
-    REPORTED_AT = 22
-    """Events of the stream at the last report of the rate controller, -1 before the first."""
-    WINDOW = 23
-    """Events between the report that is being read and the one before it, -1 for the first."""
-    COUNTED = 24
-    """Events that this report tells of its window."""
-    LOST = 25
-    """Events that the sensor counted in its windows and that did not arrive."""
-    ODD_WINDOWS = 26
-    """Windows in which the sensor's count is not that of the events that arrived."""
-    REPORT_T = 27
-    """Clock at the last report, us; -1 where it is not known."""
-    MISSING_WINDOWS = 28
-    """Windows whose report has not arrived, by the time between two that have."""
-    SILENT_US = 29
-    """For how long the clock has said nothing but TIME_HIGH, at a report and between calls; -1: nobody knows."""
-
-
-def new_state(width: int, height: int) -> NDArray[np.int64]:
-    """State before the first word of a stream."""
-    state = np.zeros(len(S), np.int64)
-    state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.REPORTED_AT, S.REPORT_T, S.SILENT_US]] = -1
-    state[S.WIDTH], state[S.HEIGHT] = width, height
-    return state
-
-
-@njit(**JIT)
-def _time_high(state: Any, high: int, gaps: Any) -> Fault:
-    """Move the clock on; returns a Fault. A step of more than one is a gap, one back by 2048 a wrap."""
-    old = state[S.HIGH]
-    before = state[S.T]
-    if high == old:
-        return Fault.NONE
-    if high < old:
-        if high > old - 2048:
-            return Fault.CLOCK
-        state[S.LOOPS_US] += 1 << 24
-    state[S.HIGH] = high
-    state[S.T] = state[S.LOOPS_US] + (high << 12)
-    if old >= 0 and (state[S.T] >> 12) - (before >> 12) > 1:
-        if state[S.GAPS] < len(gaps):
-            gaps[state[S.GAPS], 0] = before
-            gaps[state[S.GAPS], 1] = state[S.T]
-        state[S.GAPS] += 1
-    return Fault.NONE
-
-
-@njit(**JIT)
-def _time_low(state: Any, low: int) -> Fault:
-    """Set the lower part of the clock; returns a Fault."""
-    if state[S.HIGH] < 0:
-        return Fault.NONE
-    t = ((state[S.T] >> 12) << 12) | low
-    back = state[S.T] - t
-    if back > 0:
-        if back > MAX_BACK_STEP_US:
-            return Fault.CLOCK
-        state[S.BACK_STEPS] += 1
-    elif state[S.FIRST_T] < 0:
-        state[S.FIRST_T] = t
-    state[S.T] = t
-    return Fault.NONE
-
-
-@njit(**JIT)
-def _silent_us(words: Any, start: int, i: int, state: Any, high_before: int) -> int:
-    """Return for how long the clock has said nothing but TIME_HIGH before word i, us; -1 where nobody knows.
-
-    In a stream without events the time stands still until the next TIME_LOW; TIME_HIGH comes every 16 us all the
-    same. What was so before ``start`` stands in the state, so that it is no matter how a stream is cut.
-    """
-    ticks = 0
-    for j in range(i - 1, start - 1, -1):
-        word: Any = np.int64(words[j])
-        if word >> 12 == 0x6:
-            return _TICK_US * ticks
-        if word >> 12 == 0x8:
-            if word & 0xFFF != state[S.HIGH]:  # the one after it set the time
-                return _TICK_US * max(ticks - 1, 0)
-            ticks += 1
-            if ticks > _MOST_TICKS:
-                return -1
-    if state[S.HIGH] != high_before:
-        return _TICK_US * max(ticks - 1, 0)
-    silent = state[S.SILENT_US]
-    return -1 if silent < 0 or silent > _TICK_US * (_MOST_TICKS - ticks) else silent + _TICK_US * ticks
-
-
-@njit(**JIT)
-def _rate_controller(state: Any, kind: int, payload: int) -> None:
-    """Add an OTHERS word, or a part of its payload, to the rate controller's counters.
-
-    Parts are added as they come, so that a payload without its last four bits counts as well. The sensor
-    counts exactly the events that it sends between two reports, so what did not arrive is noticed. (The last
-    four bits stay zero below 16 million events in 200 us.) Where reports are missing, the one that follows is of
-    the last window alone, and what arrived since the report before is of all of them: the events lost are then
-    more than counted.
-    """
-    if kind == 0xE:
-        state[S.SUBTYPE] = payload
-        state[S.PARTS] = 0
-        if payload == _RATE_OUT:
-            sent = state[S.EVENTS] + state[S.TAKEN]
-            state[S.WINDOW] = sent - state[S.REPORTED_AT] if state[S.REPORTED_AT] >= 0 else -1
-            now = state[S.T] + state[S.SILENT_US] if min(state[S.T], state[S.SILENT_US]) >= 0 else -1
-            if min(now, state[S.REPORT_T]) >= 0 and state[S.REPORTED_AT] >= 0:
-                windows = (now - state[S.REPORT_T] + _WINDOW_US // 2) // _WINDOW_US
-                state[S.MISSING_WINDOWS] += max(windows - 1, 0)
-            state[S.REPORTED_AT] = sent
-            state[S.REPORT_T] = now
-            state[S.COUNTED] = 0
-        return
-    parts = state[S.PARTS]
-    state[S.PARTS] = parts + 1
-    if parts > 2 or (kind == 0x7) != (parts == 2):
-        return
-    value = (payload & 0xF if kind == 0x7 else payload) << (12 * parts)
-    if state[S.SUBTYPE] == _RATE_IN:
-        state[S.RATE_IN] += value
-    elif state[S.SUBTYPE] == _RATE_OUT:
-        state[S.RATE_OUT] += value
-        state[S.COUNTED] += value
-        if parts == 1 and state[S.WINDOW] >= 0 and state[S.COUNTED] != state[S.WINDOW]:
-            state[S.ODD_WINDOWS] += 1
-            state[S.LOST] += max(state[S.COUNTED] - state[S.WINDOW], 0)
-
-
-@njit(**JIT)
-def _trigger(state: Any, payload: int, edges: Any) -> Fault:
-    """Store a trigger edge; returns a Fault."""
-    if state[S.T] < 0:
-        state[S.UNPLACED] += 1
-        return Fault.NONE
-    n = state[S.TAKEN_EDGES]
-    if n == len(edges):
-        return Fault.ROOM
-    edges[n, 0] = state[S.T]
-    edges[n, 1] = payload & 1
-    edges[n, 2] = payload >> 8
-    state[S.TAKEN_EDGES] = n + 1
-    state[S.TRIGGERS] += 1
-    return Fault.NONE
-
-
-@njit(**JIT)
-def _events_of(state: Any, word: int, second: int, third: int) -> tuple[Fault, int, int, int, int]:
-    """Read a single event or a vector: fault, words taken, first column, polarity, one bit a column from there.
-
-    Sensors send vectors as triples of 12 + 12 + 8 columns: these are taken at once, with the two words that
-    follow. (They are passed as numbers: an array would have its references counted.)
-    """
-    kind = word >> 12
-    if kind == 0x2:
-        x = word & 0x7FF
-        return Fault.COLUMN if x >= state[S.WIDTH] else Fault.NONE, 1, x, (word >> 11) & 1, 1
-    x = state[S.BASE]
-    room = state[S.WIDTH] - x
-    if (kind == 0x4) & (second >> 12 == 0x4) & (third >> 12 == 0x5) & (room >= 32):
-        taken, columns = 3, 32
-        bits = (word & 0xFFF) | (second & 0xFFF) << 12 | (third & 0xFF) << 24
-    else:
-        taken, columns = 1, 12 if kind == 0x4 else 8
-        bits = word & ((1 << columns) - 1)
-        if room < columns and bits >> max(room, 0):
-            return Fault.VECTOR, taken, x, 0, 0
-    if x >= 0:
-        state[S.BASE] = x + columns
-    return Fault.NONE, taken, x, state[S.POLARITY], bits
+from drivers.camera.evt3_other_words import RATE_OUT, other_word, silent_us
+from drivers.camera.evt3_plain import JIT, LONGEST_WAIT, SHORTEST_WAIT, STRETCH, Mode, ones, take_plain
+from drivers.camera.evt3_state import Fault, S
+from drivers.camera.evt3_vectors import MARGIN, count, events_of, store
 
 
 @njit(**JIT)
@@ -291,56 +48,66 @@ def most_events(words: Any) -> int:
     return n
 
 
-@njit(**JIT)
-def _other_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> Fault:
-    """Take a word that stands for no event, with every check; returns a Fault."""
-    if kind <= 0x1:
-        address = payload & 0x7FF
-        if address >= state[S.HEIGHT]:
-            return Fault.ROW
-        state[S.Y] = address if kind == 0x0 else -1
-    elif kind == 0x6:
-        return _time_low(state, payload)
-    elif kind == 0x8:
-        return _time_high(state, payload, gaps)
-    elif kind == 0xA:
-        return _trigger(state, payload, edges)
-    elif kind in (0xE, 0xF, 0x7):
-        _rate_controller(state, kind, payload)
-    elif kind != 0xD:
-        return Fault.RESERVED
-    return Fault.NONE
-
-
-@njit(**JIT)
-def _store(
-    t_out: Any, x_out: Any, y_out: Any, p_out: Any, n: int, t: int, y: int, x: int, p: int, bits: int
-) -> None:
-    """Write the events of the bits set, lowest first, from place n on."""
-    while bits:
+@njit(**JIT, inline="always")
+def _put(mode: int, events: Any, image: Any, n: int, t: int, y: int, x: int, p: int, is_event: bool) -> None:
+    """Store or count an event, if the word is one; without a branch, so a place is touched in any case."""
+    t_out, x_out, y_out, p_out = events
+    if mode == Mode.STORE:
         t_out[n] = t
-        x_out[n] = x + _PLACE[((bits & -bits) * _DE_BRUIJN >> 27) & 31]
+        x_out[n] = x
         y_out[n] = y
         p_out[n] = p
-        n += 1
-        bits &= bits - 1
+    elif mode == Mode.COUNT:
+        image[p & is_event, y, x if is_event else 0] += is_event
+
+
+@njit(**JIT, inline="always")
+def _take_events(
+    words: Any, i: int, mode: int, state: Any, t: int, y: int, n: int, events: Any, image: Any
+) -> tuple[Fault, int, int, int]:
+    """Take the single event or the vector at word i: fault, words taken, events, how many of them ON."""
+    word: Any = np.int64(words[i])
+    second: Any = np.int64(words[i + 1]) if i + 2 < len(words) else 0
+    third: Any = np.int64(words[i + 2]) if i + 2 < len(words) else 0
+    fault, taken, x, p, bits = events_of(state, word, second, third)
+    if fault == Fault.NONE:
+        if (t | y | x) < 0:
+            state[S.UNPLACED] += ones(bits)
+            bits = 0
+        if mode == Mode.STORE:
+            store(events, n, t, y, x, p, bits)
+        elif mode == Mode.COUNT and bits:
+            count(image, y, x, p, bits)
+    found = ones(bits)
+    return fault, taken, found, p * found
+
+
+@njit(**JIT, inline="always")
+def _take_other(
+    words: Any,
+    start: int,
+    i: int,
+    state: Any,
+    t: int,
+    y: int,
+    n: int,
+    gaps: Any,
+    edges: Any,
+    high_before: int,
+) -> Fault:
+    """Take word i, which stands for no event; clock and row are then those of the state."""
+    word: Any = np.int64(words[i])
+    state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
+    carried = state[S.SILENT_US]
+    if word == 0xE000 | RATE_OUT:
+        state[S.SILENT_US] = silent_us(words, start, i, state, high_before)
+    fault = other_word(state, word >> 12, word & 0xFFF, gaps, edges)
+    state[S.SILENT_US] = carried
+    return fault
 
 
 @njit(**JIT)
-def _count(image: Any, y: int, x: int, p: int, bits: int) -> None:
-    """Add the events of the bits set to the image; all columns at once where there are as many."""
-    if x + 32 <= image.shape[2]:
-        row = image[p, y, x : x + 32]
-        for k in range(32):
-            row[k] += (bits >> k) & 1
-    else:
-        while bits:
-            image[p, y, x + _PLACE[((bits & -bits) * _DE_BRUIJN >> 27) & 31]] += 1
-            bits &= bits - 1
-
-
-@njit(**JIT)
-def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
+def run(  # noqa: PLR0915 - one loop that keeps its state in registers
     words: Any, start: int, mode: int, state: Any, gaps: Any, events: Any, image: Any, edges: Any, packed: Any
 ) -> int:
     """Take words from ``start`` on; returns where it stopped: ``state[S.FAULT]`` says why.
@@ -365,8 +132,7 @@ def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
     packed
         Scratch, as ``take_plain`` has it.
     """
-    t_out, x_out, y_out, p_out = events  # once: in the loop, each access through the tuple counts references
-    room = len(t_out) - MARGIN if mode == Mode.STORE else 1 << 62
+    room = len(events[0]) - MARGIN if mode == Mode.STORE else 1 << 62
     width, height = state[S.WIDTH], state[S.HEIGHT]
     t, y = state[S.T], state[S.Y]
     n = on = 0
@@ -394,13 +160,7 @@ def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
         moved = (t & -4096) | (word & 0xFFF)
         usual = is_event & (address < width) | is_row & (address < height) | is_low & (moved >= t)
         if (usual | (word == repeated)) & ((y | begun) >= 0) & (n <= room):
-            if mode == Mode.STORE:
-                t_out[n] = t
-                x_out[n] = address
-                y_out[n] = y
-                p_out[n] = p
-            elif mode == Mode.COUNT:
-                image[p & is_event, y, address if is_event else 0] += is_event
+            _put(mode, events, image, n, t, y, address, p, is_event)
             n += is_event
             on += p & is_event
             y = address if is_row else y
@@ -411,33 +171,20 @@ def run(  # noqa: PLR0912, PLR0915 - one loop that keeps its state in registers
             if n > room:
                 fault = Fault.ROOM
                 break
-            second: Any = np.int64(words[i + 1]) if i + 2 < len(words) else 0
-            third: Any = np.int64(words[i + 2]) if i + 2 < len(words) else 0
-            fault, taken, x, p, bits = _events_of(state, word, second, third)
+            fault, taken, here, on_here = _take_events(words, i, mode, state, t, y, n, events, image)
             if fault != Fault.NONE:
                 break
-            if (t | y | x) < 0:
-                state[S.UNPLACED] += ones(bits)
-                bits = 0
-            if mode == Mode.STORE:
-                _store(t_out, x_out, y_out, p_out, n, t, y, x, p, bits)
-            elif mode == Mode.COUNT and bits:
-                _count(image, y, x, p, bits)
-            n += ones(bits)
-            on += p * ones(bits)
+            n += here
+            on += on_here
             i += taken - 1
         else:
-            state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
-            carried = state[S.SILENT_US]
-            if word == 0xE000 | _RATE_OUT:
-                state[S.SILENT_US] = _silent_us(words, start, i, state, high_before)
-            fault = _other_word(state, kind, word & 0xFFF, gaps, edges)
-            t, y, state[S.SILENT_US] = state[S.T], state[S.Y], carried
+            fault = _take_other(words, start, i, state, t, y, n, gaps, edges, high_before)
+            t, y = state[S.T], state[S.Y]
             repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
             if fault != Fault.NONE:
                 break
         i += 1
-    state[S.SILENT_US] = _silent_us(words, start, i, state, high_before)
+    state[S.SILENT_US] = silent_us(words, start, i, state, high_before)
     state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
     state[S.EVENTS] += n
     state[S.ON_EVENTS] += on

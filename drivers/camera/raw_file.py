@@ -13,16 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.evt3 import (
-    Events,
-    Evt3Decoder,
-    StreamTally,
-    Triggers,
-    Words,
-    empty_events,
-    join_triggers,
-)
-from drivers.camera.evt3_kernel import MARGIN, most_events
+from drivers.camera.evt3 import Events, Evt3Decoder, StreamTally, Triggers, Words, empty_events, join_triggers
+from drivers.camera.evt3_kernel import most_events
+from drivers.camera.evt3_vectors import MARGIN
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.errors import NotARecording, RecordingFileError
 
