@@ -11,27 +11,55 @@ from typing import Any, TypeVar
 
 import click
 
+from bench.cli_words import JSON, SEED, ExistingFile, ExistingPath, NewFile
+
 _Command = TypeVar("_Command", bound=Callable[..., Any])
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 _MODELS = ["spherical", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
-_MODEL = click.option("--model", type=click.Choice(_MODELS), default="spherical", show_default=True)
+_LOSS = click.option(
+    "--loss",
+    type=click.Choice(["l2", "huber", "cauchy"]),
+    default="huber",
+    show_default=True,
+    help="How little a star counts that lies far off: l2 in full, huber less, cauchy least.",
+)
+_MODEL = click.option(
+    "--model",
+    type=click.Choice(_MODELS),
+    default="spherical",
+    show_default=True,
+    help="How far the collimator's imperfections are followed (docs/calibration.md).",
+)
+
+
+class _Station(click.ParamType):
+    """A station file or the name of a shipped one, that can be read: also where what is calibrated brings its own."""
+
+    name = "text"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Give the word back once it names a station. Raises DocumentFaults."""
+        del param, ctx
+        from bench.stations.station import load_station
+
+        load_station(value)
+        return str(value)
+
 
 _OPTIONS = (
     _MODEL,
     click.option(
         "--distortion", default="k1k2", show_default=True, help="Coefficients, e.g. k1k2k3p1p2, none."
     ),
-    click.option("--loss", type=click.Choice(["l2", "huber", "cauchy"]), default="huber", show_default=True),
+    _LOSS,
     click.option(
         "--guard-band",
         type=click.FloatRange(0, 1, min_open=True),
+        metavar="SHARE",
         default=1.0,
         show_default=True,
         help="Share of the beam's radius to use.",
     ),
-    click.option(
-        "--passport", type=click.Path(path_type=Path), help="The collimator's, made by `passport make`."
-    ),
+    click.option("--passport", type=ExistingFile(), help="The collimator's, made by `passport make`."),
     click.option("--image-size", metavar="WxH", help="For point files, which do not know it."),
     click.option("--views", metavar="1,5,9", help="Use these only, counted from 1 in the order listed."),
     click.option("--image", default="auto", show_default=True, help="Kind of event image for RAW captures."),
@@ -43,7 +71,10 @@ _OPTIONS = (
         help="What (0, 0) is in point files: a pixel's corner or its centre.",
     ),
     click.option(
-        "--station", "-s", help="Station file that describes the target, where not the standard one."
+        "--station",
+        "-s",
+        type=_Station(),
+        help="Station file that describes the target, where not the standard one.",
     ),
 )
 
@@ -58,16 +89,14 @@ def _engine_options(command: _Command) -> _Command:
 def _views_and_options(command: _Command) -> _Command:
     """Give a command the words that say which views, and how to calibrate from them."""
     command = _engine_options(command)
-    paths = click.argument(
-        "paths", nargs=-1, required=True, metavar="PATH...", type=click.Path(path_type=Path)
-    )
+    paths = click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=ExistingPath())
     return paths(command)
 
 
 @click.command()
 @_views_and_options
 @click.option("--compare", is_flag=True, help="Beside OpenCV's planar method and the published recipe.")
-@_JSON
+@JSON
 def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: Any) -> int:
     """Calibrate again, without devices, from any PATH.
 
@@ -84,10 +113,10 @@ def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: An
 
 
 @click.command()
-@click.argument("first", type=click.Path(path_type=Path))
-@click.argument("second", type=click.Path(path_type=Path))
+@click.argument("first", type=ExistingPath())
+@click.argument("second", type=ExistingPath())
 @_engine_options
-@_JSON
+@JSON
 def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
     """Turn from the camera of FIRST to that of SECOND: two cameras on one rig, behind one collimator.
 
@@ -111,9 +140,11 @@ def passport() -> None:
 
 @passport.command("make")
 @_views_and_options
-@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="The new passport file.")
+@click.option("--output", "-o", required=True, type=NewFile(), help="The new passport file.")
 @click.option("--collimator", help="Its serial number or name.")
-@click.option("--temperature", "temperature_c", type=float, help="Degrees Celsius at the collimator.")
+@click.option(
+    "--temperature", "temperature_c", type=float, metavar="C", help="Degrees Celsius at the collimator."
+)
 def passport_make(
     paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **words: Any
 ) -> int:
@@ -139,13 +170,24 @@ def passport_make(
 
 
 @passport.command("certificate")
-@click.option("--radius", "r_mm", type=float, required=True, help="The collimator's focal length, mm.")
-@click.option("--sigma", "sigma_mm", type=float, required=True, help="Its standard uncertainty (k = 1), mm.")
+@click.option(
+    "--radius", "r_mm", type=float, metavar="MM", required=True, help="The collimator's focal length."
+)
+@click.option(
+    "--sigma",
+    "sigma_mm",
+    type=float,
+    metavar="MM",
+    required=True,
+    help="Its standard uncertainty (k = 1).",
+)
 @click.option("--number", required=True, help="Number of the certificate.")
 @click.option("--date", "issued", help="The day it was issued, as it says.")
 @click.option("--collimator", help="Its serial number or name.")
-@click.option("--temperature", "temperature_c", type=float, help="Degrees Celsius for which it holds.")
-@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="The new passport file.")
+@click.option(
+    "--temperature", "temperature_c", type=float, metavar="C", help="Degrees Celsius for which it holds."
+)
+@click.option("--output", "-o", required=True, type=NewFile(), help="The new passport file.")
 def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certificate: Any) -> int:
     """Make a passport from a certificate of the collimator's focal length alone."""
     from datetime import UTC, datetime
@@ -159,8 +201,8 @@ def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certifica
 
 
 @passport.command("show")
-@click.argument("path", type=click.Path(path_type=Path))
-@_JSON
+@click.argument("path", type=ExistingFile())
+@JSON
 def passport_show(path: Path, as_json: bool) -> int:
     """Show what a passport says, and how sure it is."""
     from bench.console.engine_output import show_passport
@@ -174,15 +216,40 @@ def passport_show(path: Path, as_json: bool) -> int:
 @click.option(
     "--station", "-s", default="simulated", show_default=True, help="Station with an expected section."
 )
-@click.option("--runs", type=click.IntRange(2, 100_000), default=200, show_default=True)
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True)
-@click.option("--noise-px", type=float, help="1-sigma of a star; by default the station's expectation.")
 @click.option(
-    "--drift-mm", type=click.FloatRange(0), default=0.0, show_default=True, help="Of a view's centre."
+    "--runs",
+    type=click.IntRange(2, 100_000),
+    metavar="N",
+    default=200,
+    show_default=True,
+    help="How many calibrations.",
+)
+@click.option("--seed", type=SEED, metavar="N", default=1, show_default=True, help="Of the noise.")
+@click.option(
+    "--noise-px",
+    type=float,
+    metavar="PX",
+    help="1 sigma of a star; by default what the station expects.",
+)
+@click.option(
+    "--drift-mm",
+    type=click.FloatRange(0),
+    metavar="MM",
+    default=0.0,
+    show_default=True,
+    help="1 sigma of each view's own centre about the shared one.",
+)
+@click.option(
+    "--outliers",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    show_default=True,
+    help="Share of stars that are grossly wrong.",
 )
 @_MODEL
-@click.option("--plot", type=click.Path(path_type=Path), help="Draw the errors, in sigmas, into an SVG file.")
-@_JSON
+@_LOSS
+@click.option("--plot", type=NewFile(), help="Draw the errors, in sigmas, into an SVG file.")
+@JSON
 def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words: Any) -> int:
     """Calibrate an imagined camera again and again: see whether stated uncertainties hold."""
     from bench.console.engine_output import show_study
@@ -195,8 +262,8 @@ def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words
 
 
 @click.command()
-@click.argument("source", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("source", type=ExistingFile())
+@click.argument("output", type=NewFile())
 @click.option(
     "--as",
     "kind",

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 #: Probability that value +- 2 sigma covers, for a Gaussian, and of the band a study's count must lie in.
 COVERAGE = 0.9545
 _BAND = 0.999
+#: 1-sigma, per axis, of a star that is grossly wrong.
+_GROSS_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ def repeat(
     seed: int,
     *,
     drift_mm: float = 0.0,
+    outliers: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Study:
     """Calibrate imagined views again and again, with new noise each time.
@@ -105,6 +108,8 @@ def repeat(
         How many times, and the seed that with a run's number makes its noise.
     drift_mm
         1-sigma, per axis, by which each view's centre lies off the shared one.
+    outliers
+        Share of the stars that are grossly wrong: by 2 px, 1 sigma per axis.
     progress
         Told after each run its number, and of how many.
     """
@@ -117,7 +122,7 @@ def repeat(
     for run in range(runs):
         rng = np.random.default_rng([seed, run])
         try:
-            result = calibrate(_noisy(bench, poses_deg, rng, drift_mm), options)
+            result = calibrate(_noisy(bench, poses_deg, rng, drift_mm, outliers), options)
         except CalibrationError as error:
             failed.append(str(error))
         else:
@@ -133,7 +138,11 @@ def repeat(
 
 
 def _noisy(
-    bench: Expectation, poses_deg: Sequence[Mapping[str, float]], rng: np.random.Generator, drift_mm: float
+    bench: Expectation,
+    poses_deg: Sequence[Mapping[str, float]],
+    rng: np.random.Generator,
+    drift_mm: float,
+    outliers: float,
 ) -> list[View]:
     """Return views with noise, each about a centre of its own."""
     views = []
@@ -142,5 +151,8 @@ def _noisy(
         moved = replace(bench, collimator=Collimator(float(x), float(y), float(r)))
         view, _ = imagined_view(moved, pose, f"pose {i}")
         noise = bench.star_sigma_px * rng.standard_normal(view.points_px.shape)
+        if outliers:
+            bad = rng.random(len(view)) < outliers
+            noise[bad] = _GROSS_PX * rng.standard_normal((int(bad.sum()), 2))
         views.append(replace(view, points_px=view.points_px + noise))
     return views

@@ -109,7 +109,16 @@ def suggested_poses(planned: Plan, count: int) -> list[dict[str, float]]:
 
 
 def run_study(
-    sequence: str, station: str, *, runs: int, seed: int, noise_px: float | None, drift_mm: float, model: str
+    sequence: str,
+    station: str,
+    *,
+    runs: int,
+    seed: int,
+    noise_px: float | None,
+    drift_mm: float,
+    outliers: float,
+    model: str,
+    loss: str,
 ) -> Study:
     """Calibrate an imagined camera ``runs`` times.
 
@@ -123,8 +132,10 @@ def run_study(
         1-sigma of a star per axis; None for the station's expectation.
     drift_mm
         1-sigma per axis by which each view's centre lies off the shared one.
-    model
-        The model to calibrate with.
+    outliers
+        Share of the stars that are grossly wrong.
+    model, loss
+        The model and the loss to calibrate with.
 
     Raises
     ------
@@ -133,7 +144,7 @@ def run_study(
     """
     poses, described = poses_deg(sequence, station)
     bench = expectation(described, noise_px=noise_px)
-    options = CalibrationOptions(model=model)  # type: ignore[arg-type]
+    options = CalibrationOptions(model=model, loss=loss)  # type: ignore[arg-type]
     with Progress(console=Console(stderr=True), transient=True) as shown:
         task = shown.add_task("calibrating", total=runs)
         return repeat(
@@ -143,6 +154,7 @@ def run_study(
             runs,
             seed,
             drift_mm=drift_mm,
+            outliers=outliers,
             progress=lambda done, _of: shown.update(task, completed=done),
         )
 
