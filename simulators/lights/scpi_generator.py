@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from simulators.lights.generator import Generator, Held, Setting, Shape
+from simulators.lights.generator import Held, Setting, Shape
+from simulators.lights.generator_line import GeneratorLine
 from simulators.lights.scpi import (
     CommandTree,
     ErrorQueue,
@@ -31,9 +32,6 @@ _OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
 _LOAD_OHM: Final = (1.0, 10_000.0)
 
 _SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
-
-#: Longest message the input buffer takes.
-_LONGEST: Final = 2048
 
 _WHY: Final = {
     "lower limit": (-222, "value clipped to lower limit"),
@@ -66,7 +64,7 @@ class GeneratorModel:
     baud: int = 9600
 
 
-class ScpiGenerator:
+class ScpiGenerator(GeneratorLine):
     """The generator, as a dialect of a serial line.
 
     Parameters
@@ -85,9 +83,8 @@ class ScpiGenerator:
         clock: Callable[[], float],
         drive: Callable[[LightState], None] = lambda _state: None,
     ) -> None:
+        super().__init__(clock, drive)
         self.model = model
-        self._generator = Generator(clock, drive)
-        self._heard = b""
         self._tree = CommandTree(ErrorQueue())
         self._teach()
 
@@ -96,25 +93,6 @@ class ScpiGenerator:
         """Baud rate of its serial port."""
         return self.model.baud
 
-    def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive and give what they ask for."""
-        *messages, self._heard = (self._heard + data).split(b"\n")
-        self._heard = self._heard[-_LONGEST:]
-        answers = [self._tree.answer(message.decode("ascii", "replace")) for message in messages]
-        return b"".join(f"{answer}\n".encode("ascii") for answer in answers if answer is not None)
-
-    def unsolicited(self) -> bytes:
-        """Say nothing unasked."""
-        return b""
-
-    def clip(self, most_v: float | None) -> None:
-        """Hold levels to come within less than usual, or no more."""
-        self._generator.clip(most_v)
-
-    def trip(self) -> None:
-        """Have the overload protection switch the output off."""
-        self._generator.trip()
-
     def exchange(self, serial: str) -> None:
         """Be another instrument of this model from now on, fresh from power-up."""
         self.model = replace(self.model, serial=serial)
@@ -122,6 +100,10 @@ class ScpiGenerator:
         self._generator.reset()
 
     # ------------------------------------------------------------------ what it understands
+    def _answers(self, message: str) -> list[str]:
+        answer = self._tree.answer(message)
+        return [] if answer is None else [answer]
+
     def _teach(self) -> None:
         tree, model, generator = self._tree, self.model, self._generator
         source, output = ("[:SOURce#]", "OUTPut#") if model.numbered_channels else ("[:SOURce]", "OUTPut")

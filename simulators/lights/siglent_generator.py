@@ -15,10 +15,10 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from simulators.lights.generator import Generator, Setting, Shape
+from simulators.lights.generator import Setting, Shape
+from simulators.lights.generator_line import GeneratorLine
 from simulators.world.world import LightState
 
-_LONGEST: Final = 2048
 _HEADER: Final = re.compile(r"C1:(BSWV|OUTP|SYNC)(\?)?(?:\s+(.*))?", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"([+-]?[0-9.]+(?:E[+-]?[0-9]+)?)(UHZ|MHZ|KHZ|HZ|MV|V|VPP|%|OHM)?", re.IGNORECASE)
 _FACTORS: Final = {"UHZ": 1e-6, "KHZ": 1e3, "MHZ": 1e6, "MV": 1e-3}
@@ -34,7 +34,7 @@ _VALUES: Final[Mapping[str, Setting]] = {
 }
 
 
-class SiglentGenerator:
+class SiglentGenerator(GeneratorLine):
     """The generator, as a dialect of a serial line.
 
     Parameters
@@ -53,37 +53,13 @@ class SiglentGenerator:
         clock: Callable[[], float],
         drive: Callable[[LightState], None] = lambda _state: None,
     ) -> None:
+        super().__init__(clock, drive)
         self._serial = serial
-        self._generator = Generator(clock, drive)
-        self._heard = b""
 
     @property
     def baud(self) -> int:
         """Baud rate of the serial line to it."""
         return 9600
-
-    def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive and give what they ask for."""
-        *messages, self._heard = (self._heard + data).split(b"\n")
-        self._heard = self._heard[-_LONGEST:]
-        answers = [
-            self._answer(command.strip())
-            for message in messages
-            for command in message.decode("ascii", "replace").split(";")
-        ]
-        return b"".join(f"{answer}\n".encode("ascii") for answer in answers if answer)
-
-    def unsolicited(self) -> bytes:
-        """Say nothing unasked."""
-        return b""
-
-    def clip(self, most_v: float | None) -> None:
-        """Hold levels to come within less than usual, or no more."""
-        self._generator.clip(most_v)
-
-    def trip(self) -> None:
-        """Have the overload protection switch the output off."""
-        self._generator.trip()
 
     def exchange(self, serial: str) -> None:
         """Be another instrument of this model from now on, fresh from power-up."""
@@ -91,6 +67,10 @@ class SiglentGenerator:
         self._generator.reset()
 
     # ------------------------------------------------------------------ commands
+    def _answers(self, message: str) -> list[str]:
+        answers = (self._answer(command.strip()) for command in message.split(";"))
+        return [answer for answer in answers if answer]
+
     def _answer(self, command: str) -> str:
         if command.upper() == "*IDN?":
             return f"Siglent Technologies,SDG1032X,{self._serial},1.01.01.33R6"
