@@ -17,7 +17,7 @@ import hashlib
 import json
 import os
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -30,6 +30,9 @@ FIRST_PREV = "0" * 64
 CLOCK_JUMP_S = 2.0
 """The system's time may differ this much from the monotonic clock before it is called a jump."""
 CLOCK_JUMPED = "clock_jumped"
+_BLOCK_BYTES = 512
+_MOST_UNSYNCED_BYTES = 64 * 1024
+"""Zeros further from the end than that are no cut of power: lines are synced far more often."""
 
 _OWN_KEYS = ("seq", "utc", "mono_s", "event", "prev", "hash")
 
@@ -216,8 +219,14 @@ class Journal:
             )
         line = _line(len(self._entries), now, mono_s, event, data, self.head)
         entry = _read_line(line, len(self._entries), self.head)
-        self._write(line + b"\n", synced=synced)
-        self._entries.append(entry)
+        try:
+            self._write(line + b"\n", synced=synced)
+            self._entries.append(entry)
+        except StorageError:
+            raise
+        except BaseException:  # stopped in the midst of a line: what follows would not be chained to it
+            self.close()
+            raise
         return entry
 
     def _write(self, data: bytes, *, synced: bool) -> None:
@@ -226,15 +235,56 @@ class Journal:
             try:
                 write_all(self._descriptor, data)
             except OSError:
-                os.ftruncate(self._descriptor, size)
+                self._take_back(size)
                 raise
-            if not synced:
-                return
+            if synced:
+                self._sync()
+
+    def _take_back(self, size: int) -> None:
+        """Cut off what was written of a line; where that fails, the journal takes no more, and it stays the last."""
+        try:
+            os.ftruncate(self._descriptor, size)
+        except OSError:
+            self.close()
+
+    def _sync(self) -> None:
+        """Make all lines so far last. Raises OSError; the journal then takes no more."""
+        try:
+            os.fsync(self._descriptor)
+        except OSError:
+            self.close()
+            raise
+
+
+def lines_since(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Look at the whole lines after so many bytes of a journal, unverified: for whoever waits for one of them.
+
+    Parameters
+    ----------
+    path
+        The journal.
+    offset
+        Its size at some moment, bytes; it may lie within a line, which is passed over then.
+
+    Yields
+    ------
+    event, data
+        As an ``Entry`` has them.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    """
+    with storing(path), path.open("rb") as stream:
+        stream.seek(offset)
+        for line in stream:
             try:
-                os.fsync(self._descriptor)
-            except OSError:
-                self.close()
-                raise
+                record = json.loads(line) if line.endswith(b"\n") else None
+            except ValueError:  # the rest of a line
+                continue
+            if isinstance(record, dict):
+                yield str(record.get("event")), {k: v for k, v in record.items() if k not in _OWN_KEYS}
 
 
 def read_journal(path: Path) -> tuple[list[Entry], bytes]:
@@ -245,7 +295,9 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     entries
         Every whole line.
     torn
-        What follows the last line feed: a line that was being written when the power went. Empty if none.
+        What a cut of power left at the end: a line without its line feed, or, from the first zero byte on, blocks that
+        the file system had made room for and had not written, with what had come to the disk behind them. Lines that
+        were synced are never among it. Empty if none.
 
     Raises
     ------
@@ -254,20 +306,39 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     StorageError
         When the file cannot be read.
     """
-    with storing(path):
-        *lines, torn = path.read_bytes().split(b"\n")
     entries: list[Entry] = []
-    for number, line in enumerate(lines):
-        prev = entries[-1].hash if entries else FIRST_PREV
-        try:
-            entries.append(_read_line(line, number, prev))
-        except ValueError as error:
-            raise JournalBroken(
-                f"The journal does not hold: {error}.",
-                where=f"{path}:{number + 1}",
-                remedy="It was changed after it was written; restore it from a copy.",
-            ) from error
-    return entries, torn
+    begin = 0
+    with storing(path), path.open("rb") as stream:
+        for line in stream:
+            if not line.endswith(b"\n"):
+                return entries, line
+            prev = entries[-1].hash if entries else FIRST_PREV
+            try:
+                entries.append(_read_line(line[:-1], len(entries), prev))
+            except ValueError as error:
+                rest = line + stream.read(_MOST_UNSYNCED_BYTES)
+                if _was_cut_off(rest, begin):
+                    return entries, rest
+                raise JournalBroken(
+                    f"The journal does not hold: {error}.",
+                    where=f"{path}:{len(entries) + 1}",
+                    remedy="It was changed after it was written; restore it from a copy.",
+                ) from error
+            begin += len(line)
+    return entries, b""
+
+
+def _was_cut_off(rest: bytes, begin: int) -> bool:
+    """Whether the end of a journal, from a bad line on, lacks blocks that were never written: zeros of their extent.
+
+    They begin where lines had been synced, or with a block, and end with a block or the file.
+    """
+    first = rest.find(b"\0")
+    if first < 0 or len(rest) >= _MOST_UNSYNCED_BYTES:
+        return False
+    last = len(rest) - len(rest[first:].lstrip(b"\0"))
+    from_block = first == 0 or (begin + first) % _BLOCK_BYTES == 0
+    return from_block and (last == len(rest) or (begin + last) % _BLOCK_BYTES == 0)
 
 
 def _line(seq: int, now: datetime, mono_s: float, event: str, data: Mapping[str, Any], prev: str) -> bytes:
@@ -307,6 +378,8 @@ def _read_line(line: bytes, seq: int, prev: str) -> Entry:
     tail = f',"hash":"{own["hash"]}"}}'.encode()
     if not line.endswith(tail) or hashlib.sha256(line[: -len(tail)] + b"}").hexdigest() != own["hash"]:
         raise ValueError("this line differs from its hash")
+    if not (isinstance(own["utc"], str) and isinstance(own["event"], str)):
+        raise ValueError("this line is not an entry")  # noqa: TRY004 - of a file, not of an argument
     if own["prev"] != prev:
         raise ValueError("this line is not chained to the one before it")
     if own["seq"] != seq:

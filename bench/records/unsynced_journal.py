@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from bench.records.journal import Journal
-from bench.records.storage import storing, write_all
 
 
 class UnsyncedJournal(Journal):
     """A journal as any other, but that the system chooses when its lines reach the disk."""
 
-    def _write(self, data: bytes, *, synced: bool) -> None:
-        del synced
-        with storing(self.path):
-            write_all(self._descriptor, data)
+    def _sync(self) -> None:
+        """Leave it to the system."""

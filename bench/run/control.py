@@ -27,7 +27,7 @@ from bench.clock import BenchClock
 from bench.errors import BenchError, RunFolderError
 from bench.records.folder_lock import is_worked_on
 from bench.records.history import Event, History, RunLog
-from bench.records.journal import read_journal
+from bench.records.journal import lines_since
 from bench.records.run_folder import JOURNAL
 from bench.records.storage import is_temporary, make_folder, remove, storing, sync_folder, write_whole
 from bench.run.heartbeat import CONTROL, HEARTBEAT
@@ -268,17 +268,21 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
             remedy="See `starbench status`; a run that was cut off goes on with `starbench resume`.",
         )
     path = inbox / f"{time.time_ns():020d}-{command.id}{_SUFFIX}"
+    with storing(folder):
+        begin = (
+            (folder / JOURNAL).stat().st_size
+        )  # the answer comes after it; long journals are not read again
     write_whole(path, command.model_dump_json().encode() + b"\n")
     deadline = time.monotonic() + patience_s
     while time.monotonic() < deadline:
-        answer = _answer_in(folder, command.id)
+        answer = _answer_in(folder, command.id, begin)
         if answer is not None:
             return answer
         if not path.exists() and not is_worked_on(folder):
             break
         time.sleep(POLL_S)
     path.unlink(missing_ok=True)
-    answer = _answer_in(folder, command.id)  # it may have come at the last moment
+    answer = _answer_in(folder, command.id, begin)  # it may have come at the last moment
     if answer is not None:
         return answer
     raise RunFolderError(
@@ -288,11 +292,10 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
     )
 
 
-def _answer_in(folder: Path, command_id: str) -> dict[str, Any] | None:
-    entries, _ = read_journal(folder / JOURNAL)
-    found = (e for e in reversed(entries) if e.event == Event.COMMANDED and e.data["id"] == command_id)
-    entry = next(found, None)
-    return dict(entry.data) if entry is not None else None
+def _answer_in(folder: Path, command_id: str, begin: int) -> dict[str, Any] | None:
+    told = lines_since(folder / JOURNAL, begin)
+    answers = (data for event, data in told if event == Event.COMMANDED and data.get("id") == command_id)
+    return next(answers, None)
 
 
 def command_text(answer: Mapping[str, Any]) -> str:

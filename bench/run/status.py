@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -111,14 +112,13 @@ def follow(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterato
     """Look at a run again and again while a process works on it; the last look is at how it ended."""
     seen = -1
     while True:
-        status = read_status(folder)
         with storing(folder):
             size = (folder / JOURNAL).stat().st_size
-        if size != seen or not status.running:
-            seen = size
+        if size != seen or not is_worked_on(folder):
+            seen, status = size, read_status(folder)
             yield status
-        if not status.running:
-            return
+            if not status.running:
+                return
         sleep(FOLLOW_S)
 
 
@@ -148,7 +148,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
         question=history.question if running else "",
         resumed=history.resumed,
         deviations=tuple(history.deviations),
-        last=tuple(line for line in map(line_text, entries) if line)[-LAST_LINES:],
+        last=_last_lines(entries),
         advice=_advice(folder, history, running=running, sealed=sealed),
     )
 
@@ -197,6 +197,11 @@ def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> s
     if running:
         return f"Nothing. To stop it safely: starbench abort {folder}"
     return f"No process works on it; go on with: starbench resume {folder}"
+
+
+def _last_lines(entries: Sequence[Entry]) -> tuple[str, ...]:
+    words = (text for text in map(line_text, reversed(entries)) if text)
+    return tuple(reversed(tuple(islice(words, LAST_LINES))))
 
 
 def line_text(entry: Entry) -> str:

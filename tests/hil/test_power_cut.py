@@ -39,6 +39,7 @@ from bench.records.captures import CAPTURE_STORED
 from bench.records.run_folder import RunFolder
 clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 path = Path(sys.argv[1])
+NOTES = 5
 begun = (path / "journal.jsonl").exists()
 folder = RunFolder.open(path) if begun else RunFolder.create(path)
 journal = (Journal.open if begun else Journal.create)(folder.journal_path, **clocks)
@@ -50,8 +51,12 @@ while True:
     pose += 1
     folder.capture_part(pose, 1).write_bytes(hashlib.sha256(str(pose).encode()).digest() * 300)
     capture = folder.commit_capture(pose, 1)
+    for number in range(NOTES):  # lines that last with the next one that counts
+        journal.note("on_the_way", number=number, text="x" * 900)
     journal.append(CAPTURE_STORED, pose=pose, attempt=1, **capture.as_data())
     print(pose, flush=True)
+    for number in range(NOTES):
+        journal.note("on_the_way", number=number, text="y" * 900)
 """
 
 

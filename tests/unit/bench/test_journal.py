@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.errors import JournalBroken, RunFolderError, StorageError
-from bench.records.journal import CLOCK_JUMPED, FIRST_PREV, Journal, read_journal
+from bench.records.journal import CLOCK_JUMPED, FIRST_PREV, Journal, lines_since, read_journal
 
 START = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=UTC)
 
@@ -267,3 +267,117 @@ def test_a_noted_line_is_there_at_once_and_synced_with_the_next_one(path, clocks
         journal.append("counts")
         assert synced == [path.parent, path]
     assert [entry.event for entry in read_journal(path)[0]] == ["on_the_way", "counts"]
+
+
+# ---------------------------------------------------------------- what a disk may do to the end of it
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_blocks_that_never_reached_the_disk_take_lines_that_were_not_synced_and_no_others(
+    tmp_path, clocks, data
+):
+    path = tmp_path / "zeros.jsonl"
+    path.unlink(missing_ok=True)
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        for number in range(data.draw(st.integers(0, 4))):
+            journal.append("counts", text="x" * data.draw(st.integers(0, 300)), number=number)
+        synced, lasting = path.stat().st_size, len(journal.entries)
+        for number in range(data.draw(st.integers(1, 8))):
+            journal.note("way", text="y" * data.draw(st.integers(0, 900)), number=number)
+    written = bytearray(path.read_bytes())
+    for begin in range(synced // 512 * 512, len(written), 512):
+        if data.draw(st.booleans()):
+            first, last = max(begin, synced), min(begin + 512, len(written))
+            written[first:last] = bytes(max(0, last - first))
+    path.write_bytes(written)
+    with Journal.open(path, **clocks.kwargs()) as journal:
+        kept = list(journal.entries)
+        journal.append("goes_on")
+    assert len(kept) >= lasting
+    entries, torn = read_journal(path)
+    assert [*kept, entries[-1]] == entries
+    assert torn == b""
+
+
+def test_zeros_far_from_the_end_are_no_cut_of_power(path, clocks):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        for number in range(100):
+            journal.append("counts", text="x" * 1000, number=number)
+    damaged = bytearray(path.read_bytes())
+    damaged[2048:2560] = bytes(512)
+    path.write_bytes(damaged)
+    with pytest.raises(JournalBroken, match=r"journal.jsonl:2: .*restore it from a copy"):
+        read_journal(path)
+
+
+def test_zeros_of_no_blocks_extent_are_no_cut_of_power(path, clocks):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        journal.append("counts", text="x" * 1000)
+    damaged = bytearray(path.read_bytes())
+    damaged[512:612] = bytes(100)
+    path.write_bytes(damaged)
+    with pytest.raises(JournalBroken):
+        read_journal(path)
+    damaged[512:1024] = bytes(512)
+    path.write_bytes(damaged)
+    assert read_journal(path) == ([], bytes(damaged))
+
+
+def test_half_a_line_that_cannot_be_taken_back_stays_the_last(three_lines, clocks, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def half(descriptor, data):
+        os.write(descriptor, data[:20])
+        fail()
+
+    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+        with monkeypatch.context() as patch:
+            patch.setattr("bench.records.journal.write_all", half)
+            patch.setattr(os, "ftruncate", fail)
+            with pytest.raises(StorageError):
+                journal.append("x")
+        with pytest.raises(StorageError, match="a write to it failed"):
+            journal.append("y")
+    entries, torn = read_journal(three_lines)
+    assert (len(entries), len(torn)) == (3, 20)
+
+
+def test_a_line_broken_off_by_whatever_it_was_is_followed_by_none(three_lines, clocks, monkeypatch):
+    def stopped(descriptor, data):
+        os.write(descriptor, data[:20])
+        raise KeyboardInterrupt
+
+    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+        with monkeypatch.context() as patch:
+            patch.setattr("bench.records.journal.write_all", stopped)
+            with pytest.raises(KeyboardInterrupt):
+                journal.append("x")
+        with pytest.raises(StorageError, match="a write to it failed"):
+            journal.append("y")
+    assert len(read_journal(three_lines)[0]) == 3
+
+
+@pytest.mark.parametrize(("key", "value"), [("event", ["x"]), ("utc", 3)])
+def test_a_line_whose_parts_are_of_another_kind_is_no_entry(path, key, value):
+    record = {
+        "seq": 0,
+        "utc": "2026-03-01T12:00:00Z",
+        "mono_s": 0.0,
+        "event": "x",
+        "prev": FIRST_PREV,
+        key: value,
+    }
+    text = json.dumps(record, separators=(",", ":"))
+    own = hashlib.sha256(text.encode()).hexdigest()
+    path.write_text(f'{text[:-1]},"hash":"{own}"}}\n')
+    with pytest.raises(JournalBroken, match="not an entry"):
+        read_journal(path)
+
+
+def test_lines_since_a_moment_are_whole_ones_and_nothing_of_the_one_before(three_lines):
+    size = three_lines.stat().st_size
+    with three_lines.open("ab") as file:
+        file.write(b'{"seq":3,"event":"x","n":1}\n{"seq":4,"event":"y"')
+    assert list(lines_since(three_lines, size - 10)) == [("x", {"n": 1})]
