@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+
+from tests.unit.drivers.peer_port import PeerPort
 
 
 class EspAxisModel:
@@ -33,23 +34,19 @@ class EspAxisModel:
         self.start = self.goal = self.position()
 
 
-class EspPeer:
+class EspPeer(PeerPort):
     """Two axes. `spoil` may change a line it says, `before` sees each command."""
 
     name = "esp"
 
     def __init__(self, clock) -> None:
+        super().__init__()
         self.clock = clock
         self.axes = {1: EspAxisModel(clock, "SN1263"), 2: EspAxisModel(clock, "SN1264")}
         self.errors: list[tuple[int, str]] = []
         self.cycles = 450_000
         self.homes = True
-        self.ready = b""
         self.pending = b""
-        self.sent: list[str] = []
-        self.closed = False
-        self.spoil: Callable[[bytes], bytes] = lambda line: line
-        self.before: Callable[[str], None] = lambda command: None
 
     def write(self, data: bytes) -> None:
         *commands, self.pending = (self.pending + data).split(b"\r")
@@ -119,13 +116,6 @@ class EspPeer:
         for axis in self.axes.values():
             axis.motor = False
             axis.start = axis.goal = 0.0
-
-    def read(self, timeout_s: float) -> bytes:
-        data, self.ready = self.ready, b""
-        return data
-
-    def close(self) -> None:
-        self.closed = True
 
     def motions(self) -> list[str]:
         return [text for text in self.sent if re.match(r"\d(PA|PR|OR|MV)[^?]*$", text)]

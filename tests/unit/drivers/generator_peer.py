@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from tests.unit.drivers.peer_port import PeerPort
 
 IDENTITY = "Agilent Technologies,33250A,SG0042,2.00"
 
 
-class Generator:
+class Generator(PeerPort):
     """Settings by their header, and an error queue. `spoil` may change a reply line."""
 
     name = "generator"
 
     def __init__(self) -> None:
+        super().__init__()
         self.values = {
             "FUNC": "SIN",
             "FREQ": 1000.0,
@@ -28,11 +29,6 @@ class Generator:
         self.queue: list[str] = []
         self.has_queue = True
         self.identity = IDENTITY
-        self.ready = b""
-        self.sent: list[str] = []
-        self.closed = False
-        self.spoil: Callable[[bytes], bytes] = lambda line: line
-        self.before: Callable[[str], None] = lambda line: None
 
     def write(self, data: bytes) -> None:
         assert data.endswith(b"\n")
@@ -85,13 +81,6 @@ class Generator:
             self.queue.append('-221,"Settings conflict"')
             return
         self.values[header] = number
-
-    def read(self, timeout_s: float) -> bytes:
-        data, self.ready = self.ready, b""
-        return data
-
-    def close(self) -> None:
-        self.closed = True
 
     def commands(self) -> list[str]:
         return [line for line in self.sent if "?" not in line]

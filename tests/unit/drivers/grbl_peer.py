@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+
+from tests.unit.drivers.peer_port import PeerPort
 
 SETTINGS = {
     10: 1,
@@ -21,12 +22,13 @@ SETTINGS = {
 }
 
 
-class GrblPeer:
+class GrblPeer(PeerPort):
     """Two axes. `spoil` may change a line it says, `before` sees each line or real-time byte."""
 
     name = "grbl"
 
     def __init__(self, clock) -> None:
+        super().__init__()
         self.clock = clock
         self.settings = dict(SETTINGS)
         self.build = "1.1h.20190830:gimbal-7"
@@ -37,12 +39,7 @@ class GrblPeer:
         self.homing_s = 2.0
         self.homed_at_s = math.inf
         self.homes = True
-        self.ready = b""
         self.pending = b""
-        self.sent: list[bytes] = []
-        self.closed = False
-        self.spoil: Callable[[bytes], bytes] = lambda line: line
-        self.before: Callable[[str], None] = lambda line: None
 
     # ------------------------------------------------------------ physics
     def share(self) -> float:
@@ -153,9 +150,6 @@ class GrblPeer:
                 self.say("error:5")
         data, self.ready = self.ready, b""
         return data
-
-    def close(self) -> None:
-        self.closed = True
 
     def motions(self) -> list[bytes]:
         return [data for data in self.sent if data.startswith((b"$J", b"$H", b"G"))]

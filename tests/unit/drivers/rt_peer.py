@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+
+from tests.unit.drivers.peer_port import PeerPort
 
 
-class RtPeer:
+class RtPeer(PeerPort):
     """`spoil` may change a reply, prompt included. `lit` notes whether the lamp was ever driven."""
 
     name = "strobe"
 
     def __init__(self) -> None:
+        super().__init__()
         self.running = 0
         self.period_ms = 20.0
         self.channels = {n: {"MD": 0, "S": 0.0, "DL": 0.0, "PU": 1.0} for n in (1, 2)}
         self.shortest_ms = 5.0
         self.event = ""
         self.lit = False
-        self.ready = b""
-        self.sent: list[str] = []
-        self.closed = False
-        self.spoil: Callable[[bytes], bytes] = lambda reply: reply
 
     def write(self, data: bytes) -> None:
         assert data.endswith(b"\r")
@@ -67,10 +65,3 @@ class RtPeer:
     def trigger(self, period_ms: float) -> str:
         self.period_ms = max(period_ms, self.shortest_ms)
         return "Err 5" if period_ms < self.shortest_ms else ""
-
-    def read(self, timeout_s: float) -> bytes:
-        data, self.ready = self.ready, b""
-        return data
-
-    def close(self) -> None:
-        self.closed = True

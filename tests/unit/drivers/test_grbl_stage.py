@@ -254,14 +254,8 @@ def test_homing_that_never_ends_is_reset(stage, peer) -> None:
 
 
 def test_homing_can_be_interrupted_and_stopped(stage, peer, clock) -> None:
-    class Interrupted(Exception):
-        pass
-
-    def interrupted(seconds: float) -> None:
-        raise Interrupted
-
-    clock.sleep = interrupted
-    with pytest.raises(Interrupted):
+    clock.error = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
         stage.home()
     stage.stop()
     assert b"\x18" in peer.sent

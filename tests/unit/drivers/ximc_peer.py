@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+
+from tests.unit.drivers.peer_port import PeerPort
 
 WITH_DATA = {"move": 12, "smov": 24, "seds": 20}
 BARE = {
@@ -35,10 +36,11 @@ def crc(data: bytes) -> bytes:
     return struct.pack("<H", register)
 
 
-class XimcPeer:
+class XimcPeer(PeerPort):
     """One axis. `spoil` may change a reply, `before` sees each command."""
 
     def __init__(self, clock, serial: int = 12345, name: str = "ximc") -> None:
+        super().__init__()
         self.name = name
         self.clock = clock
         self.serial = serial
@@ -52,12 +54,7 @@ class XimcPeer:
         self.slip = 0
         self.mov = struct.pack("<IBHHIBB9s", 1000, 0, 2000, 2000, 50, 0, 0, b"reserved!")
         self.eds = struct.pack("<BBihih6s", 0x07, 0, -2000, 0, 2000, 0, b"\0" * 6)
-        self.ready = b""
         self.pending = b""
-        self.sent: list[bytes] = []
-        self.closed = False
-        self.spoil: Callable[[bytes], bytes] = lambda reply: reply
-        self.before: Callable[[str], None] = lambda command: None
 
     def position(self) -> int:
         run = (self.clock.now_s - self.began_s) * self.speed
@@ -147,13 +144,6 @@ class XimcPeer:
             0, state, 3, 4, 0x33, sign * steps, sign * micro, position // 64 + self.slip,
             0, 0, 0, 0, 0, 0, 0, self.flags, 0, 1,
         )  # fmt: skip
-
-    def read(self, timeout_s: float) -> bytes:
-        data, self.ready = self.ready, b""
-        return data
-
-    def close(self) -> None:
-        self.closed = True
 
     def motions(self) -> list[bytes]:
         return [data for data in self.sent if data[:4] in {b"move", b"movr", b"home", b"left", b"rigt"}]

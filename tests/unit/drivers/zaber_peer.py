@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
 
 from drivers.stage import AxisLimits
 from drivers.stage.zaber import ZaberAxis
+from tests.unit.drivers.peer_port import PeerPort
 
 SCALE = 1000
 
@@ -97,18 +97,14 @@ class Controller:
         return None
 
 
-class ZaberPeer:
+class ZaberPeer(PeerPort):
     """Two chained controllers behind a port. `spoil` may change a reply line, `before` sees each request."""
 
     name = "gimbal"
 
     def __init__(self, clock) -> None:
+        super().__init__()
         self.pan, self.tilt = Controller("100101", clock), Controller("100102", clock)
-        self.ready = b""
-        self.sent: list[bytes] = []
-        self.closed = False
-        self.spoil: Callable[[bytes], bytes] = lambda line: line
-        self.before: Callable[[str], None] = lambda request: None
 
     def write(self, data: bytes) -> None:
         self.sent.append(data)
@@ -126,13 +122,6 @@ class ZaberPeer:
                 flag = controller.flags[0] if controller.flags else "--"
                 text = f"{number:02d} {axis} {message_id} {verdict} {state} {flag} {data_back or controller.refusal()}"
                 self.ready += self.spoil(close_line(text))
-
-    def read(self, timeout_s: float) -> bytes:
-        data, self.ready = self.ready, b""
-        return data
-
-    def close(self) -> None:
-        self.closed = True
 
     def motions(self) -> list[bytes]:
         return [line for line in self.sent if b"move" in line or b"home" in line]

@@ -88,14 +88,8 @@ def test_a_stop_that_one_device_did_not_hear_is_sent_again(homed, peer) -> None:
 
 
 def test_an_interrupting_clock_ends_a_move_and_leaves_the_stop_to_its_owner(homed, peer, clock) -> None:
-    class Interrupted(Exception):
-        pass
-
-    def interrupted(seconds: float) -> None:
-        raise Interrupted
-
-    clock.sleep = interrupted
-    with pytest.raises(Interrupted):
+    clock.error = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
         homed.move_to({"pan": 9.0})
     assert not any(b" stop:" in line for line in peer.sent)
     homed.stop()
