@@ -18,10 +18,10 @@ import click
 from bench import __version__
 from bench.cli_batch import BATCH_COMMANDS, BEGIN
 from bench.cli_engine import ENGINE_COMMANDS
+from bench.cli_help import Sections, complete
 from bench.cli_runs import RUN_COMMANDS
-from bench.errors import UsageError
+from bench.cli_words import JSON, RUN, SEED, ExistingFile, NewFile, OutputFolder, RunFolder
 
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 _SET = click.option(
     "--set",
     "settings",
@@ -31,13 +31,15 @@ _SET = click.option(
 )
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=Sections, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="starbench")
 @click.option("--debug", is_flag=True, help="On an error, show where in the program it arose.")
 def cli(debug: bool) -> None:
     """Calibrate event cameras on a collimator bench, unattended, and prove what was done.
 
     Begin with: starbench run three_pose --station simulated
+
+    Each command has its own help, with an example: starbench run --help
     """
 
 
@@ -46,11 +48,16 @@ def cli(debug: bool) -> None:
 @click.option(
     "--station", "-s", required=True, help="Station file, or the name of a shipped one (simulated)."
 )
-@click.option("--output", "-o", type=click.Path(path_type=Path), help="New folder for the run.")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Seed of a simulated bench.")
-@click.option("--operator", help="Who runs it; printed in the report.")
+@click.option(
+    "--output",
+    "-o",
+    type=OutputFolder(),
+    help="New folder for the run; by default one in runs/, by date and name.",
+)
+@click.option("--seed", type=SEED, metavar="N", help="Seed of a simulated bench.")
+@click.option("--operator", metavar="NAME", help="Who runs it; printed in the report.")
 @_SET
-@_JSON
+@JSON
 def run(
     sequence: str,
     station: str,
@@ -62,7 +69,9 @@ def run(
 ) -> int:
     """Run a SEQUENCE on a station, up to the sealed report.
 
-    SEQUENCE is a file, or the name of a shipped one (three_pose, nine_pose).
+    SEQUENCE is a file, or the name of a shipped one (three_pose, nine_pose, turntable).
+
+    Ctrl-C stops it safely: stage stopped, light off, files closed. The third one ends the process at once.
     """
     from bench.clock import BenchClock
     from bench.console.output import ask_passphrase, show_run
@@ -82,9 +91,9 @@ def run(
 
 
 @cli.command()
-@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@RUN
 @click.option("--dry-run", is_flag=True, help="Only say what would be done.")
-@_JSON
+@JSON
 def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
     """Go on with a RUN that was stopped, failed, killed or cut off; first say what will be done."""
     from bench.clock import BenchClock
@@ -101,10 +110,12 @@ def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
 @cli.command()
 @click.argument("sequence")
 @click.option("--station", "-s", help="Station file, or the name of a shipped one; not with a queue.")
-@click.option("--suggest", type=click.IntRange(0, 50), default=0, help="Suggest so many further poses.")
+@click.option(
+    "--suggest", type=click.IntRange(0, 50), metavar="N", default=0, help="Suggest so many further poses."
+)
 @BEGIN
 @_SET
-@_JSON
+@JSON
 def plan(
     sequence: str,
     station: str | None,
@@ -135,13 +146,11 @@ def plan(
 
 
 @cli.command()
-@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
-@click.option(
-    "--allowed-signers", type=click.Path(path_type=Path), help="Trusted keys; by default this bench's own."
-)
+@click.argument("run_folder", metavar="RUN", type=RunFolder(journal=False))
+@click.option("--allowed-signers", type=ExistingFile(), help="Trusted keys; by default this bench's own.")
 @click.option("--serial", help="Serial number the calibrated camera must have.")
 @click.option("--again", is_flag=True, help="Also calibrate again from the recordings, and compare.")
-@_JSON
+@JSON
 def verify(
     run_folder: Path, allowed_signers: Path | None, serial: str | None, again: bool, as_json: bool
 ) -> int:
@@ -150,8 +159,6 @@ def verify(
     from bench.evidence.keys import SIGNERS_FILE, home_folder, read_signers
     from bench.evidence.verify import verify_run
 
-    if not run_folder.is_dir():
-        raise UsageError("There is no such run folder.", where=str(run_folder), remedy="Check the path.")
     signers = read_signers(allowed_signers or home_folder() / SIGNERS_FILE)
     found = verify_run(run_folder, signers, camera_serial=serial, again=again)
     return show_verification(found, as_json=as_json)
@@ -161,16 +168,19 @@ def verify(
 @click.option(
     "--station", "-s", default="simulated", show_default=True, help="Station whose devices to simulate."
 )
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True)
+@click.option("--seed", type=SEED, metavar="N", default=1, show_default=True, help="Of its chance.")
 def simulate(station: str, seed: int) -> int:
-    """Keep a simulated bench running in a process of its own, and print its ports."""
+    """Keep a simulated bench running in a process of its own, and print its ports.
+
+    A line on standard input orders a fault, as docs/simulated-bench.md lists them: pan stall share=0.3
+    """
     from bench.console.output import serve_simulated_bench
 
     return serve_simulated_bench(station, seed)
 
 
 @cli.command()
-@_JSON
+@JSON
 def devices(as_json: bool) -> int:
     """List what is connected, what a station file calls it, and what is missing. Sends nothing to any device."""
     from bench.console.output import show_devices
@@ -185,7 +195,7 @@ def station() -> None:
 
 
 @station.command("new")
-@click.argument("path", type=click.Path(path_type=Path))
+@click.argument("path", type=NewFile())
 @click.option("--name", default="My bench", show_default=True, help="Name of the bench.")
 @click.option(
     "--stage",
@@ -255,6 +265,7 @@ for engine_command in ENGINE_COMMANDS:
     cli.add_command(engine_command)
 for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
     cli.add_command(run_command)
+complete(cli)
 
 
 def _settings(words: tuple[str, ...]) -> dict[str, str]:
@@ -280,11 +291,22 @@ def _guarded(command: Callable[[], Any], words: list[str]) -> int:
         click.echo("Stopped.", err=True)
         return 128 + 2
     except click.ClickException as error:
+        from bench.console.output import print_json
+
+        if "--json" in words:
+            print_json({"error": {"kind": "UsageError", "message": error.format_message(), "remedy": ""}})
         error.show()
         return error.exit_code
     except KeyboardInterrupt:
         click.echo("Stopped.", err=True)
         return 128 + 2
+    except (
+        BrokenPipeError
+    ):  # whoever read it has read enough (| head): nothing to tell, and nobody to tell it to
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # else the interpreter fails at its flush
+        return 1
     except Exception as error:  # noqa: BLE001 - the last place where an error can be told in plain words
         from bench.console.output import tell_error
 

@@ -10,20 +10,22 @@ from pathlib import Path
 
 import click
 
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
-_BY = click.option("--operator", "by", help="Who you are; by default user@machine.")
-_FOLDER = click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
-_QUEUE = click.argument("queue", metavar="QUEUE", type=click.Path(path_type=Path))
+from bench.cli_words import JSON, ExistingFile, ExistingFolder, OutputFolder
+
+_BY = click.option("--operator", "by", metavar="NAME", help="Who you are; by default user@machine.")
+_FOLDER = click.argument("folder", metavar="FOLDER", type=ExistingFolder())
+_QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
 _OUTPUT = click.option(
     "--output",
     "-o",
     required=True,
-    type=click.Path(path_type=Path),
-    help="Folder of the batch; goes on with one.",
+    type=OutputFolder(),
+    help="Folder of the batch; with one that was begun it goes on.",
 )
 BEGIN = click.option(
     "--begin",
     type=click.DateTime(["%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
+    metavar="DATETHH:MM",
     help="Moment at which the night begins, by the queue's clocks; by default now.",
 )
 
@@ -49,7 +51,7 @@ def batch() -> None:
 @batch.command("run", hidden=True)
 @_QUEUE
 @_OUTPUT
-@_JSON
+@JSON
 def run(queue: Path, output: Path, as_json: bool) -> int:
     """Do the runs of a QUEUE file one after another, each watched; called again, go on where it was cut off."""
     from bench.console.batch_output import do_batch
@@ -59,9 +61,9 @@ def run(queue: Path, output: Path, as_json: bool) -> int:
 
 @batch.command()
 @_FOLDER
-@click.argument("job", type=click.Path(path_type=Path))
+@click.argument("job", type=ExistingFile())
 @_BY
-@_JSON
+@JSON
 def add(folder: Path, job: Path, by: str | None, as_json: bool) -> int:
     """Add a JOB (a file) to the batch in FOLDER, also while it runs."""
     from bench.console.batch_output import ask_batch
@@ -73,7 +75,7 @@ def add(folder: Path, job: Path, by: str | None, as_json: bool) -> int:
 @_FOLDER
 @click.argument("name")
 @_BY
-@_JSON
+@JSON
 def withdraw(folder: Path, name: str, by: str | None, as_json: bool) -> int:
     """Withdraw the job NAME from the batch in FOLDER: of it, nothing more is begun."""
     from bench.console.batch_output import ask_batch
@@ -83,7 +85,7 @@ def withdraw(folder: Path, name: str, by: str | None, as_json: bool) -> int:
 
 @batch.command()
 @_FOLDER
-@_JSON
+@JSON
 def summary(folder: Path, as_json: bool) -> int:
     """Write the summary of the batch in FOLDER, as it stands now."""
     from bench.console.batch_output import summarise_again
@@ -93,11 +95,13 @@ def summary(folder: Path, as_json: bool) -> int:
 
 @click.command()
 @_QUEUE
-@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="New folder.")
+@click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder.")
 @BEGIN
-@click.option("--seed", type=click.IntRange(0, 2**62), default=1, show_default=True)
-@click.option("--quiet", is_flag=True, help="Only the summary.")
-@_JSON
+@click.option(
+    "--seed", type=click.IntRange(0, 2**62), metavar="N", default=1, show_default=True, help="Of its chance."
+)
+@click.option("--quiet", is_flag=True, help="Print only the summary.")
+@JSON
 def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet: bool, as_json: bool) -> int:
     """Rehearse the night of a QUEUE file on a virtual clock: no device, no waiting, the same journals and summary."""
     from bench.console.batch_output import do_rehearsal

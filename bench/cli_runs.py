@@ -10,29 +10,30 @@ from pathlib import Path
 
 import click
 
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
-_RUN = click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
-_BY = click.option("--operator", "by", help="Who you are; by default user@machine.")
+from bench.cli_words import JSON, RUN, ExistingFolder, RunFolder
+
+_BY = click.option("--operator", "by", metavar="NAME", help="Who you are; by default user@machine.")
 _MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
+_MOMENT_FORM = "DATE[THH:MM]"
 _TAKE_OVER = click.option("--take-over", is_flag=True, help="Even where somebody else holds the run.")
 
 
 @click.command()
-@_RUN
+@click.argument("run_folder", metavar="RUN", type=RunFolder(batch=True))
 @click.option("--follow", is_flag=True, help="Go on until the run ends; exit as the run does.")
-@_JSON
+@JSON
 def status(run_folder: Path, follow: bool, as_json: bool) -> int:
-    """Say how a RUN stands; read-only, also while it runs."""
+    """Say how a RUN stands, or a batch; read-only, also while it runs."""
     from bench.console.run_output import show_status
 
     return show_status(run_folder, follow=follow, as_json=as_json)
 
 
 @click.command()
-@_RUN
+@RUN
 @_BY
 @_TAKE_OVER
-@_JSON
+@JSON
 def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
     """Hold a RUN at its next safe point, light off; you own it until `release`."""
     from bench.console.run_output import give_command
@@ -41,10 +42,10 @@ def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> in
 
 
 @click.command()
-@_RUN
+@RUN
 @_BY
 @_TAKE_OVER
-@_JSON
+@JSON
 def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
     """Let a held RUN go on."""
     from bench.console.run_output import give_command
@@ -53,9 +54,9 @@ def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) ->
 
 
 @click.command()
-@_RUN
+@RUN
 @_BY
-@_JSON
+@JSON
 def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
     """End a RUN now, safely; nobody is refused. It can be resumed."""
     from bench.console.run_output import give_command
@@ -64,11 +65,13 @@ def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
 
 
 @click.command()
-@_RUN
-@click.option("--pose", type=click.IntRange(1), help="Number of the pose; by default the one at work.")
+@RUN
+@click.option(
+    "--pose", type=click.IntRange(1), metavar="N", help="Number of the pose; by default the one at work."
+)
 @_BY
 @_TAKE_OVER
-@_JSON
+@JSON
 def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as_json: bool) -> int:
     """Skip a pose of a RUN; what was recorded there stays, and the report says so."""
     from bench.console.run_output import give_command
@@ -77,10 +80,10 @@ def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as
 
 
 @click.command()
-@_RUN
+@RUN
 @click.argument("word", type=click.Choice(["yes", "no", "continue", "abort"]))
 @_BY
-@_JSON
+@JSON
 def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
     """Answer the question a RUN asks: yes (continue) or no (abort)."""
     from bench.console.run_output import give_command
@@ -90,14 +93,20 @@ def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
 
 
 @click.command()
-@click.argument("folder", required=False, type=click.Path(path_type=Path))
-@click.option("--serial", help="Only runs of the camera with this serial number.")
-@click.option("--since", type=_MOMENT, help="Only runs begun at or after this time (UTC).")
-@click.option("--until", type=_MOMENT, help="Only runs begun before this time (UTC).")
+@click.argument("folder", required=False, type=ExistingFolder())
+@click.option("--serial", metavar="NUMBER", help="Only runs of the camera with this serial number.")
+@click.option(
+    "--since", type=_MOMENT, metavar=_MOMENT_FORM, help="Only runs begun at or after this time (UTC)."
+)
+@click.option("--until", type=_MOMENT, metavar=_MOMENT_FORM, help="Only runs begun before this time (UTC).")
 @click.option("--sequence", help="Only runs of sequences with these words in their name.")
-@click.option("--how", type=click.Choice(["finished", "aborted", "failed", "running", "cut off"]))
+@click.option(
+    "--how",
+    type=click.Choice(["finished", "aborted", "failed", "running", "cut off"]),
+    help="Only runs that ended so, or stand so.",
+)
 @click.option("--compare", is_flag=True, help="Compare the parameters of the runs that have a result.")
-@_JSON
+@JSON
 def runs(
     folder: Path | None,
     serial: str | None,
@@ -122,7 +131,7 @@ def runs(
 
 @click.command()
 @click.option("--send", "send_now", is_flag=True, help="Try now to send what is waiting.")
-@_JSON
+@JSON
 def messages(send_now: bool, as_json: bool) -> int:
     """List the messages of this bench, sent and waiting."""
     from bench.console.run_output import show_messages

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import json
 import signal
+import sqlite3
 import sys
 import threading
 import traceback
@@ -18,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.errors import BenchError, EvidenceError, ScriptError
+from bench.errors import BenchError, EvidenceError, ScriptError, UsageError
+from sequences.errors import DocumentFaults
 
 if TYPE_CHECKING:
     from bench.evidence.verify import Verification
@@ -155,6 +157,8 @@ def show_verification(verification: Verification, *, as_json: bool) -> int:
 
 def tell_error(error: Exception, *, as_json: bool, debug: bool) -> int:
     """Tell an error in plain words; return the exit status."""
+    if isinstance(error, DocumentFaults):
+        error = ScriptError([str(fault) for fault in error.faults])
     kind, message, remedy = _words_of(error)
     foreseen = kind != "defect"
     if as_json:
@@ -177,10 +181,18 @@ def _words_of(error: Exception) -> tuple[str, str, str]:
             errno.ENOSPC: "Make room on the disk.",
             errno.EACCES: "Check the permissions.",
             errno.EPERM: "Check the permissions.",
-        }.get(error.errno or 0, "")
+            errno.EROFS: "Use a folder that can be written.",
+            errno.ENAMETOOLONG: "Choose a shorter name.",
+        }.get(error.errno or 0, "Check the path and the disk.")
+        where = f"{error.filename}: " if error.filename else ""
+        return type(error).__name__, f"{where}{error.strerror or error}. {remedy}", remedy
+    if isinstance(error, sqlite3.Error):
+        from bench.evidence.keys import home_folder
+
+        remedy = "Make room, check the permissions, or name another folder in STARBENCH_HOME."
         return (
             type(error).__name__,
-            f"{error.filename or 'system'}: {error.strerror or error}. {remedy}",
+            f"{home_folder()}: The bench's files are not usable: {error}. {remedy}",
             remedy,
         )
     message = f"This is a defect in Starbench, not in what you did: {type(error).__name__}: {error}"
@@ -246,7 +258,10 @@ def trust_key(line: str) -> int:
     from bench.records.storage import make_folder
 
     make_folder(home_folder())
-    signer = trust(home_folder(), line)
+    try:
+        signer = trust(home_folder(), line)
+    except EvidenceError as error:
+        raise UsageError(error.what, where=error.where, remedy=error.remedy) from error
     click.echo(f"Trusted: {signer.principal}  {fingerprint(signer.public_key)}")
     return 0
 
@@ -272,16 +287,12 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
 
 def write_station(path: Path, name: str, stage: str, camera: str | None, found: Discovery) -> int:
     """Write a new station file; never over another."""
-    from bench.errors import UsageError
+    from bench.records.storage import write_whole
     from bench.stations.station_draft import ASK, draft_station
 
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(draft_station(name, found, stage=stage, camera=camera))
-    except FileExistsError as error:
-        raise UsageError(
-            "There is a file of this name.", where=str(path), remedy="Choose another."
-        ) from error
+    if path.exists():
+        raise UsageError("There is a file of this name.", where=str(path), remedy="Choose another.")
+    write_whole(path, draft_station(name, found, stage=stage, camera=camera).encode())
     click.echo(
         f"Written: {path}. Replace every {ASK}, check scales and limits, then: starbench plan three_pose -s {path}"
     )

@@ -184,7 +184,7 @@ def test_a_view_with_too_few_stars_is_refused(capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("calibrate", "x", "--views", "0"), "--views"),
+        (("calibrate", ".", "--views", "0"), "--views"),
         (("verify", "nowhere"), "nowhere"),
         (("resume", "nowhere"), "nowhere"),
         (("run",), "SEQUENCE"),

@@ -170,7 +170,7 @@ def test_a_recording_is_converted_whole_and_never_over_another_file(capsys, refe
     raw = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
     assert "82469 events, 2 triggers" in say(capsys, "convert", raw, tmp_path / "out", "--as", kind)
     assert len(import_events(tmp_path / "out").events.t) == 82_469
-    say(capsys, "convert", raw, tmp_path / "out", "--as", kind, status=1)
+    say(capsys, "convert", raw, tmp_path / "out", "--as", kind, status=2)
 
 
 def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, reference_data, tmp_path):
@@ -184,7 +184,7 @@ def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, refere
     ours, theirs = (RawFile.open(path).read()[0] for path in (tmp_path / "again.raw", raw))
     assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
     say(capsys, "convert", raw, tmp_path / "pose.csv", status=2)
-    say(capsys, "convert", raw, tmp_path / "pose.hdf5", status=1)
+    say(capsys, "convert", raw, tmp_path / "pose.hdf5", status=2)
 
 
 def test_a_capture_shorter_than_its_journal_says_is_refused(tmp_path):

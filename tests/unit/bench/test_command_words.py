@@ -1,0 +1,211 @@
+"""The words of the command line: what help says of each, and what a wrong path is told."""
+
+import json
+import os
+import shlex
+import sqlite3
+import subprocess
+import sys
+
+import click
+import pytest
+
+from bench.cli import cli, main
+from bench.cli_help import EXAMPLES
+from bench.console.output import tell_error
+
+RUN_COMMANDS = [
+    ("resume",),
+    ("resume", "--dry-run"),
+    ("status",),
+    ("hold",),
+    ("release",),
+    ("skip",),
+    ("abort",),
+]
+
+
+def commands(group=cli, path=()):
+    for name, command in group.commands.items():
+        yield (*path, name), command
+        if isinstance(command, click.Group):
+            yield from commands(command, (*path, name))
+
+
+ALL = {" ".join(path): command for path, command in commands()}
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def say(capsys):
+    def called(*words):
+        with pytest.raises(SystemExit) as end:
+            main([str(word) for word in words])
+        said = capsys.readouterr()
+        assert "Traceback" not in said.err
+        return end.value.code, said.out, said.err
+
+    return called
+
+
+def batch_folder(path, run="cam7-001"):
+    for folder in (path, path / "runs" / run):
+        folder.mkdir(parents=True)
+        (folder / "journal.jsonl").write_text("")
+    (path / "queue.yaml").write_text("")
+    return path
+
+
+@pytest.mark.parametrize("words", sorted(ALL))
+def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words):
+    status, said, _ = say(*words.split(), "--help")
+    assert status == 0
+    assert "Example" in said
+    assert f"starbench {words.replace(' run', '')}" in said
+    assert "Exit status: 0" in said
+    for option in ALL[words].params:
+        assert not isinstance(option, click.Option) or option.help, option.name
+
+
+def test_the_list_of_commands_is_whole_and_says_each_in_full(say):
+    listed = say("--help")[1]
+    assert "..." not in listed.partition("A run:")[2]
+    assert [name for name in cli.commands if f"\n  {name} " not in listed] == []
+
+
+@pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
+def test_an_example_uses_words_that_there_are(line):
+    words = shlex.split(line.partition(" > ")[0])[1:]
+    command = cli
+    while isinstance(command, click.Group) and words[0] in command.commands:
+        command = command.commands[words.pop(0)]
+    if isinstance(command, click.Group):  # `batch QUEUE`
+        command = command.commands["run"]
+    context = click.Context(command)
+    values, rest, _ = command.make_parser(context).parse_args(words)
+    assert rest == []
+    required = [p.name for p in command.params if isinstance(p, click.Argument) and p.required]
+    assert [name for name in required if not values.get(name)] == []
+
+
+@pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
+def test_a_run_folder_that_is_not_there_is_a_wrong_word(say, words):
+    status, _, said = say(*words, "nowhere")
+    assert status == 2
+    assert "nowhere: There is no such run folder." in said
+
+
+@pytest.mark.parametrize("words", RUN_COMMANDS, ids=" ".join)
+def test_a_folder_of_runs_is_told_apart_from_a_run_and_its_runs_are_named(say, words, tmp_path):
+    run = tmp_path / "runs" / "cam7"
+    run.mkdir(parents=True)
+    (run / "journal.jsonl").write_text("")
+    status, _, said = say(*words, "runs")
+    assert status == 2
+    assert "not a run folder" in said
+    assert "runs/cam7" in said
+
+
+@pytest.mark.parametrize("words", [*RUN_COMMANDS[:2], *RUN_COMMANDS[3:], ("verify",)], ids=" ".join)
+def test_a_batch_given_for_a_run_is_told_how_it_goes_on(say, words, tmp_path):
+    batch_folder(tmp_path / "night")
+    status, _, said = say(*words, "night")
+    assert status == 2
+    assert "starbench batch QUEUE.yaml --output night" in said
+
+
+def test_a_file_of_a_run_given_for_the_run_is_told_which_run(say, tmp_path):
+    (tmp_path / "cam7").mkdir()
+    (tmp_path / "cam7" / "journal.jsonl").write_text("")
+    status, _, said = say("status", "cam7/journal.jsonl")
+    assert status == 2
+    assert "Did you mean cam7?" in said
+
+
+@pytest.mark.parametrize("output", ["file", "file/inside"])
+@pytest.mark.parametrize(
+    "words", [("run", "three_pose", "-s", "simulated"), ("rehearse", "queue.yaml")], ids=" ".join
+)
+def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "queue.yaml").write_text("")
+    status, _, said = say(*words, "--output", output)
+    assert status == 2
+    assert "is a file, not a folder" in said
+    assert "--output" in said
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("study", "--runs", 2, "--plot"),
+        ("passport", "certificate", "--radius", 255, "--sigma", 1, "--number", 1, "-o"),
+        ("station", "new"),
+        ("convert", "source"),
+    ],
+    ids=lambda words: " ".join(map(str, words)),
+)
+def test_a_new_file_is_refused_before_any_work_where_it_cannot_be_made(say, tmp_path, words):
+    (tmp_path / "source").write_text("")
+    taken = tmp_path / "taken.npz"
+    taken.write_text("as it was")
+    status, out, said = say(*words, "missing/new.npz")
+    assert (status, out) == (2, "")
+    assert "There is no folder missing" in said
+    status, out, said = say(*words, taken)
+    assert (status, out) == (2, "")
+    assert "already" in said
+    assert taken.read_text() == "as it was"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("calibrate",), ("passport", "show"), ("passport", "make", "-o", "new.json"), ("batch", "-o", "out"), ("runs",),
+        ("verify", ".", "--allowed-signers"), ("calibrate", ".", "--passport"), ("calibrate", ".", "--station"),
+        ("simulate", "--station"), ("batch", "summary"), ("convert",),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_what_is_not_there_is_named_and_a_wrong_word(say, words):
+    more = ("new.npz",) if words == ("convert",) else ()
+    status, _, said = say(*words, "nowhere", *more)
+    assert status == 2
+    assert "nowhere: " in said
+    assert "no such" in said
+
+
+def test_a_line_that_is_no_key_is_a_wrong_word(say):
+    status, _, said = say("keys", "trust", "nonsense")
+    assert status == 2
+    assert "ssh-ed25519" in said
+
+
+@pytest.mark.parametrize("words", [("run", "three_pose"), ("status",), ("calibrate", "--loss", "none", ".")])
+def test_with_json_a_wrong_word_is_an_object_too(say, words):
+    status, out, said = say(*words, "--json")
+    assert status == 2
+    assert json.loads(out)["error"]["message"] in said.replace("Error: ", "")
+
+
+def test_a_reader_that_has_gone_is_no_error():
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as pipe:
+        command = [sys.executable, "-m", "bench", "schema", "sequence"]
+        said = subprocess.run(command, stdout=pipe, stderr=subprocess.PIPE, check=False)
+    assert (said.returncode, said.stderr) == (1, b"")
+
+
+def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
+    error = sqlite3.OperationalError("database or disk is full")
+    assert tell_error(error, as_json=False, debug=False) == 1
+    said = capsys.readouterr().err
+    assert str(tmp_path / "home") in said
+    assert "STARBENCH_HOME" in said
+    assert "Traceback" not in said
