@@ -24,6 +24,11 @@ class InstrumentError(NamedTuple):
     code: int
     text: str
 
+    @property
+    def is_of_the_command(self) -> bool:
+        """Whether the instrument could not make out the command; otherwise it could not carry it out."""
+        return -200 < self.code <= -100
+
     def __str__(self) -> str:
         return f'{self.code} "{self.text}"'
 

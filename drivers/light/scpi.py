@@ -68,6 +68,7 @@ class ScpiLight:
         self._load: Load = load
         self._dialect = DIALECTS[dialect]
         self._switched_on = False
+        self._plain = False
         try:
             self._line = ScpiLine(port, clock=clock, wire_log=wire_log)
             self.identify()
@@ -111,6 +112,7 @@ class ScpiLight:
 
         Raises SettingRefused, naming what was asked and what the generator has instead.
         """
+        self._make_plain()
         if self._load != "unchanged":
             self._set(self._dialect.load(self._load))
         for setting in self._dialect.settings(settings, self._dialect.low_v(self._line)):
@@ -174,9 +176,18 @@ class ScpiLight:
 
     # ------------------------------------------------------------ inside
 
-    def _set(self, setting: Setting) -> None:
+    def _make_plain(self) -> None:
+        """End, once, what somebody before us has left on; who does not know the command has no such mode."""
+        if not self._plain:
+            for setting in self._dialect.plain():
+                self._set(setting, may_be_unknown=True)
+            self._plain = True
+
+    def _set(self, setting: Setting, *, may_be_unknown: bool = False) -> None:
         name, command = setting
-        errors = self._line.tell(command)
+        errors = [
+            error for error in self._line.tell(command) if not (may_be_unknown and error.is_of_the_command)
+        ]
         if errors:
             raise SettingRefused(
                 f"{name} is not taken: '{command}' is answered by {_in_words(errors)}.",

@@ -1,7 +1,9 @@
 """Knows how different makes of function generators say the same things. Decides nothing.
 
-``keysight``: 33120A, 33220A, 33250A and what copies them, one channel without a number.
-``numbered``: ``SOUR1:`` and ``OUTP1``, as Keysight 33500B, Rigol DG and Tektronix AFG have it.
+``keysight``: 33220A, 33250A and what copies them, one channel without a number. (Not the 33120A, which has neither
+levels nor an output switch.)
+``numbered``: ``SOUR1:`` and ``OUTP1``, as Keysight 33500B and Rigol DG have it. (Not Tektronix AFG, which has a duty
+cycle for pulses alone.)
 ``siglent``: SDG, all settings of a channel in one command, ``C1:BSWV``.
 """
 
@@ -38,6 +40,10 @@ class Dialect(Protocol):
 
     def load(self, load: Load) -> Setting:
         """Command for the load."""
+        ...
+
+    def plain(self) -> list[Setting]:
+        """Commands that end what somebody may have left on: bursts, sweeps, modulations, a turned polarity."""
         ...
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
@@ -82,6 +88,12 @@ class HeaderDialect:
     def load(self, load: Load) -> Setting:
         """Command for the load."""
         return "load", f"{self.output_header}:LOAD {'INF' if load == 'high-z' else '50'}"
+
+    def plain(self) -> list[Setting]:
+        """Commands that end bursts, sweeps and modulations, and turn the output upright."""
+        modes = {"burst": "BURS", "sweep": "SWE", "amplitude": "AM", "frequency": "FM", "shift keying": "FSK"}
+        off = [(name, f"{self.source}{header}:STAT OFF") for name, header in modes.items()]
+        return [*off, ("polarity", f"{self.output_header}:POL NORM")]
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
         """Commands for everything but the output; high stays above low in between, whatever they were."""
@@ -137,6 +149,12 @@ class SiglentDialect:
     def load(self, load: Load) -> Setting:
         """Command for the load."""
         return "load", f"C1:OUTP LOAD,{'HZ' if load == 'high-z' else '50'}"
+
+    def plain(self) -> list[Setting]:
+        """Commands that end bursts, sweeps and modulations, and turn the output upright."""
+        modes = {"burst": "BTWV", "sweep": "SWWV", "modulation": "MDWV"}
+        off = [(name, f"C1:{header} STATE,OFF") for name, header in modes.items()]
+        return [*off, ("polarity", "C1:OUTP PLRT,NOR")]
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:  # noqa: ARG002
         """Commands for everything but the output; both levels go in one, so their order does not matter."""
