@@ -143,8 +143,6 @@ class CameraModel:
         distorted = distort(forward[:, :2] / forward[:, 2:], self.distortion)
         return np.asarray(distorted * [self.fx, self.fy] + [self.cx, self.cy])
 
-    project_rays = project
-
     def project_with_jacobians(self, points: Array) -> tuple[Array, Array, Array]:
         """Return image points and their derivatives.
 

@@ -38,8 +38,6 @@ class Event(StrEnum):
     """A recording was looked at: accepted or not, and why."""
     ATTEMPT_LOST = "attempt_lost"
     """A recording that the camera could not complete; nothing was stored."""
-    MADE_SAFE = "made_safe"
-    """Stage stopped, light off, camera stopped; with ``faults`` where one of them did not answer."""
     SOLVED = "solved"
     """A calibration stands: its main numbers."""
     RECOVERED = "recovered"

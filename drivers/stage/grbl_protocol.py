@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from drivers.errors import ReplyGarbled
 
 STATUS = b"?"
-HOLD = b"!"
 CANCEL_JOG = b"\x85"
 RESET = b"\x18"
 """Real-time bytes: picked out of the line by the firmware, whatever else it is doing."""

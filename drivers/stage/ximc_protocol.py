@@ -41,7 +41,6 @@ STATE_FLAGS = {
 }
 """Flags of ``gets`` with which an axis is not moved, in plain words."""
 
-ENCODER_OK = 0x04
 BORDERS_COUNTED = 0x01
 """Borders lie at counts; otherwise at limit switches."""
 BORDERS_STOP = 0x06

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 from drivers.errors import ReplyGarbled
 
-NO_FLAG = "--"
 UNREFERENCED = frozenset({"WR", "WH"})
 """Flags of an axis whose counter means nothing yet, or whose calibration is off until it is homed."""
 INTERRUPTED = frozenset({"NI", "NC"})

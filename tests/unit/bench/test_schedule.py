@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from bench.batches.schedule import Bounds, Item, bounds_of, choose, items_of, look_ahead, next_time
 from sequences.queue import JobWords, Queue
 
-BERLIN = ZoneInfo("Europe/Berlin")
 EVENING = datetime(2026, 3, 1, 18, 0, tzinfo=UTC)
 
 
