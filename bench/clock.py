@@ -10,10 +10,11 @@ clock is the same, but its time passes only where somebody waits.
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 
 
@@ -33,11 +34,49 @@ class Interrupted(Exception):
         super().__init__(reason)
 
 
+class _Bell:
+    """A ``threading.Event`` that may be set by a signal handler in the midst of its other calls.
+
+    An Event has a lock: a handler that sets it, run while the same thread has just taken that lock to wait, would
+    wait for itself for ever. Putting into a SimpleQueue takes none that a handler could meet.
+    """
+
+    def __init__(self) -> None:
+        self._rung = False
+        self._queue: queue.SimpleQueue[None] = queue.SimpleQueue()
+
+    def is_set(self) -> bool:
+        return self._rung
+
+    def set(self) -> None:
+        self._rung = True
+        self._queue.put(None)
+
+    def clear(self) -> None:
+        self._rung = False
+        with suppress(queue.Empty):
+            while True:
+                self._queue.get_nowait()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait that long, or until it is rung; tell whether it is."""
+        deadline_s = time.monotonic() + seconds
+        while not self._rung:  # a ring that was taken back leaves nothing to wake up for
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0:
+                break
+            with suppress(queue.Empty):
+                self._queue.get(timeout=left_s)
+        if self._rung:
+            self._queue.put(None)  # for whoever else waits
+        return self._rung
+
+
 class BenchClock:
     """The system's time, with a stop that ends every wait."""
 
     def __init__(self) -> None:
-        self._woken = threading.Event()
+        self._woken = _Bell()
         self._stop: str | None = None
         self._failure: Exception | None = None
         self._interruption: str | None = None

@@ -17,8 +17,9 @@ from pathlib import Path
 from bench.errors import EvidenceError
 from bench.evidence.keys import NAMESPACE, BenchKey
 from bench.evidence.sshsig import sign
+from bench.records.captures import CAPTURES
 from bench.records.run_folder import JOURNAL, SIGNATURE, RunFolder
-from bench.records.storage import sha256_of, storing
+from bench.records.storage import sha256_of, storing, sync_file
 
 MANIFEST = "SHA256SUMS"
 INSTRUCTIONS = "VERIFY.txt"
@@ -78,11 +79,22 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
     folder.release_reserve()
     text = _INSTRUCTIONS.format(principal=key.principal, namespace=NAMESPACE, fingerprint=key.fingerprint)
     folder.write_atomic(INSTRUCTIONS, text.encode())
+    _sync_what_others_wrote(folder.path)
     manifest = manifest_of(folder.path)
     folder.write_atomic(MANIFEST, manifest)
     folder.write_atomic(SIGNATURE, sign(key.private, manifest, NAMESPACE))
     _make_read_only(folder.path)
     return key.fingerprint
+
+
+def _sync_what_others_wrote(path: Path) -> None:
+    """Make last what was not synced when it was written, as the log of the lines: a seal must not outlive its files."""
+    with storing(path):
+        for name, kind in listing(path).items():
+            if kind == "file" and not name.startswith(
+                f"{CAPTURES}/"
+            ):  # those were synced before the journal told of them
+                sync_file(path / name)
 
 
 def manifest_of(path: Path) -> bytes:

@@ -167,14 +167,7 @@ class RunIndex:
     def _open(self) -> Iterator[sqlite3.Connection]:
         make_folder(self.path.parent)
         try:
-            index = _connect(self.path)
-        except sqlite3.DatabaseError:  # it is an index: what does not hold is made anew
-            for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
-                with storing(self.path):
-                    (self.path.parent / name).unlink(missing_ok=True)
-            index = _connect(self.path)
-        try:
-            with closing(index), index:
+            with closing(self._connected()) as index, index:
                 yield index
         except sqlite3.Error as error:
             raise StorageError(
@@ -182,6 +175,17 @@ class RunIndex:
                 where=str(self.path),
                 remedy="Delete it; it is made anew from the journals.",
             ) from error
+
+    def _connected(self) -> sqlite3.Connection:
+        try:
+            return _connect(self.path)
+        except sqlite3.OperationalError:  # locked, or the disk is full: it may well hold
+            raise
+        except sqlite3.DatabaseError:  # it is an index: what does not hold is made anew
+            for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
+                with storing(self.path):
+                    (self.path.parent / name).unlink(missing_ok=True)
+            return _connect(self.path)
 
 
 def _is_between(begun_utc: str, since: datetime | None, until: datetime | None) -> bool:
@@ -198,7 +202,7 @@ def _connect(path: Path) -> sqlite3.Connection:
         index.execute("PRAGMA synchronous = FULL")
         if index.execute("PRAGMA user_version").fetchone()[0] != VERSION:
             index.executescript(
-                f"BEGIN; DROP TABLE IF EXISTS runs; DROP TABLE IF EXISTS parameters; {_SCHEMA} COMMIT;"
+                f"BEGIN IMMEDIATE; DROP TABLE IF EXISTS runs; DROP TABLE IF EXISTS parameters; {_SCHEMA} COMMIT;"
             )
     except sqlite3.Error:
         index.close()

@@ -64,6 +64,15 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+def sync_file(path: Path) -> None:
+    """Make what a file holds last through a power cut. Raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def open_to_lock(folder: Path) -> int:
     """Open a folder itself to lock it (see `drivers.file_lock`); a hidden file beside it where folders cannot be.
 
@@ -146,11 +155,7 @@ def put_in_place(part: Path, path: Path) -> None:
         When it cannot be synced or renamed.
     """
     with storing(part):
-        descriptor = os.open(part, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        sync_file(part)
         part.rename(path)
         sync_folder(path.parent)
 

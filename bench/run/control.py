@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from bench.clock import BenchClock
-from bench.errors import BenchError, RunFolderError
+from bench.errors import RunFolderError
 from bench.records.folder_lock import is_worked_on
 from bench.records.history import Event, History, RunLog
 from bench.records.journal import lines_since
@@ -182,9 +182,7 @@ class Inbox:
                 self._drain("")
                 for look in self._looks:
                     look()
-        except (
-            BenchError
-        ) as error:  # a run that cannot be commanded, or whose journal is full, must not go on
+        except Exception as error:  # noqa: BLE001 - nobody commands or guards the run any more: it must not go on
             self._clock.request_failure(error)
 
     def _drain(self, why_not: str) -> None:

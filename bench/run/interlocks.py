@@ -8,7 +8,10 @@ Knows what to look at; what holding means is `bench.run.holding`'s business.
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
+import stat
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -77,16 +80,28 @@ class Door:
 
     def why(self, *, held: bool) -> str:  # noqa: ARG002 - a door is open or closed
         """Say why it holds."""
-        path = Path(self.words.path)
         try:
-            with path.open("rb") as file:
-                said = file.read(_MOST_BYTES).decode(errors="replace").strip()
-            age_s = self.utc_s() - path.stat().st_mtime
+            said, written_s = _read_sensor(self.words.path)
         except OSError as error:
             return f"its sensor cannot be read ({error.strerror})"
+        age_s = self.utc_s() - written_s
         if self.words.max_age_s is not None and age_s > self.words.max_age_s:
             return f"its sensor has said nothing for {age_s:.0f} s"
+        if self.words.max_age_s is not None and age_s < -self.words.max_age_s:
+            return f"its sensor last spoke {-age_s:.0f} s from now: this machine's clock was set back, or is wrong"
         return "" if said == self.words.closed else f"it is open (the sensor says {said!r})"
+
+
+def _read_sensor(path: str) -> tuple[str, float]:
+    """Read what a sensor's file says, and when it was written. Raises OSError, for a pipe without a writer too."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "it is not a file")
+        return os.read(descriptor, _MOST_BYTES).decode(errors="replace").strip(), found.st_mtime
+    finally:
+        os.close(descriptor)
 
 
 @dataclass(frozen=True)

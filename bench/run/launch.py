@@ -288,9 +288,12 @@ def _seal_finished(folder: RunFolder, journal: Journal, launch: Launch) -> RunEn
     key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
     journal.close()
     remove_inbox(folder.path)
-    results: dict[str, Any] = json.loads((folder.path / RESULTS).read_text(encoding="utf-8"))
+    outcome = None
+    if (folder.path / RESULTS).is_file():  # a sequence may end without a report
+        results: dict[str, Any] = json.loads((folder.path / RESULTS).read_text(encoding="utf-8"))
+        outcome = Outcome(results, folder.path / REPORT)
     seal(folder, key)
-    return RunEnd("finished", "", folder.path, Outcome(results, folder.path / REPORT))
+    return RunEnd("finished", "", folder.path, outcome)
 
 
 def _refuse_changed(folder: Path, hashes: dict[str, str]) -> None:

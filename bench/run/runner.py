@@ -43,6 +43,8 @@ from sequences.script import (
 
 LOST = (PortLost, CameraLost, ReplyTimeout)
 """A device went away, or says nothing any more."""
+HOLD_TOLD_AGAIN_S = 600.0
+"""Holds by the same interlock are not told to those away more often than that."""
 _FORESEEN = (BenchError, DriverError, CalibrationError)
 
 _TRIGGERS: Mapping[type, str] = {
@@ -115,6 +117,7 @@ class Runner:
         results: ResultWriter | None = None,
     ) -> None:
         self._notify = notify
+        self._told_s: dict[str, float] = {}  # when a hold by an interlock was told last
         self._job = job
         self._folder = folder
         self._log = RunLog(journal)
@@ -376,10 +379,18 @@ class Runner:
             self._progress.show(
                 facts["state"], pose=facts.get("pose"), detail=str(facts.get("pose_name", ""))
             )
-            if facts["state"] == "holding":
+            if facts["state"] == "holding" and self._is_news(facts.get("rule", "")):
                 self._notify("hold", _waits_for(facts), self._log.journal.head)
         else:
             self._interlocks.left_off()
+
+    def _is_news(self, rule: str) -> bool:
+        """Whether a hold is to be told to those away: a door that goes on and off wakes nobody a hundred times."""
+        now_s, before_s = self._clock.monotonic(), self._told_s.get(rule)
+        if rule and before_s is not None and now_s - before_s < HOLD_TOLD_AGAIN_S:
+            return False
+        self._told_s[rule] = now_s
+        return True
 
 
 def _waits_for(facts: Mapping[str, Any]) -> str:

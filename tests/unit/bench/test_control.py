@@ -177,6 +177,16 @@ def test_a_journal_that_takes_no_answer_fails_the_run_and_is_no_abort_by_anybody
     inbox.close()
 
 
+def test_a_guard_that_breaks_down_ends_the_run(run):
+    folder, log, clock = run
+
+    def broken():
+        raise ZeroDivisionError("a door with no hinge")
+
+    with Inbox(folder, log, POSES, clock, (broken,)), pytest.raises(ZeroDivisionError, match="hinge"):
+        clock.sleep(20)
+
+
 def test_what_else_is_to_be_looked_at_is_looked_at_in_every_round(run):
     folder, log, clock = run
     looks = []

@@ -47,6 +47,22 @@ def test_a_sensor_that_has_fallen_silent_is_an_open_door(tmp_path):
     assert "said nothing for 11 s" in Door(words, utc_s=lambda: 1011.0).why(held=False)
 
 
+def test_a_sensor_that_speaks_from_the_future_is_not_believed_for_long(tmp_path):
+    sensor = tmp_path / "value"
+    sensor.write_text("closed")
+    os.utime(sensor, (5000.0, 5000.0))
+    words = DoorWords(path=str(sensor), closed="closed", max_age_s=10)
+    assert Door(words, utc_s=lambda: 4991.0).why(held=False) == ""
+    assert "clock was set back" in Door(words, utc_s=lambda: 1400.0).why(held=False)
+    assert Door(DoorWords(path=str(sensor), closed="closed"), utc_s=lambda: 0.0).why(held=False) == ""
+
+
+def test_a_pipe_in_place_of_a_sensor_is_an_open_door_and_nothing_to_wait_for(tmp_path):
+    os.mkfifo(tmp_path / "value")
+    assert "not a file" in Door(DoorWords(path=str(tmp_path / "value"))).why(held=False)
+    assert "cannot be read" in Door(DoorWords(path=str(tmp_path))).why(held=False)
+
+
 def test_each_lets_go_later_than_it_holds(tmp_path):
     celsius = [54.0]
     warm = CameraTemperature(CameraTemperatureWords(max_c=55, release_c=50), lambda: celsius[0])
@@ -243,6 +259,31 @@ def test_holds_are_added_up(tmp_path, monkeypatch):
     assert end.how == "failed"
     assert "has held the run for 100 s" in end.why
     assert len(scene.told(Event.INTERLOCK_RELEASED)) == 3
+
+
+def test_a_door_that_goes_on_and_off_is_told_once_in_ten_minutes(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=3600)
+    told = []
+    sleep = VirtualClock.sleep
+
+    def closing(clock, seconds):
+        sleep(clock, seconds)
+        if scene.runner._machine.state == "holding":
+            sensor.write_text("1")
+            if len(scene.told(Event.INTERLOCK_RELEASED)) == 3:
+                sleep(clock, 601)
+
+    def hook(name):
+        scene.runner._notify = lambda *words: told.append(words)
+        if name == "stage.move_to" and len(scene.told(Event.INTERLOCK_RELEASED)) < 6:
+            sensor.write_text("0")
+        scene.runner._interlocks.look()
+
+    scene.hook = hook
+    monkeypatch.setattr(VirtualClock, "sleep", closing)
+    assert scene.run().how == "finished"
+    assert len(scene.told(Event.INTERLOCK_RELEASED)) == 6
+    assert [occasion for occasion, _, _ in told] == ["hold", "hold"]
 
 
 def test_status_says_what_holds(tmp_path, monkeypatch):

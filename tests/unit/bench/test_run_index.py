@@ -192,3 +192,27 @@ def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, thr
         agreements([runs["a"], more["g"]])
     with pytest.raises(UsageError, match="two or more"):
         agreements([runs["a"]])
+
+
+def test_an_index_that_another_process_has_locked_is_left_alone(index, three, monkeypatch):
+    index.runs(three)
+    with closing(sqlite3.connect(index.path)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        connect = sqlite3.connect
+        monkeypatch.setattr(sqlite3, "connect", lambda path, **_: connect(path, timeout=0.0))
+        monkeypatch.setattr("bench.records.run_index.VERSION", 99)  # it wants to write at once
+        with pytest.raises(StorageError, match="locked"):
+            index.runs(three)
+        other.rollback()
+        monkeypatch.undo()
+        assert other.execute("SELECT count(*) FROM runs").fetchone() == (3,)
+    assert len(index.runs(three)[0]) == 3
+
+
+def test_a_disk_that_takes_no_index_is_told_in_words(index, three, monkeypatch):
+    def refused(*_, **__):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr(sqlite3, "connect", refused)
+    with pytest.raises(StorageError, match="disk is full"):
+        index.runs(three)

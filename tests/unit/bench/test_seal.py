@@ -6,15 +6,19 @@ import re
 import shutil
 import stat
 import subprocess
+from datetime import UTC, datetime
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.clock import BenchClock
 from bench.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.seal import listing, manifest_of, read_manifest, seal
 from bench.evidence.sshsig import encode_public_key, holds, read_signature, sign
+from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
+from bench.run.launch import Launch, _seal_finished
 
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
@@ -166,6 +170,18 @@ def test_the_same_run_and_key_give_the_same_seal(make_run, key, tmp_path):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
+def test_what_the_seal_lists_is_on_the_disk_before_it(make_run, key, tmp_path, synced):
+    with make_run(tmp_path / "run") as folder:
+        written_by_others = [folder.path / "wire.jsonl", folder.path / "quarantine" / "a.raw.part.1"]
+        written_by_others[1].parent.mkdir()
+        for path in written_by_others:
+            path.write_text("not synced by whoever wrote it")
+        synced.clear()
+        seal(folder, key)
+    before = synced[: synced.index(tmp_path / "run" / ".SHA256SUMS.tmp")]
+    assert set(written_by_others) <= set(before)
+
+
 def test_a_sealed_folder_is_read_only_and_never_opened_for_a_run(make_run, key, tmp_path):
     with make_run(tmp_path / "run") as folder:
         seal(folder, key)
@@ -259,3 +275,16 @@ def test_a_list_that_is_not_one_of_ours_is_refused(text):
 
 def test_an_empty_list_is_empty():
     assert read_manifest(b"") == {}
+
+
+def test_a_finished_run_without_results_is_sealed_when_it_is_taken_up_again(
+    make_run, home, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("STARBENCH_HOME", str(home))
+    clocks = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+    with make_run(tmp_path / "run") as folder:
+        (folder.path / "results.json").unlink()
+        with Journal.open(folder.journal_path, **clocks) as journal:
+            end = _seal_finished(folder, journal, Launch(BenchClock()))
+    assert (end.how, end.outcome) == ("finished", None)
+    assert (tmp_path / "run" / "SHA256SUMS.sig").exists()
