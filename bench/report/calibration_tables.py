@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bench.report.text import NOTHING, exact, fixed, meaning_of, number, unit_of, with_uncertainty
+from bench.report.text import NOTHING, fixed, meaning_of, number, unit_of, with_uncertainty
 
 Json = Mapping[str, Any]
 
@@ -132,8 +132,9 @@ def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str,
     for row in rows:
         value, expanded = with_uncertainty(row["value"], k * row["sigma"])
         error, _ = with_uncertainty(row["error"], k * row["sigma"])
+        truth, _ = with_uncertainty(row["truth"], k * row["sigma"])
         sigmas = fixed(row["error_sigmas"], 2)
-        printed.append((row["name"], value, expanded, exact(row["truth"]), error, sigmas))
+        printed.append((row["name"], value, expanded, truth, error, sigmas))
     return printed
 
 

@@ -98,6 +98,7 @@ def render_report(data: ReportData) -> str:
             poses=run_tables.poses(results.get("poses") or []),
             recordings=run_tables.recordings(results.get("poses") or []),
             gates=run_tables.gates(results.get("gates") or []),
+            alerts=run_tables.alerts(results),
             deviations=list(results.get("deviations") or []),
             walk=_drawn(walk_diagram(results["states"])) if results.get("states") else "",
             plots=_plots(data),

@@ -202,6 +202,16 @@ def gates(found: Sequence[Json]) -> list[GateRow]:
     return rows
 
 
+def alerts(results: Json) -> list[str]:
+    """Tell what a reader must know before the numbers: verdicts that are no pass, and every deviation."""
+    told = [
+        f"Gate {row.verdict}: {row.name}: {row.values}, limit {row.limit} ({row.count} passed)."
+        for row in gates(results.get("gates") or [])
+        if row.verdict != "pass"
+    ]
+    return told + [str(deviation) for deviation in results.get("deviations") or []]
+
+
 def _place_in_ledger(ledger: Json) -> str:
     standing = ", ".join(f"{count} {how}" for how, count in ledger["of_camera"].items())
     return f"run {ledger['number']}; of this camera {standing}, this one included"
