@@ -85,6 +85,7 @@ def test_poses_without_the_tag_calibrate_and_the_result_says_what_named_their_st
 def test_motion_is_judged_in_poses_without_the_tag_too(finished):
     _, folder = finished
     checked = [line["measured"] for line in journal(folder) if line["event"] == "attempt_checked"]
+    assert len(checked) == 5
     assert all(measured["motion_px"] < 0.05 for measured in checked)
 
 

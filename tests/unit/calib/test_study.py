@@ -53,6 +53,7 @@ def test_stars_that_are_grossly_wrong_spoil_least_squares_and_not_a_robust_loss(
 def test_runs_without_a_calibration_are_kept_with_their_reason():
     study = repeat(NARROW, POSES[:1] * 2, L2, 2, 5)
     assert study.values.size == 0
+    assert len(study.failed) == 2
     assert all("same pose" in why for why in study.failed)
 
 
