@@ -96,7 +96,7 @@ def test_a_run_on_a_failing_disk_ends_in_words_and_is_finished_on_a_good_one(
 
 
 @pytest.mark.slow
-def test_the_disk_does_fail(shim, tmp_path, files):
+def test_a_sync_that_fails_is_told_as_the_disks_error(shim, tmp_path, files):
     said = run_on_failing_disk(shim, tmp_path, files, "disk/sync", 1.0, 0)
     assert said.returncode == 1, os.fspath(shim)
     assert "Input/output error" in said.stderr

@@ -80,7 +80,7 @@ def test_the_report_speaks_of_pictures_and_leaves_out_what_only_events_have(fini
         assert word not in report.partition("<main>")[2], word
 
 
-def test_its_seal_holds(finished, home):
+def test_the_seal_of_a_frame_cameras_run_holds(finished, home):
     verified = starbench("verify", finished, home=home)
     assert verified.returncode == 0, verified.stdout + verified.stderr
 

@@ -104,7 +104,7 @@ def camera():
     camera.close()
 
 
-def test_it_says_who_it_is(camera):
+def test_the_camera_says_its_serial_number_sensor_format_and_size(camera):
     with Host(camera) as host:
         answer = host.ask("identify")
     assert answer["ok"]
@@ -165,7 +165,7 @@ def test_settings_are_held_and_forgotten_at_the_next_connect(camera):
         ({"cmd": "stop", "frames": True}, "bad_value"),
     ],
 )
-def test_what_it_refuses(camera, request_, code):
+def test_what_the_camera_cannot_do_is_refused_with_a_code_and_a_message(camera, request_, code):
     with Host(camera) as host:
         answer = host.ask(**request_)
         assert (answer["ok"], answer["error"]) == (False, code)

@@ -192,7 +192,7 @@ def test_the_phase_goes_on_through_a_change_of_frequency(generator):
     assert generator.light.phase_at(generator.now_s + 0.02) == pytest.approx(before, abs=1e-6)
 
 
-def test_a_reset_is_dark(generator):
+def test_a_reset_switches_the_output_off(generator):
     generator.say("OUTP ON")
     assert generator.light.output
     generator.say("*RST")

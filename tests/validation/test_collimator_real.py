@@ -85,7 +85,7 @@ def test_imperfections_of_the_collimator_predict_views_left_out_twice_as_well(vi
     assert result.rms_px < 0.22
 
 
-def test_baselines_stand_beside(views):
+def test_the_baselines_are_opencvs_and_the_published_ones(views):
     opencv_s, published = opencv_planar(views, L2), published_recipe(views, L2)
     rms, matrix, *_ = opencv(views, cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST)
     assert opencv_s.rms_px == pytest.approx(rms, abs=1e-6)

@@ -70,7 +70,7 @@ def accepted_by_the_reader(text: str, model) -> bool:
 
 
 @pytest.mark.parametrize("model", [Sequence, Station])
-def test_the_schema_is_one(model):
+def test_each_schema_is_a_valid_json_schema(model):
     jsonschema.Draft202012Validator.check_schema(model.model_json_schema())
 
 

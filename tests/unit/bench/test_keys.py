@@ -86,7 +86,7 @@ def test_a_key_is_never_made_over_another(tmp_path):
     assert (tmp_path / "bench_key").read_bytes() == before
 
 
-def test_no_key_is_told(tmp_path):
+def test_a_missing_key_is_told_with_how_to_make_one(tmp_path):
     with pytest.raises(EvidenceError, match="Make one"):
         load_key(tmp_path)
 
@@ -150,7 +150,7 @@ def test_a_key_made_by_ssh_keygen_is_taken(tmp_path):
     assert key.principal == "me@lab"
 
 
-def test_where_keys_lie():
+def test_the_folder_of_keys_follows_the_environment():
     assert home_folder({"STARBENCH_HOME": "/a", "XDG_CONFIG_HOME": "/b", "HOME": "/c"}).as_posix() == "/a"
     assert home_folder({"XDG_CONFIG_HOME": "/b", "HOME": "/c"}).as_posix() == "/b/starbench"
     assert home_folder({"HOME": "/c"}).as_posix() == "/c/.config/starbench"

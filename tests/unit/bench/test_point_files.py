@@ -23,7 +23,7 @@ def test_corner_coordinates_become_opencv_ones(tmp_path):
     assert (view.name, view.image_size) == ("image1", (64, 48))
 
 
-def test_centre_coordinates_stay(tmp_path):
+def test_coordinates_with_pixel_centres_at_integers_are_not_shifted(tmp_path):
     view = read_point_file(write(tmp_path, GOOD), image_size=None, origin="centre")
     assert view.points_px[0].tolist() == [10.5, 20.5]
     assert view.image_size == (32, 42)

@@ -51,7 +51,7 @@ def visible(path):
 # ------------------------------------------------------------------ making and holding
 
 
-def test_parents_are_made(run, tmp_path):
+def test_a_new_run_makes_the_folders_above_it(run, tmp_path):
     assert run.path == tmp_path / "runs" / "one"
     assert (run.path / "captures").is_dir()
 
@@ -331,7 +331,7 @@ def test_temporary_files_of_reports_go(run, journal):
     assert not (run.path / ".results.json.tmp").exists()
 
 
-def test_order_is_made_once(run, journal):
+def test_recovering_again_finds_nothing_left_to_do(run, journal):
     record(run, 1, 1, b"untold")
     run.recover(journal)
     again = run.recover(journal)

@@ -57,7 +57,7 @@ def test_a_point_behind_the_camera_has_no_image():
     assert np.isnan(camera().project(np.array([[0.1, 0.1, -1.0], [0.1, 0.1, 0.0]]))).all()
 
 
-def test_values_go_round():
+def test_a_camera_made_of_its_own_values_is_the_same():
     model = camera(k1=0.1, k2=0.2)
     assert model.parameter_names == ("fx", "fy", "cx", "cy", "k1", "k2")
     assert model.with_values(model.values) == model

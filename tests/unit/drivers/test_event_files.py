@@ -4,13 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from drivers.camera.event_files import (
-    CD_TYPE,
-    CHUNK_EVENTS,
-    export_hdf5,
-    export_metavision,
-    export_numpy,
-)
+from drivers.camera.event_files import CD_TYPE, CHUNK_EVENTS, export_hdf5, export_metavision, export_numpy
 from drivers.camera.event_import import import_events
 from drivers.camera.raw_file import RawFile
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
@@ -210,7 +204,7 @@ def test_numpy_files_that_lack_a_part_or_hold_something_else_are_told(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x89HDF\r\n\x1a\n", HEADER])
-def test_other_files_are_told(tmp_path, content):
+def test_a_file_that_holds_no_events_is_refused_by_name(tmp_path, content):
     (tmp_path / "a.h5").write_bytes(content)
     with pytest.raises(RecordingFileError, match=r"a\.h5"):
         import_events(tmp_path / "a.h5")

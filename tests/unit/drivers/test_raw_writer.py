@@ -92,7 +92,7 @@ def test_places_that_cannot_be_written_are_told_before(tmp_path, monkeypatch):
         check_new(tmp_path / "a.raw")
 
 
-def test_space_is_looked_at(tmp_path, monkeypatch):
+def test_a_disk_that_is_nearly_full_is_told_before_recording(tmp_path, monkeypatch):
     check_space(tmp_path / "a.raw")
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
     with pytest.raises(RecordingFailed, match="disk is full"):

@@ -114,7 +114,7 @@ def test_no_time_at_all_is_refused(play, folder, tmp_path, duration_s):
         play(folder).record(tmp_path / "a.raw", duration_s)
 
 
-def test_one_long_file_ends(play, tmp_path):
+def test_a_recording_that_has_been_played_is_not_played_again(play, tmp_path):
     write(tmp_path / "long.raw", stream(40))
     camera = play(tmp_path / "long.raw")
     assert not camera.record(tmp_path / "a.raw", 1.0).complete

@@ -113,7 +113,7 @@ def test_alerts_and_information_lines_are_told_from_replies() -> None:
         parse_unsolicited(b"!01 1 IDLE FS:00\r\n")
 
 
-def test_flags_are_counted() -> None:
+def test_flags_that_are_not_as_many_as_told_are_refused() -> None:
     assert parse_flags("00") == ()
     assert parse_flags("02 WR NI") == ("WR", "NI")
     for wrong in ("01", "00 WR", "2 WR NI", "01 wr", "01  WR", "", "WR"):
