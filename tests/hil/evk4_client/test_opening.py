@@ -1,0 +1,84 @@
+"""The client of the simulated EVK4: who is there, and settings that hold or are refused."""
+
+import socket
+
+import pytest
+
+from drivers.camera import CameraSettings
+from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
+from drivers.clock import SystemClock
+from drivers.errors import CameraNotFound, CameraSettingRefused, WrongDevice
+from tests.hil.evk4_client.peer import NOW
+
+
+def test_identity_is_what_the_camera_says(connect):
+    identity = connect().identify()
+    assert (identity.serial, identity.sensor, identity.width, identity.height) == (
+        "00050423",
+        "IMX636",
+        1280,
+        720,
+    )
+
+
+def test_another_serial_number_is_refused_and_the_connection_given_back(peer, connect):
+    with pytest.raises(WrongDevice, match="camera 00050423, not 00099999"):
+        connect(serial="00099999")
+    assert peer.closed.wait(10)
+    assert peer.asked == ["identify"]
+
+
+def test_nobody_listening_is_told_with_the_address():
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    with pytest.raises(CameraNotFound, match=address):
+        SimulatedEvk4Camera.open(address, clock=SystemClock(), utc_now=lambda: NOW)
+
+
+@pytest.mark.parametrize("address", ["", "localhost", "127.0.0.1:", "127.0.0.1:x", "127.0.0.1:99999"])
+def test_an_address_without_host_and_port_is_told(address):
+    with pytest.raises(CameraNotFound, match="no address of a camera"):
+        SimulatedEvk4Camera.open(address, clock=SystemClock(), utc_now=lambda: NOW)
+
+
+def test_settings_are_set_read_back_and_all_filters_switched_off(peer, connect):
+    found = connect().apply(CameraSettings({"bias_diff_on": 20}, trigger_in=True))
+    assert found.biases == {
+        "bias_diff_on": 20,
+        "bias_diff_off": 0,
+        "bias_fo": 0,
+        "bias_hpf": 0,
+        "bias_refr": 0,
+    }
+    assert found.trigger_in
+    assert peer.filters == {"afk": False, "stc": False, "trail": False, "erc": False}
+
+
+def test_biases_not_named_go_back_to_the_factory_value(peer, connect):
+    peer.biases["bias_fo"] = 30
+    assert connect().apply(CameraSettings()).biases["bias_fo"] == 0
+
+
+def test_a_bias_out_of_range_is_refused_with_the_cameras_words(connect):
+    with pytest.raises(CameraSettingRefused, match="takes -150 to 255"):
+        connect().apply(CameraSettings({"bias_diff_on": 400}))
+
+
+def test_an_unknown_bias_is_refused_before_anything_is_sent(peer, connect):
+    camera = connect()
+    asked = len(peer.asked)
+    with pytest.raises(CameraSettingRefused, match="no bias bias_wrong"):
+        camera.apply(CameraSettings({"bias_wrong": 1}))
+    assert len(peer.asked) == asked
+
+
+def test_a_bias_that_does_not_stick_is_noticed(peer, connect):
+    peer.do_set_bias = lambda number, _: peer.answer(number)
+    with pytest.raises(CameraSettingRefused, match="reads back"):
+        connect().apply(CameraSettings({"bias_fo": 10}))
+
+
+def test_a_filter_that_stays_on_is_noticed(peer, connect):
+    peer.do_set_filter = lambda number, _: peer.answer(number)
+    with pytest.raises(CameraSettingRefused, match="afk, erc stays on"):
+        connect().apply(CameraSettings())

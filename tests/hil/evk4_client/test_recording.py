@@ -1,0 +1,194 @@
+"""Recordings by the client of the simulated EVK4: whole, or the reason told with the partial file."""
+
+import json
+import os
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.camera.raw_file import RawFile
+from drivers.errors import CameraError, CameraLost, RecordingFailed
+from tests.hil.evk4_client.clocks import HurryingClock, Interrupted, InterruptingClock, SteppedClock
+from tests.hil.evk4_client.peer import words_of
+
+
+def test_a_recording_covers_the_time_asked_of_the_sensors_clock(connect, tmp_path):
+    path = tmp_path / "pose.raw"
+    facts = connect().record(path, 0.033)
+    assert 0.033 <= facts.duration_s < 0.035
+    assert facts.complete
+    assert facts.bytes == path.stat().st_size
+    assert facts.temperature_c == 41.5
+    assert facts.illumination_lux == 120.0
+    assert facts.gaps == ()
+
+
+def test_the_file_is_a_header_and_the_cameras_own_words(connect, tmp_path):
+    path = tmp_path / "pose.raw"
+    facts = connect().record(path, 0.033)
+    recording = RawFile.open(path)
+    assert path.read_bytes().endswith(b"% end\n" + b"".join(words_of(k) for k in range(17)))
+    assert recording.header["date"] == "2026-11-20 04:05:06"
+    assert recording.serial == "00050423"
+    assert recording.scan().events == facts.events == 17
+
+
+def test_equal_streams_make_equal_files_however_late_they_are_stopped(connect, tmp_path):
+    camera = connect()
+    for name in ("a.raw", "b.raw"):
+        camera.record(tmp_path / name, 0.02)
+    assert (tmp_path / "a.raw").read_bytes() == (tmp_path / "b.raw").read_bytes()
+
+
+def test_the_camera_is_told_how_many_frames_were_kept(peer, connect, tmp_path):
+    camera = connect()
+    camera.record(tmp_path / "pose.raw", 0.033)
+    assert peer.kept == 17
+    camera.record(tmp_path / "again.raw", 0.002)
+    assert peer.kept == 2
+
+
+def test_the_camera_answers_after_a_recording(connect, tmp_path):
+    camera = connect()
+    camera.record(tmp_path / "pose.raw", 0.01)
+    assert camera.temperature_c() == 41.5
+
+
+def test_an_existing_file_is_never_overwritten(peer, connect, tmp_path):
+    path = tmp_path / "pose.raw"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordingFailed, match="such a file already"):
+        connect().record(path, 0.01)
+    assert path.read_bytes() == b"precious"
+    assert "start" not in peer.asked
+
+
+def test_a_missing_folder_is_told_before_the_camera_starts(peer, connect, tmp_path):
+    with pytest.raises(RecordingFailed, match="no such folder"):
+        connect().record(tmp_path / "none" / "pose.raw", 0.01)
+    assert "start" not in peer.asked
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_is_told_and_the_camera_usable_after(connect, tmp_path, monkeypatch):
+    camera = connect()
+    real_open = os.open
+
+    def open_full(path, flags, *rest):
+        return real_open("/dev/full" if str(path).endswith(".raw") else path, flags & ~os.O_EXCL, *rest)
+
+    monkeypatch.setattr(os, "open", open_full)
+    with pytest.raises(RecordingFailed, match=r"disk is full.*Free space"):
+        camera.record(tmp_path / "pose.raw", 0.01)
+    monkeypatch.undo()
+    assert camera.record(tmp_path / "again.raw", 0.01).complete
+
+
+def test_an_interrupt_stops_the_stream_and_leaves_a_readable_file(peer, connect, tmp_path):
+    clock = InterruptingClock()
+    camera = connect(clock=clock)
+    peer.before_frame[5] = lambda: setattr(clock, "now", True)
+    path = tmp_path / "pose.raw"
+    with pytest.raises(Interrupted):
+        camera.record(path, 10.0)
+    assert peer.asked[-1] == "stop"
+    assert RawFile.open(path).scan().events <= 6
+    clock.now = False
+    peer.before_frame.clear()
+    assert camera.record(tmp_path / "again.raw", 0.01).complete
+
+
+def test_stop_from_another_thread_ends_the_recording_early(peer, connect, tmp_path):
+    camera = connect()
+    peer.before_frame[5] = camera.stop
+    path = tmp_path / "pose.raw"
+    facts = camera.record(path, 1000.0)
+    assert not facts.complete
+    assert RawFile.open(path).scan().events == facts.events
+
+
+def test_a_camera_that_goes_away_names_the_partial_file(peer, connect, tmp_path):
+    camera = connect()
+    peer.before_frame[3] = lambda: peer.link.shutdown(socket.SHUT_RDWR)
+    path = tmp_path / "pose.raw"
+    with pytest.raises(CameraLost, match=r"pose\.raw"):
+        camera.record(path, 1.0)
+    assert RawFile.open(path).scan().events <= 3
+
+
+def test_a_fault_that_the_camera_reports_fails_the_recording(peer, connect, tmp_path):
+    fault = json.dumps({"event": "fault", "message": "sensor overheated"}).encode()
+    peer.before_frame[3] = lambda: peer.send(b"N", fault)
+    with pytest.raises(RecordingFailed, match=r"sensor overheated.*pose\.raw"):
+        connect().record(tmp_path / "pose.raw", 1.0)
+
+
+def test_other_notifications_are_let_pass(peer, connect, tmp_path):
+    peer.before_frame[3] = lambda: peer.send(b"N", b'{"event": "warm"}')
+    assert connect().record(tmp_path / "pose.raw", 0.02).complete
+
+
+def test_malformed_words_fail_the_recording_and_are_kept(peer, connect, tmp_path):
+    peer.before_frame[3] = lambda: peer.send(b"D", b"\x00\x90")
+    path = tmp_path / "pose.raw"
+    with pytest.raises(RecordingFailed, match=r"0x9000.*pose\.raw"):
+        connect().record(path, 1.0)
+    assert path.read_bytes().endswith(b"\x00\x90")
+
+
+def test_a_gap_in_the_sensors_clock_is_in_the_facts(peer, connect, tmp_path):
+    late = np.array([0x8000 | 4000, 0x6000], "<u2").tobytes()
+    peer.before_frame[3] = lambda: peer.send(b"D", late)
+    assert "missing" in connect().record(tmp_path / "pose.raw", 0.02).gaps[0]
+
+
+def test_a_stream_that_dries_up_is_noticed(peer, connect, tmp_path):
+    peer.frames = 3
+    clock = HurryingClock()
+    camera = connect(clock=clock)
+    peer.before_frame[2] = lambda: setattr(clock, "hurry", True)
+    with pytest.raises(CameraLost, match="it has sent nothing for 30 s"):
+        camera.record(tmp_path / "pose.raw", 1.0)
+
+
+def test_a_camera_that_computes_is_waited_for(peer, connect, tmp_path):
+    clock = SteppedClock()
+    camera = connect(clock=clock)
+    peer.before_frame[2] = lambda: clock.let_pass(500, peer)
+    assert camera.record(tmp_path / "pose.raw", 0.02).complete
+    assert clock.now == 500
+
+
+def test_a_camera_that_computes_is_not_waited_for_for_ever(peer, connect, tmp_path, monkeypatch):
+    monkeypatch.setattr("drivers.camera.simulated_evk4.STOP_S", 0.1)
+    clock = SteppedClock()
+    camera = connect(clock=clock)
+    peer.before_frame[2] = lambda: clock.let_pass(700, peer)
+    with pytest.raises(CameraLost, match="clock has not gone on for 600 s"):
+        camera.record(tmp_path / "pose.raw", 1.0)
+
+
+def test_a_deaf_camera_does_not_hold_up_the_way_out(peer, connect, tmp_path, monkeypatch):
+    monkeypatch.setattr("drivers.camera.simulated_evk4.STOP_S", 0.1)
+    clock = HurryingClock()
+    camera = connect(clock=clock)
+    peer.deaf_to.add("stop")
+    peer.before_frame[3] = lambda: peer.send(b"D", b"\x00\x90")
+    with pytest.raises(RecordingFailed, match="0x9000"):
+        camera.record(tmp_path / "pose.raw", 1.0)
+
+
+def test_a_refused_start_is_told(peer, connect, tmp_path):
+    peer.do_start = lambda number, _: peer.refuse(number, "busy", "It is already streaming.")
+    with pytest.raises(CameraError, match="already streaming"):
+        connect().record(tmp_path / "pose.raw", 0.01)
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_no_time_at_all_is_refused(connect, tmp_path, duration_s):
+    path = tmp_path / "pose.raw"
+    with pytest.raises(RecordingFailed):
+        connect().record(path, duration_s)
+    assert not path.exists()
