@@ -1,6 +1,7 @@
 """A computer without pseudo-terminals, flock and terminal settings, as Windows is: the same runs, over TCP.
 
-Python is made to look so in every process: the modules cannot be imported, and ``msvcrt`` locks by POSIX record locks.
+Python is made to look so in every process: the modules cannot be imported, ``msvcrt`` locks by POSIX record locks,
+select takes sockets alone, and there are no signals but those that Windows has.
 """
 
 from __future__ import annotations
@@ -10,15 +11,17 @@ import os
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import pytest
+from quick_runs import write_sequence
 from running import PATIENCE_S, STARBENCH, environment, journal, results
 
 from bench.stations.station import SHIPPED
 
 BARE = """
-import os, subprocess, sys, types
+import os, select, signal, stat, subprocess, sys, types
 import serial, serial.serialposix  # what of pyserial stands for serialwin32 here
 for name in ("fcntl", "termios", "tty", "pty"):
     sys.modules[name] = None
@@ -28,6 +31,22 @@ msvcrt = types.ModuleType("msvcrt")
 msvcrt.LK_NBLCK = 2
 msvcrt.locking = lambda descriptor, mode, count: os.lockf(descriptor, os.F_TLOCK, count)
 sys.modules["msvcrt"] = msvcrt
+for name in ("SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGPIPE", "SIGCONT", "pidfd_send_signal", "pthread_sigmask"):
+    delattr(signal, name)
+take = select.select
+def sockets_alone(*waited):
+    lists = waited[:3]
+    if not any(lists):
+        raise OSError(10022, "An invalid argument was supplied")
+    for one in (one for some in lists for one in some):
+        if not stat.S_ISSOCK(os.fstat(one if isinstance(one, int) else one.fileno()).st_mode) and serial_port(one) is None:
+            raise OSError(10038, "An operation was attempted on something that is not a socket")
+    return take(*waited)
+def serial_port(one):
+    # What of pyserial stands for serialwin32 here waits by select: for ports, and the pipes that break a wait off.
+    caller = sys._getframe(2).f_globals["__name__"]
+    return caller if caller.startswith("serial.") else None
+select.select = sockets_alone
 """
 LOCK = """
 import sys
@@ -87,6 +106,41 @@ def test_a_run_goes_over_tcp_from_a_station_that_says_nothing_of_it(bare, tmp_pa
     assert "move abs" in wire
     assert max(abs(row["error_sigmas"]) for row in results(folder)["comparison"]) < 4
     assert [line["accepted"] for line in journal(folder) if line["event"] == "attempt_checked"] == [True] * 3
+
+
+def test_a_question_is_answered_at_a_terminal_that_select_does_not_take(bare, tmp_path) -> None:
+    import pty
+
+    folder, sequence = (
+        tmp_path / "run",
+        write_sequence(tmp_path / "sequence.yaml", "[{name: left, pan_deg: -6}]", end=""),
+    )
+    question = 'steps:\n  - prompt: {text: "Is the cap off?", default: continue, timeout_s: 500}\n'
+    sequence.write_text(sequence.read_text().replace("steps:\n", question, 1))
+    ours, theirs = pty.openpty()
+    words = ["run", sequence, "-s", "simulated", "--seed", 7, "-o", folder]
+    process = subprocess.Popen(
+        [*STARBENCH, *map(str, words)],
+        env=bare,
+        stdin=theirs,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while not any(line["event"] == "asked" for line in journal(folder)):
+            assert process.poll() is None, process.communicate()[1]
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        os.write(ours, b"a\n")
+        assert "operator" in process.communicate(timeout=PATIENCE_S)[1]
+        assert process.returncode == 3
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
+        os.close(theirs)
 
 
 @pytest.mark.slow

@@ -1,6 +1,8 @@
 """What the operator sees and is asked."""
 
 import io
+import os
+import time
 from datetime import UTC, datetime
 
 import pytest
@@ -13,6 +15,33 @@ from bench.console.prompt import Reply, ask
 class Terminal(io.StringIO):
     def isatty(self):
         return True
+
+
+class Typed(Terminal):
+    """A terminal that no select takes, whose lines come as they are typed."""
+
+    def __init__(self, lines):
+        super().__init__()
+        self.lines, self.read = lines, 0
+
+    def readline(self):
+        line = self.lines.readline()
+        self.read += 1
+        return line
+
+
+YES = Reply("continue", "operator")
+
+
+def nothing(_):
+    pass
+
+
+def wait_until(done):
+    deadline = time.monotonic() + 30
+    while not done():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_without_a_terminal_each_change_is_a_line_with_state_pose_and_time_left():
@@ -93,6 +122,61 @@ def test_the_operators_word_counts(monkeypatch, typed, word):
         "Go?", default="continue", timeout_s=60, clock=BenchClock(), say=lambda _: None, terminal=terminal
     )
     assert (reply.word, reply.by) == (word, "operator")
+
+
+@pytest.mark.parametrize("default", ["abort", "continue"])
+def test_an_empty_line_is_the_default(monkeypatch, default):
+    terminal = Terminal("\n")
+    monkeypatch.setattr("bench.console.prompt.select.select", lambda *_: ([terminal], [], []))
+    reply = ask("Go?", default=default, timeout_s=60, clock=Night(), say=lambda _: None, terminal=terminal)
+    assert (reply.word, reply.by) == (default, "operator")
+
+
+@pytest.mark.parametrize("waits_for_terminals", [True, False])
+def test_a_terminal_that_was_closed_answers_nothing(monkeypatch, waits_for_terminals):
+    terminal, said = Terminal(""), []
+    if waits_for_terminals:
+        monkeypatch.setattr("bench.console.prompt.select.select", lambda *_: ([terminal], [], []))
+    reply = ask("Go?", default="abort", timeout_s=1, clock=BenchClock(), say=said.append, terminal=terminal)
+    assert (reply.word, reply.by) == ("abort", "time-out")
+    assert "starbench answer" in said[-1]
+
+
+@pytest.mark.parametrize(("typed", "word"), [("a\n", "abort"), ("what\nyes\n", "continue")])
+def test_where_select_takes_no_terminals_a_thread_reads(typed, word):
+    # A StringIO is no file: select refuses it, as Windows' refuses the console.
+    reply = ask(
+        "Go?",
+        default="continue",
+        timeout_s=60,
+        clock=BenchClock(),
+        say=lambda _: None,
+        terminal=Terminal(typed),
+    )
+    assert (reply.word, reply.by) == (word, "operator")
+
+
+def test_what_a_thread_read_before_the_question_does_not_count():
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as lines, os.fdopen(writing, "w", buffering=1) as keyboard:
+        terminal = Typed(lines)
+        keyboard.write("y\n")
+        assert (
+            ask("Cap on?", default="abort", timeout_s=60, clock=BenchClock(), say=nothing, terminal=terminal)
+            == YES
+        )
+        keyboard.write("y\n")
+        wait_until(lambda: terminal.read == 2)
+        asked = ask(
+            "Cap off?", default="abort", timeout_s=0.5, clock=BenchClock(), say=nothing, terminal=terminal
+        )
+        assert asked == Reply("abort", "time-out")
+
+
+def test_without_standard_input_the_default_counts(monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    reply = ask("Go?", default="abort", timeout_s=1, clock=Night(), say=lambda _: None)
+    assert (reply.word, reply.by) == ("abort", "time-out")
 
 
 def test_a_stop_ends_the_question(monkeypatch):
