@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -30,6 +31,12 @@ _K = 2.0
 
 def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
     """Do a batch, and tell how it ended: every run, and each camera's parameters over it."""
+    if sys.platform != "linux":
+        raise UsageError(
+            "Batches watch their runs by means that only Linux has.",
+            where=str(queue),
+            remedy="Do its runs one by one with `starbench run`; `plan` and `rehearse` take the queue here too.",
+        )
     from bench.batches.batch import Batch
     from bench.console.signals import stop_on_signals
 

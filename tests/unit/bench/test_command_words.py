@@ -6,6 +6,7 @@ import shlex
 import sqlite3
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import pytest
@@ -23,6 +24,17 @@ RUN_COMMANDS = [
     ("skip",),
     ("abort",),
 ]
+
+
+INTERRUPTED = """
+import sys
+class Interrupted:
+    def find_spec(self, name, *_):
+        if name == "click":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupted())
+"""
+ROOT = Path(__file__).parents[3]
 
 
 def commands(group=cli, path=()):
@@ -200,6 +212,27 @@ def test_a_reader_that_has_gone_is_no_error():
         command = [sys.executable, "-m", "bench", "schema", "sequence"]
         said = subprocess.run(command, stdout=pipe, stderr=subprocess.PIPE, check=False)
     assert (said.returncode, said.stderr) == (1, b"")
+
+
+def test_ctrl_c_while_the_program_still_loads_is_one_word(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(INTERRUPTED)
+    said = subprocess.run(
+        [sys.executable, "-m", "bench", "--help"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (said.returncode, said.stdout, said.stderr) == (130, "", "Stopped.\n")
+
+
+@pytest.mark.parametrize("system", ["win32", "darwin"])
+def test_a_batch_says_where_it_cannot_be_done(say, monkeypatch, tmp_path, system):
+    (tmp_path / "queue.yaml").write_text("")
+    monkeypatch.setattr("sys.platform", system)
+    status, _, said = say("batch", "queue.yaml", "-o", "out")
+    assert status == 2
+    assert "only Linux" in said
+    assert "starbench run" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
