@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,12 @@ from drivers.camera.evt3 import Events, Triggers, empty_events
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 _AGAIN: Final = "Export it again from the RAW recording."
+
+_UNREADABLE: Final = (
+    *(TypeError, KeyError, ValueError, RuntimeError, EOFError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+"""What HDF5 and NumPy raise for a file that is spoilt, or laid out otherwise."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +58,12 @@ def import_events(path: Path | str) -> Imported:
                 return _from_metavision(file, path) if "CD" in file else _from_hdf5(file, path)
         if start[:4] == b"PK\x03\x04":
             return _from_numpy(path)
-    except (TypeError, KeyError, ValueError, RuntimeError, EOFError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise _not_ours(path, str(error)) from error
+    except MemoryError as error:
+        raise RecordingFileError(
+            f"It says that it holds more than the memory does ({error}).", where=str(path), remedy=_AGAIN
+        ) from error
     except OSError as error:
         raise RecordingFileError(
             f"It cannot be read ({error.strerror or error}).",
@@ -97,6 +108,8 @@ def _from_metavision(file: Any, path: Path) -> Imported:
 
 def _metavision_events(dataset: Any, path: Path) -> Events:
     """Unpack the chunks here: few installations of HDF5 know the compression."""
+    if not isinstance(dataset, h5py.Dataset):
+        raise ValueError("its CD/events is a group")  # noqa: TRY004 - of the file, not of the caller
     creation = dataset.id.get_create_plist()
     filters = [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
     if filters != [ecf.FILTER_ID]:

@@ -230,7 +230,11 @@ class MetavisionEvk4:
         """Stream into the file until the time is covered; returns whether it was."""
         stream = self._facility("get_i_events_stream", "event stream")
         # Logging starts before the stream does, or its first buffers would be missing.
-        if not stream.log_raw_data(str(path)):
+        try:
+            logs = stream.log_raw_data(str(path))
+        except RuntimeError as error:  # its header is asked of the camera
+            raise self._lost(error) from error
+        if not logs:
             raise RecordingFailed(
                 "The camera's software cannot write it.",
                 where=str(path),

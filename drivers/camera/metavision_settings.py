@@ -79,7 +79,10 @@ def _set_biases(device: Any, wanted: Mapping[str, int], where: str) -> None:
                 "It has no biases to set.", where=where, remedy="Leave the biases out of the station file."
             )
         return
-    known = [name for name in BIASES if name in facility.get_all_biases()]
+    with _refusal("tell its biases", where):
+        present = facility.get_all_biases()
+        known = [name for name in BIASES if name in present]
+        ranges = {name: facility.get_bias_info(name).get_bias_range() for name in known}
     if unknown := sorted(set(wanted) - set(known)):
         raise CameraSettingRefused(
             f"It has no bias {', '.join(unknown)}.",
@@ -88,7 +91,7 @@ def _set_biases(device: Any, wanted: Mapping[str, int], where: str) -> None:
         )
     for name in known:
         value = wanted.get(name, 0)
-        lowest, highest = facility.get_bias_info(name).get_bias_range()
+        lowest, highest = ranges[name]
         if not lowest <= value <= highest:
             raise CameraSettingRefused(
                 f"It takes {name} from {lowest} to {highest}, not {value}.",

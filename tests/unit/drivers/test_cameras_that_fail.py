@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.camera import frame_cameras, metavision, neuromorphic_evk4
+from drivers.camera import CameraSettings, frame_cameras, metavision, neuromorphic_evk4
 from drivers.camera.frame_cameras import OpenCvFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
-from drivers.errors import CameraError, CameraLost
+from drivers.errors import CameraError, CameraLost, CameraSettingRefused
 
 
 # ---------------------------------------------------------------- frame cameras
@@ -84,3 +84,47 @@ def test_half_a_word_before_the_first_clock_word_shifts_nothing() -> None:
     stream = neuromorphic_evk4._Stream(device, lambda error: CameraLost(str(error)))
     words = b"".join(filter(None, (stream.next_words() for _ in packets)))
     assert words == b"\x01\x80\x02\x60\x05\x00\x03\x28"
+
+
+class Unplugged:
+    """A HAL device that is pulled out after it has said who it is: every further call ends in a RuntimeError."""
+
+    def __init__(self) -> None:
+        identity = SimpleNamespace(
+            get_system_info=dict,
+            get_integrator=lambda: "Prophesee",
+            get_sensor_info=lambda: SimpleNamespace(name="IMX636"),
+            get_serial=lambda: "50423",
+        )
+        self.get_i_hw_identification = lambda: identity
+        self.get_i_geometry = lambda: SimpleNamespace(get_width=lambda: 1280, get_height=lambda: 720)
+
+    def __getattr__(self, getter: str) -> object:
+        return lambda: (
+            SimpleNamespace(**{call: self.gone for call in CALLS.get(getter, ())})
+            if getter in CALLS
+            else None
+        )
+
+    @staticmethod
+    def gone(*_arguments: object) -> None:
+        raise RuntimeError("Error 0x101: the device is disconnected")
+
+
+CALLS = {
+    "get_i_events_stream": ("log_raw_data", "start", "stop", "stop_log_raw_data", "poll_buffer"),
+    "get_i_ll_biases": ("get_all_biases", "get_bias_info", "set", "get"),
+    "get_i_monitoring": ("get_temperature", "get_illumination"),
+}
+
+
+def test_a_camera_that_goes_before_its_first_byte_is_lost_in_our_words(clock, tmp_path) -> None:
+    device = Unplugged()
+    hal = SimpleNamespace()
+    camera = MetavisionEvk4(device, hal, serial="50423", clock=clock)
+    assert camera.temperature_c() is None
+    with pytest.raises(CameraSettingRefused, match="disconnected"):
+        camera.apply(CameraSettings(trigger_in=False))
+    device.get_i_ll_biases = lambda: None
+    with pytest.raises(CameraLost, match="disconnected"):
+        camera.record(tmp_path / "a.raw", 0.1)

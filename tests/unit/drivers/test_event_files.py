@@ -213,3 +213,35 @@ def test_a_file_that_holds_no_events_is_refused_by_name(tmp_path, content):
 def test_a_missing_file_is_told(tmp_path):
     with pytest.raises(RecordingFileError, match="cannot be read"):
         import_events(tmp_path / "none.h5")
+
+
+@pytest.mark.parametrize("place", [1, 3, 7])
+def test_a_spoilt_npz_is_told_in_our_words(recording, tmp_path, place):
+    """A byte turned within the compressed arrays breaks the compression before its check sum is looked at."""
+    path = tmp_path / "a.npz"
+    export_numpy(recording, path)
+    data = bytearray(path.read_bytes())
+    at = len(data) * (place + 1) // 40
+    data[at : at + 8] = bytes(byte ^ 0xFF for byte in data[at : at + 8])
+    path.write_bytes(data)
+    with pytest.raises(RecordingFileError):
+        import_events(path)
+
+
+def test_a_group_where_the_events_belong_is_told(tmp_path):
+    path = tmp_path / "a.hdf5"
+    with h5py.File(path, "w") as file:
+        file.create_group("CD/events")
+        file.create_dataset("EXT_TRIGGER/events", data=np.zeros(0, [("p", "i2"), ("t", "i8"), ("id", "i2")]))
+        file.attrs["geometry"] = "1280x720"
+    with pytest.raises(NotARecording, match="is a group"):
+        import_events(path)
+
+
+def test_more_events_than_the_memory_holds_are_told(tmp_path):
+    """A few bytes of HDF5 can say that they stand for any number of events."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("events/t", (10**14,), "i8", chunks=(1000,))
+    with pytest.raises(RecordingFileError, match="more than the memory does"):
+        import_events(path)
