@@ -100,11 +100,9 @@ class Unplugged:
         self.get_i_geometry = lambda: SimpleNamespace(get_width=lambda: 1280, get_height=lambda: 720)
 
     def __getattr__(self, getter: str) -> object:
-        return lambda: (
-            SimpleNamespace(**{call: self.gone for call in CALLS.get(getter, ())})
-            if getter in CALLS
-            else None
-        )
+        calls = CALLS.get(getter)
+        facility = SimpleNamespace(**dict.fromkeys(calls, self.gone)) if calls else None
+        return lambda: facility
 
     @staticmethod
     def gone(*_arguments: object) -> None:
