@@ -8,7 +8,8 @@ one along X and one along Y, as what moves a centre has a direction. Those varia
 together by restricted maximum likelihood, so three views tell them: each brings some thirty coefficients. The
 parameters' covariance follows: H^-1 (sum over views of S D S^T) H^-1, S a view's coefficients' pull at them.
 
-A jackknife of three views has three numbers to tell all from, two of them free; this is what it is replaced by.
+Three views pull at the parameters three times, two of them free; this tells what those pulls cannot. Where views are
+more, it is what the pulls are expected to be (`calib.sandwich`).
 """
 
 from __future__ import annotations
@@ -49,6 +50,8 @@ class Disagreement:
     fields, stars, prior
         (G, G) covariance of the shared parameters by these fields, by the stars' own noise, and by what was
         known beforehand.
+    pulls
+        (n, G, G) covariance of each view's pull at the shared parameters, by its fields and its stars.
     effective_freedom
         Degrees of freedom behind the least certain of the variances (Satterthwaite).
     """
@@ -57,6 +60,7 @@ class Disagreement:
     fields: Array
     stars: Array
     prior: Array
+    pulls: Array
     effective_freedom: float
 
     @property
@@ -70,15 +74,16 @@ class _Evidence:
     """What the residuals show of the fields' coefficients, all views' one below the other.
 
     `pull` (C,) is each coefficient's pull at the residuals; were the coefficients u, it would be `shown` (C, C)
-    times u. `answer` (G, C) is their pull at the shared parameters, `group` (C,) the size each is drawn by, and
-    `noise` the variance of a star's own noise.
+    times u. `answer` (G, C) is their pull at the shared parameters, `group` (C,) the size each is drawn by, `view` (C,)
+    whose they are, `known` (n, G, G) each view's information, and `noise` the variance of a star's own noise.
     """
 
     pull: Array
     shown: Array
     answer: Array
     group: NDArray[np.int64]
-    information: Array
+    view: NDArray[np.int64]
+    known: Array
     inverse: Array
     noise: float
 
@@ -110,7 +115,7 @@ def _of(bundle: Bundle, evidence: _Evidence, variances: Array, fisher: Array) ->
     answers = inverse @ evidence.answer
     each = np.stack([(answers[:, evidence.group == kind] ** 2).sum(axis=1) for kind in range(len(variances))])
     fields = (answers * variances[evidence.group]) @ answers.T
-    stars = evidence.noise * inverse @ evidence.information @ inverse
+    stars = evidence.noise * inverse @ evidence.known.sum(axis=0) @ inverse
     prior = np.zeros_like(inverse)
     if bundle.prior is not None:
         at = [bundle.names.index(name) for name in bundle.prior.names]
@@ -121,7 +126,18 @@ def _of(bundle: Bundle, evidence: _Evidence, variances: Array, fisher: Array) ->
     by_log = (each * variances[:, None]).T
     spread = np.einsum("gk,kl,gl->g", by_log, np.linalg.pinv(fisher, rcond=1e-6, hermitian=True), by_log)
     freedom = 2.0 * total**2 / np.maximum(spread, np.finfo(float).tiny)
-    return Disagreement(np.sqrt(variances), fields, stars, prior, float(freedom.min()))
+    return Disagreement(
+        np.sqrt(variances), fields, stars, prior, _pulls(evidence, variances), float(freedom.min())
+    )
+
+
+def _pulls(evidence: _Evidence, variances: Array) -> Array:
+    """Return (n, G, G) the covariance of each view's pull."""
+    pulls = evidence.noise * evidence.known
+    for i in range(len(pulls)):
+        own = evidence.view == i
+        pulls[i] += (evidence.answer[:, own] * variances[evidence.group[own]]) @ evidence.answer[:, own].T
+    return np.asarray(pulls)
 
 
 def _variances(z: Array, parts: Sequence[Array], noise: float) -> tuple[Array, Array]:
@@ -153,7 +169,7 @@ def _evidence(bundle: Bundle, state: State, loss: Loss) -> _Evidence:
     # The target's displacement moves the image as the centre's does, the other way.
     moving = replace(bundle, names=("x", "y"), prior=None, free_centres=False)
     shown, answers, pulls, groups, squares = [], [], [], [], 0.0
-    information = np.zeros((count, count))
+    known = []
     rims = _rims(bundle, state)
     slopes_of_all = zip(obs.slices, bundle.slopes(state), moving.slopes(state), strict=True)
     for rows, slopes, moves in slopes_of_all:
@@ -167,14 +183,13 @@ def _evidence(bundle: Bundle, state: State, loss: Loss) -> _Evidence:
         local, rest = slice(count, len(slopes)), [*range(count), *range(len(slopes), len(columns))]
         stiff = normal[local, local] + bundle.local_stiffness
         left = normal[np.ix_(rest, rest)] - normal[rest, local] @ np.linalg.solve(stiff, normal[local, rest])
-        information += left[:count, :count]
+        known.append(left[:count, :count])
         shown.append(left[count:, count:])
         answers.append(left[:count, count:])
         pulls.append(columns[len(slopes) :] @ missed)
         groups.append(group)
         squares += float(missed @ missed)
-    total = information + bundle.prior_information
-    inverse = np.asarray(np.linalg.inv(total))
+    inverse = np.asarray(np.linalg.inv(sum(known, start=bundle.prior_information)))
     answer, pull = np.hstack(answers), np.concatenate(pulls)
     freedom = 2 * len(residuals) - count - len(obs.slices) * (6 if bundle.free_centres else 3)
     explained = sum(
@@ -184,7 +199,9 @@ def _evidence(bundle: Bundle, state: State, loss: Loss) -> _Evidence:
     noise = max((squares - explained) / max(freedom - len(pull), 1), _LEAST_NOISE * squares / len(residuals))
     together = _block_diagonal(shown) - answer.T @ inverse @ answer
     group = np.unique(np.concatenate(groups), return_inverse=True)[1]
-    return _Evidence(pull, 0.5 * (together + together.T), answer, group, information, inverse, noise)
+    view = np.repeat(np.arange(len(groups)), [len(own) for own in groups])
+    shown_by = 0.5 * (together + together.T)
+    return _Evidence(pull, shown_by, answer, group, view, np.array(known), inverse, noise)
 
 
 def _fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[np.int64]]:

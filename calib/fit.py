@@ -236,7 +236,7 @@ def _uncertainty(
         left_out = leave_one_out(bundle, state, loss)
     if options.passport is None:
         found = partial(disagreement, bundle, state, loss)
-        return uncertainty.inflated(known, left_out, found), left_out
+        return uncertainty.inflated(known, bundle, state, loss, found), left_out
     known = uncertainty.with_passport(bundle, state, known, options.passport)
     degeneracy.require_constrained(state, known.names, known.covariance, "The passport knows no better.")
     return known, left_out

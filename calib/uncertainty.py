@@ -4,7 +4,7 @@ Knows residuals and normal equations. The covariance rests on what the residuals
 covariances promise: J^T J inverted, times the variance of the influence function over the square of its mean slope
 (Huber's formula for M-estimators). That holds when the model does. Whether it does, the views tell: each alone would
 like other shared parameters, and when they differ by more than their stars' noise allows, the covariance is that of
-the jackknife, and where there are fewer than ten views that of `calib.disagreement`.
+their pulls (`calib.sandwich`), and where there are two or three that of `calib.disagreement`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from calib.disagreement import Disagreement
 from calib.errors import DegenerateViews
 from calib.passport import Passport
 from calib.refine import Loss
-from calib.resample import LeftOut
+from calib.sandwich import sandwich
 from calib.state import State
 
 Array = NDArray[np.float64]
@@ -32,8 +32,11 @@ _SINGULAR = 1e-13
 _TOLD = 1e-6
 #: Views that agree are found to disagree this rarely.
 _FALSE_ALARMS = 1e-3
-#: From this number of views on, the jackknife has enough of them to stand alone.
-_JACKKNIFE_VIEWS = 10
+#: From this number of views on, their pulls at the parameters tell more than how their stars miss alike.
+_PULL_VIEWS = 4
+#: From this number on, what shape the pulls' covariance is taken for matters little, and the fields take long.
+_MANY_VIEWS = 10
+_DISAGREEMENT = "disagreement of the views"
 #: Probability that k = 2 covers for a Gaussian.
 _COVERAGE = 0.9545
 
@@ -142,7 +145,7 @@ def with_passport(bundle: Bundle, state: State, known: Uncertainty, passport: Pa
         covariance=total,
         budget={
             "stars": own,
-            "disagreement of the views": np.diag(total) - np.diag(stars),
+            _DISAGREEMENT: np.diag(total) - np.diag(stars),
             "passport of the collimator": np.diag(stars) - own,
         },
     )
@@ -206,39 +209,71 @@ def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
     return {"stars": variances - pulled, "known beforehand": pulled}
 
 
-def inflated(known: Uncertainty, left_out: LeftOut | None, found: Callable[[], Disagreement]) -> Uncertainty:
+def inflated(
+    known: Uncertainty, bundle: Bundle, state: State, loss: Loss, found: Callable[[], Disagreement]
+) -> Uncertainty:
     """Return the uncertainty with what the views disagree on; unchanged when they agree.
+
+    Fewer than four views are judged by how their stars miss alike. From four on, the views' pulls give each sigma
+    (`calib.sandwich`), correlations kept.
 
     Parameters
     ----------
     known
         The uncertainty were the model right.
-    left_out
-        What leaving out views showed. From 10 views on each sigma grows to that of the jackknife, correlations kept.
+    bundle, state, loss
+        What was fitted, its optimum, and the loss with the limit it ended with.
     found
-        Measures what views disagree on (`calib.disagreement`); asked where they disagree and are fewer.
+        Measures what views disagree on (`calib.disagreement`); asked where they disagree and are fewer than ten.
     """
     if not known.disagree:
         return known
-    if left_out is None or len(left_out.values) < _JACKKNIFE_VIEWS:
-        shared = found()
-        budget = {"stars": np.diag(shared.stars), "known beforehand": np.diag(shared.prior)}
-        return replace(
-            known,
-            covariance=shared.covariance,
-            effective_freedom=max(1.0, min(shared.effective_freedom, known.effective_freedom)),
-            budget={
-                **{source: budget[source] for source in known.budget},
-                "disagreement of the views": np.diag(shared.fields),
-            },
-        )
-    variances = np.diag(known.covariance)
-    growth = np.sqrt(np.maximum(np.diag(left_out.jackknife) / variances, 1.0))
+    views = len(state.rotations)
+    if views >= _MANY_VIEWS:
+        return _by_pulls(known, bundle, state, loss, None)
+    shared = found()
+    shaped = _with_fields(known, shared)
+    return shaped if views < _PULL_VIEWS else _by_pulls(shaped, bundle, state, loss, shared.pulls)
+
+
+def _with_fields(known: Uncertainty, shared: Disagreement) -> Uncertainty:
+    """Return the uncertainty by the fields that neighbouring stars share."""
+    budget = {"stars": np.diag(shared.stars), "known beforehand": np.diag(shared.prior)}
+    return replace(
+        known,
+        covariance=shared.covariance,
+        effective_freedom=max(1.0, min(shared.effective_freedom, known.effective_freedom)),
+        budget={
+            **{source: budget[source] for source in known.budget},
+            _DISAGREEMENT: np.diag(shared.fields),
+        },
+    )
+
+
+def _by_pulls(
+    known: Uncertainty, bundle: Bundle, state: State, loss: Loss, working: Array | None
+) -> Uncertainty:
+    """Return the uncertainty with each sigma as the views' pulls show it, but no less than the stars leave.
+
+    `working` (n, G, G) is what the covariance of each pull is taken for; None: what the stars' noise gives it. The
+    degrees of freedom differ from parameter to parameter; their median stands for all.
+    """
+    residuals = bundle.residuals(state)
+    pull = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
+    scores = list(bundle.scores(state, pull, loss.curvature_root(residuals)))
+    information, pulls = (np.array(each) for each in zip(*scores, strict=True))
+    working = known.variance_factor * information if working is None else working
+    prior = bundle.prior_information
+    shown = sandwich(pulls, information, working, prior, bundle.noise_variance * prior)
+    others = {source: variances for source, variances in known.budget.items() if source != _DISAGREEMENT}
+    least = sum(others.values(), start=np.zeros(len(known.names)))
+    variances = np.maximum(shown.variances, least)
+    growth = np.sqrt(variances / np.diag(known.covariance))
     return replace(
         known,
         covariance=known.covariance * np.outer(growth, growth),
-        effective_freedom=float(len(left_out.values) - 1),
-        budget={**known.budget, "disagreement of the views": (growth**2 - 1.0) * variances},
+        effective_freedom=max(1.0, min(float(np.median(shown.freedom)), known.effective_freedom)),
+        budget={**others, _DISAGREEMENT: variances - least},
     )
 
 

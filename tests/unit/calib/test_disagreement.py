@@ -80,11 +80,19 @@ def test_sigmas_of_three_views_of_a_bent_target_are_those_of_repeated_calibratio
     assert (np.sqrt(np.mean(np.square(by_stars_alone), axis=0)) > 2).all()
 
 
-def test_ten_views_are_left_to_the_jackknife(bench):
+@pytest.mark.parametrize("count", [4, 10])
+def test_from_four_views_on_their_own_pulls_say_how_sure_they_are(bench, count):
     rng = np.random.default_rng(114)
-    poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(10)]
-    centres = np.array(bench.centre) + rng.normal(scale=1.0, size=(10, 3))
+    poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(count)]
+    centres = np.array(bench.centre) + rng.normal(scale=1.0, size=(count, 3))
     fitted = fit(bench.views(rng, 0.02, poses=poses, centres=centres), L2, "spherical")
-    jackknife = np.sqrt(np.diag(fitted.left_out.jackknife))
-    assert np.sqrt(np.diag(fitted.known.covariance)) == pytest.approx(jackknife)
-    assert fitted.known.effective_freedom == 9
+    known = fitted.known
+    assert known.disagree
+    assert sum(known.budget.values()) == pytest.approx(np.diag(known.covariance))
+    assert 1 < known.effective_freedom < count - 1
+    # The jackknife is larger, the more so the fewer the views.
+    ratio = np.sqrt(np.diag(known.covariance) / np.diag(fitted.left_out.jackknife))
+    assert 0.3 < np.exp(np.log(ratio).mean()) < 1
+    # Correlations are those of what is without the views' pulls.
+    correlation = known.covariance / np.sqrt(np.outer(*[np.diag(known.covariance)] * 2))
+    assert (np.linalg.eigvalsh(correlation) > 0).all()
