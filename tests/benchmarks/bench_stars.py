@@ -3,16 +3,19 @@
 The table gives, for each drive of the light and level of noise, the rms error of the centres per axis over some
 random poses (roll 0 to 360 degrees), by the automatically chosen image and by the published method's last
 polarity; the z-score of the centres by their covariances; stars wholly in view that were missed; stars further
-off than half a pixel ("wrong"); CPU seconds of one core for imaging and for detection.
+off than half a pixel ("wrong"); CPU seconds of one core for detection (median view).
 
-    python tests/benchmarks/bench_stars.py [--poses 10] [--pictures FOLDER]
+    python tests/benchmarks/bench_stars.py [--poses 10] [--r 280] [--half-angle 16] [--pictures FOLDER]
 
-With ``--pictures`` the event image with its stars, and a map of their errors, is drawn for the first pose of each.
+A collimator of 280 mm shows stars 48 px apart, 318 or more of them wholly in each view if its disc is wide enough.
+With ``--pictures`` the event image with its stars, and beside it their errors 500 times as long (red: more than 0.04 px),
+is drawn for the first pose of each.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -28,37 +31,47 @@ from calib.picture import to_uint8
 from calib.view import View
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
-from simulators.world.truth import NOISE_LEVELS, Truth
+from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
 from simulators.world.world import LightState
 
 WINDOW_US = 33_000.0
-TRUTH = Truth()
 IMAGES = ("best", "last-polarity")
+SCALE, FAR_PX = 500, 0.04
+"""How much longer errors are drawn, and from where on red."""
 
 
-def record(noise: str, waveform: Any, rotation: Any, seed: int) -> EventImages:
+def record(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> EventImages:
     """Event images of a simulated recording."""
     light = LightState(waveform=waveform, output=True, sync=True)
     phase = float(np.random.default_rng(seed).random())
-    picture = render(TRUTH, rotation)
+    picture = render(truth, rotation)
     events = simulate(
         picture, light, WINDOW_US, phase=phase, noise=NOISE_LEVELS[noise], camera_seed=7, seed=seed
     )
     first_edge = -phase * light.period_us % light.period_us
     flicker = Flicker(light.period_us, first_edge, 0.5, 0.0, 2, 0, 0, "triggers")
-    size = (TRUTH.camera.width, TRUTH.camera.height)
+    size = (truth.camera.width, truth.camera.height)
     return make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
 
 
-def measure(images: EventImages, kind: str, rotation: Any) -> tuple[View, Any, dict[str, float]]:
+def whole_stars(truth: Truth, rotation: Any) -> Any:
+    """Ids of the stars whose cells lie wholly in the frame and in the bright part of the disc."""
+    pitch_px = truth.camera.fx * TARGET.pitch_mm / truth.collimator.r
+    ids, _ = star_centres(truth, rotation, clearance=0.72, border_px=pitch_px / math.sqrt(2.0))
+    return ids
+
+
+def measure(
+    truth: Truth, images: EventImages, kind: str, rotation: Any
+) -> tuple[View, Any, dict[str, float]]:
     """View, errors and figures of one pose by one kind of image."""
     image = images.best().image if kind == "best" else images.named(kind)
     begin = time.process_time()
     view = detect(image, TARGET)
     cpu_s = time.process_time() - begin
-    errors = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, TRUTH)
+    errors = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)
     squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(view.covariances_px2), errors) / 2.0
-    whole, _ = star_centres(TRUTH, rotation, clearance=0.72, border_px=37.0)
+    whole = whole_stars(truth, rotation)
     return (
         view,
         errors,
@@ -75,21 +88,23 @@ def measure(images: EventImages, kind: str, rotation: Any) -> tuple[View, Any, d
 
 
 def draw(path: Path, image: Any, view: View, errors: Any) -> None:
-    """Event image with the stars found, and their errors 500 times as long."""
-    picture = cv2.cvtColor(to_uint8(image), cv2.COLOR_GRAY2BGR)
-    for (x, y), (dx, dy) in zip(view.points_px, errors, strict=True):
-        at = (round(x * 8), round(y * 8))
-        cv2.circle(picture, at, 40, (0, 200, 0), 1, cv2.LINE_AA, 3)
-        cv2.line(
-            picture,
-            at,
-            (round((x + 500 * dx) * 8), round((y + 500 * dy) * 8)),
-            (0, 0, 255),
-            1,
-            cv2.LINE_AA,
-            3,
-        )
-    cv2.imwrite(str(path), picture)
+    """Event image with the stars found, and beside it their errors 500 times as long, with a scale."""
+    seen = cv2.cvtColor(to_uint8(image), cv2.COLOR_GRAY2BGR)
+    shown = np.full_like(seen, 255)
+    for (x, y), error in zip(view.points_px, errors, strict=True):
+        at = (round(x * 16), round(y * 16))
+        cv2.circle(seen, at, 6 * 16, (0, 160, 0), 2, cv2.LINE_AA, 4)
+        to = (at[0] + round(error[0] * SCALE * 16), at[1] + round(error[1] * SCALE * 16))
+        far = float(np.linalg.norm(error)) > FAR_PX
+        cv2.circle(shown, at, 2 * 16, (150, 150, 150), -1, cv2.LINE_AA, 4)
+        cv2.line(shown, at, to, (0, 0, 220) if far else (90, 90, 90), 2, cv2.LINE_AA, 4)
+    height, length = shown.shape[0], round(FAR_PX * SCALE)
+    cv2.rectangle(shown, (10, height - 36), (length + 150, height - 8), (255, 255, 255), -1)
+    cv2.line(shown, (20, height - 20), (20 + length, height - 20), (0, 0, 0), 3)
+    cv2.putText(
+        shown, f"{FAR_PX:.2f} px", (30 + length, height - 14), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 1
+    )
+    cv2.imwrite(str(path), np.hstack([seen, shown]))
 
 
 def main() -> None:
@@ -98,20 +113,29 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--poses", type=int, default=10)
+    parser.add_argument("--r", type=float, default=280.0, help="mm, as r of the collimator")
+    parser.add_argument("--half-angle", type=float, default=16.0, help="degrees, of the disc")
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args()
+    truth = Truth(collimator=CollimatorTruth(r=options.r, half_angle_deg=options.half_angle))
     rng = np.random.default_rng(2)
-    poses = [(rng.uniform(-6, 6), rng.uniform(-3, 3), rng.uniform(0, 360)) for _ in range(options.poses)]
+    poses = [
+        pose_rotation(
+            {"pan": rng.uniform(-6, 6), "tilt": rng.uniform(-3, 3), "roll": rng.uniform(0, 360)}, truth.optics
+        )
+        for _ in range(options.poses)
+    ]
+    wholly = [len(whole_stars(truth, rotation)) for rotation in poses]
+    print(f"stars wholly in view: {min(wholly)} to {max(wholly)}")
     print("drive   noise    image           rms px    z  missed/whole  wrong  stars  detection CPU s")
     for waveform in ("square", "sine"):
         for noise in ("clean", "typical", "heavy"):
             figures: dict[str, list[dict[str, float]]] = {kind: [] for kind in IMAGES}
-            for number, pose in enumerate(poses):
-                rotation = pose_rotation(dict(zip(("pan", "tilt", "roll"), pose, strict=True)), TRUTH.optics)
-                images = record(noise, waveform, rotation, seed=number + 1)
+            for number, rotation in enumerate(poses):
+                images = record(truth, noise, waveform, rotation, seed=number + 1)
                 for kind in IMAGES:
                     try:
-                        view, errors, found = measure(images, kind, rotation)
+                        view, errors, found = measure(truth, images, kind, rotation)
                     except CalibrationError as error:
                         print(f"        pose {number}: {kind}: {error}")
                         continue
