@@ -63,12 +63,16 @@ def show_summary(folder: Path, summary: Mapping[str, Any], *, as_json: bool) -> 
     click.echo(f"{rehearsal} {summary['queue']}: {how}{': ' if summary['why'] else ''}{summary['why']}")
     for item in summary["items"]:
         why = f": {item['why']}" if item["why"] else ""
-        click.echo(f"  {item['item']:<30} {item['how']:<10} {item['attempts']} attempts{why}")
+        click.echo(f"  {item['item']:<30} {item['how']:<10} {_attempts(item['attempts'])}{why}")
     for camera in summary["cameras"]:
         for line in _trend_lines(camera):
             click.echo(line)
     click.echo(f"Summary: {folder / PAGE}")
     return status
+
+
+def _attempts(count: int) -> str:
+    return f"{count} attempt{'' if count == 1 else 's'}"
 
 
 def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
@@ -137,7 +141,8 @@ def do_rehearsal(
     )
     status = show_summary(folder, summary, as_json=as_json)
     took_s = time.monotonic() - started_s
-    click.echo(f"{summary['totals']['hours']:.1f} hours rehearsed in {took_s:.0f} s.", err=True)
+    whole = duration_text(3600 * summary["totals"]["hours"])
+    click.echo(f"{whole} rehearsed in {took_s:.0f} s.", err=True)
     return status
 
 

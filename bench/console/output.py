@@ -92,12 +92,18 @@ def _run_text(results: Mapping[str, Any]) -> str:
     lines = [calibration_text(results["calibration"])]
     if results["comparison"]:
         lines += ["", "SIMULATED devices. Distance from the simulated truth:"]
-        lines += [
-            f"  {row['name']:<3} {row['error']:+12.4f} {unit_text(row['name']):<3} = {row['error_sigmas']:+.2f} sigma"
-            for row in results["comparison"]
-        ]
+        lines += [_distance_text(row) for row in results["comparison"]]
     lines += [f"Deviation: {what}" for what in results["deviations"]]
     return "\n".join([*lines, ""])
+
+
+def _distance_text(row: Mapping[str, Any]) -> str:
+    """Tell how far a value lies from the truth, to the digits of its uncertainty."""
+    from bench.report.text import fixed, with_uncertainty
+
+    error, _ = with_uncertainty(row["error"], 2 * row["sigma"])
+    sigmas = fixed(row["error_sigmas"], 2)
+    return f"  {row['name']:<3} {error:>12} {unit_text(row['name']):<3} = {sigmas:>5} sigma"
 
 
 def calibration_text(calibration: Mapping[str, Any]) -> str:

@@ -31,12 +31,12 @@ _BEFORE = 0.02
 """Of the span: an axis of times begins so much before the first, where a round time of day lies there."""
 _POINT, _LINE_COLOUR = POSE_COLOURS[0], POSE_COLOURS[1]
 END_COLOURS = {
-    "finished": "#2a8c5f",
-    "failed": "#c0392b",
-    "died": "#c0392b",
-    "hung": "#c0392b",
-    "aborted": "#b07400",
-    "cut off": "#b07400",
+    "finished": "#0072b2",
+    "failed": "#d55e00",
+    "died": "#d55e00",
+    "hung": "#d55e00",
+    "aborted": "#e69f00",
+    "cut off": "#e69f00",
 }
 """Of a run's bar, by how it ended."""
 
