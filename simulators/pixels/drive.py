@@ -36,6 +36,8 @@ EDGE_BEND: Final = 6.0
 """ln of the ratio of the longest bin to the shortest in a part of a square's period."""
 ATLAS_LEVELS: Final = 128
 ATLAS_BINS: Final = 2048
+SINE_STEPS: Final = 4
+"""Steps a bin in which a sine's curves are found."""
 WHEN_STEPS: Final = 256
 """Steps of ``Drive.when`` from one turn of the curve to the other."""
 BRIGHTEST: Final = 1.5
@@ -119,11 +121,13 @@ def _atlas(
     lights = np.expm1(first + log_step * np.arange(ATLAS_LEVELS)) * settings.ambient / high
     if waveform == "square":
         grid = _bent_grid(period, high_share)
-        wave = np.where(np.arange(ATLAS_BINS) < ATLAS_BINS // 2, high, low)
+        wave = np.tile(np.where(np.arange(ATLAS_BINS) < ATLAS_BINS // 2, high, low), (3, 1))
     else:
         grid = np.linspace(0.0, period, ATLAS_BINS + 1)
-        middle = (np.arange(ATLAS_BINS) + 0.5) / ATLAS_BINS
-        wave = 0.5 * (high + low) + 0.5 * (high - low) * np.sin(2.0 * np.pi * middle)
+        turns = (np.arange(ATLAS_BINS * SINE_STEPS) + np.array([[0.0], [0.5], [1.0]])) / (
+            ATLAS_BINS * SINE_STEPS
+        )
+        wave = 0.5 * (high + low) + 0.5 * (high - low) * np.sin(2.0 * np.pi * turns)
     curves = np.empty((ATLAS_LEVELS, ATLAS_BINS + 1))
     fill_curves(curves, lights, wave, settings.ambient, np.diff(grid) / settings.q_us)
     if settings.follower_us > 0.0:
@@ -161,26 +165,34 @@ def fill_curves(curves: NDArray, lights: NDArray, wave: NDArray, ambient: float,
     lights
         (levels,) light of each level.
     wave
-        (bins,) w in the middle of each bin: within a bin I is taken as constant, which is exact for steps and
-        of second order in the bin's length for smooth waves.
+        (3, steps) w at the begin, in the middle and at the end of each step, some to a bin. Within a step the time
+        constant is that of its middle, and what u tends to, 1 / I, goes straight from begin to end: exact for a
+        square, of second order in the step's length for smooth waves, and true to them however short q is.
     ambient
         Constant part of I.
     bin_q
         (bins,) length of each bin in units of q.
     """
-    bins = wave.size
+    bins, steps = bin_q.size, wave.shape[1] // bin_q.size
     for j in range(lights.size):
-        scale, offset = 1.0, 0.0  # u after a period = scale * u + offset
-        for i in range(bins):
-            intensity = ambient + lights[j] * wave[i]
-            decay = exp(-intensity * bin_q[i])
-            scale *= decay
-            offset = offset * decay + (1.0 - decay) / intensity
-        u = offset / (1.0 - scale)
-        for i in range(bins):
-            curves[j, i] = log(u)
-            intensity = ambient + lights[j] * wave[i]
-            u = 1.0 / intensity + (u - 1.0 / intensity) * exp(-intensity * bin_q[i])
+        scale, offset, u = 1.0, 0.0, 0.0  # u after a period = scale * u + offset
+        for lap in range(2):
+            for k in range(bins * steps):
+                if lap == 1 and k % steps == 0:
+                    curves[j, k // steps] = log(u)
+                taus = (ambient + lights[j] * wave[1, k]) * bin_q[k // steps] / steps
+                decay = exp(-taus)
+                mean = (1.0 - decay) / taus
+                before, after = (
+                    1.0 / (ambient + lights[j] * wave[0, k]),
+                    1.0 / (ambient + lights[j] * wave[2, k]),
+                )
+                gain = before * (mean - decay) + after * (1.0 - mean)
+                scale *= decay
+                offset = offset * decay + gain
+                u = u * decay + gain
+            if lap == 0:
+                u = offset / (1.0 - scale)
         curves[j, bins] = log(u)
 
 

@@ -49,7 +49,8 @@ OFF_AT: Final = 4  # an OFF event comes when u has risen to this
 U: Final = 5  # u at the phase asked for
 T: Final = 6  # phase of the next crossing; may exceed a period; inf = none
 IS_ON: Final = 7  # its polarity
-N_BATCH: Final = 8
+TO_END: Final = 8  # square: how near its targets lie to where u ends, as square_tail has it
+N_BATCH: Final = 9
 
 _ZERO: Final = np.float32(0.0)
 _ONE: Final = np.float32(1.0)

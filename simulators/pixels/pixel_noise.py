@@ -68,6 +68,15 @@ def reset_errors(normals: NDArray, spread: float, random: NDArray, values: NDArr
     random[COUNTER] = count + np.uint64(n)
 
 
+@njit(inline="always", **JIT)
+def earlier_error(normals: NDArray, spread: float, random: NDArray, back: int) -> Any:
+    """Return the factor that ``reset_error`` or ``reset_errors`` has drawn so many before the next."""
+    if spread == 0.0:
+        return np.float32(1.0)
+    bits = _bits(random[KEY], random[COUNTER] + np.uint64(1) - np.uint64(back))
+    return np.float32(1.0) + np.float32(spread) * normals[bits >> np.uint64(52)]
+
+
 @njit(**KERNEL)
 def draw_arrivals(
     alias: NDArray, rate_us: float, after: float, random: NDArray, times: NDArray, where: NDArray

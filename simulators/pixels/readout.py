@@ -17,10 +17,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.pixels import photoreceptor as pr
-from simulators.pixels.drive import Drive
-from simulators.pixels.fast_math import JIT, KERNEL
+from simulators.pixels import square_tail as tail
+from simulators.pixels.drive import SQUARE, Drive
+from simulators.pixels.fast_math import JIT
 from simulators.pixels.photoreceptor import crossings, levels_at, period_start, steady_levels
-from simulators.pixels.pixel_noise import draw_arrivals, reset_error, reset_errors, uniform
+from simulators.pixels.pixel_noise import draw_arrivals, uniform
+from simulators.pixels.pixel_reset import cross_exactly, reset_at_once, reset_pixel, reset_row, targets
 from simulators.pixels.sensor_state import (
     AHEAD,
     BLOCK,
@@ -32,7 +34,6 @@ from simulators.pixels.sensor_state import (
     GAINS,
     GROUP,
     NOISE,
-    ON_BITS,
     PLACE,
     QUEUE,
     STALL,
@@ -53,15 +54,10 @@ from simulators.pixels.sensor_state import (
 VECTOR_FROM: Final = 5
 """Events of a block from which on the sensor sends them as a vector."""
 VECTOR_WORDS: Final = 4
-FEW: Final = 9
-"""Events of a row below which they are worked on one by one, not as a batch."""
-LANES: Final = 16
-"""Pixels are worked on in multiples of this many."""
 LONE_WORDS: Final = 3
 """EVT3 words of an event that is read alone."""
 LONGEST_ROW_WORDS: Final = 512
 """Room the link must have before a row is read."""
-_GAIN: Final = np.float32(1.0 / 65536.0)
 
 
 @njit(**JIT)
@@ -127,7 +123,7 @@ def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: tuple, fir
     i_on, i_off = first, first + n_on
     for k in range(n):
         c = px.column[k]
-        on = int(px.is_on[r, c])
+        on = int(px.is_on[r, c]) & 1
         xs[i_on if on else i_off] = c
         i_on += on
         i_off += 1 - on
@@ -137,88 +133,6 @@ def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: tuple, fir
         ys[i] = r
     for i in range(first, first + n):
         ps[i] = i < first + n_on
-
-
-@njit(forceinline=True, **JIT)
-def _reset_pixel(
-    px: Pixels, drive: Drive, ro: Readout, r: int, c: int, phase: float, start: float, random: NDArray
-) -> None:
-    """Give one pixel its new reference at a phase, and its next crossing: ``_reset_row`` for a row of one."""
-    light = px.cell[r, c, PLACE]
-    u_rise, u_fall = pr.steady(drive, light)
-    u = pr.level_at(drive, light, u_rise, u_fall, phase) * reset_error(ro.normals, ro.reset_noise, random)
-    on_at, off_at = _targets(u, px.gains[r, c, GAINS])
-    cross, on = pr.crossing(drive, light, u_rise, u_fall, on_at, off_at, phase)
-    live = np.float32(start + phase)
-    px.cell[r, c, U_REF] = u
-    px.cell[r, c, T_LIVE] = live
-    px.is_on[r, c] = np.uint8(on)
-    px.t_next[r, c] = max(live, np.float32(start) + cross)
-
-
-@njit(inline="always", **JIT)
-def _targets(u: Any, gains: Any) -> tuple[Any, Any]:
-    """Levels at which a pixel fires, from its reference and its gains."""
-    on = np.float32(np.int32(gains & np.uint32(0xFFFF))) * _GAIN
-    off = np.float32(np.int32(gains >> np.uint32(ON_BITS))) * _GAIN
-    return u * on, u / off
-
-
-@njit(**KERNEL)
-def _load(cell: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
-    """Fetch the places of the listed pixels of a row into the batch."""
-    for k in range(n):
-        batch[pr.LIGHT, k] = cell[column[k], PLACE]
-
-
-@njit(**KERNEL)
-def _aim(gains: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
-    """Fill in the levels at which the pixels of the batch fire."""
-    for k in range(n):
-        batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = _targets(batch[pr.U, k], gains[column[k], GAINS])
-
-
-@njit(**KERNEL)
-def _store(px_row: tuple, column: NDArray, batch: NDArray, n: int, start: float, live: float) -> None:
-    """Put the references and the next crossings of the batch back to the listed pixels of a row."""
-    cell, t_next, is_on = px_row
-    start32, live32 = np.float32(start), np.float32(live)
-    for k in range(n):
-        c = column[k]
-        cell[c, U_REF] = batch[pr.U, k]
-        cell[c, T_LIVE] = live32
-        t_next[c] = max(live32, start32 + batch[pr.T, k])
-        is_on[c] = np.uint8(batch[pr.IS_ON, k])
-
-
-@njit(forceinline=True, **JIT)
-def _reset_row(
-    px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
-) -> None:
-    """Give the listed pixels of a row their new references, at the end of the dead time, and next crossings.
-
-    Parameters
-    ----------
-    t
-        When the row is read.
-    start
-        Start of a period of the light not after ``t``.
-    """
-    t_live = t + ro.dead_us
-    start += floor((t_live - start) / drive.period_us) * drive.period_us
-    phase = t_live - start
-    if n < FEW:
-        for k in range(n):
-            _reset_pixel(px, drive, ro, r, np.int64(px.column[k]), phase, start, random)
-        return
-    whole = -(-n // LANES) * LANES  # the rest of the batch holds pixels of former rows: harmless
-    _load(px.cell[r], px.column, px.batch, whole)
-    steady_levels(drive, px.batch, whole)
-    levels_at(drive, px.batch, whole, phase)
-    reset_errors(ro.normals, ro.reset_noise, random, px.batch[pr.U], n)
-    _aim(px.gains[r], px.column, px.batch, whole)
-    crossings(drive, px.batch, whole, phase)
-    _store((px.cell[r], px.t_next[r], px.is_on[r]), px.column, px.batch, n, start, t_live)
 
 
 @njit(forceinline=True, **JIT)
@@ -257,7 +171,7 @@ def _read_alone(
     t_live = t + ro.dead_us
     start += floor((t_live - start) / drive.period_us) * drive.period_us
     before = px.t_next[r, c]
-    _reset_pixel(px, drive, ro, r, c, t_live - start, start, random)
+    reset_pixel(px, drive, ro, r, c, t_live - start, start, random)
     retime(px, r, c, before)
     _account(state, ro, t, 1, LONE_WORDS)
     return 1
@@ -325,7 +239,10 @@ def read_rows(
         r = row_at(px, smallest(px.group_min))
         n_row, n_on, words = _gather_row(px, r, t)
         _emit_row(px, r, n_row, n_on, np.int64(floor(state[EPOCH] + t)), out, n)
-        _reset_row(px, drive, ro, r, n_row, t, start, random)
+        if n_row == 1 and t == oldest and drive.kind == SQUARE:
+            reset_at_once(px, drive, ro, r, t, start, random)
+        else:
+            reset_row(px, drive, ro, r, n_row, t, start, random)
         _update_blocks(px, r, t)
         n += n_row
         state[STALL] += max(0.0, t_link - max(oldest, state[FREE]))
@@ -352,7 +269,7 @@ def start_pixels(px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArr
     for r in range(px.t_next.shape[0]):
         for c in range(width):
             px.column[c] = c
-        _reset_row(px, drive, ro, r, width, t, start, random)
+        reset_row(px, drive, ro, r, width, t, start, random)
     update_minima(px)
 
 
@@ -369,11 +286,12 @@ def redrive(
     for r in range(px.t_next.shape[0]):
         for c in range(width):
             batch[pr.LIGHT, c] = px.cell[r, c, PLACE]
-            targets = _targets(px.cell[r, c, U_REF], px.gains[r, c, GAINS])
-            batch[pr.ON_AT, c], batch[pr.OFF_AT, c] = targets
+            aims = targets(px.cell[r, c, U_REF], px.gains[r, c, GAINS])
+            batch[pr.ON_AT, c], batch[pr.OFF_AT, c] = aims
         steady_levels(drive, batch, width)
         levels_at(drive, batch, width, t - start)
         crossings(drive, batch, width, t - start)
+        tail.fill_to_end(drive, batch, width)
         for c in range(width):
             if px.t_next[r, c] <= t:
                 continue  # it waits already
@@ -382,5 +300,9 @@ def redrive(
             if u <= batch[pr.ON_AT, c] or u >= batch[pr.OFF_AT, c]:
                 cross, on = t + step_us * uniform(random), np.float32(u <= batch[pr.ON_AT, c])
             px.t_next[r, c] = max(np.float64(px.cell[r, c, T_LIVE]), cross)
-            px.is_on[r, c] = np.uint8(on)
+            lower = px.is_on[r, c] & np.uint8(0xFE)
+            px.is_on[r, c] = lower | np.uint8(on)
+            if batch[pr.TO_END, c] < tail.tail_width(drive) and batch[pr.ON_AT, c] < u < batch[pr.OFF_AT, c]:
+                u_ref = tail.joined(px.cell[r, c, U_REF], lower)
+                cross_exactly(px, drive, r, c, u_ref, t - start, start)
     update_minima(px)

@@ -104,6 +104,7 @@ class Sensor:
     ) -> None:
         self.width, self.height = width, height
         self.settings = settings if settings is not None else PixelSettings()
+        self._noise, self._camera_seed = noise, camera_seed
         self._pixels = _make_pixels(width, height, noise, self.settings, camera_seed)
         self._readout = _make_readout(width, height, noise, self.settings, camera_seed, link or Link())
         self._state = np.zeros(sensor_state.N_STATE)
@@ -125,6 +126,12 @@ class Sensor:
     def stalled_us(self) -> float:
         """How long the readout has waited for the link."""
         return float(self._state[sensor_state.STALL])
+
+    @property
+    def noise_rates_hz(self) -> NDArray[np.float32]:
+        """Background and hot-pixel events a second of this camera's pixels, (height, width), but for dead times."""
+        rates = _noise_rates(self.width, self.height, self._noise, self.settings, self._camera_seed)
+        return rates.reshape(self.height, self.width)
 
     def begin(
         self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
@@ -345,17 +352,26 @@ def _dead(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArr
     return dead.reshape(height, width)
 
 
+def _noise_rates(
+    width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
+) -> NDArray[np.float32]:
+    """Rates of background and hot-pixel events of that camera's pixels, row by row, events/s."""
+    pattern = np.random.default_rng([camera_seed, 2])
+    n = width * height
+    spread = np.exp(RATE_SPREAD * pattern.standard_normal(n, np.float32) - 0.5 * RATE_SPREAD**2)
+    rates: NDArray[np.float32] = noise.background_hz * settings.background_gain * spread
+    hot = pattern.choice(n, round(noise.hot_share * n), replace=False)
+    rates[hot] = noise.hot_hz
+    rates[_dead(width, height, noise, camera_seed).ravel()] = 0.0
+    return rates
+
+
 def _make_readout(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int, link: Link
 ) -> Readout:
     """Readout with the noise rates of that camera's pixels."""
-    pattern = np.random.default_rng([camera_seed, 2])
-    n = width * height
-    spread = np.exp(RATE_SPREAD * pattern.standard_normal(n, np.float32) - 0.5 * RATE_SPREAD**2)
-    rates = noise.background_hz * settings.background_gain * spread
-    hot = pattern.choice(n, round(noise.hot_share * n), replace=False)
-    rates[hot] = noise.hot_hz
-    rates[_dead(width, height, noise, camera_seed).ravel()] = 0.0
+    rates = _noise_rates(width, height, noise, settings, camera_seed)
+    n = rates.size
     total = float(rates.sum(dtype=np.float64))
     alias = np.zeros(n, np.uint64)
     if total > 0.0:

@@ -49,7 +49,7 @@ class Pixels(NamedTuple):
     """State and fixed pattern of the pixels, float32; columns are padded to whole blocks."""
 
     t_next: NDArray[np.float32]  # (rows, columns) next request; inf = none
-    is_on: NDArray[np.uint8]  # (rows, columns) its polarity
+    is_on: NDArray[np.uint8]  # (rows, columns) its polarity in bit 0; above, square_tail's digits of U_REF
     cell: NDArray[np.float32]  # (rows, columns, N_CELL)
     gains: NDArray[np.uint32]  # the same memory as words
     block_min: NDArray[np.float32]  # (rows, blocks) earliest request
@@ -165,7 +165,7 @@ def waiting(t_next: NDArray, is_on: NDArray, t32: Any) -> tuple[Any, Any]:
     for i in range(BLOCK):
         bit = np.uint32(np.uint32(1) << np.uint32(i))
         asking |= bit if t_next[i] <= t32 else np.uint32(0)
-        on |= bit if is_on[i] != np.uint8(0) else np.uint32(0)
+        on |= bit if is_on[i] & np.uint8(1) else np.uint32(0)
     return asking, on & asking
 
 

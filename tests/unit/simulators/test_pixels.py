@@ -4,15 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from simulators.errors import SimulationMisuse
-from simulators.pixels.biases import ALLOWED, PixelSettings
+from simulators.pixels.biases import PixelSettings
 from simulators.pixels.sensor import Link, Sensor, simulate
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world.world import LightState
-from tests.unit.simulators.ode_pixel import solve_step_by_step, solve_with_filters
+from tests.unit.simulators.ode_pixel import (
+    solve,
+    solve_closely,
+    solve_square_by_library,
+    solve_step_by_step,
+    solve_with_filters,
+)
 
 MISMATCH_ONLY = NoiseTruth(mismatch=0.12, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=0.0)
 SQUARE = LightState(waveform="square", output=True)
@@ -28,55 +32,57 @@ def by_pixel(events, x, y):
     return events.t[inside], events.p[inside]
 
 
-@pytest.mark.parametrize(("light", "shape", "tolerance_us"), [(SQUARE, 0, 1.0), (SINE, 1, 2.0)])
-@pytest.mark.parametrize("q_us", [20.0, 60.0, 200.0])
-def test_events_are_those_of_the_differential_equation(light, shape, tolerance_us, q_us):
-    height, width, duration, phase = 10, 1, 33_400.0, 0.37
-    setting = PixelSettings(q_us=q_us)
-    scene = picture(height, width, seed=int(q_us))
-    sensor = Sensor(width, height, noise=MISMATCH_ONLY, settings=setting, camera_seed=3, link=Link.ideal())
+def found_and_true(light, q_us, pixels, mores):
+    """Times found for each pixel, us, and true ones, for what is added to the thresholds."""
+    duration, phase, setting = 33_400.0, 0.37, PixelSettings(q_us=q_us)
+    scene = picture(150, 1, seed=int(q_us) + 1)
+    sensor = Sensor(1, 150, noise=MISMATCH_ONLY, settings=setting, camera_seed=3, link=Link.ideal())
     sensor.begin(scene, light, phase)
-    events = sensor.run(duration)
-    on, off = sensor.thresholds
-    period = light.period_us
-    compared = 0
-    for y in range(height):
-        times, polarities = solve_step_by_step(
-            float(scene[y, 0]), period, phase * period, shape, light.low, light.high, 0.5, setting.ambient,
-            q_us, on[y, 0], off[y, 0], setting.dead_us, -2 * period, duration,
-        )  # fmt: skip
-        expected = [(t, p) for t, p in zip(times, polarities, strict=True) if t >= 0.0]
+    events, (on, off) = sensor.run(duration), sensor.thresholds
+    for y in range(pixels):
+        true = [
+            solve(light, scene[y, 0], phase, setting, (on[y, 0], off[y, 0]), duration, more) for more in mores
+        ]
         found_t, found_p = by_pixel(events, 0, y)
-        assert list(found_p) == [p for _, p in expected]
-        # the sensor rounds down to whole microseconds
-        error = found_t + 0.5 - np.array([t for t, _ in expected])
-        assert np.abs(error).max(initial=0.0) <= 0.5 + tolerance_us
-        compared += len(expected)
-    assert compared > 50
+        assert list(found_p) == list(true[0][1])
+        yield found_t + 0.5, *(times for times, _ in true)  # it rounds down to whole microseconds
+
+
+@pytest.mark.parametrize("q_us", [20.0, 60.0, 200.0])
+def test_events_under_a_square_are_those_of_the_differential_equation(q_us):
+    errors = np.concatenate([found - times for found, times in found_and_true(SQUARE, q_us, 150, [0.0])])
+    assert len(errors) > 1000
+    assert np.abs(errors).max() <= 0.5 + 0.1
+
+
+@pytest.mark.parametrize("q_us", [20.0, 60.0, 200.0])
+def test_events_under_a_sine_are_those_of_the_differential_equation(q_us):
+    errors = []
+    for found, times, *others in found_and_true(SINE, q_us, 60, [0.0, -2e-5, 2e-5]):
+        errors.append(np.abs(found - times))
+        # Just before the curve turns it stands: 2e-5 of the light is all that its table has to be good to.
+        if all(len(other) == len(times) for other in others):
+            slack = np.max([np.abs(other - times) for other in others], axis=0)
+            assert (errors[-1] <= 0.5 + np.maximum(slack, 0.5)).all()
+    assert np.quantile(np.concatenate(errors), 0.999) <= 0.5 + 1.0
 
 
 @pytest.mark.parametrize(("q_us", "row"), [(20.0, 16), (60.0, 31), (200.0, 115)])
-def test_where_a_square_event_is_off_by_more_the_equation_itself_turns_on_millionths(q_us, row):
-    # The worst 3 of 6267 events of 450 pixels. In the tail of an edge u is all but flat: float32's last digits,
-    # 2e-6 of the light, move an event by microseconds, and the equation's by as much.
-    scene, phase, period, duration = picture(150, 1, seed=int(q_us) + 1), 0.37, SQUARE.period_us, 33_400.0
-    setting = PixelSettings(q_us=q_us)
-    sensor = Sensor(1, 150, noise=MISMATCH_ONLY, settings=setting, camera_seed=3, link=Link.ideal())
-    sensor.begin(scene, SQUARE, phase)
-    found_t, _ = by_pixel(sensor.run(duration), 0, row)
-    on, off = (threshold[row, 0] for threshold in sensor.thresholds)
-
-    def by_equation(more):
-        times, _ = solve_step_by_step(
-            float(scene[row, 0]), period, phase * period, 0, SQUARE.low, SQUARE.high, 0.5, setting.ambient,
-            q_us, on + more, off + more, setting.dead_us, -2 * period, duration,
-        )  # fmt: skip
-        return np.array([t for t in times if t >= 0.0]) - 0.5
-
-    earlier, exact, later = (by_equation(more) for more in (-2e-6, 0.0, 2e-6))
-    assert np.abs(found_t - exact).max() > 1.5
-    assert (earlier - 1.5 <= found_t).all()
-    assert (found_t <= later + 1.5).all()
+def test_the_equations_solvers_agree_in_the_flat_tail_of_an_edge(q_us, row):
+    # Where an event comes so late in an edge that 1e-6 of the light moves it by a microsecond or more.
+    period, phase, setting = SQUARE.period_us, 0.37, PixelSettings(q_us=q_us)
+    scene = picture(150, 1, seed=int(q_us) + 1)
+    on, off = (
+        threshold[row, 0] for threshold in Sensor(1, 150, noise=MISMATCH_ONLY, camera_seed=3).thresholds
+    )
+    light = (float(scene[row, 0]), period, phase * period)
+    rest = (
+        SQUARE.low, SQUARE.high, 0.5, setting.ambient, q_us, on, off, setting.dead_us, -2 * period, 33_400.0
+    )  # fmt: skip
+    closely, polarities = solve_closely(*light, 0, *rest)
+    for times, theirs in (solve_square_by_library(*light, *rest), solve_step_by_step(*light, 0, *rest)):
+        assert theirs == polarities
+        assert np.abs(np.array(times) - closely).max() < 0.1
 
 
 @pytest.mark.parametrize(("follower_us", "corner_hz"), [(50.0, 0.0), (200.0, 0.0), (1.5, 20.0), (50.0, 60.0)])
@@ -141,62 +147,6 @@ def test_dead_pixels_never_fire_and_stay_with_the_camera():
     assert len(silent(1, 1)) == round(0.05 * 48 * 64)
     assert silent(1, 1) == silent(1, 2)
     assert silent(1, 1) != silent(2, 1)
-
-
-@given(
-    seed=st.integers(0, 1000),
-    waveform=st.sampled_from(["square", "sine"]),
-    frequency=st.floats(20, 500),
-    low=st.floats(0, 2),
-    noise=st.sampled_from(["none", "clean", "typical", "heavy"]),
-    refr=st.integers(*ALLOWED["bias_refr"]),
-)
-@settings(max_examples=25, deadline=None)
-def test_what_every_recording_obeys(seed, waveform, frequency, low, noise, refr):
-    light = LightState(waveform=waveform, frequency_hz=frequency, low_v=low, output=True)
-    setting = PixelSettings.from_biases({"bias_refr": refr})
-    events = simulate(
-        picture(48, 64, seed), light, 20_000, noise=NOISE_LEVELS[noise], settings=setting, seed=seed
-    )
-    assert (np.diff(events.t) >= 0).all(), "time is monotone"
-    assert events.t.min(initial=0) >= 0
-    assert events.t.max(initial=0) < 20_000
-    assert events.x.max(initial=0) < 64
-    assert events.y.max(initial=0) < 48
-    order = np.lexsort((events.t, events.x, events.y))
-    same = np.diff(events.y[order].astype(int) * 64 + events.x[order]) == 0
-    waits = np.diff(events.t[order])[same]
-    assert waits.min(initial=10**6) >= setting.dead_us - 1.01, "a pixel is dead after a read"
-
-
-@given(seed=st.integers(0, 1000), cuts=st.lists(st.integers(1, 39_999), max_size=6, unique=True))
-@settings(max_examples=15, deadline=None)
-def test_slicing_does_not_change_the_stream(seed, cuts):
-    def begun():
-        sensor = Sensor(64, 48, noise=NOISE_LEVELS["heavy"], seed=seed)
-        sensor.begin(picture(48, 64, seed), SQUARE, 0.2)
-        return sensor
-
-    whole = begun().run(40_000)
-    sensor = begun()
-    parts = [sensor.run(t) for t in [*sorted(cuts), 40_000]]
-    for k in range(4):
-        np.testing.assert_array_equal(np.concatenate([p[k] for p in parts]), whole[k])
-
-
-def test_the_same_seed_gives_the_same_events_and_another_does_not():
-    a, b, c = (simulate(picture(48, 64), SQUARE, 20_000, seed=s) for s in (4, 4, 5))
-    assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
-    assert not np.array_equal(a.t, c.t)
-
-
-def test_a_row_is_read_at_one_time_and_only_once_at_a_time():
-    events = simulate(np.ones((48, 64), np.float32), SQUARE, 17_000, noise=NOISE_LEVELS["clean"])
-    per_read = {}
-    for t, y in zip(events.t, events.y, strict=True):
-        per_read[t, y] = per_read.get((t, y), 0) + 1
-    assert max(per_read.values()) > 32  # whole rows ask at once, and leave together
-    assert len(events.t) > 48 * 64
 
 
 def test_the_readout_never_beats_its_peak_rate():

@@ -1,0 +1,122 @@
+"""A square light in double precision: for the few events that float32's last digits would move by microseconds.
+
+In the tail of an edge u is all but flat: where its logarithm moves by 1e-6 a microsecond, so does an event for an
+error of 1e-6. ``photoreceptor`` works in float32, whose errors of some 1e-7 do no harm anywhere else; what comes in
+a tail is found once more here, and a reference's phase to better than float32 tells the time. Compiled functions.
+"""
+
+from __future__ import annotations
+
+from math import exp, floor, log
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simulators.pixels import photoreceptor as pr
+from simulators.pixels.drive import SQUARE, Drive
+from simulators.pixels.fast_math import JIT, KERNEL
+
+STEEP: Final = 3e-5
+"""Change of ln u in a microsecond from which on float32 is good to a hundredth of one."""
+LEAST_Q_US: Final = 1.0
+TIME_STEP_US: Final = 4.0 / 1024.0
+"""The coarsest float32 steps of a request's time, after the epoch."""
+
+
+@njit(inline="always", **JIT)
+def tail_width(d: Drive) -> float:
+    """How near to its end, relatively, u is where it moves by less than ``STEEP``."""
+    return STEEP * max(d.q_us, LEAST_Q_US) if d.kind == SQUARE else 0.0
+
+
+@njit(inline="always", **JIT)
+def to_end(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
+    """Relative distance of the nearer of a pixel's two targets from where u ends in its part of the period."""
+    i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
+    i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
+    return min(abs(on_at * i_high - np.float32(1.0)), abs(off_at * i_low - np.float32(1.0)))
+
+
+@njit(**KERNEL)
+def fill_to_end(drive: Drive, batch: NDArray, n: int) -> Any:
+    """Fill in ``TO_END`` of each pixel under a square light; return the smallest."""
+    nearest = np.float32(1.0)
+    for k in range(n):
+        batch[pr.TO_END, k] = to_end(drive, batch[pr.LIGHT, k], batch[pr.ON_AT, k], batch[pr.OFF_AT, k])
+    for k in range(n):
+        nearest = min(nearest, batch[pr.TO_END, k])
+    return nearest
+
+
+@njit(**JIT)
+def _steady(d: Drive, light: float) -> tuple[float, float]:
+    """Values of u at the rising and the falling edge in the periodic steady state."""
+    i_high, i_low = d.ambient + light * d.w_high, d.ambient + light * d.w_low
+    decay_high = exp(-i_high * d.high_us / d.q_us)
+    decay_low = exp(-i_low * (d.period_us - d.high_us) / d.q_us)
+    bright, dark = 1.0 / i_high, 1.0 / i_low
+    rise = dark * (1.0 - decay_low) + bright * (1.0 - decay_high) * decay_low
+    u_rise = rise / (1.0 - decay_high * decay_low)
+    return u_rise, bright + (u_rise - bright) * decay_high
+
+
+@njit(**JIT)
+def level(d: Drive, light: float, phase: float) -> float:
+    """Value of u of a pixel at a phase below one period."""
+    u_rise, u_fall = _steady(d, light)
+    rising = phase >= d.high_us  # u rises in the low part
+    i = d.ambient + light * (d.w_low if rising else d.w_high)
+    since = phase - (d.high_us if rising else 0.0)
+    return 1.0 / i + ((u_fall if rising else u_rise) - 1.0 / i) * exp(-since * i / d.q_us)
+
+
+@njit(**JIT)
+def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) -> tuple[float, bool]:
+    """First crossing at or after a phase below one period: its phase (inf = none) and whether it is ON."""
+    u_rise, u_fall = _steady(d, light)
+    bright, dark = 1.0 / (d.ambient + light * d.w_high), 1.0 / (d.ambient + light * d.w_low)
+    can_on, can_off = u_fall <= on_at, u_rise >= off_at
+    rising = phase >= d.high_us
+    on = not can_off if rising else can_on  # the present part of the period first, then the one after it
+    if not (can_on if on else can_off):
+        return np.inf, on
+    start, end, at = (u_rise, bright, on_at) if on else (u_fall, dark, off_at)
+    begin = (d.period_us if rising else 0.0) if on else d.high_us
+    if start == end:
+        return np.inf, on
+    past = (start - end) / (at - end) if at != end else np.inf
+    return max(begin + d.q_us * end * log(max(past, 1.0)), phase), on
+
+
+@njit(**JIT)
+def asked_at(d: Drive, light: float, target: float, on: bool, t: float, start: float) -> float:
+    """When u met a target, where a request stands at t to float32's last digit; t where it is no crossing.
+
+    On a steep slope the target tells the moment better than t does, and the light that the pixel sees at the end of
+    its dead time is the next reference.
+    """
+    begin = start + floor((t - start) / d.period_us) * d.period_us + (0.0 if on else d.high_us)
+    u_rise, u_fall = _steady(d, light)
+    end = 1.0 / (d.ambient + light * (d.w_high if on else d.w_low))
+    past = ((u_rise if on else u_fall) - end) / (target - end) if target != end else 0.0
+    exact = begin + d.q_us * end * log(past) if past > 0.0 else t
+    return exact if abs(exact - t) <= TIME_STEP_US else t
+
+
+# A reference's digits beyond float32: its relative error, at most 2^-24, in 63 steps to either side, in bits 1 to 7.
+
+
+@njit(inline="always", **JIT)
+def lower_digits(u: float, u32: Any) -> Any:
+    """Digits that ``u32`` lacks of u, to be kept beside it."""
+    steps = floor((u / np.float64(u32) - 1.0) * (63.0 * 16777216.0) + 64.5)
+    return np.uint8(np.int64(min(max(steps, 1.0), 127.0)) << 1)
+
+
+@njit(inline="always", **JIT)
+def joined(u32: Any, digits: Any) -> float:
+    """Put a reference and its lower digits together; where these are 0, none were kept."""
+    steps = np.int64(digits >> np.uint8(1))
+    return np.float64(u32) * (1.0 + ((steps - 64) / (63.0 * 16777216.0) if steps else 0.0))
