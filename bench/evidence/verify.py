@@ -24,8 +24,9 @@ from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS, SIGNATURE
 from bench.records.storage import sha256_of, storing
 
-_LARGEST_TEXT_BYTES = 64 << 20
-"""Lists, results and reports are far smaller; what is larger is not read."""
+_LARGEST_SEAL_BYTES = 64 << 20
+_LARGEST_TEXT_BYTES = 1 << 30
+"""Seals, and results and reports of ten thousand poses, are smaller; what is larger is not read."""
 
 
 _NOT_RESULTS = (ValueError, LookupError, TypeError, RecursionError)
@@ -301,7 +302,8 @@ class _Check:
             self.fault("results", RESULTS, difference)
 
     def _too_large(self, kind: str, name: str) -> bool:
-        if (self.folder / name).stat().st_size <= _LARGEST_TEXT_BYTES:
+        most = _LARGEST_SEAL_BYTES if name in NOT_LISTED else _LARGEST_TEXT_BYTES
+        if (self.folder / name).stat().st_size <= most:
             return False
         self.fault(kind, name, "it is too large to be one")
         return True

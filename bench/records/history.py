@@ -8,8 +8,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Any
 
 from bench.errors import JournalBroken
@@ -117,13 +118,39 @@ class History:
     answer: tuple[str, str] | None = None
     """What was answered to it from another terminal, and by whom."""
 
-    def accepted(self) -> dict[int, Attempt]:
-        """The accepted recording of each pose that has one, by pose index."""
-        return {a.pose_index: a for a in self.attempts if a.accepted}
+    def __post_init__(self) -> None:
+        stored, self.attempts = self.attempts, []
+        self._places: dict[
+            int, list[int]
+        ] = {}  # where in the list those of a pose stand: asked for at every step
+        self._accepted: dict[int, Attempt] = {}
+        for attempt in stored:
+            self.add(attempt)
+
+    def add(self, attempt: Attempt) -> None:
+        """Take a recording that was stored."""
+        self._places.setdefault(attempt.pose_index, []).append(len(self.attempts))
+        self.attempts.append(attempt)
+        if attempt.accepted:
+            self._accepted[attempt.pose_index] = attempt
+
+    def check(self, pose_index: int, number: int, checked: Mapping[str, Any]) -> None:
+        """Take what was found in a stored recording. Raises ValueError where there is none of that number."""
+        for place in self._places.get(pose_index, ()):
+            if self.attempts[place].attempt == number:
+                attempt = self.attempts[place] = replace(self.attempts[place], checked=checked)
+                if attempt.accepted:
+                    self._accepted[pose_index] = attempt
+                return
+        raise ValueError(f"a stored recording for pose {pose_index}, attempt {number}")
+
+    def accepted(self) -> Mapping[int, Attempt]:
+        """The accepted recording of each pose that has one, by pose index, in the order of their acceptance."""
+        return MappingProxyType(self._accepted)
 
     def attempts_at(self, pose_index: int) -> Sequence[Attempt]:
         """All recordings stored at a pose, in order."""
-        return [a for a in self.attempts if a.pose_index == pose_index]
+        return [self.attempts[place] for place in self._places.get(pose_index, ())]
 
     def next_attempt(self, pose_index: int) -> int:
         """Number of the next recording at a pose: after those stored and those lost."""
@@ -245,11 +272,9 @@ def _take_of_pose(history: History, entry: Entry) -> None:
         case Event.ATTEMPT_LOST:
             history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
         case Event.ATTEMPT_CHECKED:
-            _check(history, data)
+            history.check(int(data["pose"]), int(data["attempt"]), data)
         case Event.CAPTURE_STORED:
-            history.attempts.append(
-                Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), data)
-            )
+            history.add(Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), data))
 
 
 def count_crash(history: History, crash: object) -> None:
@@ -277,13 +302,3 @@ def _obey(history: History, data: Mapping[str, Any]) -> None:
             history.answer = str(data["answer"]), str(data["by"])
         case "skip":
             history.to_skip[int(data["pose"])] = str(data["by"])
-
-
-def _check(history: History, data: Mapping[str, Any]) -> None:
-    for i, attempt in enumerate(history.attempts):
-        if (attempt.pose_index, attempt.attempt) == (data["pose"], data["attempt"]):
-            history.attempts[i] = Attempt(
-                attempt.pose_index, attempt.pose_name, attempt.attempt, attempt.stored, data
-            )
-            return
-    raise ValueError(f"a stored recording for pose {data['pose']}, attempt {data['attempt']}")

@@ -29,7 +29,6 @@ from bench.run.job import Job, calibration_options
 from bench.run.measure import Measurement, aligned_poses
 from bench.stations.camera_kinds import CameraKind
 from calib.calibrate import Calibration, calibrate
-from calib.picture import to_uint8
 from sequences.script import SolveStep
 
 VIEWS = "views.h5"
@@ -140,16 +139,15 @@ class ResultWriter:
             )
         solution = self._solution
         results = self._results(log.history, solution, truth)
-        pictures = [to_uint8(m.image) for m in solution.measurements if m.image is not None]
         self._folder.write_atomic(RESULTS, _json_bytes(results))
         residuals = solution.calibration.residuals_px
-        self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals, pictures))
+        self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals))
         for name, data in exports(solution.calibration, camera_name=self._job.camera_name).items():
             self._folder.write_atomic(f"exports/{name}", data)
         shown = [
-            ViewPicture(m.view.name, image, m.view.points_px, m.view.points_px - r, m.view.ids)
-            for m, image, r in zip(solution.measurements, pictures, residuals, strict=True)
-            if m.view is not None
+            ViewPicture(m.view.name, m.picture.unpacked(), m.view.points_px, m.view.points_px - r, m.view.ids)
+            for m, r in zip(solution.measurements, residuals, strict=True)
+            if m.view is not None and m.picture is not None
         ]
         html = render_report(ReportData(results, shown, log.journal.head))
         path = self._folder.write_atomic(REPORT, html.encode())

@@ -30,14 +30,14 @@ def by_earlier_poses(history: History, stored: Mapping[str, Any], target: StarTa
     target
         The printed target.
     """
-    seen = [
-        Sighting(np.array(told["grid"]), best_readings(attempt.stored["measured_deg"]))
-        for attempt in history.accepted().values()
-        if (told := _told(attempt)).get("named_by") in ("tag", "part of the tag")
-    ]
     here = best_readings(stored["measured_deg"])
 
     def expect(image_size: tuple[int, int]) -> NDArray[np.float64]:
+        seen = [
+            Sighting(np.array(told["grid"]), best_readings(attempt.stored["measured_deg"]))
+            for attempt in history.accepted().values()
+            if (told := _told(attempt)).get("named_by") in ("tag", "part of the tag")
+        ]
         return expect_grid(seen, here, image_size, target.pitch_mm).grid
 
     return expect

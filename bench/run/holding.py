@@ -5,7 +5,7 @@ Held by an operator or an interlock the light is off and the stage at rest. Know
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from bench.clock import Aborted, BenchClock
@@ -17,6 +17,8 @@ from sequences.script import PromptStep
 MOST_HOLD_S = 8 * 3600.0
 """An operator who holds a run for longer has gone home: the run is then aborted, safely."""
 HOLD_POLL_S = 0.1
+HOLD_TOLD_AGAIN_S = 600.0
+"""Holds by the same interlock are not told to those away more often than that."""
 
 
 class Resting(Protocol):
@@ -121,3 +123,35 @@ class Holding:
         """The answer given by `starbench answer`, if there is one."""
         given = self._log.history.answer
         return Reply(*given) if given is not None else None
+
+
+class HoldNews:
+    """Tells those away that a run holds; of the same interlock not again for a while.
+
+    Parameters
+    ----------
+    clock
+        The run's.
+    notify
+        Called with the occasion (``hold``), a few words and the hash of the journal's line.
+    """
+
+    def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:
+        self._clock = clock
+        self._notify = notify
+        self._told_s: dict[str, float] = {}
+
+    def entering(self, facts: Mapping[str, Any], line: str) -> None:
+        """Tell of a hold, as the journal does: a door that goes on and off wakes nobody a hundred times."""
+        rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
+        if rule and now_s - self._told_s.get(rule, -HOLD_TOLD_AGAIN_S) < HOLD_TOLD_AGAIN_S:
+            return
+        self._told_s[rule] = now_s
+        self._notify("hold", _waits_for(facts), line)
+
+
+def _waits_for(facts: Mapping[str, Any]) -> str:
+    """Say what a run that holds waits for."""
+    if "rule" in facts:
+        return f"is held by the {words(facts['rule'])} interlock: {facts['why']}"
+    return f"is held by {facts['by']}" if "by" in facts else "asks the operator"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -136,13 +137,17 @@ class Job:
 
     def light_before(self, step: ScriptStep | None) -> LightStep | None:
         """Find the light step that holds when a step begins; None before the first."""
-        light = None
-        for candidate in self.steps:
-            if candidate is step:
-                break
-            if isinstance(candidate, LightStep):
-                light = candidate
-        return light
+        return self._lights.get(0 if step is None else id(step), self._lights[0])
+
+    @cached_property
+    def _lights(self) -> dict[int, LightStep | None]:
+        """The light step before each step, by the step's identity; after the last one, by 0."""
+        light: LightStep | None = None
+        found: dict[int, LightStep | None] = {}
+        for step in self.steps:
+            found[id(step)] = light
+            light = step if isinstance(step, LightStep) else light
+        return {**found, 0: light}
 
     def frequency_hz(self, step: RecordStep) -> float:
         """Flicker frequency that holds when a recording is made; the plan has seen to it that there is one."""
@@ -153,7 +158,19 @@ class Job:
 
     def record_step(self, pose_index: int) -> RecordStep:
         """Find the step that records at a pose."""
-        return next(s for s in self.steps if isinstance(s, RecordStep) and s.pose.index == pose_index)
+        return self._record_steps[pose_index]
+
+    @cached_property
+    def _record_steps(self) -> dict[int, RecordStep]:
+        return {s.pose.index: s for s in self.steps if isinstance(s, RecordStep)}
+
+    def place(self, step: ScriptStep) -> int:
+        """Where a step stands in the script, from 0."""
+        return self._where[id(step)]
+
+    @cached_property
+    def _where(self) -> dict[int, int]:
+        return {id(step): place for place, step in enumerate(self.steps)}
 
     def measure(self, path: Path, step: RecordStep, expect: Expect | None = None) -> Measurement:
         """Find the stars in a recording, as its step says; where ``expect`` says, if the tag does not name them."""
@@ -168,7 +185,11 @@ class Job:
 
     def done_after_s(self, step: ScriptStep) -> float | None:
         """Expected time from the begin of the run to the end of a step, s; None where the plan has none."""
-        return next((p.done_after_s for p in self.plan.steps if p.step is step), None)
+        return self._done_after_s.get(id(step))
+
+    @cached_property
+    def _done_after_s(self) -> dict[int, float]:
+        return {id(p.step): p.done_after_s for p in self.plan.steps}
 
     def read_truth(self) -> dict[str, Any] | None:
         """What the simulated world is made of, for the final comparison; None on a real bench."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +30,7 @@ from calib.event_image import BestImage, EventImages, SliceFacts, make_images
 from calib.flicker import Flicker, flicker_from_events, flicker_from_triggers
 from calib.grid_map import fit_homography
 from calib.motion import half_windows, motion_between
+from calib.picture import to_uint8
 from calib.rim import mistrust_rim
 from calib.target import StarTarget
 from calib.view import View
@@ -46,6 +48,24 @@ _ALIGNED_DEG = 3.0
 
 
 @dataclass(frozen=True)
+class Picture:
+    """An image as people see it, 8 bits a pixel, packed without loss: a run keeps one of each of its poses."""
+
+    packed: bytes
+
+    @classmethod
+    def of(cls, image: NDArray[Any]) -> Picture:
+        """Stretch (`calib.picture.to_uint8`) and pack an image (H, W)."""
+        return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
+
+    def unpacked(self) -> NDArray[np.uint8]:
+        """Give it as (H, W) uint8."""
+        shown = cv2.imdecode(np.frombuffer(self.packed, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert shown is not None
+        return np.asarray(shown, np.uint8)
+
+
+@dataclass(frozen=True)
 class Measurement:
     """What a recording showed.
 
@@ -53,8 +73,8 @@ class Measurement:
     ----------
     view
         The stars; None where none were found, ``fault`` then says why.
-    image
-        (H, W) float32, the event image the stars were looked for in; None where it could not be made.
+    picture
+        The event image the stars were looked for in; None where it could not be made.
     facts
         Plain numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
         share, hot pixels, flicker frequency and where it comes from, triggers expected and found, motion, what named
@@ -64,7 +84,7 @@ class Measurement:
     """
 
     view: View | None
-    image: NDArray[np.float32] | None
+    picture: Picture | None
     facts: Mapping[str, Any] = field(default_factory=dict)
     fault: str = ""
 
@@ -109,7 +129,7 @@ def measure(
         Also when the file cannot be read or no stars are found: the fault then says why.
     """
     facts: dict[str, Any] = {}
-    picture: NDArray[np.float32] | None = None
+    picture: Picture | None = None
     try:
         raw = RawFile.open(path)
         size = raw.width, raw.height
@@ -120,7 +140,7 @@ def measure(
         facts.update(_agreement(flicker, events))
         images = make_images(*_arrays(events), size, flicker, window_us=span_us, periods=periods)
         chosen = _choose(images, image)
-        picture = chosen.image
+        picture = Picture.of(chosen.image)
         facts.update(_image_facts(images, chosen, origin_us))
         view = mistrust_rim(named(chosen.image, target, name, expect, facts), target)
         halves = _halves(events, size, flicker, images.facts, chosen.name)

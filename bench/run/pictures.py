@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.run.gates import Gate, at_least, at_most
-from bench.run.measure import Expect, Measurement, motion_px, named
+from bench.run.measure import Expect, Measurement, Picture, motion_px, named
 from calib.errors import CalibrationError
 from calib.motion import MOVING_PX
 from calib.rim import mistrust_rim
@@ -50,13 +50,14 @@ def measure_pictures(
         (``kind``, ``reason``, ``pictures``), ``motion_px``, and what named the stars (`bench.run.measure.named`).
     """
     facts: dict[str, Any] = {}
-    picture: NDArray[np.float32] | None = None
+    picture: Picture | None = None
     try:
         frames = read_frames(path)
-        picture = _mean(frames)
+        mean = _mean(frames)
+        picture = Picture.of(mean)
         kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
         facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
-        view = mistrust_rim(named(picture, target, name, expect, facts), target)
+        view = mistrust_rim(named(mean, target, name, expect, facts), target)
         half = len(frames) // 2
         halves = (_mean(part) for part in (frames[:half], frames[-half:]))
         facts["motion_px"] = motion_px(halves, target, facts) if half else None

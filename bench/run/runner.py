@@ -22,7 +22,8 @@ from bench.results.result import Outcome, ResultWriter
 from bench.run.attempts import Attempts
 from bench.run.control import Inbox
 from bench.run.heartbeat import Pulse
-from bench.run.interlocks import Trip, words
+from bench.run.holding import HoldNews
+from bench.run.interlocks import Trip
 from bench.run.job import DEVICE_STEPS, Job, ParkStep, ScriptStep
 from bench.run.machine import RunMachine
 from bench.run.resumption import crash_looped, ground, remaining, steps_of_pose
@@ -43,8 +44,6 @@ from sequences.script import (
 
 LOST = (PortLost, CameraLost, ReplyTimeout)
 """A device went away, or says nothing any more."""
-HOLD_TOLD_AGAIN_S = 600.0
-"""Holds by the same interlock are not told to those away more often than that."""
 _FORESEEN = (BenchError, DriverError, CalibrationError)
 
 _TRIGGERS: Mapping[type, str] = {
@@ -117,7 +116,8 @@ class Runner:
         results: ResultWriter | None = None,
     ) -> None:
         self._notify = notify
-        self._told_s: dict[str, float] = {}  # when a hold by an interlock was told last
+        self._left_out: dict[int, set[int]] = {}  # steps of the poses that are skipped
+        self._hold_news = HoldNews(clock, notify)
         self._job = job
         self._folder = folder
         self._log = RunLog(journal)
@@ -295,7 +295,7 @@ class Runner:
 
     def _prepare_again(self, step: ScriptStep) -> None:
         """After a hold, where recordings follow: the light as it was, and the move they stand on, repeated."""
-        here = self._job.steps.index(step)
+        here = self._job.place(step)
         if not any(isinstance(coming, RecordStep) for coming in self._job.steps[here:]):
             return
         light = self._job.light_before(step)
@@ -312,8 +312,9 @@ class Runner:
         self._progress.say(what)
 
     def _skipped_steps(self) -> set[int]:
-        steps = self._job.steps
-        return {s.number for pose in self._log.history.skipped for s in steps_of_pose(steps, pose)}
+        for pose in self._log.history.skipped.keys() - self._left_out.keys():
+            self._left_out[pose] = {s.number for s in steps_of_pose(self._job.steps, pose)}
+        return set[int]().union(*self._left_out.values())
 
     def _leave_out(self, step: ScriptStep) -> None:
         if step.number not in self._log.history.done_steps:
@@ -379,22 +380,7 @@ class Runner:
             self._progress.show(
                 facts["state"], pose=facts.get("pose"), detail=str(facts.get("pose_name", ""))
             )
-            if facts["state"] == "holding" and self._is_news(facts.get("rule", "")):
-                self._notify("hold", _waits_for(facts), self._log.journal.head)
+            if facts["state"] == "holding":
+                self._hold_news.entering(facts, self._log.journal.head)
         else:
             self._interlocks.left_off()
-
-    def _is_news(self, rule: str) -> bool:
-        """Whether a hold is to be told to those away: a door that goes on and off wakes nobody a hundred times."""
-        now_s, before_s = self._clock.monotonic(), self._told_s.get(rule)
-        if rule and before_s is not None and now_s - before_s < HOLD_TOLD_AGAIN_S:
-            return False
-        self._told_s[rule] = now_s
-        return True
-
-
-def _waits_for(facts: Mapping[str, Any]) -> str:
-    """Say what a run that holds waits for."""
-    if "rule" in facts:
-        return f"is held by the {words(facts['rule'])} interlock: {facts['why']}"
-    return f"is held by {facts['by']}" if "by" in facts else "asks the operator"

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bench.run.measure import aligned_poses
+from bench.run.measure import Picture, aligned_poses
+from calib.picture import to_uint8
 
 
 def facts(roll_deg: float, kind: str) -> dict:
@@ -32,3 +33,11 @@ def test_images_with_levels_of_grey_may_be_aligned():
 
 def test_recordings_without_stars_are_left_out():
     assert aligned_poses([{"image": {"kind": "last-polarity"}}, {}]) == 0
+
+
+def test_a_picture_is_kept_small_and_without_loss():
+    image = np.zeros((720, 1280), np.float32)
+    image[::9, ::7] = np.random.default_rng(1).uniform(0, 40, image[::9, ::7].shape)
+    picture = Picture.of(image)
+    assert np.array_equal(picture.unpacked(), to_uint8(image))
+    assert len(picture.packed) < image.nbytes / 20

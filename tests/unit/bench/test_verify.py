@@ -228,6 +228,16 @@ def test_results_that_cannot_be_read_are_found(sealed, signers, key, content):
     assert kinds(verify_run(sealed, signers)) == [("results", "results.json")]
 
 
+def test_results_of_thousands_of_poses_are_not_too_large(make_run, key, signers, tmp_path):
+    with make_run(tmp_path / "run") as folder:
+        path = folder.path / "results.json"
+        path.write_bytes(path.read_bytes()[:-1] + b', "padding": "' + b"x" * (65 << 20) + b'"}')
+        seal(folder, key)
+    assert [
+        fault for fault in verify_run(tmp_path / "run", signers).faults if "too large" in fault.what
+    ] == []
+
+
 def test_a_failed_run_without_results_can_be_sealed_and_verified(make_run, key, signers, tmp_path):
     with make_run(tmp_path / "run") as folder:
         (folder.path / "results.json").unlink()
