@@ -36,7 +36,7 @@ _MANUAL_EXPOSURE: Final = 1.0
 
 
 class FolderFrameCamera:
-    """A ``FrameCamera`` that hands on the pictures of a folder, in the order of their names.
+    """A ``FrameCamera`` that hands on the pictures of a folder: files in the order of their names, each page by page.
 
     Parameters
     ----------
@@ -54,6 +54,8 @@ class FolderFrameCamera:
         self._clock = clock
         self._stop_asked = threading.Event()
         self._taken = 0
+        self._coming = iter(files)
+        self._pages: list[Frame] = []
         first = read_frames(files[0])
         self._size = first.shape[2], first.shape[1]
 
@@ -99,15 +101,17 @@ class FolderFrameCamera:
         """Nothing is held open."""
 
     def _next(self) -> Frame:
-        if self._taken == len(self._files):
-            raise RecordingFailed(
-                f"All {self._taken} pictures have been taken.",
-                where=str(self._files[0].parent),
-                remedy="Ask for fewer, or add pictures.",
-            )
-        frame: Frame = read_frames(self._files[self._taken])[0]
+        if not self._pages:
+            file = next(self._coming, None)
+            if file is None:
+                raise RecordingFailed(
+                    f"All {self._taken} pictures have been taken.",
+                    where=str(self._files[0].parent),
+                    remedy="Ask for fewer, or add pictures.",
+                )
+            self._pages = list(read_frames(file))
         self._taken += 1
-        return frame
+        return self._pages.pop(0)
 
 
 class OpenCvFrameCamera:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import weakref
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from drivers.camera import CameraSettings, frame_cameras, metavision, neuromorphic_evk4
-from drivers.camera.frame_cameras import OpenCvFrameCamera
+from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
+from drivers.camera.frames import read_frames, write_frames
 from drivers.camera.metavision import MetavisionEvk4
-from drivers.errors import CameraError, CameraLost, CameraSettingRefused
+from drivers.errors import CameraError, CameraLost, CameraSettingRefused, RecordingFailed
 
 
 # ---------------------------------------------------------------- frame cameras
@@ -126,3 +128,22 @@ def test_a_camera_that_goes_before_its_first_byte_is_lost_in_our_words(clock, tm
     device.get_i_ll_biases = lambda: None
     with pytest.raises(CameraLost, match="disconnected"):
         camera.record(tmp_path / "a.raw", 0.1)
+
+
+# ---------------------------------------------------------------- pictures played again
+def test_every_page_of_a_file_is_a_picture(clock, tmp_path) -> None:
+    """A capture of ours is one file of many pages: the pages of a pose are not those of the next one."""
+    folder = tmp_path / "poses"
+    folder.mkdir()
+    for pose in range(2):
+        write_frames(
+            folder / f"pose-{pose}.tiff", [np.full((4, 6), 10 * pose + page, "u1") for page in range(3)]
+        )
+    camera = FolderFrameCamera.open(folder, clock=clock)
+    for pose in range(2):
+        camera.capture(tmp_path / f"{pose}.tiff", 3)
+        assert [int(page[0, 0]) for page in read_frames(tmp_path / f"{pose}.tiff")] == [
+            10 * pose + page for page in range(3)
+        ]
+    with pytest.raises(RecordingFailed, match="All 6 pictures have been taken"):
+        camera.capture(tmp_path / "more.tiff", 1)
