@@ -77,7 +77,7 @@ class Slot:
 
 
 Lasts = Callable[[Item], float]
-"""Expected duration of a run, s."""
+"""Expected duration of a run, s; the same for all runs of a job."""
 
 
 def next_time(at: str, after: datetime, zone: str | None) -> datetime:
@@ -166,8 +166,25 @@ def choose(undone: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Lasts) 
     Item, float or None
         The run to begin; how long to wait before asking again, s; or None when no more run can be begun.
     """
+    return _choose(in_order(undone), at_s, bounds, _once_a_job(lasts_s))
+
+
+def _once_a_job(lasts_s: Lasts) -> Lasts:
+    """Ask only once for each job: a long night has many runs, and each answer may look at all that have ended."""
+    known: dict[str, float] = {}
+
+    def lasts(item: Item) -> float:
+        name = item.job.name
+        if name not in known:
+            known[name] = lasts_s(item)
+        return known[name]
+
+    return lasts
+
+
+def _choose(ordered: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Lasts) -> Item | float | None:
     wait_s = NEVER_S
-    for item in in_order(undone):
+    for item in ordered:
         begin_s = max(at_s, item.due_s, bounds.opens_s)
         if not bounds.fits(begin_s, lasts_s(item)):
             continue
@@ -187,9 +204,9 @@ def look_ahead(undone: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Las
     >>> [(s.item.key, s.begin_s) for s in look_ahead(items, 0, Bounds(done_by_s=7000), lambda _: 600)]
     [('a-001', 0), ('a-002', 3600.0), ('a-003', None)]
     """
-    left, slots = list(undone), []
+    left, slots, lasts_s = in_order(undone), [], _once_a_job(lasts_s)
     while left:
-        chosen = choose(left, at_s, bounds, lasts_s)
+        chosen = _choose(left, at_s, bounds, lasts_s)
         if chosen is None:
             break
         if isinstance(chosen, Item):
@@ -198,4 +215,4 @@ def look_ahead(undone: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Las
             left.remove(chosen)
         else:
             at_s += chosen
-    return slots + [Slot(item, None, None) for item in in_order(left)]
+    return slots + [Slot(item, None, None) for item in left]

@@ -89,21 +89,22 @@ def supervise(
     ------
     Aborted
         When a stop was asked for; the worker has ended by then.
-    OSError
-        When the program cannot be started.
     """
     killed_for_memory = out_of_memory_kills()
-    with log.open("ab") as sink:
-        worker = _Child(
-            subprocess.Popen(
-                list(command),
-                stdin=subprocess.DEVNULL,
-                stdout=sink,
-                stderr=sink,
-                start_new_session=True,
-                env={**environ, SUPERVISOR: str(os.getpid())},
+    try:
+        with log.open("ab") as sink:
+            worker = _Child(
+                subprocess.Popen(
+                    list(command),
+                    stdin=subprocess.DEVNULL,
+                    stdout=sink,
+                    stderr=sink,
+                    start_new_session=True,
+                    env={**environ, SUPERVISOR: str(os.getpid())},
+                )
             )
-        )
+    except OSError as error:  # no memory, no room, too many processes: the next one may begin
+        return WorkerEnd("failed", f"its process could not be started: {error}")
     silent_s, unsafe = _watched(worker, folder, clock, say)
     if silent_s:
         return WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s, unsafe)

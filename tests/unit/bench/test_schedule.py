@@ -141,3 +141,16 @@ def test_the_look_ahead_is_what_a_batch_does_that_takes_as_long_as_expected(
     ends = [slot.end_s for slot in slots if slot.end_s is not None]
     begins = [slot.begin_s for slot in slots if slot.begin_s is not None]
     assert all(begin >= end - 1e-6 for begin, end in zip(begins[1:], ends, strict=False))  # one at a time
+
+
+def test_a_long_night_is_looked_ahead_over_with_one_question_a_job():
+    jobs = [JobWords(name=name, sequence="s", station="t", times=100, every_min=30) for name in "ab"]
+    asked = []
+    slots = look_ahead(
+        items_of(jobs, datetime(2026, 3, 1, 20, tzinfo=UTC)),
+        0,
+        Bounds(),
+        lambda i: asked.append(i.job.name) or 600,
+    )
+    assert asked == ["a", "b"]
+    assert [(s.item.key, s.begin_s) for s in slots[:3]] == [("a-001", 0), ("b-001", 600), ("a-002", 1800)]
