@@ -1,10 +1,24 @@
 """What the IMX636's biases do to its pixels: names, ranges, and the physical settings they lead to.
 
-Biases are offsets from the factory value. The ranges are the camera's own; the laws that map an offset to a
-threshold, a dead time or a bandwidth are monotone stand-ins, chosen to reach the extremes that the maker's
-documents tell (contrast thresholds from 11 %, factory value 25 %; latency tenfold with bias_fo). A follower's
-bandwidth goes with its bias current, which is exponential in the bias; so does the corner of the high-pass, from
-0.5 Hz to 400 Hz. Both act on the background's rate through the bandwidth they leave.
+Biases are offsets from the factory value. **Published** are their names, their recommended ranges and which way each
+works (OpenEB's ``imx636_bias_settings.h``, the maker's page on biases), and that the camera tells its own dead time.
+No public document says how many percent, hertz or microseconds an offset makes: the maker's data sheet, which may,
+is not open. The laws here are therefore **stand-ins**: exponential, as a current is in the voltage of a transistor
+below its threshold, on which a pixel's follower, high-pass and dead time hang (Graca et al. 2023), and scaled to what
+is told of their extremes (contrast thresholds from 11 %, factory value 25 %; latency tenfold with ``bias_fo``).
+
+============== =========== ======================================= ===========================
+bias           range       published                               stand-in, over that range
+============== =========== ======================================= ===========================
+bias_diff_on   -85 to 140  higher: less sensitive                  11.6 % to 105 %, factory 25 %
+bias_diff_off  -35 to 190  higher: less sensitive                  18.1 % to 197 %, factory 25 %
+bias_fo        -35 to 55   higher: faster, noisier                 200 us to none (1 us or less)
+bias_hpf       0 to 120    higher: slow changes go, and background none at 0; 0.53 Hz to 393 Hz
+bias_refr      -20 to 235  higher: shorter dead time               69.8 us to 1.0 us, factory 50 us
+============== =========== ======================================= ===========================
+
+The photoreceptor's time constant (20 us at nominal brightness) and the background's dependence on thresholds and
+bandwidth are assumed as well. What a program is shown of a bias is hence right in its direction, not in its amount.
 """
 
 from __future__ import annotations
@@ -21,7 +35,7 @@ ALLOWED: Final[Mapping[str, tuple[int, int]]] = {
     "bias_hpf": (0, 120),
     "bias_refr": (-20, 235),
 }
-"""Lowest and highest offset the camera takes."""
+"""Lowest and highest offset that the camera takes: the ranges that are recommended for the real one."""
 
 FACTORY: Final[Mapping[str, int]] = dict.fromkeys(ALLOWED, 0)
 

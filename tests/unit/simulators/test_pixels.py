@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulators.errors import SimulationMisuse
-from simulators.pixels.biases import PixelSettings
+from simulators.pixels.biases import ALLOWED, PixelSettings
 from simulators.pixels.sensor import Link, Sensor, simulate
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world.world import LightState
@@ -109,6 +109,23 @@ def test_follower_and_high_pass_are_those_of_their_equations(follower_us, corner
     assert len(found) > 40
     assert np.quantile(found, 0.95) <= 0.5 + 2.0  # in the flat tail of an edge, times answer to nothing
     assert np.median(found) <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("bias", "setting", "rises"),
+    [
+        ("bias_diff_on", "threshold_on", True),
+        ("bias_diff_off", "threshold_off", True),
+        ("bias_fo", "follower_us", False),
+        ("bias_hpf", "high_pass_hz", True),
+        ("bias_refr", "dead_us", False),
+    ],
+)
+def test_a_bias_works_the_way_the_maker_says_over_all_of_its_range(bias, setting, rises):
+    low, high = ALLOWED[bias]
+    steps = np.diff([getattr(PixelSettings.from_biases({bias: v}), setting) for v in range(low, high + 1)])
+    assert ((steps > 0) == rises)[steps != 0].all()
+    assert np.count_nonzero(steps) >= 35
 
 
 def test_a_slower_follower_delays_and_calms():
