@@ -108,10 +108,10 @@ def show_study(study: Study, *, as_json: bool) -> int:
     for at, name in enumerate(study.names):
         click.echo(
             f"  {name:<3} error {study.scatter[name]:>9.4g} rms, stated {float(study.sigmas[:, at].mean()):>9.4g},"
-            f" ratio {study.z_rms[name]:.2f}; within 2 sigma {study.coverage[name]:.1%}"
+            f" ratio {study.z_rms[name]:.2f}; within U {study.coverage[name]:.1%}"
         )
     verdict = "they hold" if held else "THEY DO NOT HOLD"
-    click.echo(f"True uncertainties lie within 2 sigma {low:.1%} to {high:.1%} of the time: {verdict}.")
+    click.echo(f"Errors lie within a true U (k = 2, or more) {low:.1%} to {high:.1%} of the time: {verdict}.")
     return 0
 
 

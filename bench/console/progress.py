@@ -9,10 +9,9 @@ from typing import Self, TextIO
 
 from rich.console import Console
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
-_BAR_WIDTH = 24
+_BAR_WIDTH, _LEAST_BAR = 24, 8
 
 
 def clock_text(seconds: float) -> str:
@@ -107,11 +106,19 @@ class Progress:
     def _plain(self) -> str:
         return f"{self._state:<10}  {self._where():<28}  {clock_text(self.left_s()):>6} left"
 
-    def _line(self) -> Table:
+    def _line(self) -> Text:
+        """Give one line that fits the terminal: where it is narrow the bar gives way first, then the end is cut."""
+        told = Text.assemble(
+            (f"{self._state:<9}", "bold"), f"  {clock_text(self.left_s())} left  {self._where()}".rstrip()
+        )
+        width = min(_BAR_WIDTH, self._console.width - told.cell_len - 2)
+        if width < _LEAST_BAR:
+            told.truncate(self._console.width, overflow="ellipsis")
+            return told
         share = 1.0 if self._total_s <= 0 else min(1.0, 1.0 - self.left_s() / self._total_s)
-        full = round(share * _BAR_WIDTH)
-        bar = Text("━" * full, style="bold green") + Text("━" * (_BAR_WIDTH - full), style="bright_black")
-        line = Table.grid(padding=(0, 2))
-        left = f"{clock_text(self.left_s())} left"
-        line.add_row(bar, Text(f"{self._state:<9}", style="bold"), left, Text(self._where()))
-        return line
+        full = round(share * width)
+        # Told apart without colour too, and where the terminal has no lines to draw.
+        done, rest = "━─" if self._console.encoding.startswith("utf") else "#-"
+        return Text.assemble(
+            (done * full, "bold green"), (rest * (width - full), "bright_black"), "  ", told, no_wrap=True
+        )

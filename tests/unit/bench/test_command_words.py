@@ -214,6 +214,19 @@ def test_a_reader_that_has_gone_is_no_error():
     assert (said.returncode, said.stderr) == (1, b"")
 
 
+def test_signs_that_a_stream_cannot_show_are_told_in_others():
+    program = "from bench.console.encoding import say_what_can_be_said as s; import sys; s(sys.stdout);"
+    program += "print('3345.3 \u00b1 1.2, \u22120.9, \u674e')"
+    said = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=False,
+    )
+    assert said.stdout == b"3345.3 +/- 1.2, -0.9, ?\n", said.stderr
+
+
 def test_ctrl_c_while_the_program_still_loads_is_one_word(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTED)
     said = subprocess.run(
@@ -233,6 +246,15 @@ def test_a_batch_says_where_it_cannot_be_done(say, monkeypatch, tmp_path, system
     assert "only Linux" in said
     assert "starbench run" in said
     assert not (tmp_path / "out").exists()
+
+
+def test_a_message_goes_out_where_only_latin_letters_do():
+    command = [sys.executable, "-m", "bench", "run", "three_pose", "-s", "nö≤李where"]
+    said = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, "PYTHONIOENCODING": "latin-1"}, capture_output=True, check=False
+    )
+    assert said.returncode == 2
+    assert said.stderr.decode("latin-1").startswith("starbench: nö<=?where: ")
 
 
 def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):

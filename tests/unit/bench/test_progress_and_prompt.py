@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import time
 from datetime import UTC, datetime
 
@@ -59,6 +60,23 @@ def test_without_a_terminal_each_change_is_a_line_with_state_pose_and_time_left(
     assert "1:30 left" in lines[0]
     assert "upper left" in lines[0]
     assert "0:25 left" in lines[1]
+
+
+@pytest.mark.parametrize("columns", [20, 40, 60, 80, 200])
+def test_on_a_terminal_of_any_width_it_is_one_line_that_names_the_state(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    terminal = Terminal()
+    with Progress(lambda: 0.0, total_s=90.0, poses=12, stream=terminal) as progress:
+        progress.show("recording", pose=11, detail="upper left")
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", terminal.getvalue())
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "\n", plain)
+    lines = [line for line in re.split(r"[\r\n]+", shown) if line]
+    assert any(line.startswith("recording  1:30") or "  recording  1:30 left" in line for line in lines)
+    assert max(map(len, lines)) <= columns
+    assert any("pose 11 of 12 (upper left)" in line for line in lines) is (columns >= 60)
+    assert any("─" in line for line in lines) is (columns >= 60)
 
 
 def test_time_left_never_falls_below_zero():
