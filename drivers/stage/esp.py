@@ -266,9 +266,9 @@ class EspStage(WatchedStage[EspAxis]):
         self._homed_at = self._restarts
 
     def _send_stop(self) -> None:
-        """Send ``ST``, which ramps all axes down: twice, since it has no answer; then see that it is heard."""
-        self._line.blurt("ST")
-        self._line.blurt("ST")
+        """Ramp all axes down, then each by its number: twice, since it has no answer; then see that it is heard."""
+        for number in ("", *(axis.number for axis in self._axes.values())):
+            self._line.blurt(f"{number}ST")
         self._errors()
 
     def _listen(self, seconds: float) -> None:

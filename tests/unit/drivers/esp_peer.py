@@ -88,6 +88,8 @@ class EspPeer(PeerPort):
                 return f"{axis.position():.4f}"
             case "MO", None:
                 axis.motor = True
+            case "ST", None:
+                axis.halt()
             case "OR", "1":
                 axis.go(0.0)
                 if not self.homes:

@@ -132,3 +132,16 @@ def test_a_position_beyond_all_numbers_is_no_position(esp_stage, esp) -> None:
     esp.spoil = lambda line: b"9.0e999\r\n" if esp.sent[-1] == "1TP" else line
     with pytest.raises(ReplyError, match="not a number with decimals"):
         esp_stage.position_deg()
+
+
+def test_every_axis_of_ours_is_stopped_by_its_number_as_well(esp_stage, esp) -> None:
+    """Should a controller take ``ST`` without a number for a mistake, it moves on for no longer than a line lasts."""
+    esp_stage.home()
+    serve = esp.serve
+    esp.serve = lambda text: None if text == "ST" else serve(text)
+    for axis in esp.axes.values():
+        axis.go(9e6)
+    esp.sent.clear()
+    esp_stage.stop()
+    assert not any(axis.busy() for axis in esp.axes.values())
+    assert esp.sent[:3] == ["ST", "1ST", "2ST"]
