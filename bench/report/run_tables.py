@@ -78,7 +78,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
     """Say what was calibrated, by whom, where and when."""
     run = results["run"]
     camera = (results.get("devices") or {}).get("camera") or {}
-    ledger = run.get("ledger")
+    ledger, collimator = run.get("ledger"), run.get("collimator")
     entered = [("In the laboratory's ledger", _place_in_ledger(ledger))] if ledger else []
     item = " ".join(str(camera[key]) for key in ("maker", "model", "sensor") if camera.get(key))
     return [
@@ -86,6 +86,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
         ("Serial number", words(camera.get("serial"))),
         ("Firmware", words(camera.get("firmware"))),
         ("Lens", words(camera.get("lens"))),
+        *([("Collimator", _collimator(collimator))] if collimator else []),
         ("Laboratory", words(run.get("laboratory"))),
         ("Operator", words(run.get("operator"))),
         ("Sequence", words(run.get("sequence"))),
@@ -94,6 +95,18 @@ def identification(results: Json) -> list[tuple[str, str]]:
         ("Finished", moment(run.get("finished_utc"))),
         *entered,
     ]
+
+
+def _collimator(told: Json) -> str:
+    """Say in one line what the station file says of the collimator."""
+    parts = []
+    if "serial" in told:
+        parts.append(f"serial {told['serial']}")
+    if "nominal_r_mm" in told:
+        parts.append(f"nominal focal length {told['nominal_r_mm']:g} mm")
+    if "certificate" in told:
+        parts.append(f"certificate {told['certificate']}")
+    return ", ".join(parts)
 
 
 def software(results: Json) -> list[tuple[str, str]]:

@@ -179,6 +179,7 @@ class ResultWriter:
                 "seed": started["seed"],
                 "operator": started["operator"],
                 "laboratory": self._job.laboratory,
+                "collimator": self._job.station.collimator.model_dump(exclude_none=True) or None,
                 "simulated": self._job.simulated,
                 "camera": self._job.camera_kind.name,
                 "resumed": history.resumed,

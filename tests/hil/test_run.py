@@ -35,6 +35,7 @@ def test_a_run_ends_with_a_report_and_every_parameter_near_the_truth(finished):
     assert told["converged"]
     assert set(told["camera"]) >= {"fx", "fy", "cx", "cy", "k1", "k2"}
     assert set(told["sigma"]) == {*["x", "y", "r"], *["fx", "fy", "cx", "cy", "k1", "k2"]}
+    assert told["results"]["run"]["collimator"] == {"serial": "simulated", "nominal_r_mm": 255.0}
     comparison = told["results"]["comparison"]
     assert {row["name"] for row in comparison} == set(told["sigma"])
     assert max(abs(row["error_sigmas"]) for row in comparison) < 4

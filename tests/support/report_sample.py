@@ -207,6 +207,7 @@ def _run(*, simulated):
         "finished_utc": "2026-03-01T12:00:21.900000Z",
         "seed": 1 if simulated else None,
         "operator": None,
+        "collimator": {"serial": "C-7", "nominal_r_mm": 255.0, "certificate": "2026-114"},
         "laboratory": "Optics laboratory <b>B</b>",
         "simulated": simulated,
         "camera": "event",

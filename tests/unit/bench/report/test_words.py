@@ -42,6 +42,15 @@ def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
     assert "ledger" not in " ".join(printed_text(render_report(ReportData(results)))).lower()
 
 
+def test_the_collimator_is_told_as_the_station_file_does(data, html):
+    assert "serial C-7, nominal focal length 255 mm, certificate 2026-114" in printed_text(html)
+    results = copy.deepcopy(dict(data.results))
+    results["run"]["collimator"] = {"certificate": "none"}
+    assert "certificate none" in printed_text(render_report(ReportData(results)))
+    results["run"]["collimator"] = None
+    assert "Collimator" not in printed_text(render_report(ReportData(results)))
+
+
 def test_refused_recordings_deviations_and_gates_are_told(html):
     words = " ".join(printed_text(html))
     assert "stars 31, wanted >= 40" in words
