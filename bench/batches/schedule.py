@@ -108,10 +108,11 @@ def next_time(at: str, after: datetime, zone: str | None) -> datetime:
     place = ZoneInfo(zone) if zone else None
     day = after.astimezone(place).date()
     while True:
-        shown = datetime.combine(day, time(hour, minute))
-        moment = (shown.replace(tzinfo=place) if place else shown.astimezone()).astimezone(UTC)
-        if moment > after:
-            return moment
+        for fold in (0, 1):  # clocks that are put back show it twice
+            shown = datetime.combine(day, time(hour, minute, fold=fold))
+            moment = (shown.replace(tzinfo=place) if place else shown.astimezone()).astimezone(UTC)
+            if moment > after:
+                return moment
         day += timedelta(days=1)
 
 

@@ -22,7 +22,7 @@ from bench.clock import Aborted, BenchClock
 from bench.records.folder_lock import is_worked_on
 from bench.records.run_folder import STATION_COPY
 from bench.run.crash_log import note_crash
-from bench.run.heartbeat import SUPERVISOR, open_process, read_sign
+from bench.run.heartbeat import SUPERVISOR, Sign, open_process, read_sign
 from bench.stations.devices import make_orphans_safe
 from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
@@ -260,12 +260,26 @@ def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
     while not worker.gone():
         clock.sleep(POLL_S)
         sign, now_s = read_sign(folder), clock.monotonic()
-        patience_s = QUIET_S if sign in {None, left_over} else SILENCE_S
+        silent_s = now_s - since_s
         if sign != last:
             last, since_s = sign, now_s
-        elif now_s - since_s > patience_s:
-            return now_s - since_s
+        elif silent_s > (SILENCE_S if _is_due(sign, left_over) else QUIET_S):
+            return silent_s
     return 0.0
+
+
+def _is_due(sign: Sign | None, left_over: Sign | None) -> bool:
+    """Whether the process should have given another sign soon after this one."""
+    return sign is not None and sign != left_over and not _waits_for_disk(sign)
+
+
+def _waits_for_disk(sign: Sign, proc: Path = Path("/proc")) -> bool:
+    """Whether the kernel has a thread of a process wait for the disk (state D): its sign of life may be what waits."""
+    for path in proc.glob(f"{sign.pid}/task/*/stat"):
+        with suppress(OSError, IndexError):
+            if path.read_text().rpartition(")")[2].split()[0] == "D":
+                return True
+    return False
 
 
 def _end_now(worker: _Worker) -> None:

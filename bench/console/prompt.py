@@ -11,6 +11,7 @@ import select
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TextIO
 
@@ -88,7 +89,17 @@ def _typed(source: TextIO) -> Callable[[], str | None]:
         select.select([source], [], [], 0)
     except (OSError, ValueError):  # no terminals here, sockets alone
         return _lines_of(source)
+    _forget_what_was_typed(source)
     return lambda: source.readline() if select.select([source], [], [], 0)[0] else None
+
+
+def _forget_what_was_typed(source: TextIO) -> None:
+    """What was typed before the question counts for nothing: a key pressed an hour ago must not confirm it."""
+    with suppress(ImportError, OSError, ValueError):  # no terminal after all
+        import termios
+
+        with suppress(termios.error):
+            termios.tcflush(source.fileno(), termios.TCIFLUSH)
 
 
 _readers: dict[TextIO, queue.SimpleQueue[str]] = {}

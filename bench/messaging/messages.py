@@ -103,10 +103,15 @@ def _notify(service: Service, message: Message, environ: Mapping[str, str]) -> N
         apprise: Any = importlib.import_module("apprise")
     except ImportError as error:
         raise DeliveryFailed("apprise is not installed (pip install starbench[apprise])") from error
-    notifier = apprise.Apprise()
-    if not notifier.add(_secret(service.url_env, environ)):
+    url, notifier = _secret(service.url_env, environ), apprise.Apprise()
+    try:
+        known = notifier.add(url)
+        taken = known and notifier.notify(title=message.subject, body=message.text)
+    except Exception as error:  # whatever a service's own code raises must not hold up other messages
+        raise DeliveryFailed(f"apprise: {type(error).__name__}: {error}") from error
+    if not known:
         raise DeliveryFailed(f"{service.url_env} holds no address that apprise knows")
-    if not notifier.notify(title=message.subject, body=message.text):
+    if not taken:
         raise DeliveryFailed("the service did not take it")
 
 

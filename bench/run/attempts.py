@@ -30,10 +30,6 @@ class Stepping(Protocol):
         """Be at a safe point between two attempts of a step."""
         ...
 
-    def heed(self) -> None:
-        """See that no interlock holds. Raises Interrupted."""
-        ...
-
 
 class Attempts:
     """The attempts of one run.
@@ -120,5 +116,5 @@ class Attempts:
             reasons = list((history.attempts_at(pose.index)[-1].checked or {}).get("reasons", []))
             self._say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {'; '.join(reasons)}")
         self._states.fire_at("back_off", step, wait_s=0.0)
-        self._states.heed()
-        return reasons
+        self._states.between(step)
+        return None if pose.index in history.skipped else reasons

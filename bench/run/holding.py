@@ -115,7 +115,11 @@ class Holding:
             say=self._say,
             elsewhere=self._answer_from_elsewhere,
         )
-        self._log.tell(Event.ANSWERED, step=step.number, answer=answer.word, by=answer.by)
+        with (
+            self._log.held()
+        ):  # what was taken from elsewhere at the last moment counts: its sender was told so
+            answer = self._answer_from_elsewhere() or answer
+            self._log.tell(Event.ANSWERED, step=step.number, answer=answer.word, by=answer.by)
         if answer.word == "abort":
             raise Aborted(f"{step.text} was answered with abort ({answer.by})")
 

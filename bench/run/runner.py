@@ -358,10 +358,6 @@ class Runner:
         self._safe_point(step)
         self._work.step = step
 
-    def heed(self) -> None:
-        """See that no interlock holds. Raises Interrupted."""
-        self._interlocks.heed()
-
     # ------------------------------------------------------------------ what others are told
 
     def _see_supervisor(self) -> None:

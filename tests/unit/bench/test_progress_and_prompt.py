@@ -227,3 +227,14 @@ def test_a_terminal_that_has_gone_does_not_end_the_run():
         progress.say("still here")
         progress.done(2.0)
     assert progress.left_s() == 3.0
+
+
+def test_what_was_typed_before_the_question_does_not_count():
+    keyboard, screen = os.openpty()
+    with os.fdopen(screen) as terminal:
+        os.write(keyboard, b"y\n")
+        asked = ask(
+            "Cap on?", default="abort", timeout_s=1, clock=BenchClock(), say=nothing, terminal=terminal
+        )
+        assert asked == Reply("abort", "time-out")
+    os.close(keyboard)

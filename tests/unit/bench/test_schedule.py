@@ -154,3 +154,10 @@ def test_a_long_night_is_looked_ahead_over_with_one_question_a_job():
     )
     assert asked == ["a", "b"]
     assert [(s.item.key, s.begin_s) for s in slots[:3]] == [("a-001", 0), ("b-001", 600), ("a-002", 1800)]
+
+
+def test_an_hour_that_clocks_show_twice_has_its_second_turn_too():
+    first, second = (datetime(2026, 10, 25, hour, 30, tzinfo=UTC) for hour in (0, 1))
+    assert next_time("02:30", first - timedelta(hours=1), "Europe/Berlin") == first
+    assert next_time("02:30", first, "Europe/Berlin") == second
+    assert next_time("02:30", second, "Europe/Berlin") == datetime(2026, 10, 26, 1, 30, tzinfo=UTC)

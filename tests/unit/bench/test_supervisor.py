@@ -1,7 +1,12 @@
 """What a supervisor makes of a worker that cannot even be started."""
 
-from bench.batches.supervisor import supervise
-from bench.clock import BenchClock
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.batches.supervisor import QUIET_S, SILENCE_S, _waits_for_disk, _watch, supervise
+from bench.clock import BenchClock, VirtualClock
+from bench.run.heartbeat import Sign
 
 
 def test_a_worker_that_cannot_be_started_has_failed_and_the_night_may_go_on(tmp_path):
@@ -11,3 +16,30 @@ def test_a_worker_that_cannot_be_started_has_failed_and_the_night_may_go_on(tmp_
     assert "could not be started" in end.why
     (tmp_path / "folder").mkdir()
     assert supervise(["true"], run, tmp_path / "folder", BenchClock(), lambda _: None).how == "failed"
+
+
+@pytest.mark.parametrize(("states", "waits"), [("SR", False), ("SD", True), ("", False)])
+def test_a_process_with_a_thread_that_waits_for_the_disk_is_not_taken_to_hang(tmp_path, states, waits):
+    for number, state in enumerate(states):
+        task = tmp_path / "7" / "task" / str(7 + number)
+        task.mkdir(parents=True)
+        (task / "stat").write_text(f"{7 + number} (a ) name) {state} 1 7 7")
+    assert _waits_for_disk(Sign(7, 1, 1), tmp_path) is waits
+
+
+@pytest.mark.parametrize(("on_disk", "how_long_s"), [(False, SILENCE_S), (True, QUIET_S)])
+def test_silence_is_borne_for_longer_where_the_disk_may_be_its_cause(
+    tmp_path, monkeypatch, on_disk, how_long_s
+):
+    clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
+    monkeypatch.setattr("bench.batches.supervisor._waits_for_disk", lambda _sign: on_disk)
+    signs = [Sign(1, 1, 0)]
+    monkeypatch.setattr("bench.batches.supervisor.read_sign", lambda _folder: signs[-1])
+
+    class Silent:
+        def gone(self):
+            signs.append(Sign(7, 1, 1))
+            return False
+
+    silent_s = _watch(Silent(), tmp_path, clock)
+    assert how_long_s < silent_s < how_long_s + 1
