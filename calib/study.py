@@ -21,7 +21,7 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: Probability that value +- 2 sigma covers, for a Gaussian, and of the band a study's count must lie in.
+#: Probability that value +- k sigma covers, and of the band a study's count must lie in.
 COVERAGE = 0.9545
 _BAND = 0.999
 #: 1-sigma, per axis, of a star that is grossly wrong.
@@ -40,6 +40,8 @@ class Study:
         (G,) their true values.
     values, sigmas
         (runs, G) estimates, and the uncertainties stated with them.
+    factors
+        (runs,) the coverage factors k stated with them: 2, or more where views disagree.
     chi_squares
         (runs,) squared error by the covariance stated: G in the mean when it is true, correlations and all.
     failed
@@ -50,6 +52,7 @@ class Study:
     truth: Array
     values: Array
     sigmas: Array
+    factors: Array
     chi_squares: Array
     failed: tuple[str, ...]
 
@@ -72,8 +75,8 @@ class Study:
 
     @property
     def coverage(self) -> Mapping[str, float]:
-        """Share of runs in which value +- 2 sigma covered the truth."""
-        covered = np.abs(self.values - self.truth) <= 2.0 * self.sigmas
+        """Share of runs in which value +- k sigma covered the truth."""
+        covered = np.abs(self.values - self.truth) <= self.factors[:, None] * self.sigmas
         return dict(zip(self.names, covered.mean(axis=0).tolist(), strict=True))
 
     @property
@@ -116,6 +119,7 @@ def repeat(
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     values: list[Array] = []
     sigmas: list[list[float]] = []
+    factors: list[float] = []
     chi_squares: list[float] = []
     failed: list[str] = []
     names: tuple[str, ...] = ()
@@ -129,12 +133,14 @@ def repeat(
             names = result.parameter_names
             values.append(result.values)
             sigmas.append(list(result.sigma.values()))
+            factors.append(result.coverage_factor)
             off = (result.values - [truth[name] for name in names]) / sigmas[-1]
             chi_squares.append(float(off @ np.linalg.solve(result.correlation, off)))
         if progress:
             progress(run + 1, runs)
     true = np.array([truth[name] for name in names])
-    return Study(names, true, np.array(values), np.array(sigmas), np.array(chi_squares), tuple(failed))
+    numbers = (np.array(values), np.array(sigmas), np.array(factors), np.array(chi_squares))
+    return Study(names, true, *numbers, tuple(failed))
 
 
 def _noisy(

@@ -4,7 +4,7 @@ Knows residuals and normal equations. The covariance rests on what the residuals
 covariances promise: J^T J inverted, times the variance of the influence function over the square of its mean slope
 (Huber's formula for M-estimators). That holds when the model does. Whether it does, the views tell: each alone would
 like other shared parameters, and when they differ by more than their stars' noise allows, the covariance is that of
-their pulls (`calib.sandwich`), and where there are two or three that of `calib.disagreement`.
+their pulls (`calib.sandwich`), and of fewer than five that of `calib.disagreement`.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _TOLD = 1e-6
 #: Views that agree are found to disagree this rarely.
 _FALSE_ALARMS = 1e-3
 #: From this number of views on, their pulls at the parameters tell more than how their stars miss alike.
-_PULL_VIEWS = 4
+_PULL_VIEWS = 5
 #: From this number on, what shape the pulls' covariance is taken for matters little, and the fields take long.
-_MANY_VIEWS = 10
+_MANY_VIEWS = 16
 _DISAGREEMENT = "disagreement of the views"
 #: Probability that k = 2 covers for a Gaussian.
 _COVERAGE = 0.9545
@@ -214,7 +214,7 @@ def inflated(
 ) -> Uncertainty:
     """Return the uncertainty with what the views disagree on; unchanged when they agree.
 
-    Fewer than four views are judged by how their stars miss alike. From four on, the views' pulls give each sigma
+    Fewer than five views are judged by how their stars miss alike. From five on, the views' pulls give each sigma
     (`calib.sandwich`), correlations kept.
 
     Parameters
@@ -224,7 +224,7 @@ def inflated(
     bundle, state, loss
         What was fitted, its optimum, and the loss with the limit it ended with.
     found
-        Measures what views disagree on (`calib.disagreement`); asked where they disagree and are fewer than ten.
+        Measures what views disagree on (`calib.disagreement`); asked where they disagree and are fewer than 16.
     """
     if not known.disagree:
         return known

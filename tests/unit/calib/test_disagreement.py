@@ -80,8 +80,8 @@ def test_sigmas_of_three_views_of_a_bent_target_are_those_of_repeated_calibratio
     assert (np.sqrt(np.mean(np.square(by_stars_alone), axis=0)) > 2).all()
 
 
-@pytest.mark.parametrize("count", [4, 10])
-def test_from_four_views_on_their_own_pulls_say_how_sure_they_are(bench, count):
+@pytest.mark.parametrize("count", [5, 16])
+def test_from_five_views_on_their_own_pulls_say_how_sure_they_are(bench, count):
     rng = np.random.default_rng(114)
     poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(count)]
     centres = np.array(bench.centre) + rng.normal(scale=1.0, size=(count, 3))

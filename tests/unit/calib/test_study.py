@@ -83,6 +83,22 @@ def test_errors_are_as_large_as_their_sigmas_for_every_parameter(loss, outliers)
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("count", [3, 5, 8])
+def test_of_views_that_disagree_sigmas_and_intervals_hold(count):
+    rng = np.random.default_rng(99)
+    poses = [
+        {"pan_deg": rng.uniform(-6, 6), "tilt_deg": rng.uniform(-3, 3), "roll_deg": rng.uniform(-60, 60)}
+        for _ in range(count)
+    ]
+    study = repeat(NARROW, poses, L2, 300, 23, drift_mm=0.3)
+    ratio = np.sqrt((study.sigmas**2).mean(axis=0)) / list(study.scatter.values())
+    assert ((ratio > 1 / 1.3) & (ratio < 1.5)).all()
+    assert (study.factors > 2.2).mean() > 0.9
+    assert min(study.coverage.values()) > 0.92
+
+
+@pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_spherical_model_is_twice_as_sure_as_the_planar_one():
     spherical = repeat(NARROW, POSES, L2, 150, 18).scatter["fx"]
