@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.errors import BenchError, EvidenceError, ScriptError, UsageError
+from bench.errors import BenchError, EvidenceError, ScriptError, StorageError, UsageError
 from sequences.errors import DocumentFaults
 
 if TYPE_CHECKING:
@@ -181,7 +181,8 @@ def tell_error(error: Exception, *, as_json: bool, debug: bool) -> int:
 def _words_of(error: Exception) -> tuple[str, str, str]:
     """Give kind, message and remedy of an error; kind ``defect`` for one that nobody foresaw."""
     if hasattr(error, "what") and hasattr(error, "remedy"):
-        return type(error).__name__, str(error), error.remedy
+        hint = _hint_of_home(error)
+        return type(error).__name__, f"{error}{hint}", f"{error.remedy}{hint}"
     if isinstance(error, OSError):
         remedy = {
             errno.ENOSPC: "Make room on the disk.",
@@ -203,6 +204,18 @@ def _words_of(error: Exception) -> tuple[str, str, str]:
         )
     message = f"This is a defect in Starbench, not in what you did: {type(error).__name__}: {error}"
     return "defect", message, "Please report it with the lines below."
+
+
+def _hint_of_home(error: Exception) -> str:
+    """Tell how the bench's own folder is named, where that is what could not be written."""
+    from bench.evidence.keys import home_folder
+
+    if not isinstance(error, StorageError) or not error.where:
+        return ""
+    home, where = home_folder().absolute(), Path(error.where).absolute()
+    if where != home and home not in where.parents and where not in home.parents:
+        return ""
+    return " The bench's own folder can be another: name it in STARBENCH_HOME."
 
 
 # ---------------------------------------------------------------- keys, schemas, the simulated bench

@@ -2,18 +2,24 @@
 
 import json
 import os
+import re
 import shlex
 import sqlite3
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
 import click
 import pytest
 
+from bench.batches.batch_plan import plan_night
 from bench.cli import cli, main
 from bench.cli_help import EXAMPLES
 from bench.console.output import tell_error
+from bench.errors import StorageError
+from sequences.queue import Queue
+from sequences.reader import check_document
 
 RUN_COMMANDS = [
     ("resume",),
@@ -90,19 +96,54 @@ def test_the_list_of_commands_is_whole_and_says_each_in_full(say):
     assert [name for name in cli.commands if f"\n  {name} " not in listed] == []
 
 
-@pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
-def test_an_example_uses_words_that_there_are(line):
+def shown_in_documents():
+    """Every call of the program that a document shows."""
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))):
+        text = path.read_text(encoding="utf-8")
+        calls = re.findall(r"`(starbench [^`]+)`", text) + re.findall(r"^(starbench .*)$", text, re.MULTILINE)
+        for call in calls:
+            words = call.partition(" #")[0].strip()
+            if (
+                words.removeprefix("starbench ") not in ALL and "COMMAND" not in words
+            ):  # a command's bare name is no call
+                yield pytest.param(words, id=f"{path.name}: {words}")
+
+
+def check_words(line):
+    """Fail where a call uses words that there are not; return those that must be and are not."""
     words = shlex.split(line.partition(" > ")[0])[1:]
     command = cli
     while isinstance(command, click.Group) and words[0] in command.commands:
         command = command.commands[words.pop(0)]
     if isinstance(command, click.Group):  # `batch QUEUE`
         command = command.commands["run"]
-    context = click.Context(command)
-    values, rest, _ = command.make_parser(context).parse_args(words)
+    values, rest, _ = command.make_parser(click.Context(command)).parse_args(words)
     assert rest == []
-    required = [p.name for p in command.params if isinstance(p, click.Argument) and p.required]
-    assert [name for name in required if not values.get(name)] == []
+    given = {
+        name
+        for name, value in values.items()
+        if value is not None and value is not getattr(click.core, "UNSET", None)
+    }
+    return [p.name for p in command.params if p.required and p.name not in given]
+
+
+@pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
+def test_an_example_uses_words_that_there_are(line):
+    assert check_words(line) == []
+
+
+@pytest.mark.parametrize("line", list(shown_in_documents()))
+def test_a_call_in_the_documents_uses_words_that_there_are(line):
+    check_words(line)  # what a document leaves out, as PATH or --station, stands before it in the text
+
+
+@pytest.mark.parametrize("document", [ROOT / "docs" / "batches.md"], ids=lambda path: path.name)
+def test_a_queue_in_the_documents_is_one_that_can_be_planned(document):
+    shown = re.findall(r"```yaml\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(shown) == 2
+    for text in shown:
+        queue = check_document(text.encode(), "shown", Queue).value
+        assert plan_night(queue, datetime(2026, 3, 1, 18, tzinfo=UTC)).slots
 
 
 @pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
@@ -264,3 +305,12 @@ def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
     assert str(tmp_path / "home") in said
     assert "STARBENCH_HOME" in said
     assert "Traceback" not in said
+
+
+def test_a_home_that_cannot_be_written_is_told_how_to_name_another(capsys, tmp_path):
+    for where, told in (
+        (tmp_path / "home" / "ledger.jsonl", True),
+        (tmp_path / "run" / "journal.jsonl", False),
+    ):
+        tell_error(StorageError("No permission.", where=str(where)), as_json=False, debug=False)
+        assert ("STARBENCH_HOME" in capsys.readouterr().err) is told
