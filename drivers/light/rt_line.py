@@ -18,7 +18,7 @@ PULSED: Final = "2"
 _MODES = {CONTINUOUS, "1", PULSED}
 IDENTITY: Final = re.compile(r"(RT\S+) (.*?) ?(V\d+)")
 REFUSED: Final = re.compile(r"Err ?(\d{1,3})")
-_QUANTITY = re.compile(r"(\d+(?:\.(\d+))?) ?(us|ms|s|%)?", re.IGNORECASE)
+_QUANTITY = re.compile(r"(\d{1,9}(?:\.(\d{1,9}))?) ?(us|ms|s|%)?", re.IGNORECASE)
 _FACTORS = {"us": 1e-3, "ms": 1.0, "s": 1e3, "%": 1.0, "": 1.0}
 """To milliseconds, and to percent."""
 

@@ -9,6 +9,7 @@ cycle for pulses alone.)
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
@@ -217,7 +218,7 @@ class SiglentDialect:
     def _number(self, line: ScpiLine, fields: dict[str, str], name: str) -> float:
         """Understand a number with its unit, as in ``60HZ`` or ``3.3V``."""
         match = re.fullmatch(r"([+-]?\d+(?:\.\d*)?(?:E[+-]?\d+)?)(?:HZ|V|%)?", fields.get(name, ""))
-        if match is None:
+        if match is None or not math.isfinite(float(match[1])):
             raise line.garbled(f"no number {name} in {fields}.")
         return float(match[1])
 

@@ -241,3 +241,10 @@ def test_a_flicker_follows_a_steady_light(light, peer) -> None:
     light.on()
     assert peer.running == 1
     assert light.read().waveform == "square"
+
+
+def test_a_period_beyond_all_numbers_is_no_period(light, peer) -> None:
+    light.apply(LightSettings(frequency_hz=60.0))
+    peer.spoil = lambda reply: reply.replace(b"TP ", b"TP " + 400 * b"9")
+    with pytest.raises(ReplyError, match="no quantity TP"):
+        light.read()

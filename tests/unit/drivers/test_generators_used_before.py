@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.errors import SettingRefused
+from drivers.errors import ReplyError, SettingRefused
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from tests.unit.drivers.generator_peer import Generator, NumberedGenerator, SiglentGenerator
@@ -72,3 +72,11 @@ def test_a_mode_that_does_not_go_off_is_told(clock) -> None:
     light = ScpiLight(generator, clock=clock)
     with pytest.raises(SettingRefused, match=r"sweep is not taken.*-221"):
         light.apply(LightSettings(frequency_hz=60.0))
+
+
+def test_a_number_beyond_all_numbers_is_no_setting(clock) -> None:
+    generator = SiglentGenerator()
+    light = ScpiLight(generator, clock=clock, dialect="siglent")
+    generator.spoil = lambda line: line.replace(b"FRQ,1000HZ", b"FRQ,1E999HZ")
+    with pytest.raises(ReplyError, match="no number FRQ"):
+        light.read()
