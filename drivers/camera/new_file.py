@@ -25,9 +25,9 @@ def new_file(path: Path) -> Iterator[Path]:
         When there is such a file already, or it cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
-    if path.exists():
-        raise _exists(path)
     try:
+        if path.exists():
+            raise _exists(path)
         try:
             part.unlink(missing_ok=True)
             yield part

@@ -90,7 +90,7 @@ class RawFile:
     @property
     def truncated(self) -> bool:
         """Whether the file ends in the middle of a word, as one that was cut off does half of the time."""
-        return (self.path.stat().st_size - self.raw_header.size_bytes) % 2 == 1
+        return (self._size() - self.raw_header.size_bytes) % 2 == 1
 
     @property
     def height(self) -> int:
@@ -167,8 +167,13 @@ class RawFile:
         decoder = self._decoder()
         for words in self.words():
             decoder.tally(words)
-        size = self.path.stat().st_size
-        return RecordingScan(**vars(decoder.told()), bytes=size, truncated=self.truncated)
+        return RecordingScan(**vars(decoder.told()), bytes=self._size(), truncated=self.truncated)
+
+    def _size(self) -> int:
+        try:
+            return self.path.stat().st_size
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
 
     def _decoder(self) -> Evt3Decoder:
         first_byte = self.raw_header.size_bytes

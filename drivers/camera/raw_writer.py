@@ -90,12 +90,15 @@ class RawWriter:
 def check_new(path: Path) -> None:
     """Raise RecordingFailed when there is such a file already, or its folder is missing or may not be written."""
     code = 0
-    if path.exists():
-        code = errno.EEXIST
-    elif not path.parent.is_dir():
-        code = errno.ENOENT
-    elif not os.access(path.parent, os.W_OK):
-        code = errno.EACCES
+    try:
+        if path.exists():
+            code = errno.EEXIST
+        elif not path.parent.is_dir():
+            code = errno.ENOENT
+        elif not os.access(path.parent, os.W_OK):
+            code = errno.EACCES
+    except OSError as error:  # a folder above it that may not be looked into
+        raise disk_refused(path, error) from error
     if code:
         raise disk_refused(path, OSError(code, os.strerror(code)))
 
@@ -108,9 +111,9 @@ def check_space(path: Path) -> None:
 
 def sync_file(path: Path) -> None:
     """Sync a file that another program wrote, and its name; a file that is not there needs none."""
-    if not path.exists():
-        return
     try:
+        if not path.exists():
+            return
         handle = os.open(path, os.O_RDONLY)
         try:
             os.fsync(handle)

@@ -244,3 +244,13 @@ def test_no_bytes_whatever_make_it_fail_in_another_way(tmp_path, data, with_head
     except RecordingFileError:
         return
     assert len(events.t) <= 6 * path.stat().st_size
+
+
+def test_a_recording_that_vanishes_is_told(tmp_path):
+    path = tmp_path / "a.raw"
+    path.write_bytes(b"% format EVT3;height=720;width=1280\n% end\n\x01\x80")
+    recording = RawFile.open(path)
+    path.unlink()
+    for look in (recording.scan, lambda: recording.truncated):
+        with pytest.raises(RecordingFileError, match="There is no such file"):
+            look()

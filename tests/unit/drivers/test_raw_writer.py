@@ -2,11 +2,13 @@
 
 import errno
 import os
+from pathlib import Path
 
 import pytest
 
+from drivers.camera.new_file import new_file
 from drivers.camera.raw_writer import RawWriter, check_new, check_space, sync_file
-from drivers.errors import RecordingFailed
+from drivers.errors import RecordingFailed, RecordingFileError
 
 
 def test_what_is_written_is_in_the_file(tmp_path):
@@ -102,3 +104,16 @@ def test_a_disk_that_is_nearly_full_is_told_before_recording(tmp_path, monkeypat
 def test_a_file_that_is_not_there_needs_no_sync(tmp_path):
     sync_file(tmp_path / "none.raw")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_may_not_even_be_looked_into_is_told(tmp_path, monkeypatch):
+    def refuse(path, *_arguments, **_how):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "exists", refuse)
+    with pytest.raises(RecordingFailed, match="may not write there"):
+        check_new(tmp_path / "a.raw")
+    with pytest.raises(RecordingFailed, match="may not write there"):
+        sync_file(tmp_path / "a.raw")
+    with pytest.raises(RecordingFileError, match="cannot be written"), new_file(tmp_path / "a.npz"):
+        pytest.fail("it was begun")
