@@ -281,7 +281,9 @@ def main(arguments: list[str] | None = None) -> None:
     # Our matrices are small: more threads than one cost three times the time. Before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from bench.console.encoding import say_what_can_be_said
+    from bench.kernel_cache import keep_kernels_somewhere
 
+    keep_kernels_somewhere(os.environ)
     say_what_can_be_said(sys.stdout, sys.stderr)
     words = sys.argv[1:] if arguments is None else arguments
     sys.exit(_guarded(lambda: cli.main(args=words, prog_name="starbench", standalone_mode=False), words))

@@ -1,0 +1,72 @@
+"""Compiled kernels find a folder for every user, and never one that another user could have filled."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench.kernel_cache import VARIABLE, keep_kernels_somewhere
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture
+def closed(tmp_path, monkeypatch):
+    """Folders that cannot be written, whoever asks (root may write everywhere)."""
+    folder = tmp_path / "closed"
+    folder.mkdir()
+    allowed = os.access
+    monkeypatch.setattr(
+        "os.access", lambda path, mode: not Path(path).is_relative_to(folder) and allowed(path, mode)
+    )
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return folder
+
+
+def test_where_both_usual_places_are_closed_a_private_folder_is_named_and_named_again(closed):
+    environ = {"XDG_CACHE_HOME": str(closed)}
+    keep_kernels_somewhere(environ, beside=closed)
+    folder = Path(environ[VARIABLE])
+    assert folder.stat().st_mode & 0o777 == 0o700
+    again = {"XDG_CACHE_HOME": str(closed)}
+    keep_kernels_somewhere(again, beside=closed)
+    assert again[VARIABLE] == str(folder)
+
+
+@pytest.mark.parametrize("usual", ["beside", "user", "told"])
+def test_the_usual_place_is_left_where_there_is_one(closed, tmp_path, usual):
+    environ = {"XDG_CACHE_HOME": str(tmp_path / "cache" if usual == "user" else closed)}
+    if usual == "told":
+        environ[VARIABLE] = "elsewhere"
+    before = dict(environ)
+    keep_kernels_somewhere(environ, beside=tmp_path if usual == "beside" else closed)
+    assert environ == before
+
+
+@pytest.mark.parametrize("how", ["open to others", "a link", "another's"])
+def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_path, monkeypatch, how):
+    us = os.getuid() + (how == "another's")
+    monkeypatch.setattr("os.getuid", lambda: us)
+    planted = tmp_path / f"starbench-kernels-{us}"
+    if how == "a link":
+        (tmp_path / "theirs").mkdir(mode=0o700)
+        planted.symlink_to(tmp_path / "theirs")
+    else:
+        planted.mkdir()
+        planted.chmod(0o777 if how == "open to others" else 0o700)
+    environ = {"XDG_CACHE_HOME": str(closed)}
+    keep_kernels_somewhere(environ, beside=closed)
+    named = Path(environ[VARIABLE])
+    assert named != planted
+    assert named.stat().st_mode & 0o777 == 0o700
+
+
+def test_the_command_line_asks_before_numba_is_imported():
+    program = "import sys, bench.kernel_cache as k; k.keep_kernels_somewhere = lambda e: print('numba' in sys.modules);"
+    program += "from bench.cli import main; main(['--version'])"
+    said = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert said.stdout.splitlines()[0] == "False"
