@@ -133,7 +133,8 @@ def measure(
     try:
         raw = RawFile.open(path)
         size = raw.width, raw.height
-        events, triggers, origin_us = _from_the_begin(*raw.read())
+        events, triggers = raw.read()
+        origin_us = _count_from_the_begin(events.t, triggers)
         flicker = _flicker(triggers, (events.t, events.p), expected_hz)
         span_us = _span_us(events.t, triggers)
         facts.update(_flicker_facts(flicker, triggers, span_us))
@@ -292,14 +293,16 @@ def _flicker(
         return flicker_from_events(*events)
 
 
-def _from_the_begin(events: Events, triggers: Triggers) -> tuple[Events, Triggers, int]:
-    """Count times from the first event or edge; give its own, too.
+def _count_from_the_begin(t: NDArray[np.int64], triggers: Triggers) -> int:
+    """Count times, in place, from the first event or edge; return its own.
 
     The sensor's clock goes on from recording to recording: what stands in one is not to depend, by the last digits
     of its numbers, on how many were made before.
     """
-    origin_us = int(_span_us(events.t, triggers)[0])
-    return events._replace(t=events.t - origin_us), triggers._replace(t=triggers.t - origin_us), origin_us
+    origin_us = int(_span_us(t, triggers)[0])
+    t -= origin_us
+    triggers.t[:] -= origin_us
+    return origin_us
 
 
 def _span_us(t: NDArray[np.int64], triggers: Triggers) -> tuple[float, float]:
