@@ -9,7 +9,7 @@ Knows folders of runs by name only.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -129,9 +129,14 @@ class Ledger:
         with self._held() as journal:
             journal.append(ENDED, number=number, how=how, seal=seal)
 
-    def knows(self, number: object, run_id: str) -> bool:
-        """Whether a run stands in this ledger under that number. Raises JournalBroken, StorageError."""
-        return any((run.number, run.run_id) == (number, run_id) for run in self.runs())
+    def knows(self, place: Mapping[str, Any]) -> bool:
+        """Whether a run stands in this ledger where ``begin`` put it; another bench's may have its number and name.
+
+        Raises JournalBroken, StorageError.
+        """
+        if not self.path.exists():
+            return False
+        return any(e.event == BEGUN and e.hash == place.get("head") for e in read_journal(self.path)[0])
 
     def runs(self) -> list[LedgerRun]:
         """List all runs, first to last; none when there is no ledger yet.

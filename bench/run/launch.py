@@ -163,9 +163,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         put_away(folder)
         ledger = _ledger(launch)
         place = history.ledger
-        if not ledger.knows(
-            place.get("number"), folder.path.name
-        ):  # begun on another bench, or without a ledger
+        if not ledger.knows(place):  # begun on another bench, or without a ledger
             place = _begin(ledger, job, folder.path)
         with _ending(ledger, place, folder.path) as ending:
             if history.ended == "finished":

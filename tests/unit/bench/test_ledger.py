@@ -46,12 +46,14 @@ def test_a_run_that_was_resumed_stands_as_it_ended_last(ledger, tmp_path):
     assert [run.how for run in ledger.runs()] == ["finished"]
 
 
-def test_a_run_is_known_by_number_and_name_together(ledger):
-    assert not ledger.knows(1, "run")
-    begin(ledger)
-    assert ledger.knows(1, "run")
-    assert not ledger.knows(1, "other")
-    assert not ledger.knows(None, "run")
+def test_a_run_is_known_where_it_was_entered_and_not_by_another_of_its_number_and_name(ledger, tmp_path):
+    assert not ledger.knows({"number": 1})
+    place = begin(ledger)
+    assert ledger.knows(place)
+    assert not ledger.knows({})
+    other = begin(Ledger(tmp_path / "another bench", **CLOCKS), camera="00050999")
+    assert other["number"] == place["number"]
+    assert not ledger.knows(other)
 
 
 def test_runs_of_a_camera_are_counted_as_they_stand(ledger, tmp_path):
