@@ -307,7 +307,8 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
 def write_station(path: Path, name: str, stage: str, camera: str | None, found: Discovery) -> int:
     """Write a new station file; never over another."""
     from bench.records.storage import write_whole
-    from bench.stations.station_draft import ASK, draft_station
+    from bench.stations.placeholders import ASK
+    from bench.stations.station_draft import draft_station
 
     if path.exists():
         raise UsageError("There is a file of this name.", where=str(path), remedy="Choose another.")

@@ -15,6 +15,7 @@ from typing import Any
 
 from bench.errors import ScriptError
 from bench.plans.script_check import angle_faults, check_script
+from bench.stations.placeholders import unfilled
 from bench.stations.station import Station, load_station
 from bench.stations.station_cameras import FrameCameraWords
 from bench.stations.station_stages import AxisWords
@@ -258,7 +259,7 @@ def plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
         sequence=sequence,
         station=station,
         steps=tuple(steps),
-        faults=tuple(sorted({*faults, *findings.faults})),
+        faults=tuple(sorted({*faults, *findings.faults, *unfilled(station.tree)})),
         remarks=findings.remarks,
         duration_s=elapsed_s,
         size_bytes=estimate.size_bytes,

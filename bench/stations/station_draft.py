@@ -1,15 +1,13 @@
 """A new station file: the words of the chosen families, filled with what is connected, ready to be completed.
 
 What no computer can know (scales, limits, serial numbers not yet asked for) stands in it as a value to change, with
-the reason beside it. A draft reads without a fault, and runs nothing until its serial numbers are right.
+the reason beside it. A draft reads without a fault, and runs nothing until all of these are filled in (`placeholders`).
 """
 
 from __future__ import annotations
 
 from bench.stations.discovery import Discovery
-
-ASK = "ASK-THE-LABEL"
-_NO_PORT = "/dev/serial/by-id/CHOOSE-A-PORT"
+from bench.stations.placeholders import ASK, NO_PORT, NO_SOURCE
 
 _AXIS_END = "limits_deg: [-12, 12], speed_deg_s: 10, acceleration_deg_s2: 50"
 _SERIAL_NOTE = "# another device on this port is refused before anything moves"
@@ -52,7 +50,6 @@ CAMERAS = {
     "pictures": "path: pictures   # played in the order of their names\n  pictures: 8   # at each pose",
 }
 """What each family of cameras needs besides its driver."""
-_NO_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
 
 
 def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None = None) -> str:
@@ -75,7 +72,7 @@ def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None
         The file's text.
     """
     ports = [port.name for port in found.ports]
-    stage_port, light_port = [*ports, _NO_PORT, _NO_PORT][:2]
+    stage_port, light_port = [*ports, NO_PORT, NO_PORT][:2]
     others = "".join(f"# connected: {port.name}  {port.what}\n" for port in found.ports)
     return (
         f"format: starbench/station/1\nname: {name}\nlaboratory: Your laboratory\n\n"
@@ -98,7 +95,7 @@ def _camera(found: Discovery, family: str | None) -> str:
     serial = first.serial if first else ""
     words = CAMERAS[driver].format(
         serial=serial or ASK,
-        source=first.source if first else _NO_SOURCE,
+        source=first.source if first else NO_SOURCE,
         known=f"  serial: {serial}\n" if serial else "",
     )
     return f"  driver: {driver}\n  {words}\n"

@@ -7,11 +7,13 @@ import pytest
 
 from bench.cli import station_new
 from bench.console.output import show_devices
+from bench.plans.plan import load, plan
 from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
+from bench.stations.placeholders import ASK
 from bench.stations.station import load_station
 from bench.stations.station_cameras import Camera
-from bench.stations.station_draft import ASK, CAMERAS, STAGES, draft_station
+from bench.stations.station_draft import CAMERAS, STAGES, draft_station
 from drivers.camera import FoundCamera
 
 PORTS = (
@@ -100,3 +102,15 @@ def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
     assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in said
     assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in said
     assert "missing      Something." in said
+
+
+def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path):
+    path = tmp_path / "bench.yaml"
+    path.write_text(draft_station("Cellar", Discovery((), (), ()), stage="zaber_ascii"))
+    told = [str(fault) for fault in plan(*load("three_pose", str(path))).faults]
+    assert len(told) == 6  # two ports, four serial numbers
+    column = path.read_text().splitlines()[8].index(ASK) + 1
+    assert f"{path}:9:{column}: stage.axes.pan.serial: still to be filled in (it says {ASK})." in told
+    filled = path.read_text().replace(ASK, "00051").replace("CHOOSE-A-PORT", "usb-0")
+    path.write_text(filled)
+    assert plan(*load("three_pose", str(path))).faults == ()
