@@ -17,6 +17,8 @@ from sequences.errors import Fault
 from sequences.yaml_text import DocumentPath, Tree, path_text
 
 LONGEST_QUOTE = 60
+MOST_COMPARED, MOST_TOLD = 50, 30
+"""Known words that a wrong one is held against, and that are listed: a file may name thousands of its own."""
 
 PLAIN = {
     "missing": "required, and missing.",
@@ -64,10 +66,11 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     ' Known here: pan, tilt.'
     """
     names = list(dict.fromkeys(known))
-    near = difflib.get_close_matches(word, names, n=1)
+    near = difflib.get_close_matches(word, names[:MOST_COMPARED], n=1)
     if near:
         return f" Did you mean {near[0]!r}?"
-    return f" Known here: {', '.join(names)}." if names else ""
+    more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
+    return f" Known here: {', '.join(names[:MOST_TOLD])}{more}." if names else ""
 
 
 def _fault(complaint: Any, tree: Tree, model: type[BaseModel]) -> Fault:

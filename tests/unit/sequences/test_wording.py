@@ -1,0 +1,18 @@
+"""Hints in messages."""
+
+import difflib
+
+from sequences.wording import MOST_COMPARED, MOST_TOLD, did_you_mean
+
+
+def test_of_thousands_of_names_some_are_compared_and_listed(monkeypatch):
+    compared, real = [], difflib.get_close_matches
+    monkeypatch.setattr(
+        difflib,
+        "get_close_matches",
+        lambda word, names, n: compared.append(len(names)) or real(word, names, n),
+    )
+    said = did_you_mean("?", [f"set {i}" for i in range(2000)])
+    assert compared == [MOST_COMPARED]
+    assert said.count("set ") == MOST_TOLD
+    assert said.endswith(f" and {2000 - MOST_TOLD} more.")
