@@ -34,11 +34,20 @@ ROLL_TO = 1.2
 
 
 class Disc(NamedTuple):
-    """The disc of light in a pose: centre and radius on the target plane, mm."""
+    """The disc of light in a pose: centre and mean radius on the target plane, mm.
+
+    ``edge`` makes it uneven: by what share of the radius it is wider in a direction phi, as coefficients of
+    cos 2 phi, sin 2 phi, cos 3 phi, ..., (EDGE_TERMS,) float64, or (0,) of an even one.
+    """
 
     x: float
     y: float
     radius: float
+    edge: FloatArray
+
+
+EVEN: Final = np.zeros(0)
+EDGE_TERMS: Final = 8
 
 
 class Bending(NamedTuple):
@@ -72,7 +81,8 @@ NO_BENDING: Final = Bending(
 def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     """Disc of light in a pose: it moves as the camera turns, unless its pupil stands on the turning point.
 
-    It walks in proportion to the turn, and wanders about that, as the pupil does on a mount that is moved by hand.
+    It walks in proportion to the turn, and wanders about that, as the pupil does on a mount that is moved by hand. Its
+    edge is uneven by the rms asked for, with 2 to 5 periods around it.
 
     Parameters
     ----------
@@ -82,6 +92,10 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     along = _axis(rotation)
     x, y = collimator.x + collimator.disc_x, collimator.y + collimator.disc_y
     radius = collimator.r * math.tan(math.radians(collimator.half_angle_deg))
+    edge = EVEN
+    if collimator.disc_unevenness != 0.0:
+        scale = collimator.disc_unevenness * math.sqrt(2.0 / EDGE_TERMS)
+        edge = scale * wandering(along, EDGE_TERMS, collimator.glass_seed)
     if collimator.disc_wander_mm != 0.0 or collimator.disc_breathing != 0.0:
         wander = wandering(along, 3, collimator.glass_seed)
         x, y = (
@@ -90,10 +104,40 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
         )
         radius *= 1.0 + collimator.disc_breathing * float(wander[2])
     return Disc(
-        x + collimator.disc_walk * along[0],
-        y + collimator.disc_walk * along[1],
+        x + collimator.disc_walk[0] * along[0],
+        y + collimator.disc_walk[1] * along[1],
         radius,
+        edge,
     )
+
+
+@njit(cache=True, nogil=True)
+def width(cosine: float, sine: float, edge: FloatArray) -> float:
+    """Radius of the disc in the direction of that cosine and sine, in mean radii."""
+    wide, c, s = 1.0, cosine, sine
+    for m in range(edge.size // 2):
+        c, s = c * cosine - s * sine, c * sine + s * cosine
+        wide += edge[2 * m] * c + edge[2 * m + 1] * s
+    return max(wide, 0.1)
+
+
+@njit(cache=True, nogil=True)
+def share_of(x_mm: float, y_mm: float, disc: Disc) -> float:
+    """How far a point of the target lies from the disc's centre, as a share of the way to the disc's edge."""
+    x, y = x_mm - disc.x, y_mm - disc.y
+    away = math.sqrt(x * x + y * y)
+    if disc.edge.size == 0 or away == 0.0:
+        return away / disc.radius
+    return away / (disc.radius * width(x / away, y / away, disc.edge))
+
+
+@njit(cache=True, nogil=True)
+def shares_of(points_mm: NDArray, disc: Disc) -> NDArray:
+    """``share_of`` for points, (N, 2) mm; (N,)."""
+    out = np.empty(points_mm.shape[0])
+    for i in range(points_mm.shape[0]):
+        out[i] = share_of(points_mm[i, 0], points_mm[i, 1], disc)
+    return out
 
 
 def _axis(rotation: FloatArray) -> tuple[float, float]:

@@ -21,8 +21,8 @@ FloatArray = NDArray[np.float64]
 
 DEGREE: Final = 5
 MONOMIALS: Final = (DEGREE + 1) * (DEGREE + 2) // 2
-POWER: Final = (0.38, 0.36, 0.15, 0.06, 0.05)
-"""Share of each degree, 1 to `DEGREE`, in the mean square: that of recordings of a real collimator."""
+POWER: Final = (0.17, 0.12, 0.24, 0.20, 0.27)
+"""Share of each degree, 1 to `DEGREE`, in the mean square: as recordings of a real collimator leave them."""
 WAVES: Final = 3
 """Sinusoids that make a random function of the pose."""
 WAVELENGTH: Final = 0.2
@@ -34,7 +34,7 @@ RIM_FROM: Final = 0.86
 RIM_POWER: Final = 1.6
 RIM_HARMONICS: Final = 3
 """Periods of the rim's field around the disc, at most."""
-RIM_OUTWARDS: Final = 0.75
+RIM_OUTWARDS: Final = 1.6
 """Mean displacement outwards, in the rim's rms."""
 
 

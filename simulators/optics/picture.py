@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from calib.target import StarTarget
-from simulators.optics.collimator_errors import Disc, bending_of, disc_of
+from simulators.optics.collimator_errors import Disc, bending_of, disc_of, share_of, shares_of
 from simulators.optics.coverage import blank, gather, spread_kernel
 from simulators.optics.lens import lens_of, ray_grid
 from simulators.optics.print_outline import black_polygons
@@ -104,10 +104,9 @@ def star_centres(
     points = project(positions, rotation, truth)
     collimator, camera = truth.collimator, truth.camera
     disc = disc_of(collimator, rotation)
-    offset = positions - np.array([disc.x, disc.y])
-    radius = disc.radius * (1.0 - collimator.rim) - clearance * TARGET.pitch_mm
+    bright = 1.0 - collimator.rim - clearance * TARGET.pitch_mm / disc.radius
     low, high = border_px - 0.5, np.array([camera.width, camera.height]) - 0.5 - border_px
-    seen = (np.hypot(offset[:, 0], offset[:, 1]) <= radius) & ((points >= low) & (points <= high)).all(axis=1)
+    seen = (shares_of(positions, disc) <= bright) & ((points >= low) & (points <= high)).all(axis=1)
     return ids[seen], points[seen]
 
 
@@ -139,7 +138,8 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     cells = Cells(subsamples, math.ceil((max(kernel.size, rim_kernel.size) / subsamples - 1) / 2))
     steps = blank(camera.width, camera.height, cells.per_px, cells.margin_px)
     rays, sight = ray_grid(camera, cells.margin_px), sight_of(truth, rotation)
-    lit = np.hypot(*(_BLACK[:, 0] - (disc.x, disc.y)).T) < disc.radius + TARGET.pitch_mm
+    widest = disc.radius * (1.0 + float(np.abs(disc.edge).sum()))
+    lit = np.hypot(*(_BLACK[:, 0] - (disc.x, disc.y)).T) < widest + TARGET.pitch_mm
     draw(_BLACK[lit], sight, rays, cells, steps)
     light, rho = _light(
         plane_points(rays, sight),
@@ -173,8 +173,8 @@ def _light(plane: NDArray, light: Light, height: int, width: int) -> tuple[NDArr
             u = j * along - column
             x = (1 - u) * between[column, 0] + u * between[column + 1, 0]
             y = (1 - u) * between[column, 1] + u * between[column + 1, 1]
+            rho = share_of(x, y, light.disc)
             x, y = (x - light.disc.x) / light.disc.radius, (y - light.disc.y) / light.disc.radius
-            rho = math.sqrt(x * x + y * y)
             if rho < 1.0:
                 distance[i, j] = rho
                 brightness[i, j] = _disc_light(x, y, rho, light)

@@ -147,6 +147,7 @@ _NOT_NEGATIVE: Final = {
     "collimator.rim",
     "collimator.disc_wander_mm",
     "collimator.disc_breathing",
+    "collimator.disc_unevenness",
     "collimator.irregularity_mm",
     "collimator.rim_irregularity_mm",
     "optics.psf_px",

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from simulators.errors import ConfigError
 from simulators.optics import picture as optics
-from simulators.optics.collimator_errors import apparent, bending_of, disc_of, reticle_point
+from simulators.optics.collimator_errors import apparent, bending_of, disc_of, reticle_point, shares_of
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config
 
@@ -58,11 +58,12 @@ def test_the_reticle_point_seen_somewhere_appears_there(x, y):
 
 
 def test_the_disc_walks_with_the_turn_of_the_camera():
-    collimator = CollimatorTruth(disc_walk=40.0, disc_y=3.0)
+    collimator = CollimatorTruth(disc_walk=(40.0, -10.0), disc_y=3.0)
     still, turned = disc_of(collimator, np.eye(3)), disc_of(collimator, TURN)
     assert (still.x, still.y) == (collimator.x, collimator.y + 3.0)
     axis = TURN.T @ [0.0, 0.0, 1.0]
     assert turned.x - still.x == pytest.approx(40.0 * axis[0] / axis[2])
+    assert turned.y - still.y == pytest.approx(-10.0 * axis[1] / axis[2])
     assert turned.radius == still.radius
 
 
@@ -70,13 +71,48 @@ def test_the_disc_wanders_and_breathes_by_its_sigmas_and_alike_in_like_poses():
     collimator = CollimatorTruth(disc_wander_mm=5.0, disc_breathing=0.1)
     poses = np.random.default_rng(1).uniform(-25.0, 25.0, (600, 2))
     discs = np.array(
-        [disc_of(collimator, optics.pose_rotation({"pan": a, "tilt": b}, OpticsTruth())) for a, b in poses]
+        [
+            disc_of(collimator, optics.pose_rotation({"pan": a, "tilt": b}, OpticsTruth()))[:3]
+            for a, b in poses
+        ]
     )
     np.testing.assert_allclose(discs[:, :2].std(axis=0), 5.0, rtol=0.25)
     assert discs[:, 2].std() / discs[:, 2].mean() == pytest.approx(0.1, rel=0.25)
     near, there = (disc_of(collimator, optics.pose_rotation({"pan": p}, OpticsTruth())) for p in (3.0, 3.2))
     assert np.hypot(near.x - there.x, near.y - there.y) < 1.5
-    assert near != there
+    assert near[:3] != there[:3]
+
+
+def test_an_uneven_disc_departs_from_a_circle_by_its_rms_and_otherwise_in_other_poses():
+    collimator = CollimatorTruth(disc_unevenness=0.05)
+    turns = np.linspace(0.0, 2.0 * np.pi, 360, endpoint=False)
+    edges = []
+    for pan in np.random.default_rng(2).uniform(-25.0, 25.0, 200):
+        disc = disc_of(collimator, optics.pose_rotation({"pan": pan}, OpticsTruth()))
+        around = np.column_stack([np.cos(turns), np.sin(turns)])
+        points = [disc.x, disc.y] + disc.radius * around
+        edges.append(1.0 / shares_of(points, disc) - 1.0)
+    assert np.std(edges) == pytest.approx(0.05, rel=0.15)
+    assert np.abs(np.mean(edges, axis=1)).max() < 1e-9
+    assert np.std(edges, axis=0).min() > 0.02
+
+
+def test_light_ends_where_the_uneven_disc_does():
+    level = optics.pose_rotation({}, OpticsTruth(mounting_deg=(0.0, 0.0, 0.0)))
+    camera = CameraTruth(fx=330.0, fy=330.0, cx=80.0, cy=80.0, k1=0.0, k2=0.0, width=160, height=160)
+    collimator = CollimatorTruth(disc_unevenness=0.08, rim=0.0)
+    picture = optics.render(Truth(camera, collimator, OpticsTruth(psf_px=0.0, black=1.0)), level)
+    disc = disc_of(collimator, level)
+    v, u = np.mgrid[:160, :160]
+    points = (np.column_stack([u.ravel(), v.ravel()]) - 80.0) * collimator.r / 330.0 + (
+        collimator.x,
+        collimator.y,
+    )
+    share = shares_of(points, disc).reshape(160, 160)
+    assert (picture[share < 0.97] > 0.5).all()
+    assert (picture[share > 1.03] == 0.0).all()
+    circle = np.hypot(*(points - (disc.x, disc.y)).T).reshape(160, 160) / disc.radius
+    assert (picture[circle > 1.03] > 0.5).any()
 
 
 def test_points_roll_outwards_with_the_fourth_power():
