@@ -104,12 +104,12 @@ class Progress:
         return f"pose {self._pose} of {self._poses}" + (f" ({self._detail})" if self._detail else "")
 
     def _plain(self) -> str:
-        return f"{self._state:<10}  {self._where():<28}  {clock_text(self.left_s()):>6} left"
+        return f"{self._state:<11}  {self._where():<28}  {clock_text(self.left_s()):>6} left"
 
     def _line(self) -> Text:
         """Give one line that fits the terminal: where it is narrow the bar gives way first, then the end is cut."""
         told = Text.assemble(
-            (f"{self._state:<9}", "bold"), f"  {clock_text(self.left_s())} left  {self._where()}".rstrip()
+            (f"{self._state:<11}", "bold"), f"  {clock_text(self.left_s())} left  {self._where()}".rstrip()
         )
         width = min(_BAR_WIDTH, self._console.width - told.cell_len - 2)
         if width < _LEAST_BAR:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from bench.errors import JournalBroken, RunFolderError, StorageError
-from bench.records.storage import storing, sync_folder, write_all
+from bench.records.storage import BYTES, storing, sync_folder, write_all
 
 FIRST_PREV = "0" * 64
 CLOCK_JUMP_S = 2.0
@@ -87,7 +87,7 @@ class Journal:
         self._clock_offset_s: float | None = None
         self._lock = threading.RLock()
         with storing(path):
-            self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | BYTES)
 
     @classmethod
     def create(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
@@ -111,7 +111,7 @@ class Journal:
         """
         with storing(path):
             try:
-                os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+                os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BYTES, 0o644))
             except FileExistsError:
                 raise RunFolderError(
                     "A journal exists already.", where=str(path), remedy="Resume that run."

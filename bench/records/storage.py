@@ -20,9 +20,14 @@ HASH_CHUNK_BYTES = 1 << 20
 TEMPORARY = ".tmp"
 
 _FOLDERS_OPEN = hasattr(os, "O_DIRECTORY")
+BYTES = getattr(os, "O_BINARY", 0)
+"""Flag of ``os.open``: without it Windows writes two bytes for each line feed. (Children inherit nothing Python opens.)"""
+_TO_SYNC = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
+"""Windows syncs no file that is open for reading alone."""
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
+_NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP}
 
 
 @contextmanager
@@ -44,9 +49,11 @@ def storing(where: Path) -> Iterator[None]:
     except OSError as error:
         place = str(error.filename or where)
         if error.errno in _FULL:
-            what, remedy = "The disk is full.", "Make room, then go on with `starbench resume`."
+            what, remedy = "The disk is full.", "Make room; a run then goes on with `starbench resume`."
         elif error.errno in _DENIED:
             what, remedy = "No permission.", "Change its mode or owner, or use another folder."
+        elif error.errno in _NOWHERE:
+            what, remedy = f"It cannot lie there: {error.strerror or error}.", "Check the path."
         else:
             what = f"The file system refused: {error.strerror or error}."
             remedy = "Check the disk (dmesg, SMART) before going on."
@@ -66,7 +73,7 @@ def sync_folder(folder: Path) -> None:
 
 def sync_file(path: Path) -> None:
     """Make what a file holds last through a power cut. Raises OSError."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    descriptor = os.open(path, _TO_SYNC)
     try:
         os.fsync(descriptor)
     finally:
@@ -82,7 +89,7 @@ def open_to_lock(folder: Path) -> int:
         When it cannot be opened.
     """
     if _FOLDERS_OPEN:
-        return os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     return os.open(folder.with_name(f".{folder.name}.lock"), os.O_RDWR | os.O_CREAT)
 
 
@@ -125,7 +132,7 @@ def write_whole(path: Path, data: bytes, *, mode: int = 0o644) -> None:
         part.unlink(missing_ok=True)
         try:
             _write_new(part, data, mode)
-            part.rename(path)
+            part.replace(path)
         except OSError:
             with suppress(OSError):  # the first error is the one to tell
                 part.unlink()
@@ -170,7 +177,7 @@ def sha256_of(path: Path) -> str:
 
 
 def _write_new(path: Path, data: bytes, mode: int) -> None:
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BYTES, mode)
     try:
         write_all(descriptor, data)
         os.fsync(descriptor)

@@ -94,7 +94,7 @@ class Door:
 
 def _read_sensor(path: str) -> tuple[str, float]:
     """Read what a sensor's file says, and when it was written. Raises OSError, for a pipe without a writer too."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     try:
         found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode):

@@ -15,6 +15,8 @@ FULL_BYTES: Final = 1 << 20
 """A disk with less free space than this is taken for full."""
 
 _BINARY: Final = getattr(os, "O_BINARY", 0)  # only Windows knows other files
+_FOLDERS_OPEN: Final = hasattr(os, "O_DIRECTORY")
+_TO_SYNC: Final = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR  # Windows syncs no file open for reading alone
 
 _REMEDIES: Final = {
     errno.EEXIST: ("There is such a file already", "Recordings are never overwritten: choose another name."),
@@ -114,7 +116,7 @@ def sync_file(path: Path) -> None:
     try:
         if not path.exists():
             return
-        handle = os.open(path, os.O_RDONLY)
+        handle = os.open(path, _TO_SYNC)
         try:
             os.fsync(handle)
         finally:
@@ -126,7 +128,7 @@ def sync_file(path: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Sync a folder, so that a new file's name is on disk as well; Windows has no such thing."""
-    if os.name == "nt":
+    if not _FOLDERS_OPEN:
         return
     handle = os.open(folder, os.O_RDONLY)
     try:

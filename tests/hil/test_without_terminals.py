@@ -1,7 +1,7 @@
 """A computer without pseudo-terminals, flock and terminal settings, as Windows is: the same runs, over TCP.
 
 Python is made to look so in every process: the modules cannot be imported, ``msvcrt`` locks by POSIX record locks,
-select takes sockets alone, and there are no signals but those that Windows has.
+select takes sockets alone, a rename replaces nothing, no folder can be opened nor a file synced that is only read, and there are no signals or flags but those that Windows has.
 """
 
 from __future__ import annotations
@@ -21,12 +21,28 @@ from running import PATIENCE_S, STARBENCH, environment, journal, results
 from bench.stations.station import SHIPPED
 
 BARE = """
-import os, select, signal, stat, subprocess, sys, types
+import fcntl, os, select, signal, stat, subprocess, sys, types
 import serial, serial.serialposix  # what of pyserial stands for serialwin32 here
 for name in ("fcntl", "termios", "tty", "pty"):
     sys.modules[name] = None
-for name in ("openpty", "O_DIRECTORY"):
+for name in ("openpty", "O_DIRECTORY", "O_CLOEXEC", "O_NONBLOCK", "fchmod", "getuid", "geteuid", "pidfd_open", "mkfifo"):
     delattr(os, name)
+rename = os.rename
+def over_nothing(source, target, **more):
+    if os.path.lexists(target) and os.path.isfile(target):
+        raise FileExistsError(17, "Cannot create a file when that file already exists", source, None, target)
+    rename(source, target, **more)
+os.rename = over_nothing
+synced, opened, mode_of, reading = os.fsync, os.open, fcntl.fcntl, fcntl.F_GETFL
+def sync_what_is_written(descriptor):
+    if not mode_of(descriptor, reading) & (os.O_WRONLY | os.O_RDWR):
+        raise OSError(9, "Bad file descriptor")
+    synced(descriptor)
+def open_no_folder(path, flags, mode=0o777, **more):
+    if "dir_fd" not in more and os.path.isdir(path):
+        raise PermissionError(13, "Permission denied", path)
+    return opened(path, flags, mode, **more)
+os.fsync, os.open = sync_what_is_written, open_no_folder
 msvcrt = types.ModuleType("msvcrt")
 msvcrt.LK_NBLCK = 2
 msvcrt.locking = lambda descriptor, mode, count: os.lockf(descriptor, os.F_TLOCK, count)

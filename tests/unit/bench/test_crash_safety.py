@@ -45,6 +45,7 @@ class Fault:
             (os, "ftruncate"),
             (os, "truncate"),
             (Path, "rename"),
+            (Path, "replace"),
             (Path, "unlink"),
             (Path, "mkdir"),
             (Path, "chmod"),
