@@ -116,7 +116,8 @@ def calibration_text(calibration: Mapping[str, Any]) -> str:
     stars = sum(view["n"] for view in views)
     k = coverage_factor(calibration)
     model = calibration["model"].capitalize()
-    lines = [f"{model} model, {len(views)} views, {stars} stars; U with k = {exact(round(k, 2))}:"]
+    counted = f"{len(views)} view{'' if len(views) == 1 else 's'}"
+    lines = [f"{model} model, {counted}, {stars} stars; U with k = {exact(round(k, 2))}:"]
     for name, sigma in calibration["sigma"].items():
         value, expanded = with_uncertainty(values[name], k * sigma)
         lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit_text(name)}".rstrip())

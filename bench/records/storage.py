@@ -21,7 +21,7 @@ TEMPORARY = ".tmp"
 
 _FOLDERS_OPEN = hasattr(os, "O_DIRECTORY")
 BYTES = getattr(os, "O_BINARY", 0)
-"""Flag of ``os.open``: without it Windows writes two bytes for each line feed. (Children inherit nothing Python opens.)"""
+"""Flag of ``os.open``: without it Windows writes two bytes for each line feed."""
 _TO_SYNC = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
 """Windows syncs no file that is open for reading alone."""
 
