@@ -172,7 +172,10 @@ class Batch:
             if request is None:
                 self._tell(BatchEvent.REQUESTED, id=name, word="unknown", taken=False, why="it is no request")
             elif request.id not in self._record.answered:
-                why = refusal(request, self._record)
+                try:
+                    why = refusal(request, self._record)
+                except Exception as error:  # noqa: BLE001 - a request that nobody foresaw must not end the night
+                    why = f"it cannot be judged: {type(error).__name__}: {error}"
                 said = request.model_dump(exclude={"format"}, exclude_none=True)
                 self._tell(BatchEvent.REQUESTED, **said, taken=not why, why=why)
                 what = request.name or (request.job.name if request.job else "")

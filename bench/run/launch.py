@@ -160,17 +160,18 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     ):
         job, history = _job_of(folder.path, journal.entries)
         crash = read_crash(folder.path)
-        put_away(folder)
         ledger = _ledger(launch)
         place = history.ledger
         if not ledger.knows(place):  # begun on another bench, or without a ledger
             place = _begin(ledger, job, folder.path)
         with _ending(ledger, place, folder.path) as ending:
             if history.ended == "finished":
+                put_away(folder)
                 return ending(_seal_finished(folder, journal, launch))
             said: dict[str, Any] = {"crash": crash} if crash else {}
             said |= {"ledger": place} if place is not history.ledger else {}
             journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **said)
+            put_away(folder)  # counted first: whoever dies in between counts no crash twice, and loses none
             words = intentions(job, history, crash)
             return ending(_run_and_seal(job, folder, journal, launch, say_first=words))
 

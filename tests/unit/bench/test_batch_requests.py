@@ -208,3 +208,16 @@ def test_a_job_whose_name_differs_in_capitals_alone_is_refused(tmp_path):
     workers = Asked(clock, tmp_path, [add("A")])
     Batch(tmp_path, queue(("a", "")), clock, lambda _: None, workers).run()
     assert [data["why"] for data in asked(tmp_path)] == ["the batch has a job A, or had one"]
+
+
+def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, monkeypatch):
+    def broken(_job):
+        raise ZeroDivisionError("nobody foresaw this")
+
+    monkeypatch.setattr("bench.batches.batch_requests.job_faults", broken)
+    leave(tmp_path, add("b"))
+    clock = NightClock()
+    assert Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()["how"] == "finished"
+    assert [data["why"] for data in asked(tmp_path)] == [
+        "it cannot be judged: ZeroDivisionError: nobody foresaw this"
+    ]

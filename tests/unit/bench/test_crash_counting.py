@@ -1,0 +1,69 @@
+"""A crash is counted once, whatever dies while it is."""
+
+from datetime import UTC, datetime
+from types import SimpleNamespace
+
+import pytest
+
+from bench.clock import BenchClock
+from bench.records.history import Event, replay
+from bench.records.journal import Journal, read_journal
+from bench.records.run_folder import RunFolder
+from bench.run import launch
+from bench.run.crash_log import CRASH_LOG, note_crash
+from bench.run.launch import Launch, resume_run
+
+CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+
+
+@pytest.fixture
+def crashed(tmp_path, monkeypatch):
+    """A run whose process crashed at its first pose; what follows its resuming is left out."""
+    with (
+        RunFolder.create(tmp_path / "run") as folder,
+        Journal.create(folder.journal_path, **CLOCKS) as journal,
+    ):
+        journal.append(Event.RUN_STARTED, id="run", ledger={"number": 1})
+        journal.append(Event.ENTERING, state="slewing", pose=1)
+    note_crash(tmp_path / "run", "Fatal Python error: Segmentation fault")
+    monkeypatch.setattr(launch, "_job_of", lambda _folder, entries: (None, replay(entries)))
+    monkeypatch.setattr(launch, "intentions", lambda *_: [])
+    monkeypatch.setattr(
+        launch, "_ledger", lambda _: SimpleNamespace(knows=lambda _place: True, end=lambda *_, **__: None)
+    )
+    monkeypatch.setattr(launch, "_run_and_seal", lambda *_, **__: SimpleNamespace(how="finished"))
+    return tmp_path / "run"
+
+
+def resume(folder):
+    return resume_run(folder, Launch(BenchClock()))
+
+
+def crashes(folder):
+    return replay(read_journal(folder / "journal.jsonl")[0]).crashes
+
+
+def test_a_crash_is_counted_and_put_away(crashed):
+    resume(crashed)
+    assert crashes(crashed) == {1: 1}
+    assert not (crashed / CRASH_LOG).exists()
+    resume(crashed)
+    assert crashes(crashed) == {1: 1}
+
+
+@pytest.mark.parametrize("after", [False, True])
+def test_dying_while_it_is_put_away_loses_it_not_and_doubles_it_not(crashed, monkeypatch, after):
+    real = launch.put_away
+
+    def died(folder):
+        if after:
+            real(folder)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(launch, "put_away", died)
+        with pytest.raises(KeyboardInterrupt):
+            resume(crashed)
+    resume(crashed)
+    assert crashes(crashed) == {1: 1}
+    assert not (crashed / CRASH_LOG).exists()
