@@ -75,9 +75,11 @@ def test_the_pictures_are_the_evidence_and_the_light_burnt_steadily(finished):
 def test_the_report_speaks_of_pictures_and_leaves_out_what_only_events_have(finished):
     report = (finished / "report.html").read_text()
     assert "Interior orientation of a frame camera" in report
-    assert '<th class="n">Pictures</th>' in report
+    assert "Pictures</th>" in report
+    page = report.partition("<main>")[2]
+    assert page
     for word in ("Mev/s", "Triggers", "Flicker, Hz", "vent image", "events", "biases", "duty"):
-        assert word not in report.partition("<main>")[2], word
+        assert word not in page, word
 
 
 def test_the_seal_of_a_frame_cameras_run_holds(finished, home):
