@@ -375,7 +375,7 @@ def _make_readout(
     total = float(rates.sum(dtype=np.float64))
     alias = np.zeros(n, np.uint64)
     if total > 0.0:
-        fill_alias(rates * (n / total), alias)
+        fill_alias(rates.astype(np.float64) / (total / n), alias)
     return Readout(
         settings.dead_us,
         noise.reset_noise,
