@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import click
 
-from bench.cli_words import JSON, SEED, ExistingFile, ExistingPath, NewFile
+from bench.cli_words import JSON, SEED, ExistingFile, ExistingPath, NewFile, Number
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _MODELS = ["spherical", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
@@ -53,11 +53,11 @@ _OPTIONS = (
     _LOSS,
     click.option(
         "--guard-band",
-        type=click.FloatRange(0, 1, min_open=True),
+        type=Number(least=0, above=True, most=1),
         metavar="SHARE",
         default=1.0,
         show_default=True,
-        help="Share of the beam's radius to use.",
+        help="Share of the beam's radius to use, above 0 to 1.",
     ),
     click.option("--passport", type=ExistingFile(), help="The collimator's, made by `passport make`."),
     click.option("--image-size", metavar="WxH", help="For point files, which do not know it."),
@@ -143,7 +143,7 @@ def passport() -> None:
 @click.option("--output", "-o", required=True, type=NewFile(), help="The new passport file.")
 @click.option("--collimator", help="Its serial number or name.")
 @click.option(
-    "--temperature", "temperature_c", type=float, metavar="C", help="Degrees Celsius at the collimator."
+    "--temperature", "temperature_c", type=Number(), metavar="C", help="Degrees Celsius at the collimator."
 )
 def passport_make(
     paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **words: Any
@@ -171,12 +171,17 @@ def passport_make(
 
 @passport.command("certificate")
 @click.option(
-    "--radius", "r_mm", type=float, metavar="MM", required=True, help="The collimator's focal length."
+    "--radius",
+    "r_mm",
+    type=Number(least=0, above=True),
+    metavar="MM",
+    required=True,
+    help="The collimator's focal length.",
 )
 @click.option(
     "--sigma",
     "sigma_mm",
-    type=float,
+    type=Number(least=0, above=True),
     metavar="MM",
     required=True,
     help="Its standard uncertainty (k = 1).",
@@ -185,7 +190,7 @@ def passport_make(
 @click.option("--date", "issued", help="The day it was issued, as it says.")
 @click.option("--collimator", help="Its serial number or name.")
 @click.option(
-    "--temperature", "temperature_c", type=float, metavar="C", help="Degrees Celsius for which it holds."
+    "--temperature", "temperature_c", type=Number(), metavar="C", help="Degrees Celsius for which it holds."
 )
 @click.option("--output", "-o", required=True, type=NewFile(), help="The new passport file.")
 def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certificate: Any) -> int:
@@ -227,13 +232,13 @@ def passport_show(path: Path, as_json: bool) -> int:
 @click.option("--seed", type=SEED, metavar="N", default=1, show_default=True, help="Of the noise.")
 @click.option(
     "--noise-px",
-    type=float,
+    type=Number(least=0, above=True),
     metavar="PX",
     help="1 sigma of a star; by default what the station expects.",
 )
 @click.option(
     "--drift-mm",
-    type=click.FloatRange(0),
+    type=Number(least=0),
     metavar="MM",
     default=0.0,
     show_default=True,
@@ -241,10 +246,11 @@ def passport_show(path: Path, as_json: bool) -> int:
 )
 @click.option(
     "--outliers",
-    type=click.FloatRange(0, 1),
+    type=Number(least=0, most=1),
+    metavar="SHARE",
     default=0.0,
     show_default=True,
-    help="Share of stars that are grossly wrong.",
+    help="Share of stars that are grossly wrong, 0 to 1.",
 )
 @_MODEL
 @_LOSS

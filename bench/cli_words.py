@@ -6,6 +6,7 @@ changes nothing inside them; messages end with status 2, as every wrong word doe
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,29 @@ from bench.errors import UsageError
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 SEED = click.IntRange(0, 2**63 - 1)
 _MOST_NAMED = 5
+
+
+class Number(click.ParamType):
+    """A number that is finite, from ``least`` (above it, where ``above``) to ``most``, as far as these are given."""
+
+    name = "number"
+
+    def __init__(self, *, least: float | None = None, above: bool = False, most: float | None = None) -> None:
+        self._least, self._above, self._most = least, above, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Give the number. Raises click.BadParameter."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a number.", param, ctx)
+        if self._least is not None and (number < self._least or (self._above and number == self._least)):
+            self.fail(f"{value} is not {'above' if self._above else 'at least'} {self._least:g}.", param, ctx)
+        if self._most is not None and number > self._most:
+            self.fail(f"{value} is more than {self._most:g}.", param, ctx)
+        return number
 
 
 class _Path(click.ParamType):

@@ -233,6 +233,26 @@ def test_what_is_not_there_is_named_and_a_wrong_word(say, words):
     assert "no such" in said
 
 
+@pytest.mark.parametrize("number", ["nan", "inf", "-1", "much"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("study", "--noise-px"),
+        ("study", "--drift-mm"),
+        ("study", "--outliers"),
+        ("calibrate", ".", "--guard-band"),
+        ("passport", "certificate", "--sigma", "1", "--number", "1", "-o", "new.json", "--radius"),
+        ("passport", "certificate", "--radius", "255", "--number", "1", "-o", "new.json", "--sigma"),
+    ],
+    ids=lambda words: " ".join((words[0], words[-1])),
+)
+def test_a_number_that_cannot_be_is_a_wrong_word(say, tmp_path, words, number):
+    status, out, said = say(*words, number)
+    assert (status, out) == (2, "")
+    assert words[-1] in said
+    assert not (tmp_path / "new.json").exists()
+
+
 def test_a_line_that_is_no_key_is_a_wrong_word(say):
     status, _, said = say("keys", "trust", "nonsense")
     assert status == 2
