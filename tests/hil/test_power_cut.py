@@ -6,27 +6,21 @@ flushed, as a cut of power does; then it is mounted again. Needs root, mkfs.ext4
 falls into a sync (consistency; an acknowledgement given while the cut happens may be a false one).
 """
 
-import fcntl
-import os
 import random
 import re
-import shutil
 import signal
-import struct
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from own_disk import Disk
 
 from bench.errors import BenchError
 from bench.records.captures import stored_captures
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
-
-SHUTDOWN = 0x8004587D  # FS_IOC_SHUTDOWN, linux/fs.h
-WITHOUT_LOG_FLUSH = 2
 
 WRITER = """
 import hashlib, os, sys, time
@@ -60,44 +54,8 @@ while True:
 """
 
 
-def run(*command):
-    return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
-class Disk:
-    """A file system in a file."""
-
-    def __init__(self, folder):
-        self.image, self.mounted = folder / "disk.img", folder / "disk"
-        self.mounted.mkdir()
-        with self.image.open("wb") as image:
-            image.truncate(64 << 20)
-        made = run("mkfs.ext4", "-q", "-F", self.image)
-        if made.returncode or (mounted := run("mount", "-o", "loop", self.image, self.mounted)).returncode:
-            pytest.skip(
-                f"a file system of our own cannot be had here: {(made.stderr or mounted.stderr).strip()}"
-            )
-
-    def cut_power(self):
-        descriptor = os.open(self.mounted, os.O_RDONLY)
-        fcntl.ioctl(descriptor, SHUTDOWN, struct.pack("I", WITHOUT_LOG_FLUSH))
-        os.close(descriptor)
-
-    def mount_again(self):
-        assert run("umount", self.mounted).returncode == 0
-        again = run("mount", "-o", "loop", self.image, self.mounted)
-        assert again.returncode == 0, again.stderr
-
-    def close(self):
-        run("umount", self.mounted)
-
-
 @pytest.fixture
 def disk(tmp_path):
-    if os.geteuid() != 0:
-        pytest.skip("cutting the power of a file system needs root")
-    if shutil.which("mkfs.ext4") is None:
-        pytest.skip("mkfs.ext4 is not installed")
     disk = Disk(tmp_path)
     yield disk
     disk.close()
