@@ -14,12 +14,19 @@ from calib.flicker import Flicker, flicker_from_events
 from calib.motion import half_windows, motion_between
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
-from simulators.world.truth import NOISE_LEVELS, Truth
+from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
 from simulators.world.world import LightState
 
 WINDOW_US = 33_000.0
-TRUTH = Truth()
-POSES = ({"pan": 4.0, "tilt": 2.0, "roll": 17.0}, {"pan": 3.0, "tilt": -2.0, "roll": 200.0})
+TRUTH = Truth(collimator=CollimatorTruth(r=280.0, half_angle_deg=16.0))
+CELL_PX = 34.0
+"""From a star to the corner of its cell: the stars are 48 px apart."""
+POSES = (
+    {"pan": 4.0, "tilt": 2.0, "roll": 17.0},
+    {"pan": 3.0, "tilt": -2.0, "roll": 200.0},
+    {"pan": -4.0, "tilt": 1.0, "roll": 75.0},
+    {"pan": -2.0, "tilt": -1.0, "roll": 310.0},
+)
 
 
 def record(noise, waveform, pose, seed):
@@ -43,7 +50,8 @@ def images(events, flicker, window_us=(0.0, WINDOW_US)):
 def compare(view, rotation):
     """Errors, px, and their normalised squares; no star is missed, none is another."""
     off = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, TRUTH)
-    whole, _ = star_centres(TRUTH, rotation, clearance=0.72, border_px=37.0)
+    whole, _ = star_centres(TRUTH, rotation, clearance=0.72, border_px=CELL_PX)
+    assert len(whole) >= 300
     assert np.setdiff1d(whole, view.ids).size == 0
     assert np.linalg.norm(off, axis=1).max() < 0.35
     return off, np.einsum("ni,nij,nj->n", off, np.linalg.inv(view.covariances_px2), off) / 2.0
