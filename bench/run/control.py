@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from bench.clock import BenchClock
-from bench.errors import RunFolderError
+from bench.errors import RunFolderError, StorageError
 from bench.records.folder_lock import is_worked_on
 from bench.records.history import Event, History, RunLog
 from bench.records.journal import lines_since
@@ -270,7 +270,16 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
         begin = (
             (folder / JOURNAL).stat().st_size
         )  # the answer comes after it; long journals are not read again
-    write_whole(path, command.model_dump_json().encode() + b"\n")
+    try:
+        write_whole(path, command.model_dump_json().encode() + b"\n")
+    except StorageError as error:
+        if inbox.is_dir():
+            raise
+        raise RunFolderError(
+            "The run was ending: it takes no more commands.",
+            where=str(folder),
+            remedy="See `starbench status`.",
+        ) from error
     deadline = time.monotonic() + patience_s
     while time.monotonic() < deadline:
         answer = _answer_in(folder, command.id, begin)

@@ -16,6 +16,7 @@ from bench.records.folder_lock import is_worked_on
 from bench.records.history import Attempt, Event, History, RunLog, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
+from bench.run import control
 from bench.run.control import CONTROL, Command, Inbox, command_text, refusal, send
 
 POSES = {1: "left", 2: "right", 3: "below"}
@@ -194,6 +195,19 @@ def test_what_else_is_to_be_looked_at_is_looked_at_in_every_round(run):
         while len(looks) < 3:
             clock.sleep(0.02)
     assert len(looks) >= 3
+
+
+def test_a_command_to_a_run_that_ends_at_this_moment_is_said_to_be_too_late(run, monkeypatch):
+    folder, log, clock = run
+    write = control.write_whole
+
+    def too_late(path, data):
+        inbox.close()
+        write(path, data)
+
+    monkeypatch.setattr(control, "write_whole", too_late)
+    with Inbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="was ending"):
+        send(folder, command("hold"))
 
 
 def test_a_run_that_nobody_works_on_takes_no_command(tmp_path):
