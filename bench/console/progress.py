@@ -48,6 +48,8 @@ class Progress:
         self._total_s = total_s
         self._poses = poses
         self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False)
+        # A terminal that cannot go back over a line gets lines, as a file does.
+        self._goes_back = self._console.is_terminal and not self._console.is_dumb_terminal
         self._state, self._detail, self._pose, self._done_s = "idle", "", 0, 0.0
         self._counted_from_s = monotonic()
         self._live = Live(
@@ -55,7 +57,7 @@ class Progress:
         )
 
     def __enter__(self) -> Self:
-        if self._console.is_terminal:
+        if self._goes_back:
             self._live.start()
         return self
 
@@ -81,7 +83,7 @@ class Progress:
         """
         self._state, self._detail = state, detail
         self._pose = pose or self._pose
-        if not self._console.is_terminal:
+        if not self._goes_back:
             self._print(Text(self._plain()))
 
     def say(self, message: str) -> None:

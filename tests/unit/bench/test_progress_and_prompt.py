@@ -79,6 +79,15 @@ def test_on_a_terminal_of_any_width_it_is_one_line_that_names_the_state(monkeypa
     assert any("─" in line for line in lines) is (columns >= 60)
 
 
+def test_a_terminal_that_cannot_go_back_over_a_line_gets_a_line_a_change(monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    terminal = Terminal()
+    with Progress(lambda: 0.0, total_s=90.0, poses=3, stream=terminal) as progress:
+        progress.show("slewing", pose=2)
+        progress.show("recording", pose=2)
+    assert [line.split()[0] for line in terminal.getvalue().splitlines()] == ["slewing", "recording"]
+
+
 def test_time_left_never_falls_below_zero():
     now = [0.0]
     progress = Progress(lambda: now[0], total_s=5.0, poses=1, stream=io.StringIO())
