@@ -134,6 +134,8 @@ class Sections(click.Group):
 
 def complete(group: click.Group, path: str = "") -> None:
     """Give every command below ``group`` its example and what its exit status means."""
+    if not path:
+        group.epilog = f"Exit status: {_RUN} 130 broken off by Ctrl-C before that."
     for name, command in group.commands.items():
         words = f"{path} {name}".strip()
         examples = "\n".join(f"  {line}" for line in EXAMPLES[words])
