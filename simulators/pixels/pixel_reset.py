@@ -102,19 +102,24 @@ def reset_pixel(
 
 @njit(**JIT)
 def reset_at_once(
-    px: Pixels, drive: Drive, ro: Readout, r: int, t: float, start: float, random: NDArray
+    px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
 ) -> None:
-    """Reset the one listed pixel of a row, served at once under a square light, in double precision."""
-    c = np.int64(px.column[0])
-    light, u_ref = px.cell[r, c, PLACE], tail.joined(px.cell[r, c, U_REF], px.is_on[r, c])
-    on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
-    on = px.is_on[r, c] & np.uint8(1) != 0
-    target = u_ref * on_gain if on else u_ref / off_gain
-    t_live = tail.asked_at(drive, light, target, on, t, start) + ro.dead_us
-    start += floor((t_live - start) / drive.period_us) * drive.period_us
-    u = tail.level(drive, light, t_live - start) * reset_error(ro.normals, ro.reset_noise, random)
-    px.cell[r, c, T_LIVE] = t_live
-    cross_exactly(px, drive, r, c, u, t_live - start, start)
+    """Reset the listed pixels of a row that asked at t and are served at once, under a square light: in double.
+
+    They are one, but for pixels that are alike.
+    """
+    for k in range(n):
+        c = np.int64(px.column[k])
+        light, u_ref = px.cell[r, c, PLACE], tail.joined(px.cell[r, c, U_REF], px.is_on[r, c])
+        on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
+        on = px.is_on[r, c] & np.uint8(1) != 0
+        target = u_ref * on_gain if on else u_ref / off_gain
+        t_live = tail.asked_at(drive, light, target, on, t, start) + ro.dead_us
+        live_start = start + floor((t_live - start) / drive.period_us) * drive.period_us
+        phase = t_live - live_start
+        u = tail.level(drive, light, phase) * reset_error(ro.normals, ro.reset_noise, random)
+        px.cell[r, c, T_LIVE] = t_live
+        cross_exactly(px, drive, r, c, u, phase, live_start)
 
 
 @njit(forceinline=True, **JIT)

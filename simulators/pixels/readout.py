@@ -239,8 +239,8 @@ def read_rows(
         r = row_at(px, smallest(px.group_min))
         n_row, n_on, words = _gather_row(px, r, t)
         _emit_row(px, r, n_row, n_on, np.int64(floor(state[EPOCH] + t)), out, n)
-        if n_row == 1 and t == oldest and drive.kind == SQUARE:
-            reset_at_once(px, drive, ro, r, t, start, random)
+        if t == oldest and drive.kind == SQUARE:
+            reset_at_once(px, drive, ro, r, n_row, t, start, random)
         else:
             reset_row(px, drive, ro, r, n_row, t, start, random)
         _update_blocks(px, r, t)

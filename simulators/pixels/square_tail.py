@@ -19,7 +19,7 @@ from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import JIT, KERNEL
 
 STEEP: Final = 3e-5
-"""Change of ln u in a microsecond from which on float32 is good to a hundredth of one."""
+"""Change of ln u in a microsecond from which on float32 is good to some hundredths of one."""
 LEAST_Q_US: Final = 1.0
 TIME_STEP_US: Final = 4.0 / 1024.0
 """The coarsest float32 steps of a request's time, after the epoch."""

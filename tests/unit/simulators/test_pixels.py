@@ -67,6 +67,24 @@ def test_events_under_a_sine_are_those_of_the_differential_equation(q_us):
     assert np.quantile(np.concatenate(errors), 0.999) <= 0.5 + 1.0
 
 
+def test_a_row_that_is_read_as_one_is_as_exact_in_the_tail_of_an_edge():
+    # Pixels alike in a row ask and are read together: so many are worked on as a batch.
+    alike, phase, duration, setting = 12, 0.37, 17_000.0, PixelSettings(q_us=200.0)
+    scene = np.repeat(picture(600, 1, seed=8), alike, axis=1)
+    noise = replace(MISMATCH_ONLY, mismatch=0.0)
+    sensor = Sensor(alike, 600, noise=noise, settings=setting, link=Link.ideal())
+    sensor.begin(scene, SQUARE, phase)
+    events, (on, off) = sensor.run(duration), sensor.thresholds
+    errors = []
+    for y in range(600):
+        times, polarities = solve(SQUARE, scene[y, 0], phase, setting, (on[y, 0], off[y, 0]), duration)
+        found_t, found_p = by_pixel(events, 0, y)
+        assert list(found_p) == list(polarities)
+        errors.append(found_t + 0.5 - times)
+        assert np.count_nonzero(events.y == y) == alike * len(times)
+    assert np.abs(np.concatenate(errors)).max() <= 0.5 + 1.0
+
+
 @pytest.mark.parametrize(("q_us", "row"), [(20.0, 16), (60.0, 31), (200.0, 115)])
 def test_the_equations_solvers_agree_in_the_flat_tail_of_an_edge(q_us, row):
     # Where an event comes so late in an edge that 1e-6 of the light moves it by a microsecond or more.

@@ -23,7 +23,8 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def examples(few, many):
     """The same test with few examples, always the same, and with many."""
-    return pytest.mark.parametrize("examples", [few, pytest.param(many, marks=pytest.mark.slow)])
+    marks = [pytest.mark.slow, pytest.mark.timeout(3600)]
+    return pytest.mark.parametrize("examples", [few, pytest.param(many, marks=marks)])
 
 
 def check(examples, **strategies):
