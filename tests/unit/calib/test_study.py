@@ -84,18 +84,19 @@ def test_errors_are_as_large_as_their_sigmas_for_every_parameter(loss, outliers)
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("count", [3, 5, 8])
+@pytest.mark.parametrize("count", [5, 8])
 def test_of_views_that_disagree_sigmas_and_intervals_hold(count):
     rng = np.random.default_rng(99)
     poses = [
         {"pan_deg": rng.uniform(-6, 6), "tilt_deg": rng.uniform(-3, 3), "roll_deg": rng.uniform(-60, 60)}
         for _ in range(count)
     ]
-    study = repeat(NARROW, poses, L2, 300, 23, drift_mm=0.3)
+    study = repeat(NARROW, poses, L2, 100, 23, drift_mm=0.3)
     ratio = np.sqrt((study.sigmas**2).mean(axis=0)) / list(study.scatter.values())
-    assert ((ratio > 1 / 1.3) & (ratio < 1.5)).all()
-    assert (study.factors > 2.2).mean() > 0.9
-    assert min(study.coverage.values()) > 0.92
+    # A hundred runs tell the scatter to 7 %.
+    assert ((ratio > 1 / 1.4) & (ratio < 1.4)).all()
+    assert (study.factors > 2.2).all()
+    assert min(study.coverage.values()) > 0.88
 
 
 @pytest.mark.slow
