@@ -22,6 +22,7 @@ from bench.records.journal import Entry, read_journal
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storing
 from bench.run.interlocks import words
+from bench.run.machine import END_STATES
 
 LAST_LINES = 5
 FOLLOW_S = 0.5
@@ -221,7 +222,7 @@ def _words(entry: Entry) -> str:
             text = f"the run was taken up again{f', after a crash: {crash}' if crash else ''}"
         case Event.ENTERING if "rule" in data:
             text = f"held by the {words(data['rule'])} interlock: {data['why']}"
-        case Event.ENTERING:
+        case Event.ENTERING if data["state"] not in END_STATES:  # the line of the end says that once
             text = f"{data['state']}{pose}"
         case Event.LEFT_OFF if "error" in data:
             text = f"{data['state']} failed: {data['error']}"

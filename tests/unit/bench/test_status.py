@@ -110,6 +110,16 @@ def test_the_last_lines_are_told_in_words(run):
     assert run.status().deviations == ("Pose 1 was skipped: so.",)
 
 
+@pytest.mark.parametrize(
+    ("how", "why", "told"), [("finished", "", "finished"), ("failed", "the lamp", "failed: the lamp")]
+)
+def test_the_end_is_told_once(run, how, why, told):
+    run.tell(Event.ENTERING, state="reporting", pose=None)
+    run.tell(Event.ENTERING, state=how, pose=None)
+    run.tell(Event.RUN_ENDED, how=how, why=why)
+    assert [line[10:] for line in run.status().last[-2:]] == ["reporting", told]
+
+
 def test_following_shows_each_change_and_ends_with_the_run(run):
     def sleep(_):
         run.tell(Event.RUN_ENDED, how="finished", why="")
