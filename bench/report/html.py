@@ -18,7 +18,8 @@ import numpy as np
 from markupsafe import Markup
 
 from bench.report import calibration_tables, run_tables, text
-from bench.report.pictures import ViewPicture, pose_pictures
+from bench.report.choice import pictured_poses
+from bench.report.pictures import ViewPicture, pose_pictures, thinned
 from bench.report.plots import (
     coverage,
     deviations_from_truth,
@@ -43,7 +44,8 @@ class ReportData:
     results
         Content of results.json.
     views
-        The poses that entered the calibration; none leaves out pictures and plots.
+        The poses that entered the calibration; none leaves out pictures and plots. All are plotted; pictures are of
+        those that `pictured_poses` names, and only these need an image.
     journal_head
         Hash of the journal's last line when the report was made: it stands for the whole journal.
     """
@@ -74,6 +76,8 @@ def render_report(data: ReportData) -> str:
     results = data.results
     calibration = results["calibration"]
     k = calibration_tables.coverage_factor(calibration)
+    pictured = pictured_poses(results)
+    pictures = pose_pictures([view for view in data.views if view.name in pictured.names])
     return (
         environment()
         .get_template("report.html.j2")
@@ -102,10 +106,9 @@ def render_report(data: ReportData) -> str:
             deviations=list(results.get("deviations") or []),
             walk=_drawn(walk_diagram(results["states"])) if results.get("states") else "",
             plots=_plots(data),
-            pictures=[
-                (_drawn(svg), view.name)
-                for svg, view in zip(pose_pictures(data.views), data.views, strict=True)
-            ],
+            stars=_stars_drawn(data.views),
+            pictured=(text.number(pictured.shown), text.number(pictured.total)),
+            pictures=[(_drawn(svg), name) for svg, name in pictures],
             k=text.exact(round(k, 2)),
         )
     )
@@ -210,6 +213,12 @@ def _css_text(value: object) -> str:
     return re.sub(r"[^A-Za-z0-9 ._-]", "?", str(value))
 
 
+def _stars_drawn(views: Sequence[ViewPicture]) -> tuple[str, str]:
+    """Say of how many stars how many are drawn in the plots."""
+    drawn, every = (sum(len(view.ids) for view in some) for some in (thinned(views), views))
+    return text.number(drawn), text.number(every)
+
+
 def _plots(data: ReportData) -> dict[str, Markup]:
     """Draw what can be drawn, by name; nothing stands for what cannot."""
     plots = dict.fromkeys(("truth", "uncertainty", "vectors", "cloud", "coverage"), "")
@@ -221,7 +230,7 @@ def _plots(data: ReportData) -> dict[str, Markup]:
     if data.views:
         plots["uncertainty"] = _uncertainty(data.results)
     if any(len(view.detected) for view in data.views):
-        height, width = data.views[0].image.shape
+        width, height = data.results["calibration"]["image_size"]
         centre = (camera["cx"], camera["cy"])
         plots["vectors"] = residual_vectors(data.views, (width, height))
         plots["cloud"] = residual_cloud(data.views, centre)

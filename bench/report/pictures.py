@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 import cv2
@@ -21,6 +21,9 @@ _RING_PX = 7.0
 _CROSS_PX = 4.0
 _RING_COLOUR, _CROSS_COLOUR = "#ff7a1a", "#00a3e0"
 _CLOSE_UP_PX = 36.0
+MOST_STARS = 12_000
+"""Stars drawn in a plot at most, about."""
+_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class ViewPicture:
     name
         The pose's name.
     image
-        (H, W) uint8, the event image.
+        (H, W) uint8, the event image; None for a pose that is shown in plots alone.
     detected, reprojected
         (N, 2) float64, px: stars as found, and as the calibration projects them.
     ids
@@ -40,7 +43,7 @@ class ViewPicture:
     """
 
     name: str
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8] | None
     detected: NDArray[np.float64]
     reprojected: NDArray[np.float64]
     ids: NDArray[np.int64]
@@ -51,25 +54,52 @@ class ViewPicture:
         return self.detected - self.reprojected
 
 
-def pose_pictures(views: Sequence[ViewPicture]) -> list[str]:
-    """Draw every pose as SVG: the image with rings and crosses, beside it two close-ups of the same image."""
-    limit = _ALL_PICTURES_BYTES // max(1, len(views))
-    return [_pose_picture(view, f"pose{number}", limit) for number, view in enumerate(views, 1)]
+def thinned(views: Sequence[ViewPicture], most: int = MOST_STARS) -> Sequence[ViewPicture]:
+    """Leave out stars, evenly over all views, until about ``most`` are left; fewer than that stay as they are.
+
+    A star is kept where the fraction of its number times the golden ratio is small: that spreads evenly and falls
+    into step with no grid, so that each view keeps other stars.
+    """
+    total = sum(len(view.ids) for view in views)
+    if total <= most:
+        return views
+    kept = np.arange(total) * _GOLDEN % 1.0 < most / total
+    ends = np.cumsum([len(view.ids) for view in views])
+    return [
+        replace(view, detected=view.detected[k], reprojected=view.reprojected[k], ids=view.ids[k])
+        for view, k in zip(views, np.split(kept, ends[:-1]), strict=True)
+    ]
 
 
-def _pose_picture(view: ViewPicture, identifier: str, limit_bytes: int) -> str:
-    height, width = view.image.shape
+def pose_pictures(views: Sequence[ViewPicture]) -> list[tuple[str, str]]:
+    """Draw each pose that has an image as SVG: with rings and crosses, beside it two close-ups of the same image.
+
+    Returns
+    -------
+    list of tuple
+        SVG and the pose's name.
+    """
+    images = [(view, view.image) for view in views if view.image is not None]
+    limit = _ALL_PICTURES_BYTES // max(1, len(images))
+    return [
+        (_pose_picture(view, image, f"pose{number}", limit), view.name)
+        for number, (view, image) in enumerate(images, 1)
+    ]
+
+
+def _pose_picture(view: ViewPicture, image: NDArray[np.uint8], identifier: str, limit_bytes: int) -> str:
+    height, width = image.shape
     side = (height - 24) / 2
     close_ups = "".join(
         _close_up(identifier, centre, (width + 24, row * (side + 24)), side)
-        for row, centre in enumerate(_looked_at(view))
+        for row, centre in enumerate(_looked_at(view, (width, height)))
     )
     return (
         f'<svg class="pose" role="img" aria-label="Image and stars of {escape(view.name)}" '
         f'viewBox="-0.5 -0.5 {width + 24 + side:g} {height}" xmlns="http://www.w3.org/2000/svg">'
         f'<g id="{identifier}">'
         f'<image x="-0.5" y="-0.5" width="{width}" height="{height}" '
-        f'image-rendering="pixelated" href="{_data_uri(view.image, limit_bytes)}"/>'
+        f'image-rendering="pixelated" href="{_data_uri(image, limit_bytes)}"/>'
         f"{_outline(_RING_COLOUR, _rings(view.detected))}{_outline(_CROSS_COLOUR, _crosses(view.reprojected))}"
         f"</g>{close_ups}</svg>"
     )
@@ -80,11 +110,11 @@ def _outline(colour: str, path: str) -> str:
     return f'<path fill="none" stroke="{colour}" stroke-width="1.3" vector-effect="non-scaling-stroke" d="{path}"/>'
 
 
-def _looked_at(view: ViewPicture) -> list[NDArray[np.float64]]:
+def _looked_at(view: ViewPicture, size: tuple[int, int]) -> list[NDArray[np.float64]]:
     """Stars to look at closely: the one nearest to the image's centre and the one with the largest residual."""
     if not len(view.detected):
         return []
-    centre = (np.array(view.image.shape[::-1]) - 1) / 2
+    centre = (np.array(size) - 1) / 2
     nearest = np.linalg.norm(view.detected - centre, axis=1).argmin()
     worst = np.linalg.norm(view.residuals, axis=1).argmax()
     return [view.detected[nearest], view.detected[worst]]

@@ -1,12 +1,13 @@
 """Plots of residuals, coverage and deviations, as SVG that is the same for the same data.
 
+Of many stars a part is drawn (`thinned`); every number and line in a plot is that of all of them.
 Knows Matplotlib and arrays; no results file. Text stays text, so that it can be searched and takes the
 page's typeface; nothing here depends on the moment or on Matplotlib's global state.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from textwrap import shorten
 
 import cv2
@@ -19,7 +20,7 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from bench.report.drawing import INK, LINE, MUTED, STYLE, bare, svg
-from bench.report.pictures import ViewPicture
+from bench.report.pictures import ViewPicture, thinned
 from calib.infinity import CameraDifference, ProjectionMap
 
 Array = NDArray[np.float64]
@@ -60,11 +61,9 @@ def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 10.2 * image_size[1] / image_size[0] + 0.45), layout="constrained")
         axes = figure.add_subplot()
-        for number, view in enumerate(views):
-            colour = POSE_COLOURS[number % len(POSE_COLOURS)]
-            tips = view.detected + magnification * view.residuals
-            _strokes(axes, view.detected, view.detected, colour, 2.6)
-            _strokes(axes, view.detected, tips, colour, 1.0)
+        for colour, detected, residuals in _by_colour(thinned(views)):
+            _strokes(axes, detected, detected, colour, 2.6)
+            _strokes(axes, detected, detected + magnification * residuals, colour, 1.0)
         _sensor(axes, image_size)
         _legend(axes, views)
         _scale_bar(axes, image_size, magnification)
@@ -79,13 +78,11 @@ def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, f
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 3.9), layout="constrained")
         cloud, radial = figure.subplots(1, 2, width_ratios=(1, 1.55))
-        for number, view in enumerate(views):
-            colour = POSE_COLOURS[number % len(POSE_COLOURS)]
-            shown = view.residuals[np.linalg.norm(view.residuals, axis=1) <= limit]
-            _strokes(cloud, shown, shown, colour, 2.2, alpha=0.6)
-            radius = np.linalg.norm(view.detected - principal_point, axis=1)
-            points = np.column_stack([radius, np.linalg.norm(view.residuals, axis=1)])
-            points = points[points[:, 1] <= limit]
+        for colour, detected, shown in _by_colour(thinned(views)):
+            within = np.linalg.norm(shown, axis=1) <= limit
+            _strokes(cloud, shown[within], shown[within], colour, 2.2, alpha=0.6)
+            radius = np.linalg.norm(detected - principal_point, axis=1)
+            points = np.column_stack([radius, np.linalg.norm(shown, axis=1)])[within]
             _strokes(radial, points, points, colour, 2.2, alpha=0.6)
         rms = float(np.sqrt(np.mean(lengths**2)))
         cloud.add_patch(Circle((0, 0), rms, fill=False, edgecolor=INK, linewidth=1.0))
@@ -116,8 +113,8 @@ def coverage(
         stars, regions = figure.subplots(1, 2)
         hull = cv2.convexHull(points.astype(np.float32))[:, 0]
         stars.add_patch(Polygon(hull, facecolor="#eef3f8", edgecolor=LINE, linewidth=0.8))
-        for number, view in enumerate(views):
-            _strokes(stars, view.detected, view.detected, POSE_COLOURS[number % len(POSE_COLOURS)], 2.4)
+        for colour, detected, _ in _by_colour(thinned(views)):
+            _strokes(stars, detected, detected, colour, 2.4)
         stars.plot(*principal_point, marker="+", markersize=13, markeredgewidth=1.6, color=INK)
         share = float(cv2.contourArea(hull)) / (image_size[0] * image_size[1])
         stars.set_title(f"Stars; their hull covers {100 * share:.0f} % of the sensor")
@@ -171,6 +168,17 @@ def _arrows(axes: Axes, halves: CameraDifference) -> None:
     longest = max(float(np.linalg.norm(offsets, axis=1).max()), 1e-12)
     _strokes(axes, begins, begins, POSE_COLOURS[1], 2.4)
     _strokes(axes, begins, begins + mesh_px / longest * offsets, POSE_COLOURS[1], 1.0)
+
+
+def _by_colour(views: Sequence[ViewPicture]) -> Iterator[tuple[str, Array, Array]]:
+    """Give each colour with the stars and the residuals of all its poses."""
+    for number, colour in enumerate(POSE_COLOURS):
+        if alike := views[number :: len(POSE_COLOURS)]:
+            yield (
+                colour,
+                np.concatenate([view.detected for view in alike]),
+                np.concatenate([view.residuals for view in alike]),
+            )
 
 
 def _strokes(axes: Axes, begins: Array, ends: Array, colour: str, width: float, alpha: float = 1.0) -> None:

@@ -19,7 +19,7 @@ from bench.errors import BenchError
 from bench.records.history import Attempt, History, RunLog
 from bench.records.run_folder import REPORT, RESULTS, RunFolder
 from bench.records.views_file import views_file
-from bench.report import ReportData, ViewPicture, render_report
+from bench.report import ReportData, ViewPicture, pictured_poses, render_report
 from bench.results.comparison import compare, planar_beside
 from bench.results.cross_checks import gimbal, halves
 from bench.results.exports import exports
@@ -144,12 +144,7 @@ class ResultWriter:
         self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals))
         for name, data in exports(solution.calibration, camera_name=self._job.camera_name).items():
             self._folder.write_atomic(f"exports/{name}", data)
-        shown = [
-            ViewPicture(m.view.name, m.picture.unpacked(), m.view.points_px, m.view.points_px - r, m.view.ids)
-            for m, r in zip(solution.measurements, residuals, strict=True)
-            if m.view is not None and m.picture is not None
-        ]
-        html = render_report(ReportData(results, shown, log.journal.head))
+        html = render_report(ReportData(results, _shown(results, solution), log.journal.head))
         path = self._folder.write_atomic(REPORT, html.encode())
         self.outcome = Outcome(results, path)
 
@@ -243,6 +238,22 @@ def _conditions(history: History, kind: CameraKind) -> dict[str, Any]:
     if light.get("waveform") == "steady":  # nothing of a flicker applies
         light = {name: light[name] for name in ("waveform", "high_v")}
     return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
+
+
+def _shown(results: Mapping[str, Any], solution: Solution) -> list[ViewPicture]:
+    """Give the poses as the report shows them; images are unpacked of those alone that it pictures."""
+    pictured = pictured_poses(results).names
+    return [
+        ViewPicture(
+            m.view.name,
+            m.picture.unpacked() if m.view.name in pictured else None,
+            m.view.points_px,
+            m.view.points_px - r,
+            m.view.ids,
+        )
+        for m, r in zip(solution.measurements, solution.calibration.residuals_px, strict=True)
+        if m.view is not None and m.picture is not None
+    ]
 
 
 def _poses(history: History, solution: Solution, kind: CameraKind) -> list[dict[str, Any]]:

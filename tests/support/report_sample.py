@@ -49,6 +49,13 @@ def sample(*, size=(1280, 720), seed=1, simulated=True):
     return ReportData(results(views, simulated=simulated), views, "5f" * 32)
 
 
+def of_many_poses(views, **pose):
+    """Data of a report with these poses, each with all its facts."""
+    found = results(views[:3])
+    found["poses"] = [_pose(number, view) | pose for number, view in enumerate(views, 1)]
+    return ReportData(found, views, "5f" * 32)
+
+
 def results(views, *, simulated=True):
     """Results of a run with these views."""
     values = {name: (TRUE | COLLIMATOR)[name] + OFF[name] * SIGMA[name] for name in SIGMA}

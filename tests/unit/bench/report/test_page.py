@@ -4,11 +4,12 @@ import copy
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from report_sample import SMALL, sample
+from report_sample import of_many_poses
 
 from bench.report import ReportData, ViewPicture, render_report
 from tests.unit.bench.report.structure import Structure
@@ -102,4 +103,15 @@ def test_a_page_of_twenty_noisy_poses_stays_small():
         ViewPicture(f"pose {i}", noise, points + rng.normal(0, 0.1, points.shape), points, np.arange(450))
         for i in range(20)
     ]
-    assert len(render_report(ReportData(sample(size=SMALL).results, views, ""))) < 3_000_000
+    html = render_report(of_many_poses(views))
+    assert html.count('<svg class="pose"') == 20
+    assert len(html) < 3_000_000
+
+
+@pytest.mark.slow
+def test_a_page_of_a_thousand_poses_is_little_larger_than_its_tables(data):
+    views = [replace(data.views[i % 3], name=f"pose {i}") for i in range(1000)]
+    html = render_report(of_many_poses(views))
+    tables = sum(len(table) for table in re.findall(r"<table.*?</table>", html, re.DOTALL))
+    assert html.count('<svg class="pose"') == 24
+    assert len(html) - tables < 3_000_000

@@ -1,0 +1,158 @@
+"""Of many poses a page pictures few: the worst, those with gates not passed, others evenly; and says so."""
+
+import copy
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from report_sample import SMALL, of_many_poses
+
+from bench.report import ReportData, ViewPicture, pictured_poses, printed_text, render_report
+from bench.report.pictures import pose_pictures, thinned
+from bench.report.plots import residual_vectors
+
+MOST = 24
+
+
+def results_of(rms_px, verdicts=None):
+    """Results of poses with these residuals; verdicts by place."""
+    poses = [{"index": i, "name": f"p{i - 1}", "rms_px": rms} for i, rms in enumerate(rms_px, 1)]
+    gates = [
+        {"name": f"pose {place + 1}: stars", "verdict": verdict}
+        for place, verdict in (verdicts or {}).items()
+    ]
+    return {"poses": poses, "gates": [{"name": "rms", "verdict": "fail"}, *gates]}
+
+
+def places(choice):
+    return sorted(int(name[1:]) for name in choice.names)
+
+
+def test_few_poses_are_all_pictured():
+    assert places(pictured_poses(results_of([0.1] * MOST))) == list(range(MOST))
+
+
+def test_the_worst_come_first_then_failed_then_marginal_gates_then_others_evenly():
+    rms = [0.1] * 1000
+    rms[7] = rms[333] = rms[998] = 0.3
+    chosen = places(pictured_poses(results_of(rms, {500: "fail", 77: "marginal", 12: "pass"})))
+    assert {7, 333, 998, 500, 77, 0, 999} <= set(chosen)
+    assert len(chosen) == MOST
+    others = [place for place in chosen if place not in {7, 333, 998, 500, 77}]
+    assert max(np.diff(others)) - min(np.diff(others)) <= 6
+
+
+def test_failed_gates_leave_no_room_for_marginal_ones_and_are_spread_where_too_many():
+    verdicts = {place: "fail" if place % 2 else "marginal" for place in range(100, 200)}
+    chosen = places(pictured_poses(results_of([0.3, 0.3, 0.3, *[0.1] * 297], verdicts)))
+    assert chosen[:3] == [0, 1, 2]
+    assert (chosen[3], chosen[-1], len(chosen)) == (101, 199, MOST)
+    assert all(place % 2 for place in chosen[3:])
+
+
+def test_a_pose_without_stars_in_the_calibration_has_no_picture():
+    choice = pictured_poses(results_of([None, *[0.1] * 40, None]))
+    assert (choice.shown, choice.total) == (MOST, 40)
+    assert not {"p0", "p41"} & choice.names
+
+
+@given(
+    st.lists(st.one_of(st.none(), st.floats(0, 9)), max_size=120),
+    st.dictionaries(st.integers(0, 130), st.sampled_from(["pass", "marginal", "fail"])),
+)
+def test_any_run_has_as_many_pictures_as_fit(rms, verdicts):
+    choice = pictured_poses(results_of(rms, verdicts))
+    posed = [place for place, value in enumerate(rms) if value is not None]
+    assert choice.total == len(posed)
+    assert len(choice.names) == choice.shown == min(MOST, len(posed))
+    assert set(places(choice)) <= set(posed)
+
+
+@pytest.fixture(scope="module")
+def many(data):
+    """Data of a report of fifty poses; pose 31 has the largest residual."""
+    few = [
+        replace(v, detected=v.detected[::20], reprojected=v.reprojected[::20], ids=v.ids[::20])
+        for v in data.views
+    ]
+    views = [replace(few[i % 3], name=f"pose {i}") for i in range(50)]
+    made = of_many_poses(views)
+    made.results["poses"][31]["rms_px"] = 0.2
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(many):
+    return render_report(many)
+
+
+def test_a_page_of_many_poses_says_how_many_it_pictures(page):
+    assert len(re.findall(r'<svg class="pose"', page)) == MOST
+    assert 'aria-label="Image and stars of pose 31"' in page
+    assert any(words.startswith("Pictures of 24 of 50 poses:") for words in printed_text(page))
+
+
+def test_a_page_of_few_poses_says_nothing_of_a_choice(html):
+    assert "Pictures of" not in " ".join(printed_text(html))
+    assert "stars are" not in html
+
+
+def test_its_words_need_no_pictures(many, page):
+    assert printed_text(render_report(ReportData(many.results, (), many.journal_head))) == printed_text(page)
+
+
+def test_its_tables_are_complete(many, page):
+    words = printed_text(page)
+    for pose in many.results["poses"]:
+        assert words.count(pose["name"]) == 1 + len(pose["attempts"])
+        assert all(attempt["sha256"] in words for attempt in pose["attempts"])
+    assert page.count('<div class="wide long"') == 2
+
+
+def test_poses_that_are_not_pictured_need_no_image(many, page):
+    names = pictured_poses(many.results).names
+    bare = [view if view.name in names else replace(view, image=None) for view in many.views]
+    assert render_report(ReportData(many.results, bare, many.journal_head)) == page
+
+
+def test_other_results_give_another_choice(many):
+    results = copy.deepcopy(dict(many.results))
+    before = pictured_poses(results).names
+    left_out = next(pose for pose in results["poses"] if pose["name"] not in before)
+    left_out["rms_px"] = 0.3
+    assert left_out["name"] in pictured_poses(results).names
+
+
+def stars(n, views):
+    grid = np.column_stack([np.arange(n) % 20 * 15.0, np.arange(n) // 20 * 9.0])
+    return [ViewPicture(f"v{i}", None, grid + 0.1, grid, np.arange(n)) for i in range(views)]
+
+
+def test_few_stars_are_all_drawn():
+    views = stars(100, 3)
+    assert thinned(views, 300) is views
+
+
+@pytest.mark.parametrize("n", [100, 240, 310])
+def test_of_many_stars_other_ones_are_drawn_from_view_to_view(n):
+    views = stars(n, 200)
+    kept = thinned(views, 200 * 12)
+    counts = [len(view.ids) for view in kept]
+    assert abs(sum(counts) - 200 * 12) <= 2
+    assert max(counts) - min(counts) <= 4
+    assert len(set(np.concatenate([view.ids for view in kept]))) == n
+    for view, all_of_it in zip(kept, views, strict=True):
+        np.testing.assert_array_equal(view.detected, all_of_it.detected[view.ids])
+        np.testing.assert_array_equal(view.reprojected, all_of_it.reprojected[view.ids])
+
+
+def test_a_plot_of_many_stars_stays_small():
+    few, lots = (len(residual_vectors(stars(300, n), SMALL)) for n in (40, 400))
+    assert lots < 1.05 * few
+
+
+def test_views_without_an_image_have_no_picture():
+    assert pose_pictures(stars(10, 2)) == []
