@@ -302,6 +302,8 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
     )
     moved = f", {written.moved_events} with their predecessor's time" if written.moved_events else ""
     click.echo(f"{output}: {written.events} events{moved}, {written.triggers} triggers")
+    if written.cut_off:
+        click.echo(f"{source}: cut off in the middle of a word; all before it is there.", err=True)
     return 0
 
 

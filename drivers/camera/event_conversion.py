@@ -20,9 +20,9 @@ from drivers.camera.event_files import Exported, export_hdf5, export_metavision,
 from drivers.camera.event_import import Imported, import_events
 from drivers.camera.evt3 import Triggers, empty_events
 from drivers.camera.evt3_encode import Evt3Encoder
-from drivers.camera.new_file import new_file
+from drivers.camera.new_file import cannot_write, new_file
 from drivers.camera.raw_file import RawFile
-from drivers.camera.raw_header import render_header
+from drivers.camera.raw_header import MAX_SIDE_PX, render_header
 from drivers.errors import NotARecording, RecordingFileError
 
 Kind = Literal["raw", "metavision", "hdf5", "numpy"]
@@ -63,7 +63,7 @@ def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], dat
     Raises
     ------
     NotARecording, RecordingCorrupt, RecordingFileError
-        When the source cannot be read, the target exists or cannot be written, or the events' times do not fit EVT3.
+        When the source cannot be read, the target exists or cannot be written, or EVT3 cannot hold what is in it.
     """
     if _is_raw(source):
         if kind == "raw":
@@ -74,7 +74,7 @@ def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], dat
     found = import_events(source)
     if kind == "raw":
         return write_raw(found, target, source=source, utc_now=utc_now)
-    with TemporaryDirectory(prefix=".starbench-", dir=target.parent) as folder:
+    with _folder_beside(target) as folder:
         between = Path(folder) / "between.raw"
         moved = write_raw(found, between, source=source, utc_now=utc_now).moved_events
         written = _EXPORTS[kind](RawFile.open(between), target)
@@ -87,8 +87,14 @@ def write_raw(found: Imported, path: Path, *, source: Path, utc_now: Callable[[]
     Raises
     ------
     RecordingFileError
-        When the file exists or cannot be written, or times do not fit EVT3.
+        When the file exists or cannot be written, or EVT3 cannot hold the sensor's size, times or triggers.
     """
+    if not all(0 < side <= MAX_SIDE_PX for side in (found.width, found.height)):
+        raise RecordingFileError(
+            f"EVT3 cannot hold it: a sensor of {found.width} x {found.height} px.",
+            where=str(source),
+            remedy=f"Sides are 1 to {MAX_SIDE_PX} px.",
+        )
     encoder = Evt3Encoder()
     events, triggers = found.events, found.triggers
     latest = np.maximum.accumulate(events.t)
@@ -104,12 +110,22 @@ def write_raw(found: Imported, path: Path, *, source: Path, utc_now: Callable[[]
             file.write(encoder.words(empty_events(0), _edges(triggers, done, len(triggers.t))).tobytes())
         except ValueError as error:
             raise RecordingFileError(
-                f"EVT3 cannot hold it: {error}.", where=str(source), remedy="Let its times begin near 0."
+                f"EVT3 cannot hold it: {error}.",
+                where=str(source),
+                remedy="Let its times begin near 0, and edges be 0 or 1.",
             ) from error
     return Exported(len(events.t), len(triggers.t), encoder.moved)
 
 
 _EXPORTS: Final = {"metavision": export_metavision, "hdf5": export_hdf5, "numpy": export_numpy}
+
+
+def _folder_beside(target: Path) -> TemporaryDirectory[str]:
+    """Make a folder on the target's own disk. Raises RecordingFileError."""
+    try:
+        return TemporaryDirectory(prefix=".starbench-", dir=target.parent)
+    except OSError as error:
+        raise cannot_write(target, error) from error
 
 
 def _is_raw(path: Path) -> bool:
@@ -140,4 +156,5 @@ def _header(found: Imported, source: Path, utc_now: Callable[[], datetime]) -> b
     except ValueError:
         recorded_at = utc_now()
     origin = f"% converted_from {' '.join(source.name.split())}; not the bytes of a camera\n% end\n"
-    return render_header(camera, recorded_at).replace(b"% end\n", origin.encode("ascii", "replace"))
+    # at the end alone: a serial number may hold these words too
+    return render_header(camera, recorded_at).removesuffix(b"% end\n") + origin.encode("ascii", "replace")

@@ -50,11 +50,15 @@ _NOT_THERE: Final = ("evt", "plugin_name")  # keys that make no sense outside RA
 
 @dataclass(frozen=True)
 class Exported:
-    """What went into a file; ``moved_events`` got their predecessor's time, as the format demands."""
+    """What went into a file; ``moved_events`` got their predecessor's time, as the format demands.
+
+    ``cut_off``: the recording ended in the middle of a word, as one that was cut off does half of the time.
+    """
 
     events: int
     triggers: int
     moved_events: int = 0
+    cut_off: bool = False
 
 
 def export_metavision(recording: RawFile, path: Path) -> Exported:
@@ -82,7 +86,7 @@ def export_metavision(recording: RawFile, path: Path) -> Exported:
         index.write(file["CD"])
         edges = join_triggers(triggers)
         _write_triggers(file.create_group("EXT_TRIGGER"), edges)
-    return Exported(index.events, len(edges.t), moved)
+    return Exported(index.events, len(edges.t), moved, recording.truncated)
 
 
 def export_hdf5(recording: RawFile, path: Path) -> Exported:
@@ -112,7 +116,7 @@ def export_hdf5(recording: RawFile, path: Path) -> Exported:
         edges = join_triggers(triggers)
         for name, values in edges._asdict().items():
             file.create_dataset(f"triggers/{name}", data=values)
-    return Exported(n, len(edges.t))
+    return Exported(n, len(edges.t), cut_off=recording.truncated)
 
 
 def export_numpy(recording: RawFile, path: Path) -> Exported:
@@ -125,7 +129,7 @@ def export_numpy(recording: RawFile, path: Path) -> Exported:
             **{f"trigger_{name}": values for name, values in triggers._asdict().items()},
             size=np.array([recording.width, recording.height]),
         )
-    return Exported(len(events.t), len(triggers.t))
+    return Exported(len(events.t), len(triggers.t), cut_off=recording.truncated)
 
 
 def _attributes(recording: RawFile) -> Mapping[str, str]:

@@ -20,7 +20,7 @@ from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 _AGAIN: Final = "Export it again from the RAW recording."
 
 _UNREADABLE: Final = (
-    *(TypeError, KeyError, ValueError, RuntimeError, EOFError),
+    *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError),
     *(zipfile.BadZipFile, zlib.error),
 )
 """What HDF5 and NumPy raise for a file that is spoilt, or laid out otherwise."""
@@ -159,6 +159,7 @@ def _as_triggers(t: Any, value: Any, channel: Any) -> Triggers:
 
 def _whole(values: Any, dtype: type[np.generic]) -> Any:
     """Give the numbers in that type. Raises ValueError when they are not whole, or do not fit."""
+    values = np.asarray(values)
     if values.ndim != 1 or values.dtype.kind not in "iu":
         raise ValueError(f"an array of {values.dtype} with {values.ndim} dimensions")
     cast = values.astype(dtype)

@@ -20,6 +20,8 @@ MOST_US: Final = 86_400_000_000
 """A day: the clock's words of longer gaps would fill the disk (42 MB a day), and no recording lasts that long."""
 
 
+_MAX_ADDRESS: Final = 2047
+_MAX_CHANNEL: Final = 15
 _MOST_BACK_US: Final = 64
 """TIME_LOW may step back a little, as busy sensors have it; a reader takes more for missing words."""
 
@@ -60,16 +62,23 @@ class Evt3Encoder:
         Parameters
         ----------
         events, triggers
-            Times from 0 to a day, us.
+            Times from 0 to a day, us; addresses below 2048, polarities and values 0 or 1, channels 0 to 15.
 
         Raises
         ------
         ValueError
-            When a time lies outside that.
+            When anything lies outside that.
         """
         for t in (events.t, triggers.t):
             if len(t) and (t.min() < 0 or t.max() >= MOST_US):
                 raise ValueError(f"times from {t.min()} to {t.max()} us, not within a day from 0 on")
+        for what, values, most in (
+            *(("a column", events.x, _MAX_ADDRESS), ("a row", events.y, _MAX_ADDRESS)),
+            *(("a polarity", events.p, 1), ("a trigger's value", triggers.value, 1)),
+            ("a trigger's id", triggers.id, _MAX_CHANNEL),
+        ):
+            if len(values) and values.max() > most:
+                raise ValueError(f"{what} of {values.max()}, above {most}")
         latest = max((int(t.max()) for t in (events.t, triggers.t) if len(t)), default=0)
         turns = max(0, (latest >> 12) - int(self._state[_S.TURN]))
         out = np.empty(turns + 3 * len(events.t) + 2 * len(triggers.t) + 2, np.uint16)

@@ -37,11 +37,16 @@ def new_file(path: Path) -> Iterator[Path]:
             part.unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise RecordingFileError(
-            f"It cannot be written ({error.strerror or error}).",
-            where=str(path),
-            remedy="Check that its folder exists, may be written and has space.",
-        ) from error
+        raise cannot_write(path, error) from error
+
+
+def cannot_write(path: Path, error: OSError) -> RecordingFileError:
+    """Say why a file cannot be written."""
+    return RecordingFileError(
+        f"It cannot be written ({error.strerror or error}).",
+        where=str(path),
+        remedy="Check that its folder exists, may be written and has space.",
+    )
 
 
 def _name(part: Path, path: Path) -> None:

@@ -1,10 +1,12 @@
 """Files of events to files of events: the same events, whatever the way, and never half a file."""
 
 import os
+import zipfile
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
@@ -147,6 +149,94 @@ def test_times_that_would_fill_the_disk_with_clock_words_are_refused(tmp_path, t
     with pytest.raises(RecordingFileError, match="not within a day from 0 on"):
         convert(tmp_path / "a.npz", tmp_path / "a.raw", "raw", utc_now=lambda: NOW)
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+
+
+def npz(path, size=(1280, 720), x=0, value=0, channel=0):
+    """One event and one edge, as another program may have written them."""
+    one = {"t": 10, "x": x, "y": 0, "p": 1, "trigger_t": 5, "trigger_value": value, "trigger_id": channel}
+    np.savez(path, size=np.array(size), **{name: np.array([number]) for name, number in one.items()})
+    return path
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("holds", "words"),
+    [
+        ({"size": (4000, 3000), "x": 3000}, "a sensor of 4000 x 3000 px"),
+        ({"size": (1280, 2049)}, "a sensor of 1280 x 2049 px"),
+        ({"value": 2}, "a trigger's value of 2"),
+        ({"channel": 16}, "a trigger's id of 16"),
+    ],
+)
+def test_what_evt3_has_no_bits_for_is_refused_not_cut(tmp_path, kind, holds, words):
+    with pytest.raises(RecordingFileError, match=f"EVT3 cannot hold it: {words}"):
+        convert(npz(tmp_path / "a.npz", **holds), tmp_path / "out", kind, utc_now=lambda: NOW)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "p", "words"),
+    [(2048, 0, 0, "column of 2048"), (0, 2048, 0, "row of 2048"), (0, 0, 2, "polarity of 2")],
+)
+def test_the_encoder_takes_no_event_that_would_become_another(x, y, p, words):
+    event = Events(np.zeros(1, np.int64), np.array([x], "u2"), np.array([y], "u2"), np.array([p], "u1"))
+    with pytest.raises(ValueError, match=words):
+        Evt3Encoder().words(event, empty_triggers(0))
+
+
+def test_the_largest_sensor_and_the_last_channel_go_through(tmp_path):
+    source = npz(tmp_path / "a.npz", size=(2048, 2048), x=2047, value=1, channel=15)
+    convert(source, tmp_path / "a.raw", "raw", utc_now=lambda: NOW)
+    events, triggers = RawFile.open(tmp_path / "a.raw").read()
+    assert (events.x.tolist(), triggers.value.tolist(), triggers.id.tolist()) == ([2047], [1], [15])
+
+
+def test_a_serial_number_that_looks_like_the_header_s_end_does_no_harm(raw, tmp_path):
+    convert(raw, tmp_path / "a.h5", "hdf5", utc_now=lambda: NOW)
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file["header"].attrs["serial_number"] = "7\n% end\n"
+    convert(tmp_path / "a.h5", tmp_path / "a.raw", "raw", utc_now=lambda: NOW)
+    again = RawFile.open(tmp_path / "a.raw")
+    assert again.serial == "7 % end"
+    assert same(again.read()[0], stream()[0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_folder_that_is_not_there_is_told(tmp_path, kind):
+    with pytest.raises(RecordingFileError, match="cannot be written"):
+        convert(npz(tmp_path / "a.npz"), tmp_path / "none" / "out", kind, utc_now=lambda: NOW)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "raw"])
+def test_a_recording_that_was_cut_off_is_converted_and_told(raw, tmp_path, kind):
+    assert not convert(raw, tmp_path / "whole", kind, utc_now=lambda: NOW).cut_off
+    raw.write_bytes(raw.read_bytes()[:-1])
+    assert convert(raw, tmp_path / "cut", kind, utc_now=lambda: NOW).cut_off
+
+
+def numbers_for_events(path):
+    with h5py.File(path, "w") as file:
+        file.attrs["geometry"] = "1280x720"
+        file["CD/events"] = file["EXT_TRIGGER/events"] = np.arange(5)
+
+
+def text_for_arrays(path):
+    with zipfile.ZipFile(npz(path.with_suffix(".npz")), "r") as whole, zipfile.ZipFile(path, "w") as file:
+        file.writestr("size.npy", whole.read("size.npy"))
+        for name in ("t", "x", "y", "p"):
+            file.writestr(name, b"text")
+
+
+def endless_size(path):
+    with path.open("xb") as file:
+        np.savez(file, size=np.array([np.inf, 720.0]))
+
+
+@pytest.mark.parametrize("write", [numbers_for_events, text_for_arrays, endless_size])
+def test_a_file_laid_out_otherwise_is_told_of_in_words(tmp_path, write):
+    write(tmp_path / "a.bin")
+    with pytest.raises(NotARecording, match="no events that can be read"):
+        import_events(tmp_path / "a.bin")
 
 
 def test_raw_to_raw_is_refused(raw, tmp_path):
