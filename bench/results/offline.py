@@ -12,9 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self, cast, get_args
 
-import numpy as np
-
-from bench.errors import BenchError, UsageError
+from bench.errors import BenchError, StorageError, UsageError
 from bench.records.captures import stored_captures
 from bench.records.history import replay
 from bench.records.journal import read_journal
@@ -43,6 +41,8 @@ RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 POINTS = {".txt", ".csv"}
 _KNOWN = RECORDINGS | PHOTOGRAPHS | POINTS
+_JPEG = {".jpg", ".jpeg"}
+_JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
     UsageError
         When there is no such view, or a path is nothing that can be used.
     BenchError
-        When a file named outright cannot be used, or no view is left.
+        When a file named outright cannot be used, images differ in size, or no view is left.
     calib.errors.CalibrationError
         When the views do not constrain the camera.
     """
@@ -155,17 +155,18 @@ def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
             f"There is no view {missing[0]}: there are {len(sources)}.", remedy="Views count from 1."
         )
     chosen = [sources[n - 1] for n in choices.chosen] if choices.chosen else sources
-    views, skipped = [], []
+    views, sized, skipped = [], [], []
     for source in chosen:
         try:
             views.append(source.read())
+            sized.append(source.sized)
         except CalibrationError as error:
             skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
     if not views:
         raise BenchError(
             "No usable view.", remedy=" ".join(skipped) or "Name runs, captures, images or point files."
         )
-    views = _distinct(_one_size(views))
+    views = _distinct(_one_size(views, sized))
     calibration = calibrate(views, choices.options)
     planar = planar_beside(views, choices.options) if calibration.model != "planar" else None
     return OfflineResult(calibration, planar, skipped, views)
@@ -181,10 +182,11 @@ def compared(result: OfflineResult, choices: Choices) -> list[Baseline | NoAnswe
 
 @dataclass(frozen=True)
 class _Source:
-    """A file that a view can be made of."""
+    """A file that a view can be made of; ``sized`` where it is known how large its image is."""
 
     path: Path
     read: Callable[[], View]
+    sized: bool = True
 
 
 def _sources(path: Path, choices: Choices) -> Iterator[_Source]:
@@ -259,7 +261,9 @@ def _file_source(path: Path, choices: Choices) -> _Source:
         return _Source(path, partial(_view_of_photograph, path, choices))
     if ending in POINTS:
         return _Source(
-            path, partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin)
+            path,
+            partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin),
+            sized=choices.image_size is not None,
         )
     raise UsageError(
         f"Nothing is known of files that end in {ending or 'nothing'}.",
@@ -283,6 +287,7 @@ def _view(found: Measurement, path: Path) -> View:
 
 
 def _view_of_photograph(path: Path, choices: Choices) -> View:
+    _refuse_cut_off_jpeg(path)
     try:
         picture = mean_frame(path)
     except RecordingFileError as error:
@@ -290,10 +295,42 @@ def _view_of_photograph(path: Path, choices: Choices) -> View:
     return mistrust_rim(detect(picture, choices.target, name=path.stem), choices.target)
 
 
-def _one_size(views: Sequence[View]) -> list[View]:
-    """Give all views of point files the largest size seen; views of real sensors must agree anyway."""
-    sizes = np.array([view.image_size for view in views]).max(axis=0)
-    return [replace(view, image_size=(int(sizes[0]), int(sizes[1]))) for view in views]
+def _refuse_cut_off_jpeg(path: Path) -> None:
+    """Refuse a JPEG without its end: it is read as grey from there on. Raises RecordingCorrupt, StorageError."""
+    if path.suffix.lower() not in _JPEG:
+        return
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise StorageError(f"It cannot be read: {error.strerror}.", where=str(path)) from error
+    # Neither marker can stand within coded data; a preview's stand before those of the picture.
+    if data.startswith(_JPEG_BEGINS) and data.rfind(_JPEG_ENDS) < data.rfind(_JPEG_SCAN):
+        raise RecordingCorrupt(
+            "The picture is cut off.",
+            offset=len(data),
+            where=str(path),
+            remedy="Copy it again, or leave it out.",
+        )
+
+
+def _one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:
+    """See that images are of one size, and give it to all; where none is known, the largest of the point files.
+
+    Raises
+    ------
+    BenchError
+        When sizes differ, as pictures on end do from those lying: these are not one camera's pixels.
+    """
+    known = {view.image_size: view.name for view, told in zip(views, sized, strict=True) if told}
+    width, height = (max(sides) for sides in zip(*(view.image_size for view in views), strict=True))
+    if len(known) > 1 or (known and (width, height) not in known):
+        told = {view.image_size: view.name for view in views}
+        listed = ", ".join(f"{w} x {h} px ({name})" for (w, h), name in sorted(told.items()))
+        raise BenchError(
+            f"The views are of different image sizes: {listed}.",
+            remedy="Calibrate each camera alone, with pictures as the sensor gives them, none turned or cropped.",
+        )
+    return [replace(view, image_size=(width, height)) for view in views]
 
 
 def _distinct(views: Sequence[View]) -> list[View]:
@@ -314,7 +351,7 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
 def _size(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
-    found = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", text.strip())
+    found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())
     if found is None:
         raise UsageError(
             f"{text!r} is not an image size.", where="--image-size", remedy="Write it as 1280x720."

@@ -19,7 +19,9 @@ from calib.view import View
 Origin = Literal["corner", "centre"]
 _COLUMNS = 5
 _MOST_STARS = 100_000
+_MOST_ID = 2**53
 _CORNER_PX = 0.5
+_SLACK_PX = 1.0  # points told with the other origin are off by half a pixel: no reason to refuse them
 _SPLIT = re.compile(r"[,;\s]+")
 
 
@@ -43,11 +45,13 @@ def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: O
     Raises
     ------
     BenchError
-        When a line is not five numbers, naming file and line; or two lines share an id.
+        When a line is not five numbers, naming file and line; two lines share an id; or a point lies outside of the
+        image.
     StorageError
         When the file cannot be read.
     """
     rows = _rows(path)
+    _refuse_outside(rows[:, :2], image_size, path)
     points = rows[:, :2] - (_CORNER_PX if origin == "corner" else 0.0)
     width, height = image_size or (int(np.ceil(a)) + 1 for a in points.max(axis=0))
     try:
@@ -63,9 +67,24 @@ def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: O
         raise BenchError(error.what, where=str(path), remedy="Each star may stand in a view once.") from error
 
 
+def _refuse_outside(points: np.ndarray, image_size: tuple[int, int] | None, path: Path) -> None:
+    """Refuse points beside the image: of another camera, or the image's sides are told in the other order."""
+    most = np.array(image_size or (np.inf, np.inf))
+    outside = ((points < -_SLACK_PX) | (points > most + _SLACK_PX)).any(axis=1)
+    if not outside.any():
+        return
+    x, y = points[outside][0]
+    told = f"of {image_size[0]} x {image_size[1]} px" if image_size else "whose first pixel lies at 0"
+    raise BenchError(
+        f"{int(outside.sum())} of {len(points)} points lie outside of an image {told}, one at ({x:g}, {y:g}).",
+        where=str(path),
+        remedy="Give --image-size as width x height, and points in px.",
+    )
+
+
 def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise StorageError(f"It cannot be read: {error.strerror}.", where=str(path)) from error
     except UnicodeDecodeError as error:
@@ -93,6 +112,6 @@ def _row(line: str, where: str) -> list[float]:
         numbers = [float(word) for word in words]
     except ValueError as error:
         raise BenchError(f"Not a number: {error}.", where=where, remedy=remedy) from error
-    if not np.isfinite(numbers).all() or numbers[4] != int(numbers[4]):
+    if not np.isfinite(numbers).all() or numbers[4] != int(numbers[4]) or abs(numbers[4]) > _MOST_ID:
         raise BenchError("A number is not finite, or the id is not a whole one.", where=where, remedy=remedy)
     return numbers

@@ -38,11 +38,27 @@ def test_coordinates_with_pixel_centres_at_integers_are_not_shifted(tmp_path):
         ("1 2 3 4 5.5\n", r"image1\.txt:1: .*whole"),
         ("1 2 3 4 5\n6 7 8 9 5\n", "stands twice"),
         ("\n# nothing\n", "holds no points"),
+        ("1 2 3 4 1e300\n", r"image1\.txt:1: .*whole"),
+        ("5 5 3 4 1\n-1.5 2 3 4 5\n", r"1 of 2 points lie outside .* at \(-1\.5, 2\)"),
     ],
 )
 def test_bad_lines_are_refused_with_their_place(tmp_path, text, words):
     with pytest.raises(BenchError, match=words):
         read_point_file(write(tmp_path, text), image_size=None)
+
+
+def test_points_beside_the_image_are_refused_as_of_sides_told_in_the_other_order(tmp_path):
+    path = write(tmp_path, GOOD)
+    with pytest.raises(
+        BenchError, match=r"1 of 2 points lie outside of an image of 48 x 32 px, .*30\.5, 40\.5"
+    ):
+        read_point_file(path, image_size=(48, 32))
+    assert len(read_point_file(path, image_size=(30, 40))) == 2
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_number(tmp_path):
+    view = read_point_file(write(tmp_path, "\ufeff" + GOOD), image_size=(64, 48))
+    assert view.points_px[0].tolist() == [10.0, 20.0]
 
 
 def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path):
