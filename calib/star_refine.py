@@ -319,10 +319,13 @@ def _normal_equations(
 @njit(cache=True, error_model="numpy")
 def _solvable(normal: Any) -> bool:
     """Whether the image says anything about every unknown: nothing does where it is flat."""
+    scaled = np.empty((UNKNOWNS, UNKNOWNS))  # free of units: grey values may be of any size
     for k in range(UNKNOWNS):
         if not normal[k, k] > 0.0:
             return False
-    return bool(np.linalg.cond(normal) < 1e12)
+        for m in range(UNKNOWNS):
+            scaled[k, m] = normal[k, m] / np.sqrt(normal[k, k]) / np.sqrt(normal[m, m])
+    return bool(np.linalg.cond(scaled) < 1e12)
 
 
 @njit(cache=True, error_model="numpy")

@@ -136,6 +136,12 @@ def test_any_number_type_of_a_frame_camera_does(kind, scale):
     check(detect((image * scale).astype(kind), TARGET), scene, rms_px=0.008)
 
 
+@pytest.mark.parametrize(("scale", "black"), [(1e-9, 0.0), (1e9, 0.0), (100.0, 1e4)])
+def test_grey_values_may_be_of_any_size_and_on_any_pedestal(scale, black):
+    scene, image = drawn(roll=37)
+    check(detect(image * np.float32(scale) + np.float32(black), TARGET), scene, rms_px=0.008, share=0.98)
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("roll", [37, 200])
 def test_covariances_say_how_surely_stars_are_placed_in_binary_images(seed, roll):
