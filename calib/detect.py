@@ -18,8 +18,9 @@ from calib.grid_map import fit_view
 from calib.identity import number_by_pose, number_by_tag
 from calib.lattice import find_lattice
 from calib.star_growth import Grown, grow, start_at_tag
-from calib.star_likelihood import likely_stars, quantise
+from calib.star_likelihood import likely_stars
 from calib.star_noise import variance_factor
+from calib.star_pixels import quantise
 from calib.star_refine import (
     LocalShape,
     RefinedStars,

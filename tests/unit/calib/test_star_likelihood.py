@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from calib import star_likelihood
-from calib.star_likelihood import LEVELS, draw_print, likely_stars, quantise
+from calib.star_likelihood import likely_stars
+from calib.star_pixels import LEVELS, quantise
+from calib.star_print import draw_print
 from calib.star_refine import LocalShape, refine_stars, smooth, symmetry_samples
 from calib.target import StarTarget
 
