@@ -1,0 +1,203 @@
+"""The stream of the simulated EVK4: its clock, its determinism, its triggers, and another's decoder on it."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from simulators.cameras.evk4 import SimulatedEvk4
+from simulators.pixels.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
+from simulators.world.world import AxisMotion, LightState, World
+from tests.hil.evk4_host import FLICKER, SMALL, Host, bench
+
+
+@pytest.fixture
+def camera():
+    camera = SimulatedEvk4(bench(), serial="00050423", paced=False)
+    camera.start()
+    yield camera
+    camera.close()
+
+
+def test_frames_begin_with_their_own_time(camera):
+    with Host(camera) as host:
+        host.record(6)
+        frames = host.words
+    for k, frame in enumerate(frames):
+        high, low = np.frombuffer(frame[:4], "<u2")
+        assert (high >> 12, low >> 12) == (0x8, 0x6)
+        assert ((int(high) & 0xFFF) << 12) | (int(low) & 0xFFF) == k * FRAME_US
+
+
+def test_a_recording_depends_on_seed_pose_settings_and_count_only():
+    def recordings(seed, clock=None, pan=0.0):
+        world = bench(seed=seed, **({"clock": clock} if clock else {}))
+        world.set_axis("pan", AxisMotion.resting(pan, round(pan * 6400)))
+        camera = SimulatedEvk4(world, paced=False)
+        camera.start()
+        with Host(camera) as host:
+            taken = [host.record(4) for _ in range(2)]
+        camera.close()
+        return taken
+
+    ticks = iter(np.arange(5.0, 1e6, 0.777))
+    first, again = recordings(1), recordings(1, clock=lambda: float(next(ticks)))
+    assert first == again
+    assert first[0] != first[1]  # the second of a process is another one
+    assert first[0] != recordings(2)[0]
+    assert first[0] != recordings(1, pan=0.5)[0]
+
+
+def began_us(words):
+    """Sensor time of the first words."""
+    high, low = np.frombuffer(words[:4], "<u2")
+    assert (high >> 12, low >> 12) == (0x8, 0x6)
+    return ((int(high) & 0xFFF) << 12) | (int(low) & 0xFFF)
+
+
+def test_the_sensors_clock_goes_on_from_recording_to_recording(camera):
+    with Host(camera) as host:
+        assert [began_us(host.record(frames)) for frames in (60, 1, 52)] == [0, 204_800, 307_200]
+    while camera._connection.is_open():
+        time.sleep(0.01)
+    with Host(camera) as host:  # another one, the same camera
+        assert began_us(host.record(1)) == 512_000
+
+
+def test_frames_that_the_host_has_thrown_away_are_as_if_never_made(camera):
+    def begins(late_s):
+        with Host(camera) as host:
+            for _ in range(2):
+                assert host.ask("start")["ok"]
+                while len(host.words) < 40:
+                    host.words.append(host.frame()[1])
+                time.sleep(late_s)
+                assert host.ask("stop", frames=40)["ok"]
+                host.words = []
+            return began_us(host.record(1))
+
+    at_once = begins(0.0)
+    camera.unplug()
+    assert begins(0.3) == at_once == 204_800
+
+
+def test_a_host_cannot_have_kept_more_than_it_was_sent(camera):
+    with Host(camera) as host:
+        host.record(3)
+        assert host.ask("start")["ok"]
+        assert host.ask("stop", frames=10**6)["error"] == "bad_value"
+        assert host.ask("stop")["error"] == "not_streaming"
+
+
+def test_a_camera_that_was_without_power_begins_at_0(camera):
+    with Host(camera) as host:
+        host.record(2)
+    camera.unplug()
+    with Host(camera) as host:
+        assert began_us(host.record(1)) == 0
+
+
+@given(clock_us=st.integers(1, 1 << 26))
+@example(clock_us=(1 << 24) - 60_000)  # the clock wraps in its middle
+@settings(max_examples=6, deadline=None)
+def test_when_a_stream_is_taken_shows_in_the_upper_part_of_its_clock_alone(clock_us):
+    def taken(at_us):
+        stream = SensorStream(bench(), CameraState(trigger_in=True), {}, at_us)
+        return stream, np.concatenate([np.frombuffer(stream.next_frame(), "<u2") for _ in range(35)])
+
+    _, first = taken(0)
+    later, words = taken(clock_us)
+    is_high = first >> 12 == 0x8
+    assert later.clock_us - 70_000 >= clock_us
+    np.testing.assert_array_equal(words[~is_high], first[~is_high])
+    on = (words[is_high].astype(int) - first[is_high]) % 4096
+    assert (on == (later.clock_us - 70_000 >> 12) % 4096).all()
+    np.testing.assert_array_equal(words >> 12, first >> 12)
+
+
+def test_an_independent_decoder_reads_the_same_events(camera, tmp_path):
+    evt3 = pytest.importorskip("evt3", reason="the independent decoder evt3 is not installed")
+    with Host(camera) as host:
+        words = host.record(17)
+    path = tmp_path / "stream.raw"
+    header = b"% evt 3.0\n% format EVT3;height=180;width=320\n% geometry 320x180\n% end\n"
+    path.write_bytes(header + words)
+    events, triggers = evt3.decode_file_with_triggers(str(path))
+
+    world = bench()
+    stream = SensorStream(world, CameraState(trigger_in=True), {})
+    sensor, edges = [], []
+    for k in range(17):
+        edges.append(sync_edges(FLICKER, stream._period_starts_us, k * FRAME_US, (k + 1) * FRAME_US))
+        sensor.append(stream._sensor.run((k + 1) * FRAME_US))
+    for name, k in (("t", 0), ("x", 1), ("y", 2), ("p", 3)):
+        np.testing.assert_array_equal(getattr(events, name), np.concatenate([s[k] for s in sensor]))
+    np.testing.assert_array_equal(triggers.timestamp, np.concatenate([e[0] for e in edges]))
+    np.testing.assert_array_equal(triggers.value, np.concatenate([e[1] for e in edges]))
+    assert len(events.t) > 10_000
+    assert len(triggers.timestamp) == 4
+
+
+def test_triggers_stand_at_the_edges_of_the_light():
+    t, value = sync_edges(LightState(frequency_hz=60.0, duty_percent=30.0, output=True), -1234.5, 0, 100_000)
+    period = 1e6 / 60.0
+    rising, falling = t[value == 1], t[value == 0]
+    k = np.arange(1, 1 + len(rising))
+    np.testing.assert_array_equal(rising, np.floor(-1234.5 + k * period))
+    np.testing.assert_array_equal(falling, np.floor(-1234.5 + (np.arange(len(falling)) + 0.3) * period))
+    assert len(rising) == len(falling) == 6
+
+
+def test_the_light_stays_one_clock_over_recordings():
+    """The phase drawn for a recording is the light's own phase at the moment the sensor starts."""
+    now = [3.1]
+    world = World(SMALL, clock=lambda: now[0])
+    world.set_light(LightState(output=True, sync=True, origin_s=0.123))
+    counts = {}
+    for moment in (3.1, 3.107, 17.4):
+        now[0] = moment
+        stream = SensorStream(world, CameraState(), counts)
+        assert 0.0 <= stream.start_s - moment <= 1.0 / 60.0 + 1e-9
+        phase = -stream._period_starts_us / world.light(moment).period_us
+        turns = (stream.start_s - 0.123) * 60.0 - phase
+        assert math.isclose(turns, round(turns), abs_tol=1e-6)
+
+
+def test_a_moving_axis_smears_the_stars():
+    def fired(motion):
+        """Correlation of the stream's first and second period, pixel by pixel, and the stream."""
+        world = World(SMALL, clock=lambda: 10.0)
+        world.set_light(FLICKER, since_s=0.0)
+        world.set_axis("pan", motion, since_s=0.0)
+        stream = SensorStream(world, CameraState(), {})
+        stream._filters.apply = lambda events: (taken.append(events), (events, events.t))[1]
+        taken = []
+        for _ in range(17):
+            stream.next_frame()
+        counts = np.zeros((2, 180, 320))
+        for k, events in enumerate(taken[1:]):
+            np.add.at(counts[k // 8], (events.y, events.x), 1.0)
+        return np.corrcoef(counts.reshape(2, -1))[0, 1], stream
+
+    resting, _ = fired(AxisMotion.resting(0.1, 640))
+    again, _ = fired(AxisMotion(lambda _t: 0.1, math.inf, 640))
+    slewing, stream = fired(AxisMotion(lambda t: 0.1 + 20.0 * (t - 10.0), math.inf, 640))
+    assert stream._angles["pan"] == pytest.approx(0.1 + 20.0 * (stream.covered_s - 2e-3 - 10.0), abs=1e-9)
+    assert again == pytest.approx(resting, abs=0.06)
+    assert slewing < resting - 0.3  # the stars are elsewhere by then
+
+
+def test_switching_the_light_off_ends_events_and_triggers():
+    now = [10.0]
+    world = World(SMALL, clock=lambda: now[0])
+    world.set_light(FLICKER, since_s=0.0)
+    stream = SensorStream(world, CameraState(trigger_in=True), {})
+    before = sum(len(stream.next_frame()) for _ in range(17))
+    world.set_light(LightState(output=False), since_s=stream.covered_s)
+    stream.next_frame()
+    after = [np.frombuffer(stream.next_frame(), "<u2") for _ in range(17)]
+    assert sum(2 * len(words) for words in after) < before / 4
+    assert not any((words >> 12 == 0xA).any() for words in after)

@@ -1,0 +1,229 @@
+"""Interlocks in a run: they hold it, light off and stage at rest, let it go on by themselves, and never hold for ever."""
+
+import pytest
+from rehearsed import Scene, with_runner
+
+from bench.clock import VirtualClock
+from bench.records.history import Event, replay
+from bench.records.journal import read_journal
+from bench.run.interlocks import Interlocks
+from bench.run.status import read_status, status_text
+
+
+def door_of(folder, state="1"):
+    sensor = folder / "door"
+    sensor.write_text(state)
+    return sensor
+
+
+def scene_with_door(tmp_path, monkeypatch, max_hold_s=600):
+    sensor = door_of(tmp_path)
+    words = f"\ninterlocks: {{door: {{path: {sensor}, max_hold_s: {max_hold_s}}}}}\n"
+    return with_runner(Scene(tmp_path, station=words), monkeypatch), sensor
+
+
+def opened_for(scene, sensor, when, seconds):
+    """Open the door at the n-th call of something, close it so many seconds later; the thread's part is played here."""
+    seen = []
+
+    def hook(name):
+        if name == when:
+            seen.append(name)
+            if len(seen) == 1:
+                sensor.write_text("0")
+                scene.shut_at_s = scene.clock.monotonic() + seconds
+        scene.runner._interlocks.look()
+
+    asked = scene.clock.__class__.sleep
+
+    def sleep(clock, wait_s):
+        if getattr(scene, "shut_at_s", None) is not None and clock.monotonic() > scene.shut_at_s:
+            sensor.write_text("1")
+            scene.shut_at_s = None
+        asked(clock, wait_s)
+
+    scene.hook = hook
+    return sleep
+
+
+@pytest.mark.parametrize(
+    "when", ["stage.home", "light.on", "stage.move_to", "camera.record", "light.read", "stage.position_deg"]
+)
+def test_a_door_opened_at_any_moment_holds_the_run_dark_until_it_is_closed(tmp_path, monkeypatch, when):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch)
+    monkeypatch.setattr(VirtualClock, "sleep", opened_for(scene, sensor, when, 30))
+    dark = []
+    wait = Interlocks.wait
+
+    def watched(interlocks, trip):
+        dark.append(not scene.light_is_on())
+        return wait(interlocks, trip)
+
+    monkeypatch.setattr(Interlocks, "wait", watched)
+    end = scene.run()
+    assert end.how == "finished", end.why
+    assert dark
+    assert all(dark)
+    assert not scene.light_is_on()
+    (released,) = scene.told(Event.INTERLOCK_RELEASED)
+    assert released["rule"] == "door"
+    assert 30 <= released["held_s"] < 32
+    assert [d for d in scene.told(Event.DEVIATION) if "door interlock held for 30 s: it is open" in d["what"]]
+    stored = [(d["pose"], d["attempt"]) for d in scene.told(Event.CAPTURE_STORED)]
+    assert [pose for pose, _ in stored] == [1, 2]
+    held = scene.states().index("holding")
+    after = scene.states()[held + 1 :]
+    if when in {"camera.record", "light.read", "stage.position_deg"}:  # lit and turned to its pose again
+        assert after[:4] == ["lighting", "slewing", "settling", "recording"]
+
+
+def test_a_recording_that_a_door_interrupted_is_kept_aside_and_counted(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch)
+    monkeypatch.setattr(VirtualClock, "sleep", opened_for(scene, sensor, "camera.record", 5))
+    assert scene.run().how == "finished"
+    (lost,) = scene.told(Event.ATTEMPT_LOST)
+    assert "door interlock" in lost["why"]
+    assert [d["attempt"] for d in scene.told(Event.CAPTURE_STORED)] == [2, 1]
+
+
+def test_a_door_that_stays_open_ends_the_run_in_its_time_and_it_goes_on_later(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=100)
+    sensor.write_text("0")
+    end = scene.run()
+    assert end.how == "failed"
+    assert "door interlock has held the run for 100 s" in end.why
+    assert scene.clock.monotonic() < 110
+    assert not scene.light_is_on()
+    assert "stage.home" not in scene.calls
+    sensor.write_text("1")
+    assert scene.run().how == "finished"
+
+
+def test_holds_are_added_up(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=100)
+    flapping = []
+
+    def hook(name):
+        if name == "stage.move_to":
+            sensor.write_text("0")
+        if sensor.read_text() == "0" and name == "light.off":
+            flapping.append(scene.clock.monotonic())
+        scene.runner._interlocks.look()
+
+    wait = Interlocks.wait
+
+    def watched(interlocks, trip):
+        begin_s, sleep = scene.clock.monotonic(), scene.clock.sleep
+        monkeypatch.setattr(
+            scene.clock,
+            "sleep",
+            lambda s: (sleep(s), sensor.write_text("1") if scene.clock.monotonic() - begin_s > 30 else None),
+        )
+        try:
+            return wait(interlocks, trip)
+        finally:
+            monkeypatch.setattr(scene.clock, "sleep", sleep)
+
+    scene.hook = hook
+    monkeypatch.setattr(Interlocks, "wait", watched)
+    end = scene.run()
+    assert end.how == "failed"
+    assert "has held the run for 100 s" in end.why
+    assert len(scene.told(Event.INTERLOCK_RELEASED)) == 3
+
+
+def test_a_door_that_goes_on_and_off_is_told_once_in_ten_minutes(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=3600)
+    told = []
+    sleep = VirtualClock.sleep
+
+    def closing(clock, seconds):
+        sleep(clock, seconds)
+        if scene.runner._machine.state == "holding":
+            sensor.write_text("1")
+            if len(scene.told(Event.INTERLOCK_RELEASED)) == 3:
+                sleep(clock, 601)
+
+    def hook(name):
+        scene.runner._hold_news._notify = lambda *words: told.append(words)
+        if name == "stage.move_to" and len(scene.told(Event.INTERLOCK_RELEASED)) < 6:
+            sensor.write_text("0")
+        scene.runner._interlocks.look()
+
+    scene.hook = hook
+    monkeypatch.setattr(VirtualClock, "sleep", closing)
+    assert scene.run().how == "finished"
+    assert len(scene.told(Event.INTERLOCK_RELEASED)) == 6
+    assert [occasion for occasion, _, _ in told] == ["hold", "hold"]
+
+
+def test_status_says_what_holds(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch)
+    sensor.write_text("0")
+    texts = []
+
+    def hook(name):
+        if scene.runner is not None and scene.runner._machine.state == "holding":
+            texts.append(status_text(read_status(scene.folder)))
+            sensor.write_text("1")
+
+    scene.hook = hook
+    assert scene.run().how == "finished"
+    assert any("HELD by the door interlock: it is open" in text for text in texts)
+    assert any("goes on by itself" in text for text in texts)
+
+
+def test_a_warm_camera_is_let_cool_and_the_run_goes_on(tmp_path):
+    words = "\ninterlocks: {camera_temperature: {max_c: 50, release_c: 45, max_hold_s: 900}}\n"
+    scene = Scene(tmp_path, station=words)
+
+    def celsius(_camera):
+        now_s = scene.clock.monotonic()
+        return 60.0 - 0.1 * max(0.0, now_s - 3.0) if now_s > 3.0 else 30.0
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bench.rehearsals.virtual_devices.VirtualCamera.temperature_c", celsius)
+        end = scene.run()
+    assert end.how == "finished", end.why
+    (released,) = scene.told(Event.INTERLOCK_RELEASED)
+    assert released["rule"] == "camera_temperature"
+    assert 140 < released["held_s"] < 160
+
+
+def test_light_from_elsewhere_holds_until_the_dark_is_dark(tmp_path, monkeypatch):
+    words = "\ninterlocks: {event_rate: {max_mev_s: 50, release_mev_s: 5, max_hold_s: 900}}\n"
+    scene = Scene(tmp_path, station=words)
+    from bench.rehearsals.virtual_devices import VirtualCamera
+
+    record = VirtualCamera.record
+
+    def bright(camera, path, duration_s):
+        facts = record(camera, path, duration_s)
+        lit_from_elsewhere = scene.clock.monotonic() < 100.0
+        return type(facts)(
+            **{**vars(facts), "events": int((80e6 if lit_from_elsewhere else 1e6) * facts.duration_s)}
+        )
+
+    monkeypatch.setattr(VirtualCamera, "record", bright)
+    end = scene.run()
+    assert end.how == "finished", end.why
+    (released,) = scene.told(Event.INTERLOCK_RELEASED)
+    assert released["rule"] == "event_rate"
+    assert 80 < released["held_s"] < 100
+    assert not list(scene.folder.glob("probe*"))
+    assert sorted(p.name for p in (scene.folder / "captures").iterdir()) == [
+        "pose-001-attempt-1.raw",
+        "pose-002-attempt-1.raw",
+    ]
+
+
+def test_what_held_a_run_is_forgotten_when_it_goes_on(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=10)
+    sensor.write_text("0")
+    scene.run()
+    entries, _ = read_journal(scene.folder / "journal.jsonl")
+    holding = next(
+        i for i, e in enumerate(entries) if e.event == Event.ENTERING and e.data["state"] == "holding"
+    )
+    assert replay(entries[: holding + 1]).rule.startswith("door: it is open")
+    assert replay(entries).rule == ""
