@@ -284,6 +284,7 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
     """
     from datetime import UTC, datetime
 
+    from bench.console.signals import interrupts_that_hold
     from bench.errors import UsageError
     from drivers.camera import event_conversion
 
@@ -294,12 +295,13 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
             where=str(output),
             remedy="Let it end in .raw, .hdf5, .h5 or .npz, or say it by --as.",
         )
-    written = event_conversion.convert(
-        source,
-        output,
-        kind,  # type: ignore[arg-type]
-        utc_now=lambda: datetime.now(UTC),
-    )
+    with interrupts_that_hold():
+        written = event_conversion.convert(
+            source,
+            output,
+            kind,  # type: ignore[arg-type]
+            utc_now=lambda: datetime.now(UTC),
+        )
     moved = f", {written.moved_events} with their predecessor's time" if written.moved_events else ""
     click.echo(f"{output}: {written.events} events{moved}, {written.triggers} triggers")
     if written.cut_off:

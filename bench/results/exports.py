@@ -21,6 +21,7 @@ A fisheye lens (kb1 to kb4) is the same four numbers everywhere: OpenCV's ``cv::
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -56,7 +57,8 @@ def exports(calibration: Calibration, *, camera_name: str) -> dict[str, bytes]:
     calibration
         The calibration.
     camera_name
-        What the camera is called in files that name it.
+        What the camera is called in files that name it; what is no letter, digit or ``_`` becomes ``_``, as ROS
+        demands.
 
     Returns
     -------
@@ -66,6 +68,7 @@ def exports(calibration: Calibration, *, camera_name: str) -> dict[str, bytes]:
     """
     files: dict[str, bytes] = {}
     refused = []
+    camera_name = re.sub(r"[^A-Za-z0-9_]", "_", camera_name)
     for name, write in WRITERS.items():
         try:
             files[name] = write(calibration, camera_name)

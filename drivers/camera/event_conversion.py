@@ -1,6 +1,7 @@
 """One file of events to another: RAW, Metavision's HDF5, plain HDF5, NumPy; every way between them.
 
-A RAW file made here is no camera's own bytes, and its header says so. What a format cannot hold is lost on the way
+A RAW file made here is no camera's own bytes, and its header says so. What is read of other files is in memory whole
+(13 bytes an event), RAW files are streamed but for NumPy's. What a format cannot hold is lost on the way
 there: the sensor's counters outside RAW, its clock's back-steps in Metavision's HDF5.
 """
 
@@ -97,14 +98,14 @@ def write_raw(found: Imported, path: Path, *, source: Path, utc_now: Callable[[]
         )
     encoder = Evt3Encoder()
     events, triggers = found.events, found.triggers
-    latest = np.maximum.accumulate(events.t)
     with new_file(path) as part, part.open("xb") as file:
         file.write(_header(found, source, utc_now))
-        done = 0
+        done, latest = 0, -1
         try:
             for begin in range(0, len(events.t), _AT_ONCE):
                 piece = events.part(begin, begin + _AT_ONCE)
-                until = int(np.searchsorted(triggers.t, latest[begin + len(piece.t) - 1], "right"))
+                latest = max(latest, int(piece.t.max()))
+                until = int(np.searchsorted(triggers.t, latest, "right"))
                 file.write(encoder.words(piece, _edges(triggers, done, until)).tobytes())
                 done = max(done, until)
             file.write(encoder.words(empty_events(0), _edges(triggers, done, len(triggers.t))).tobytes())

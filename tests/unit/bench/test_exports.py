@@ -206,6 +206,20 @@ def test_metavision_s_json_is_read_by_opencv_and_by_any_json_reader(lens):
     )
 
 
+@pytest.mark.parametrize("name", ["evk4_a\\b", "evk4_1\n2", "evk4_a b:c", "evk4_\u00fc-1"])
+def test_a_serial_number_of_any_letters_leaves_every_file_readable(name):
+    files = exports(calibration("k1k2"), camera_name=name)
+    storage = file_storage(files["opencv.yaml"], ".yml")
+    told = storage.getNode("camera_name").string()
+    assert told.isascii()
+    assert told.replace("_", "a").isalnum()
+    assert yaml.safe_load(files["ros_camera_info.yaml"])["camera_name"] == told
+    assert yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]["rostopic"] == f"/{told}/events"
+    assert json.loads(files["metavision.json"])["camera_name"] == told
+    assert ast.literal_eval(files["mrcal.cameramodel"].decode())["imagersize"] == [1280, 720]
+    assert len(files["colmap_cameras.txt"].decode().splitlines()) == 3
+
+
 def test_the_same_calibration_gives_the_same_bytes():
     one, two = (exports(calibration("rational"), camera_name="c") for _ in range(2))
     assert one == two
