@@ -162,8 +162,8 @@ def _whole(values: Any, dtype: type[np.generic]) -> Any:
     values = np.asarray(values)
     if values.ndim != 1 or values.dtype.kind not in "iu":
         raise ValueError(f"an array of {values.dtype} with {values.ndim} dimensions")
-    cast = values.astype(dtype)
-    if not np.array_equal(cast, values):
+    cast = np.ascontiguousarray(values, dtype)  # as it is where it can stay so: there may be millions
+    if cast is not values and not np.array_equal(cast, values):
         raise ValueError(f"numbers that are no {np.dtype(dtype)}")
     return cast
 
