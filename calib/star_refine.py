@@ -318,13 +318,18 @@ def _normal_equations(
 
 @njit(cache=True, error_model="numpy")
 def _solvable(normal: Any) -> bool:
-    """Whether the image says anything about every unknown: nothing does where it is flat."""
-    scaled = np.empty((UNKNOWNS, UNKNOWNS))  # free of units: grey values may be of any size
+    """Whether the image says anything about every unknown: nothing does where it is flat.
+
+    However large its grey values are: they are the unit of some unknowns.
+    """
+    scale, scaled = np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
     for k in range(UNKNOWNS):
         if not normal[k, k] > 0.0:
             return False
+        scale[k] = np.sqrt(normal[k, k])
+    for k in range(UNKNOWNS):
         for m in range(UNKNOWNS):
-            scaled[k, m] = normal[k, m] / np.sqrt(normal[k, k]) / np.sqrt(normal[m, m])
+            scaled[k, m] = normal[k, m] / scale[k] / scale[m]
     return bool(np.linalg.cond(scaled) < 1e12)
 
 
