@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ class Number(click.ParamType):
         return number
 
 
-class _Path(click.ParamType):
+class _Path(click.ParamType, ABC):
     """A path that must be something before the command begins."""
 
     name = "path"
@@ -55,9 +56,9 @@ class _Path(click.ParamType):
         self.check(path)
         return path
 
+    @abstractmethod
     def check(self, path: Path) -> None:
         """Raise UsageError where the path is not what is asked for."""
-        raise NotImplementedError
 
 
 class ExistingFile(_Path):

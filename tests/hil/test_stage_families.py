@@ -322,7 +322,7 @@ def test_a_slip_is_noticed_where_there_is_an_encoder(rig, homed) -> None:
 @each_in_turn
 def test_a_controller_that_stays_busy_is_noticed(rig, homed) -> None:
     rig.axes["pan"].stuck_busy = True
-    bounded(lambda: homed.move_to({"pan": -9.0}))
+    assert "pan" in str(bounded(lambda: homed.move_to({"pan": -9.0})))
 
 
 @each_in_turn
@@ -341,6 +341,7 @@ def test_an_emergency_stop_is_noticed_and_stays_until_homed_again(rig, homed) ->
     bounded(lambda: homed.move_to({"pan": 1.0}))
     rig.controllers["pan"].emergency_stop(time.monotonic(), released=True)
     bounded(lambda: homed.move_to({"pan": 1.0}))
+    assert not homed.is_homed()
 
 
 @each_in_turn

@@ -101,7 +101,7 @@ def as_events_show_it(image, rng, *, mismatch=0.12, stray=0.02):
     return np.where(rng.random(image.shape) < stray, rng.random(image.shape) < 0.5, fired).astype(np.float32)
 
 
-def check(view, scene, *, rms_px, share=0.995):
+def assert_found_where_drawn(view, scene, *, rms_px, share=0.995):
     """None wrong, nearly all there, as exact as asked; returns the normalised squares."""
     off = view.points_px - scene.project(TARGET.positions_mm(view.ids))
     assert np.abs(off).max() < 0.35
@@ -116,7 +116,7 @@ def check(view, scene, *, rms_px, share=0.995):
 def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
     scene, image = drawn(roll=roll)
     view, named_by = look(image if bright else 1.0 - image, TARGET, name="p")
-    check(view, scene, rms_px=0.008)
+    assert_found_where_drawn(view, scene, rms_px=0.008)
     assert named_by == "tag"
     assert view.image_size == SIZE
     assert (np.diff(view.ids) > 0).all()
@@ -125,7 +125,7 @@ def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
 @pytest.mark.parametrize("pitch", [20, 28, 55, 80])
 def test_stars_are_found_small_and_large(pitch):
     scene, image = drawn(pitch_px=pitch, roll=12, size=(400, 320) if pitch < 40 else (800, 640))
-    check(detect(image, TARGET), scene, rms_px=0.012)
+    assert_found_where_drawn(detect(image, TARGET), scene, rms_px=0.012)
 
 
 @pytest.mark.parametrize(
@@ -133,13 +133,15 @@ def test_stars_are_found_small_and_large(pitch):
 )
 def test_any_number_type_of_a_frame_camera_does(kind, scale):
     scene, image = drawn(roll=37)
-    check(detect((image * scale).astype(kind), TARGET), scene, rms_px=0.008)
+    assert_found_where_drawn(detect((image * scale).astype(kind), TARGET), scene, rms_px=0.008)
 
 
 @pytest.mark.parametrize(("scale", "black"), [(1e-9, 0.0), (1e9, 0.0), (100.0, 1e4)])
 def test_grey_values_may_be_of_any_size_and_on_any_pedestal(scale, black):
     scene, image = drawn(roll=37)
-    check(detect(image * np.float32(scale) + np.float32(black), TARGET), scene, rms_px=0.008, share=0.98)
+    assert_found_where_drawn(
+        detect(image * np.float32(scale) + np.float32(black), TARGET), scene, rms_px=0.008, share=0.98
+    )
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -147,7 +149,7 @@ def test_grey_values_may_be_of_any_size_and_on_any_pedestal(scale, black):
 def test_covariances_say_how_surely_stars_are_placed_in_binary_images(seed, roll):
     scene, image = drawn(roll=roll)
     rng = np.random.default_rng(seed)
-    squares = check(detect(as_events_show_it(image, rng), TARGET), scene, rms_px=0.06)
+    squares = assert_found_where_drawn(detect(as_events_show_it(image, rng), TARGET), scene, rms_px=0.06)
     assert 0.75 < np.sqrt(squares.mean()) < 1.3
 
 
@@ -155,7 +157,7 @@ def test_noise_that_frame_cameras_have_is_told_by_the_covariances():
     scene, image = drawn(roll=37)
     rng = np.random.default_rng(5)
     image = image + 0.1 * rng.standard_normal((SIZE[1], SIZE[0])).astype(np.float32)
-    squares = check(detect(image, TARGET), scene, rms_px=0.03)
+    squares = assert_found_where_drawn(detect(image, TARGET), scene, rms_px=0.03)
     assert 0.75 < np.sqrt(squares.mean()) < 1.3
 
 
@@ -181,7 +183,7 @@ def photograph(image, rng, *, bits, electrons=4000, gamma=1.0, contrast=1.0):
 def test_photographs_do_as_well_as_their_noise_lets_them(bits, settings, rms_px):
     scene, image = drawn(roll=37)
     shown = photograph(image, np.random.default_rng(6), bits=bits, **settings)
-    squares = check(detect(shown, TARGET), scene, rms_px=rms_px)
+    squares = assert_found_where_drawn(detect(shown, TARGET), scene, rms_px=rms_px)
     assert 0.75 < np.sqrt(squares.mean()) < 1.6
 
 
@@ -189,7 +191,7 @@ def test_photographs_do_as_well_as_their_noise_lets_them(bits, settings, rms_px)
 def test_photographs_out_of_focus_are_told_by_the_covariances(blur, rms_px):
     scene, image = drawn(roll=37)
     blurred = cv2.GaussianBlur(image, (0, 0), blur)
-    squares = check(
+    squares = assert_found_where_drawn(
         detect(photograph(blurred, np.random.default_rng(7), bits=8), TARGET), scene, rms_px=rms_px
     )
     assert 0.75 < np.sqrt(squares.mean()) < 1.6
@@ -198,7 +200,7 @@ def test_photographs_out_of_focus_are_told_by_the_covariances(blur, rms_px):
 def test_stars_cut_by_the_discs_rim_are_left_out():
     scene = Scene(roll=31, disc_px=240)
     view = detect(scene.draw(), TARGET)
-    check(view, scene, rms_px=0.02)
+    assert_found_where_drawn(view, scene, rms_px=0.02)
     light = scene.lit(scene.project(TARGET.positions_mm(view.ids)))
     assert (light > 0.3).all()
 
@@ -239,7 +241,7 @@ def test_part_of_the_tag_is_enough(roll, shift):
     seen = look(as_events_show_it(image, np.random.default_rng(1)), TARGET)
     assert find_tag(image, TARGET, name="p") is None, "the tag is not meant to be readable"
     assert seen.named_by == "part of the tag"
-    check(seen.view, scene, rms_px=0.05)
+    assert_found_where_drawn(seen.view, scene, rms_px=0.05)
 
 
 def test_without_the_tag_stars_are_not_named():
@@ -254,7 +256,7 @@ def test_without_the_tag_the_expected_pose_names_the_stars(off, bright):
     scene, image = drawn(roll=61, shift=(390, 0))
     seen = look(image if bright else 1 - image, TARGET, expected=expected_homography(scene, off))
     assert seen.named_by == "expected pose"
-    check(seen.view, scene, rms_px=0.008)
+    assert_found_where_drawn(seen.view, scene, rms_px=0.008)
 
 
 def test_a_known_collimator_and_camera_tell_the_expected_grid():
