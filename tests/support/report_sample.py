@@ -59,12 +59,38 @@ def of_many_poses(views, **pose):
 def results(views, *, simulated=True):
     """Results of a run with these views."""
     values = {name: (TRUE | COLLIMATOR)[name] + OFF[name] * SIGMA[name] for name in SIGMA}
+    return {
+        "schema": "starbench/results/1",
+        "run": _run(simulated=simulated),
+        "devices": _devices(),
+        "conditions": _conditions(),
+        "calibration": _calibration(views, values),
+        "planar": _planar(values),
+        "poses": [_pose(number, view) for number, view in enumerate(views, 1)],
+        "halves": {
+            "rms_px": 0.031,
+            "worst_px": 0.092,
+            "expected_px": 0.035,
+            "ratio": 0.89,
+            "cameras": [TRUE, TRUE | {"fx": 3345.3, "fy": 3345.5, "k1": 0.0604}],
+        },
+        "gimbal": {"rms_arcsec": 1.83, "scale": {"pan_deg": 1.000021}, "scale_sigma": {"pan_deg": 1.7e-05}},
+        "gates": _gates(),
+        "deviations": ["Pose second was recorded twice: the first recording had 31 stars."],
+        "states": _states(),
+        "truth": {"camera": TRUE, "collimator": COLLIMATOR} if simulated else None,
+        "comparison": _comparison(values) if simulated else [],
+    }
+
+
+def _calibration(views, values):
+    """The calibration of these values."""
     names = list(SIGMA)
     correlation = np.eye(9)
     for a, b, rho in ((0, 1, 0.999), (0, 8, 0.96), (1, 8, 0.96), (4, 5, -0.93), (2, 6, -0.88), (3, 7, -0.86)):
         correlation[a, b] = correlation[b, a] = rho
     sigma = np.array(list(SIGMA.values()))
-    calibration = {
+    return {
         "model": "spherical",
         "converged": True,
         "iterations": 9,
@@ -88,87 +114,82 @@ def results(views, *, simulated=True):
         "candidates": [],
         "notes": ["Three poses only: the distortion coefficients are weakly constrained."],
     }
-    planar = {
+
+
+def _planar(values):
+    """The planar calibration beside it."""
+    return {
         "camera": {name: values[name] + 3 * OFF[name] * SIGMA[name] for name in TRUE},
         "sigma": {name: 2.9 * SIGMA[name] for name in TRUE},
         "rms_px": 0.0799,
     }
+
+
+def _devices():
+    """Who the devices said they were."""
     return {
-        "schema": "starbench/results/1",
-        "run": _run(simulated=simulated),
-        "devices": {
-            "camera": {
-                "maker": "Prophesee",
-                "model": "EVK4",
-                "sensor": "IMX636",
-                "serial": "00050423",
-                "firmware": "3.9.0",
-                "width": 1280,
-                "height": 720,
-            },
-            "stage": [
-                {
-                    "name": "pan",
-                    "maker": "Zaber",
-                    "model": "X-RST120AK",
-                    "serial": "100101",
-                    "firmware": "7.38",
-                },
-                {
-                    "name": "tilt",
-                    "maker": "Zaber",
-                    "model": "X-GSM40E",
-                    "serial": "100102",
-                    "firmware": "7.38",
-                },
-            ],
-            "light": {"maker": "Starbench", "model": "SG1", "serial": "SG0042", "firmware": "1.0"},
+        "camera": {
+            "maker": "Prophesee",
+            "model": "EVK4",
+            "sensor": "IMX636",
+            "serial": "00050423",
+            "firmware": "3.9.0",
+            "width": 1280,
+            "height": 720,
         },
-        "conditions": {
-            "light": {
-                "waveform": "square",
-                "frequency_hz": 60.0,
-                "duty_percent": 50.0,
-                "low_v": 0.0,
-                "high_v": 5.0,
-                "sync_output": True,
-            },
-            "camera": {
-                "biases": {"bias_fo": 0, "bias_diff_on": 0},
-                "filters": {"afk": False, "erc": False},
-                "temperature_c": 41.27,
-                "illumination_lux": None,
-            },
-        },
-        "calibration": calibration,
-        "planar": planar,
-        "poses": [_pose(number, view) for number, view in enumerate(views, 1)],
-        "halves": {
-            "rms_px": 0.031,
-            "worst_px": 0.092,
-            "expected_px": 0.035,
-            "ratio": 0.89,
-            "cameras": [TRUE, TRUE | {"fx": 3345.3, "fy": 3345.5, "k1": 0.0604}],
-        },
-        "gimbal": {"rms_arcsec": 1.83, "scale": {"pan_deg": 1.000021}, "scale_sigma": {"pan_deg": 1.7e-05}},
-        "gates": _gates(),
-        "deviations": ["Pose second was recorded twice: the first recording had 31 stars."],
-        "states": _states(),
-        "truth": {"camera": TRUE, "collimator": COLLIMATOR} if simulated else None,
-        "comparison": [
+        "stage": [
             {
-                "name": n,
-                "value": values[n],
-                "sigma": SIGMA[n],
-                "truth": (TRUE | COLLIMATOR)[n],
-                "error": OFF[n] * SIGMA[n],
-                "error_sigmas": OFF[n],
-            }
-            for n in names
-        ]
-        if simulated
-        else [],
+                "name": "pan",
+                "maker": "Zaber",
+                "model": "X-RST120AK",
+                "serial": "100101",
+                "firmware": "7.38",
+            },
+            {
+                "name": "tilt",
+                "maker": "Zaber",
+                "model": "X-GSM40E",
+                "serial": "100102",
+                "firmware": "7.38",
+            },
+        ],
+        "light": {"maker": "Starbench", "model": "SG1", "serial": "SG0042", "firmware": "1.0"},
     }
+
+
+def _conditions():
+    """Settings as read back."""
+    return {
+        "light": {
+            "waveform": "square",
+            "frequency_hz": 60.0,
+            "duty_percent": 50.0,
+            "low_v": 0.0,
+            "high_v": 5.0,
+            "sync_output": True,
+        },
+        "camera": {
+            "biases": {"bias_fo": 0, "bias_diff_on": 0},
+            "filters": {"afk": False, "erc": False},
+            "temperature_c": 41.27,
+            "illumination_lux": None,
+        },
+    }
+
+
+def _comparison(values):
+    """How far from the truth the values lie."""
+    return [
+        {
+            "name": n,
+            "value": values[n],
+            "sigma": SIGMA[n],
+            "truth": (TRUE | COLLIMATOR)[n],
+            "error": OFF[n] * SIGMA[n],
+            "error_sigmas": OFF[n],
+        }
+        for n in SIGMA
+    ]
 
 
 def _view(name, camera, rotation, rng):

@@ -2,30 +2,12 @@
 
 import numpy as np
 import pytest
+from paper_camera import NARROW, POSES
 
 from calib.calibrate import CalibrationOptions
-from calib.camera import CameraModel
-from calib.collimator import Collimator
-from calib.imagined import Expectation
 from calib.passport import Passport
 from calib.study import repeat
-from calib.target import StarTarget
 
-#: The paper's camera before a narrow beam: stars 26 px apart, 4.5 degrees of half angle, r = 700 mm.
-PITCH = 5.45
-NARROW = Expectation(
-    CameraModel(3345.0, 3345.0, 642.0, 363.0, (1280, 720), {"k1": 0.06, "k2": -0.9}),
-    Collimator(24 * PITCH, 35 * PITCH, 700.0),
-    4.5,
-    0.05,
-    StarTarget(pitch_mm=PITCH),
-    needs_tag=False,
-)
-POSES = [
-    {"pan_deg": -6.0, "tilt_deg": 1.5},
-    {"pan_deg": 1.0, "tilt_deg": -3.0, "roll_deg": 20.0},
-    {"pan_deg": 5.0, "tilt_deg": 2.5, "roll_deg": -20.0},
-]
 EXACT = Passport(("x", "y", "r"), NARROW.collimator.values, np.eye(3) * 1e-8)
 L2 = CalibrationOptions(loss="l2")
 
