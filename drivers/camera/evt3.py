@@ -67,7 +67,7 @@ def empty_triggers(n: int) -> Triggers:
 
 
 @dataclass(frozen=True)
-class StreamTally:
+class StreamStatistics:
     """What a stream has told up to its last word.
 
     Attributes
@@ -271,12 +271,12 @@ class Evt3Decoder:
         first = int(self._state[S.FIRST_T])
         return self.clock_us - first if first >= 0 else 0
 
-    def told(self) -> StreamTally:
+    def statistics(self) -> StreamStatistics:
         """Sum up what the stream has told so far."""
         state = {place: int(self._state[place]) for place in S}
         reported = state[S.REPORTED_AT] >= 0
         kept = self._gaps[: min(state[S.GAPS], GAPS_KEPT)]
-        return StreamTally(
+        return StreamStatistics(
             events=state[S.EVENTS],
             on_events=state[S.ON_EVENTS],
             triggers=state[S.TRIGGERS],

@@ -1,9 +1,9 @@
 """The loop over EVT3 words, compiled: knows the word types and the sensor clock, no files and no devices.
 
-An EVT3 word has 16 bits; its upper four are the type. Words of events are read by ``evt3_vectors``, stretches of
-nothing but single events by ``evt3_plain``, all others by ``evt3_other_words``; what is carried from word to word, and
-between calls, stands in ``evt3_state``. Parts of the loop are pasted into it (``inline``): so it keeps its state in
-registers, and is as quick as in one piece.
+An EVT3 word has 16 bits; its upper four are the type. ``evt3_vectors`` reads the words of events, ``evt3_plain``
+stretches that hold only single events, rows and clock words, and ``evt3_control_words`` all others. ``evt3_state``
+holds what is carried from word to word, and between calls. Parts of the loop are pasted into it (``inline``), so that
+it keeps its state in registers and is as fast as one piece.
 
 ==== =============== =====================================================================
 type name            payload
@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from drivers.camera.evt3_other_words import RATE_OUT, other_word, silent_us
+from drivers.camera.evt3_control_words import RATE_OUT, silent_us, take_control_word
 from drivers.camera.evt3_plain import JIT, LONGEST_WAIT, SHORTEST_WAIT, STRETCH, Mode, ones, take_plain
 from drivers.camera.evt3_state import Fault, S
 from drivers.camera.evt3_vectors import MARGIN, count, events_of, store
@@ -83,7 +83,7 @@ def _take_events(
 
 
 @njit(**JIT, inline="always")
-def _take_other(
+def _take_control(
     words: Any,
     start: int,
     i: int,
@@ -101,7 +101,7 @@ def _take_other(
     carried = state[S.SILENT_US]
     if word == 0xE000 | RATE_OUT:
         state[S.SILENT_US] = silent_us(words, start, i, state, high_before)
-    fault = other_word(state, word >> 12, word & 0xFFF, gaps, edges)
+    fault = take_control_word(state, word >> 12, word & 0xFFF, gaps, edges)
     state[S.SILENT_US] = carried
     return fault
 
@@ -178,7 +178,7 @@ def run(  # noqa: PLR0915 - one loop that keeps its state in registers
             on += on_here
             i += taken - 1
         else:
-            fault = _take_other(words, start, i, state, t, y, n, gaps, edges, high_before)
+            fault = _take_control(words, start, i, state, t, y, n, gaps, edges, high_before)
             t, y = state[S.T], state[S.Y]
             repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
             if fault != Fault.NONE:

@@ -18,7 +18,7 @@ from typing import Any, Final
 from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
 from drivers.camera.hold import CameraHold, event_camera
 from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
-from drivers.camera.raw_file import RawFile, RecordingScan
+from drivers.camera.raw_file import RawFile, RecordingStatistics
 from drivers.camera.raw_writer import check_new, check_space, sync_file
 from drivers.camera.recording import Recorded, check_duration, recording_facts
 from drivers.clock import Clock
@@ -280,7 +280,7 @@ class MetavisionEvk4:
             self._clock.sleep(0.0)
         return True
 
-    def _scan(self, path: Path) -> RecordingScan:
+    def _scan(self, path: Path) -> RecordingStatistics:
         """Read the new file once. Raises RecordingFailed."""
         try:
             return RawFile.open(path).scan()

@@ -13,7 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.evt3 import Events, Evt3Decoder, StreamTally, Triggers, Words, empty_events, join_triggers
+from drivers.camera.evt3 import (
+    Events,
+    Evt3Decoder,
+    StreamStatistics,
+    Triggers,
+    Words,
+    empty_events,
+    join_triggers,
+)
 from drivers.camera.evt3_kernel import most_events
 from drivers.camera.evt3_vectors import MARGIN
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
@@ -21,7 +29,7 @@ from drivers.errors import NotARecording, RecordingFileError
 
 
 @dataclass(frozen=True)
-class RecordingScan(StreamTally):
+class RecordingStatistics(StreamStatistics):
     """What one pass over a file told: its stream's counts, first and last time, rate controller and gaps.
 
     Attributes
@@ -162,12 +170,12 @@ class RawFile:
             decoder.count(words, image)
         return image
 
-    def scan(self) -> RecordingScan:
+    def scan(self) -> RecordingStatistics:
         """Read all words once and sum up what they tell. Raises as ``pieces``."""
         decoder = self._decoder()
         for words in self.words():
             decoder.tally(words)
-        return RecordingScan(**vars(decoder.told()), bytes=self._size(), truncated=self.truncated)
+        return RecordingStatistics(**vars(decoder.statistics()), bytes=self._size(), truncated=self.truncated)
 
     def _size(self) -> int:
         try:

@@ -132,7 +132,7 @@ class RecordedCamera:
             Watch(self._clock, self._stop_asked, _SILENCE_S, self._where),
         )
         self._played += 1
-        complete = recorded.told.duration_s >= duration_s and not self._stop_asked.is_set()
+        complete = recorded.statistics.duration_s >= duration_s and not self._stop_asked.is_set()
         return recording_facts(
             self.identify(),
             replace(recorded, complete=complete),

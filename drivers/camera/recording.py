@@ -17,7 +17,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
-from drivers.camera.evt3 import Evt3Decoder, StreamTally
+from drivers.camera.evt3 import Evt3Decoder, StreamStatistics
 from drivers.camera.raw_writer import RawWriter
 from drivers.clock import Clock
 from drivers.errors import CameraError, CameraLost, CameraSettingRefused, DriverError, RecordingFailed
@@ -68,7 +68,7 @@ class Watch:
 class Recorded:
     """How a recording went: what its words told, bytes of the file, and whether it lasted its time."""
 
-    told: StreamTally
+    statistics: StreamStatistics
     bytes: int
     complete: bool
 
@@ -134,7 +134,7 @@ def record_words(
                 raise broke_off(error, path) from error
             raise
         source.stop(hurry=False)
-    return Recorded(decoder.told(), file.bytes_written, complete)
+    return Recorded(decoder.statistics(), file.bytes_written, complete)
 
 
 def _write_words(
@@ -184,22 +184,22 @@ def recording_facts(
     losses: Sequence[str] = (),
 ) -> RecordingFacts:
     """Put together what is known of a recording; ``losses`` are those that the driver itself noticed."""
-    told = recorded.told
+    statistics = recorded.statistics
     return RecordingFacts(
         serial=camera.serial,
         model=camera.model,
         width=camera.width,
         height=camera.height,
         bytes=recorded.bytes,
-        duration_s=told.duration_s,
-        events=told.events,
-        triggers=told.triggers,
+        duration_s=statistics.duration_s,
+        events=statistics.events,
+        triggers=statistics.triggers,
         biases=biases,
         filters=filters,
-        rate_controller_in=told.rate_controller_in,
-        rate_controller_out=told.rate_controller_out,
+        rate_controller_in=statistics.rate_controller_in,
+        rate_controller_out=statistics.rate_controller_out,
         temperature_c=temperature_c,
         illumination_lux=illumination_lux,
-        gaps=(*losses, *told.losses_in_words()),
+        gaps=(*losses, *statistics.losses_in_words()),
         complete=recorded.complete,
     )

@@ -7,8 +7,8 @@ its bytes are the same.
 import numpy as np
 import pytest
 
-from drivers.camera.ecf import decode, encode
 from drivers.camera.evt3 import Events
+from drivers.camera.formats.ecf import decode, encode
 
 K = np.arange(40)
 SECOND = 10**9

@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from drivers.camera.event_conversion import convert
 from drivers.camera.evt3 import Evt3Decoder
+from drivers.camera.formats.event_conversion import convert
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingCorrupt
 from simulators.pixels.evt3_writer import Evt3Writer
@@ -199,5 +199,5 @@ def test_no_report_is_missed_where_bursts_are_followed_by_silence(seed):
     decoder = Evt3Decoder(640, 360)
     for part in np.split(words, np.sort(rng.integers(0, words.size, 5))):
         decoder.tally(part)
-    tally = decoder.told()
+    tally = decoder.statistics()
     assert (tally.events, tally.odd_windows, tally.missing_windows) == (t.size, 0, 0)

@@ -55,4 +55,4 @@ def decode(*words, decoder=None, max_events=1_000_000):
     for events, triggers in decoder.decode(np.array(words, np.uint16), max_events=max_events):
         found += rows(events)
         edges += rows(triggers)
-    return found, edges, decoder.told()
+    return found, edges, decoder.statistics()

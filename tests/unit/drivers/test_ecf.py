@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.camera.ecf import MAX_EVENTS, decode, encode
 from drivers.camera.evt3 import Events
+from drivers.camera.formats.ecf import MAX_EVENTS, decode, encode
 
 
 def chunk(t, x, y, p):

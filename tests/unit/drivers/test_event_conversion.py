@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.camera import event_conversion
-from drivers.camera.event_conversion import KINDS, convert
-from drivers.camera.event_files import export_numpy
-from drivers.camera.event_import import import_events
 from drivers.camera.evt3 import Events, Evt3Decoder, Triggers, empty_events, empty_triggers
-from drivers.camera.evt3_encode import MOST_US, Evt3Encoder
-from drivers.camera.new_file import new_file
+from drivers.camera.formats import event_conversion
+from drivers.camera.formats.event_conversion import KINDS, convert
+from drivers.camera.formats.event_files import export_numpy
+from drivers.camera.formats.event_import import import_events
+from drivers.camera.formats.evt3_encode import MOST_US, Evt3Encoder
+from drivers.camera.formats.new_file import new_file
 from drivers.camera.raw_file import RawFile
 from drivers.errors import DriverError, NotARecording, RecordingFileError
 

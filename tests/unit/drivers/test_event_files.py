@@ -4,8 +4,14 @@ import h5py
 import numpy as np
 import pytest
 
-from drivers.camera.event_files import CD_TYPE, CHUNK_EVENTS, export_hdf5, export_metavision, export_numpy
-from drivers.camera.event_import import import_events
+from drivers.camera.formats.event_files import (
+    CD_TYPE,
+    CHUNK_EVENTS,
+    export_hdf5,
+    export_metavision,
+    export_numpy,
+)
+from drivers.camera.formats.event_import import import_events
 from drivers.camera.raw_file import RawFile
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 

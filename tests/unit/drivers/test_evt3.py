@@ -158,7 +158,7 @@ def test_events_without_a_place_count_nowhere(missing):
     words = [high(0), low(0), base(5) if missing == "row" else row(5), vector12(7), event(9) | 0x800]
     decoder.count(np.array(words, np.uint16), image)
     assert image.sum() == (0 if missing == "row" else 1)
-    assert decoder.told().unplaced_events == (4 if missing == "row" else 3)
+    assert decoder.statistics().unplaced_events == (4 if missing == "row" else 3)
 
 
 @pytest.mark.parametrize("x", [100, WIDTH - 12])

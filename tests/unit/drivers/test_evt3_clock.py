@@ -114,4 +114,4 @@ def test_the_clock_covered_counts_from_the_first_time_word():
     assert decoder.covered_us == 0
     decoder.tally(np.array([high(6), low(20)], np.uint16))
     assert decoder.covered_us == 4096 + 10
-    assert decoder.told().duration_s == pytest.approx(4106e-6)
+    assert decoder.statistics().duration_s == pytest.approx(4106e-6)

@@ -60,7 +60,7 @@ def test_windows_over_several_pieces_are_counted_whole():
     words = [high(0), low(0), row(0), *others(0x016, 0), event(1), event(2), *others(0x016, 2)]
     for k in range(0, len(words), 2):
         decoder.tally(np.array(words[k : k + 2], np.uint16))
-    assert decoder.told().odd_windows == 0
+    assert decoder.statistics().odd_windows == 0
 
 
 def test_rate_controller_counts_use_28_bits():

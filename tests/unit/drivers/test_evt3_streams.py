@@ -107,7 +107,7 @@ def test_where_a_stream_is_cut_does_not_matter(stream, cuts, max_events):
         found += piece
         edges += piece_edges
     assert (found, edges) == (events, triggers)
-    assert decoder.told() == decode(*words)[2]
+    assert decoder.statistics() == decode(*words)[2]
 
 
 @given(streams(), st.integers(32, 70))
@@ -148,13 +148,13 @@ def test_long_stretches_of_a_sparse_stream_decode_as_their_words_one_by_one(seed
     pieces = [decode(word, decoder=one_by_one) for word in words]
     assert found == [one for piece in pieces for one in piece[0]]
     assert edges == [one for piece in pieces for one in piece[1]]
-    assert told == one_by_one.told()
+    assert told == one_by_one.statistics()
     assert told.back_steps > 0
     tallied, counted = Evt3Decoder(WIDTH, HEIGHT), Evt3Decoder(WIDTH, HEIGHT)
     image, expected = np.zeros((2, 2, HEIGHT, WIDTH), np.uint16)
     tallied.tally(words)
     counted.count(words, image)
-    assert tallied.told() == counted.told() == told
+    assert tallied.statistics() == counted.statistics() == told
     for _, x, y, p in found:
         expected[p, y, x] += 1
     assert np.array_equal(image, expected)
@@ -197,7 +197,7 @@ def test_events_of_a_list_count_to_the_image_that_their_words_do(stream):
 def test_tallying_tells_the_same_as_decoding(stream):
     decoder = Evt3Decoder(WIDTH, HEIGHT)
     edges = decoder.tally(np.array(stream[0], np.uint16))
-    assert decoder.told() == decode(*stream[0])[2]
+    assert decoder.statistics() == decode(*stream[0])[2]
     assert rows(edges) == stream[2]
 
 

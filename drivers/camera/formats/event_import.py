@@ -12,9 +12,9 @@ from typing import Any, Final
 import h5py
 import numpy as np
 
-from drivers.camera import ecf
-from drivers.camera.event_files import CD_TYPE
 from drivers.camera.evt3 import Events, Triggers, empty_events
+from drivers.camera.formats import ecf
+from drivers.camera.formats.event_files import CD_TYPE
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 _AGAIN: Final = "Export it again from the RAW recording."

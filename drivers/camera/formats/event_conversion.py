@@ -17,11 +17,11 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from drivers.camera import CameraIdentity
-from drivers.camera.event_files import Exported, export_hdf5, export_metavision, export_numpy
-from drivers.camera.event_import import Imported, import_events
 from drivers.camera.evt3 import Triggers, empty_events
-from drivers.camera.evt3_encode import Evt3Encoder
-from drivers.camera.new_file import cannot_write, new_file
+from drivers.camera.formats.event_files import Exported, export_hdf5, export_metavision, export_numpy
+from drivers.camera.formats.event_import import Imported, import_events
+from drivers.camera.formats.evt3_encode import Evt3Encoder
+from drivers.camera.formats.new_file import cannot_write, new_file
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_header import MAX_SIDE_PX, render_header
 from drivers.errors import NotARecording, RecordingFileError

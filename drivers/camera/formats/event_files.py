@@ -23,9 +23,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import ecf
 from drivers.camera.evt3 import Events, Triggers, empty_events, join_triggers
-from drivers.camera.new_file import new_file
+from drivers.camera.formats import ecf
+from drivers.camera.formats.new_file import new_file
 from drivers.camera.raw_file import RawFile
 
 CHUNK_EVENTS: Final = 16384

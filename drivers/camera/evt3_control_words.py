@@ -144,7 +144,7 @@ def _trigger(state: Any, payload: int, edges: Any) -> Fault:
 
 
 @njit(**JIT)
-def other_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> Fault:
+def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> Fault:
     """Take a word that stands for no event, with every check; returns a Fault."""
     if kind <= 0x1:
         address = payload & 0x7FF
