@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Self
 from bench.errors import SimulationError
 
 if TYPE_CHECKING:
-    from simulators.world.rehearsed_world import RehearsedWorld as RehearsedWorld  # noqa: PLC0414 - handed on, as a type
+    from simulators.rehearsed_world import RehearsedWorld as RehearsedWorld  # noqa: PLC0414 - handed on, as a type
 
 _START_TIMEOUT_S = 120.0
 """The first start ever compiles the pixel model; later ones take about a second."""
@@ -161,7 +161,7 @@ def rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:
         When the configuration cannot be used.
     """
     from simulators.errors import ConfigError
-    from simulators.world.rehearsed_world import RehearsedWorld
+    from simulators.rehearsed_world import RehearsedWorld
 
     try:
         return RehearsedWorld(config, seed)

@@ -25,6 +25,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from simulators.assembly.lights import make_light
+from simulators.assembly.stages import make_stage
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.config import BenchConfig, bench_config
@@ -33,12 +35,10 @@ from simulators.faults.catalogue import Order, order, order_from_text
 from simulators.faults.fault_injection import Parts, prepare
 from simulators.faults.line_faults import FaultLine
 from simulators.faults.orders import allow_background, answer, take_orders
-from simulators.lights.kinds import make_light
 from simulators.lights.lamp import Lamp
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.ports.serial_device import Dialect, Port, SerialDevice
 from simulators.ports.tcp_port import TcpPort
-from simulators.stages.kinds import make_stage
 from simulators.world.trajectory import Pointing
 from simulators.world.truth import Truth
 from simulators.world.world import AxisMotion, AxisName, LightState, World

@@ -17,9 +17,9 @@ from typing import Any, Final
 
 from simulators.cameras.evk4_requests import Refusal, flag, frames_kept, one_of, parsed
 from simulators.cameras.keep_alive import KeepAlive
+from simulators.cameras.stream_faults import StreamFaults
 from simulators.cameras.time_base import TimeBase
 from simulators.errors import SimulatorError
-from simulators.faults.stream_faults import StreamFaults
 from simulators.pixels.biases import ALLOWED, FACTORY, PixelSettings
 from simulators.pixels.event_filters import FILTERS
 from simulators.pixels.sensor_stream import CameraState, SensorStream

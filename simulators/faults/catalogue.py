@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from simulators.cameras.frame_camera import FRAME_CAMERA_FAULTS
+from simulators.cameras.stream_faults import STREAM_FAULTS
 from simulators.errors import ConfigError
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
-from simulators.faults.stream_faults import STREAM_FAULTS
 from simulators.lights.lamp import LAMP_FAULTS
 
 Parameter = float | int | str

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, cast
 
+from simulators.cameras.stream_faults import StreamFault, StreamFaults
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import LIGHT_FAULTS, Order, Parameter
 from simulators.faults.line_faults import FaultLine, LineFault
-from simulators.faults.stream_faults import StreamFault, StreamFaults
 from simulators.lights.lamp import Lamp
 from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Axis, FaultKind, MotionFault

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from simulators.errors import SimulatorError
-from simulators.lights.sync_line import SyncLine
+from simulators.world.sync_line import SyncLine
 from simulators.world.world import LightState
 
 #: What can go wrong with the light, by name.

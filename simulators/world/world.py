@@ -16,8 +16,8 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
 from simulators.errors import SimulationMisuse
-from simulators.lights.sync_line import SyncLine
 from simulators.world import temperature
+from simulators.world.sync_line import SyncLine
 from simulators.world.truth import Truth
 
 AxisName = Literal["pan", "tilt", "roll"]

@@ -10,11 +10,11 @@ import numpy as np
 from drivers.light import Light
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
+from simulators.assembly.lights import LightDriver, make_light
 from simulators.config import LightConfig
 from simulators.faults.catalogue import order_from_text
 from simulators.faults.fault_injection import Parts, prepare
 from simulators.faults.line_faults import FaultLine
-from simulators.lights.kinds import LightDriver, make_light
 from simulators.lights.lamp import Lamp
 from simulators.world.world import LightState
 from tests.hil.direct_stages import DirectLine, VirtualClock

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from simulators.assembly.lights import make_light
+from simulators.assembly.stages import make_stage
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, BenchConfig, LightConfig, bench_config
-from simulators.lights.kinds import make_light
 from simulators.ports.serial_device import Dialect
-from simulators.stages.kinds import make_stage
 from simulators.stages.ximc import crc16
 
 

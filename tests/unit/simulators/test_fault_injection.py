@@ -7,15 +7,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from simulators.assembly.lights import make_light
+from simulators.assembly.stages import make_stage
+from simulators.cameras.stream_faults import StreamFaults
 from simulators.config import BenchConfig
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import catalogue, order, order_from_text
 from simulators.faults.fault_injection import Parts, prepare
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
-from simulators.faults.stream_faults import StreamFaults
-from simulators.lights.kinds import make_light
 from simulators.lights.lamp import Lamp
-from simulators.stages.kinds import make_stage
 from simulators.world.world import LightState
 
 

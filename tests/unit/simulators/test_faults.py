@@ -21,7 +21,7 @@ from simulators.faults.catalogue import (
     order_from_text,
 )
 from simulators.lights.lamp import Lamp
-from simulators.lights.sync_line import SyncLine
+from simulators.world.sync_line import SyncLine
 from simulators.world.world import LightState
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from simulators.errors import ConfigError
 from simulators.optics.picture import pose_rotation, star_centres
-from simulators.world.rehearsed_world import RehearsedWorld
+from simulators.rehearsed_world import RehearsedWorld
 
 POSE = {"pan": 3.0, "tilt": -1.5}
 

@@ -6,9 +6,9 @@ import struct
 
 import pytest
 
+from simulators.assembly.stages import Stage, make_stage
 from simulators.config import bench_config
 from simulators.ports.serial_device import Dialect
-from simulators.stages.kinds import Stage, make_stage
 from simulators.stages.ximc import crc16
 from simulators.world.trajectory import Pointing
 
