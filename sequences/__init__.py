@@ -1,4 +1,5 @@
-"""The script language of the bench: what a sequence file may say, and its strict reader.
+"""The script language of the bench: what a sequence file may contain, and its strict reader.
 
-Imports nothing of bench, calib, drivers or simulators. The shipped sequences lie beside this file.
+The package imports nothing of bench, calib, drivers or simulators. The shipped sequences are the ``*.yaml``
+files beside this one.
 """

@@ -1,4 +1,4 @@
-"""What can be wrong with a YAML document: faults, each at its place, all of them together.
+"""Every error of the script language; each says what is wrong, where, and what to do.
 
 SequencesError
 └── DocumentFaults        a sequence, station or other document that cannot be used; holds every fault
@@ -7,64 +7,50 @@ SequencesError
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from sequences.yaml_text import Tree
-
-
-@dataclass(frozen=True, order=True)
-class Fault:
-    """One thing wrong at one place.
-
-    Attributes
-    ----------
-    file
-        The file, as its reader was given it.
-    line, column
-        From 1, counted in characters; 0 where the fault has no place inside the file.
-    path
-        Keys and indices from the top, as in ``steps[2].record.window_ms``; empty for the whole document.
-    message
-        What is wrong and, where it can be told, what to write instead.
-
-    Examples
-    --------
-    >>> print(Fault("a.yaml", 4, 13, "run.light_hz", "not a number (got 'sixty')"))
-    a.yaml:4:13: run.light_hz: not a number (got 'sixty')
-    >>> print(Fault("b.yaml", 0, 0, "", "there is no such file."))
-    b.yaml: there is no such file.
-    """
-
-    file: str
-    line: int
-    column: int
-    path: str
-    message: str
-
-    def __str__(self) -> str:
-        """``file:line:column: path: message``, without the parts that are not known."""
-        place = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
-        return f"{place}: {self.path}: {self.message}" if self.path else f"{place}: {self.message}"
+from sequences.tree import Fault, Tree
 
 
 class SequencesError(Exception):
-    """Whatever this folder raises."""
+    """What is wrong, where, and what to do about it.
+
+    Parameters
+    ----------
+    what
+        One sentence: what is wrong.
+    where
+        The file, and the place in it.
+    remedy
+        One sentence: what the operator should do.
+    """
+
+    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.remedy = remedy
+        place = f"{where}: " if where else ""
+        advice = f" {remedy}" if remedy else ""
+        super().__init__(f"{place}{what}{advice}")
 
 
 class DocumentFaults(SequencesError):
-    """A document that cannot be used.
+    """A document that cannot be used, with every fault in it.
+
+    The message has one line for each fault. Of a single fault, ``what`` is its message and ``where`` its place; of
+    several, ``what`` holds all lines, each with its own place. ``remedy`` is empty: each message says what to write.
 
     Parameters
     ----------
     faults
-        Every fault found, at least one; kept in the order of their places.
+        Every fault found, at least one; kept once each, in the order of their places.
     tree
-        The document as far as it could be read, for a caller with more to check; None where there is none.
+        The document as far as it could be read, for a caller with more to check; None if nothing could be read.
     """
 
     def __init__(self, faults: Iterable[Fault], tree: Tree | None = None) -> None:
         self.faults = sorted(set(faults))
         self.tree = tree
-        super().__init__("\n".join(str(fault) for fault in self.faults))
+        if len(self.faults) == 1:
+            super().__init__(self.faults[0].message, where=self.faults[0].where)
+        else:
+            super().__init__("\n".join(str(fault) for fault in self.faults))

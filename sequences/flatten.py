@@ -1,7 +1,7 @@
-"""From a sequence to its script: repeats, sets of poses and defaults unfolded into numbered steps.
+"""From a sequence to its script: unfold repeats, sets of poses and defaults into numbered steps.
 
-Knows how a checked sequence unfolds, and nothing of stations: ``bench.plans.plan`` compares steps with a bench.
-The same document always gives the same steps with the same numbers, so a resumed run finds its place.
+The module does not depend on a station; the bench compares the steps with its station. The same document always
+gives the same steps with the same numbers, so that a resumed run finds its place.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from collections.abc import Sequence as List
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sequences.errors import DocumentFaults, Fault
+from sequences.errors import DocumentFaults
 from sequences.reader import Located
 from sequences.schema import (
     AXES,
     Grid,
-    LightWords,
-    MoveWords,
-    PoseWords,
-    RepeatWords,
+    LightConfig,
+    MoveConfig,
+    PoseConfig,
+    RepeatConfig,
     Sequence,
-    StepWords,
-    Words,
+    StepConfig,
+    StrictModel,
 )
 from sequences.script import (
     Flicker,
@@ -39,23 +39,33 @@ from sequences.script import (
     Step,
     WaitStep,
 )
+from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
-from sequences.yaml_text import DocumentPath
 
 MOST_STEPS = 100_000
-"""A longer script is refused: a night of one pose a second has about this many steps."""
+"""Steps that a script may have at most: about a night with one pose a second."""
 MOST_FAULTS = 1000
-"""More are not looked for: the same ones come again in every round of a repeat."""
+"""Faults that are collected at most: each round of a repeat has the same faults again."""
 
 
 def flatten(document: Located[Sequence]) -> tuple[Step, ...]:
     """Unfold a sequence into the steps to run, numbered from 1.
 
+    Parameters
+    ----------
+    document
+        The checked sequence.
+
+    Returns
+    -------
+    tuple of Step
+        The steps in the order in which they run.
+
     Raises
     ------
     DocumentFaults
-        With every fault: a set of poses that is not there, a ``move`` without a pose, a ``record`` before any
-        move, a script too long.
+        With every fault: an unknown set of poses, a ``move`` without a pose, a ``record`` before any move,
+        too many steps.
     """
     steps, faults = unfold(document)
     if faults:
@@ -64,12 +74,17 @@ def flatten(document: Located[Sequence]) -> tuple[Step, ...]:
 
 
 def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
-    """Unfold a sequence as far as it goes, for a caller that has faults of its own to add.
+    """Unfold a sequence as far as possible, for a caller that adds its own faults.
+
+    Parameters
+    ----------
+    document
+        The checked sequence.
 
     Returns
     -------
     steps, faults
-        The steps that make sense, and every fault found on the way, each once.
+        The valid steps, and every fault once.
     """
     unfolding = _Unfolding(document)
     try:
@@ -81,7 +96,17 @@ def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
 
 
 def grid_angles(grid: Grid) -> Iterator[dict[str, float]]:
-    """Angles of a grid's poses in the order they are visited.
+    """Yield the angles of a grid's poses in the order of the visits.
+
+    Parameters
+    ----------
+    grid
+        Angles by axis, and the order.
+
+    Yields
+    ------
+    dict
+        Angle by axis, degrees.
 
     Examples
     --------
@@ -100,19 +125,19 @@ def grid_angles(grid: Grid) -> Iterator[dict[str, float]]:
 
 
 class _TooLong(Exception):
-    """The script, or the list of its faults, passed its bound."""
+    """Too many steps or too many faults."""
 
 
 @dataclass(frozen=True)
 class _Place:
-    """A pose of the document, before it is one of the run."""
+    """A pose of the document that has no number in the run yet."""
 
     name: str | None
     angles_deg: Mapping[str, float]
 
 
 class _Unfolding:
-    """The steps so far, and where the camera stands after them."""
+    """The steps unfolded so far, and the camera's pose after them."""
 
     def __init__(self, document: Located[Sequence]) -> None:
         self.document = document
@@ -120,42 +145,42 @@ class _Unfolding:
         self.axes = axes_named(document.value)
         self.steps: list[Step] = []
         self.faults: list[Fault] = []
-        self._names: dict[str, int] = {}  # every name given, and how often it was wished for
-        self._name = ""  # as wished for at the present pose
+        self._names: dict[str, int] = {}  # every name in use, and how often it was requested
+        self._name = ""  # requested name of the current pose
         self._recordings = 0
-        self._pose: Pose | None = None  # where the camera stands
-        self._move_step: MoveStep  # the step that brought it there
+        self._pose: Pose | None = None  # the current pose
+        self._move_step: MoveStep  # the step that moved to the current pose
 
     def fault(self, path: DocumentPath, message: str) -> None:
         self.faults.append(self.document.fault(path, message))
 
-    def add_all(self, steps: List[StepWords], path: DocumentPath, here: _Place | None) -> None:
+    def add_all(self, steps: List[StepConfig], path: DocumentPath, here: _Place | None) -> None:
         for i, step in enumerate(steps):
             self._add(step, (*path, i), here)
 
-    def _add(self, step: StepWords, path: DocumentPath, here: _Place | None) -> None:
+    def _add(self, step: StepConfig, path: DocumentPath, here: _Place | None) -> None:
         if len(self.steps) >= MOST_STEPS or len(self.faults) >= MOST_FAULTS:
             raise _TooLong
-        said = getattr(step, step.word)
+        given = getattr(step, step.word)
         spot = (*path, step.word)
-        if isinstance(said, RepeatWords):
-            self._repeat(said, spot, here)
-        elif isinstance(said, MoveWords):
-            self._move(said, spot, here)
+        if isinstance(given, RepeatConfig):
+            self._repeat(given, spot, here)
+        elif isinstance(given, MoveConfig):
+            self._move(given, spot, here)
         elif step.word == "record":
-            self._record(said, spot)
+            self._record(given, spot)
         else:
-            self.steps.append(self._plain(step.word, said, self._number(spot)))
+            self.steps.append(self._plain(step.word, given, self._number(spot)))
 
-    def _repeat(self, said: RepeatWords, path: DocumentPath, here: _Place | None) -> None:
-        if said.poses is None:
-            for _ in range(said.times or 0):
-                self.add_all(said.steps, (*path, "steps"), here)
+    def _repeat(self, given: RepeatConfig, path: DocumentPath, here: _Place | None) -> None:
+        if given.poses is None:
+            for _ in range(given.times or 0):
+                self.add_all(given.steps, (*path, "steps"), here)
             return
-        for place in self._places(said.poses, (*path, "poses")):
-            self.add_all(said.steps, (*path, "steps"), place)
+        for place in self._places(given.poses, (*path, "poses")):
+            self.add_all(given.steps, (*path, "steps"), place)
 
-    def _places(self, poses: str | list[PoseWords] | Grid, path: DocumentPath) -> list[_Place]:
+    def _places(self, poses: str | list[PoseConfig] | Grid, path: DocumentPath) -> list[_Place]:
         if isinstance(poses, str):
             named = self.sequence.poses.get(poses)
             if named is None:
@@ -168,29 +193,29 @@ class _Unfolding:
             return [_Place(pose.name, pose.angles_deg()) for pose in poses]
         size = math.prod(len(angles) for angles in poses.angles_deg().values())
         if size > MOST_STEPS:
-            self.fault(path, f"this grid has {size} poses; {MOST_STEPS} are the most.")
+            self.fault(path, f"this grid has {size} poses; at most {MOST_STEPS} are allowed.")
             return []
         return [_Place(None, angles) for angles in grid_angles(poses)]
 
-    def _move(self, said: MoveWords, path: DocumentPath, here: _Place | None) -> None:
-        given = said.angles_deg()
-        place = _Place(said.name, given) if given else here
+    def _move(self, given: MoveConfig, path: DocumentPath, here: _Place | None) -> None:
+        angles = given.angles_deg()
+        place = _Place(given.name, angles) if angles else here
         if place is None:
             self.fault(
                 path,
-                "no pose to move to: give pan_deg, tilt_deg or roll_deg, or put it in a repeat over poses.",
+                "no pose to move to: give pan_deg, tilt_deg or roll_deg, or put the move in a repeat over poses.",
             )
             return
         angles = {axis: place.angles_deg.get(axis, 0.0) for axis in self.axes}
         by_angles = " ".join(f"{axis} {angle:g}" for axis, angle in angles.items())
-        self._name = said.name or place.name or by_angles
+        self._name = given.name or place.name or by_angles
         self._pose = Pose(0, self._unique(self._name), angles)
         self._move_step = MoveStep(**self._number(path), pose=self._pose)
         self.steps.append(self._move_step)
 
-    def _record(self, said: Words, path: DocumentPath) -> None:
+    def _record(self, given: StrictModel, path: DocumentPath) -> None:
         if self._pose is None:
-            self.fault(path, "a recording before any move: say first where the camera looks.")
+            self.fault(path, "a record before any move: add a move before it.")
             return
         self._recordings += 1
         if self._pose.index == 0:  # the first recording here gives the pose its number
@@ -199,43 +224,54 @@ class _Unfolding:
             self.steps[self._move_step.number - 1] = self._move_step
         else:
             self._pose = replace(self._pose, index=self._recordings, name=self._unique(self._name))
-        settings = merged(said, self.sequence.defaults.record)
-        settings["gates"] = Gates.from_words(settings["gates"])
+        settings = merged(given, self.sequence.defaults.record)
+        settings["gates"] = Gates.from_settings(settings["gates"])
         self.steps.append(RecordStep(**self._number(path), pose=self._pose, **settings))
 
-    def _plain(self, word: str, said: Words, place: dict[str, Any]) -> Step:
-        if isinstance(said, LightWords):
-            flicker = merged(said, self.sequence.defaults.light)
+    def _plain(self, word: str, given: StrictModel, place: dict[str, Any]) -> Step:
+        if isinstance(given, LightConfig):
+            flicker = merged(given, self.sequence.defaults.light)
             on = flicker.pop("output", "on") == "on"
             return LightStep(**place, flicker=Flicker(**flicker) if on else None)
         if word == "settle":
-            return SettleStep(**place, **merged(said, self.sequence.defaults.settle))
+            return SettleStep(**place, **merged(given, self.sequence.defaults.settle))
         if word == "solve":
-            settings = merged(said, self.sequence.defaults.solve)
+            settings = merged(given, self.sequence.defaults.solve)
             limits = {name: limit for name, limit in settings.pop("limits").items() if limit is not None}
             return SolveStep(**place, **settings, limits=limits)
         if word == "wait":
-            return WaitStep(**place, **dict(said))
+            return WaitStep(**place, **dict(given))
         if word == "prompt":
-            return PromptStep(**place, **dict(said))
+            return PromptStep(**place, **dict(given))
         return ReportStep(**place)
 
     def _number(self, path: DocumentPath) -> dict[str, Any]:
         return {"number": len(self.steps) + 1, "where": self.document.where(path), "path": path}
 
     def _unique(self, name: str) -> str:
-        """Make a name no other pose has: by a number in brackets, if need be."""
-        free, wishes = name, self._names.get(name, 0)
+        """Return a name that no other pose has; add a number in parentheses if necessary."""
+        free, requests = name, self._names.get(name, 0)
         while free in self._names:
-            wishes += 1
-            free = f"{name} ({wishes})"
-        self._names[name] = max(wishes, 1)
+            requests += 1
+            free = f"{name} ({requests})"
+        self._names[name] = max(requests, 1)
         self._names.setdefault(free, 1)
         return free
 
 
 def axes_named(sequence: Sequence) -> tuple[str, ...]:
-    """Axes that any pose of the sequence names, in the order pan, tilt, roll."""
+    """Return the axes that any pose of the sequence names.
+
+    Parameters
+    ----------
+    sequence
+        The checked sequence.
+
+    Returns
+    -------
+    tuple of str
+        The axes in the order pan, tilt, roll.
+    """
     named: set[str] = set()
     for poses in sequence.poses.values():
         named.update(_axes_of_set(poses))
@@ -251,23 +287,36 @@ def axes_named(sequence: Sequence) -> tuple[str, ...]:
     return tuple(axis for axis in AXES if axis in named)
 
 
-def merged(said: Words, default: Words) -> dict[str, Any]:
-    """Put together the settings of a step: what it says itself, above what the defaults say."""
+def merged(given: StrictModel, default: StrictModel) -> dict[str, Any]:
+    """Return the settings of a step: its own settings, and the defaults for all others.
+
+    Parameters
+    ----------
+    given
+        The step as written.
+    default
+        The sequence's defaults for this kind of step.
+
+    Returns
+    -------
+    dict
+        Setting by name; nested mappings are merged too.
+    """
     settings = {name: getattr(default, name) for name in type(default).model_fields}
-    settings |= {name: getattr(said, name) for name in said.model_fields_set}
+    settings |= {name: getattr(given, name) for name in given.model_fields_set}
     for name, value in settings.items():
-        if isinstance(value, Words):
+        if isinstance(value, StrictModel):
             settings[name] = merged(value, getattr(default, name))
     return settings
 
 
-def _axes_of_set(poses: list[PoseWords] | Grid) -> set[str]:
+def _axes_of_set(poses: list[PoseConfig] | Grid) -> set[str]:
     if isinstance(poses, Grid):
         return set(poses.angles_deg())
     return {axis for pose in poses for axis in pose.angles_deg()}
 
 
-def _every_step(steps: List[StepWords]) -> Iterator[StepWords]:
+def _every_step(steps: List[StepConfig]) -> Iterator[StepConfig]:
     for step in steps:
         yield step
         if step.repeat is not None:

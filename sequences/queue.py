@@ -1,7 +1,7 @@
-"""What a queue file may say: the jobs of a night, in which order, when, how often, and what follows a failure.
+"""The queue file as a pydantic model: the jobs of a night, their order, start times, repeats and failures.
 
-Knows the shape of two documents as pydantic models, a queue and a single job to add to one; touches no other file
-and no device.
+A second model describes a file with one job, which can be added to a running batch. The module opens no file and no
+device.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from sequences.schema import Name, Words
+from sequences.schema import Name, StrictModel
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
 SettingPath = Annotated[str, Field(max_length=200, pattern=r"^(sequence|station)(\.[A-Za-z0-9_]+)+$")]
@@ -22,7 +22,8 @@ File = Annotated[str, Field(min_length=1, max_length=500)]
 TimeOfDay = Annotated[
     str,
     Field(
-        pattern=r"^([01][0-9]|2[0-3]):[0-5][0-9]$", description="Local time, as 22:30: its next occurrence."
+        pattern=r"^([01][0-9]|2[0-3]):[0-5][0-9]$",
+        description="Local time such as 22:30; the next occurrence counts.",
     ),
 ]
 
@@ -32,22 +33,24 @@ def _known_zone(name: str) -> str:
         zoneinfo.ZoneInfo(name)
     except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):
         raise PydanticCustomError(
-            "no_such_zone", "no such time zone here; they are called as Europe/Berlin or UTC."
+            "no_such_zone", "unknown time zone; write it like Europe/Berlin or UTC."
         ) from None
     return name
 
 
-Zone = Annotated[str, AfterValidator(_known_zone), Field(max_length=80, description="As Europe/Berlin.")]
+Zone = Annotated[
+    str, AfterValidator(_known_zone), Field(max_length=80, description="For example Europe/Berlin.")
+]
 
 
-class JobWords(Words):
+class JobConfig(StrictModel):
     """One sequence on one station, once or repeated."""
 
     name: Key
     sequence: File
     station: File
     settings: dict[SettingPath, Value] = Field(
-        default_factory=dict, description="What is set otherwise than the files say, as YAML by path."
+        default_factory=dict, description="Values that replace those of the files, as YAML by path."
     )
     operator: Name | None = None
     seed: Annotated[int, Field(ge=0, le=2**62)] | None = None
@@ -59,17 +62,23 @@ class JobWords(Words):
     on_failure: Literal["continue", "stop"] = "continue"
 
 
-class JobFile(JobWords):
-    """A file with one job, to be added to a batch under way."""
+class JobFile(JobConfig):
+    """A file with one job, to add to a running batch."""
 
     format: Literal["starbench/job/1"]
 
-    def words(self) -> JobWords:
-        """Give the job as a queue has it."""
-        return JobWords(**self.model_dump(exclude={"format"}))
+    def job(self) -> JobConfig:
+        """Return the job in the form of a queue's jobs.
+
+        Returns
+        -------
+        JobConfig
+            The same settings, without ``format``.
+        """
+        return JobConfig(**self.model_dump(exclude={"format"}))
 
 
-class Queue(Words):
+class Queue(StrictModel):
     """A queue file."""
 
     format: Literal["starbench/queue/1"]
@@ -78,19 +87,17 @@ class Queue(Words):
     start_at: TimeOfDay | None = None
     stop_by: TimeOfDay | None = None
     stop_after_h: Annotated[float, Field(gt=0, le=1000)] | None = None
-    jobs: Annotated[list[JobWords], Field(min_length=1, max_length=200)]
+    jobs: Annotated[list[JobConfig], Field(min_length=1, max_length=200)]
 
     @property
     def tzinfo(self) -> zoneinfo.ZoneInfo | None:
-        """Whose clocks its times of day are read on; None for those of this machine."""
+        """Time zone of the queue's times of day; None means this computer's local time."""
         return zoneinfo.ZoneInfo(self.zone) if self.zone else None
 
     @model_validator(mode="after")
     def _names_differ(self) -> Queue:
         names = [job.name for job in self.jobs]
-        known = Counter(
-            name.lower() for name in names
-        )  # not every disk tells A from a in the name of a folder
+        known = Counter(name.lower() for name in names)  # some file systems ignore case in folder names
         doubled = sorted({name for name in names if known[name.lower()] > 1})
         if doubled:
             raise PydanticCustomError(

@@ -1,6 +1,6 @@
 """From a file to a checked document: strict text, then a pydantic model, every fault at its line and column.
 
-Knows how a file is opened and checked. Knows no particular model: sequences and stations both come here.
+The module opens and checks a file. The caller names the model, so sequences, stations and queues share this reader.
 """
 
 from __future__ import annotations
@@ -13,26 +13,29 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from sequences.errors import DocumentFaults, Fault
+from sequences.errors import DocumentFaults
 from sequences.settings import with_settings
+from sequences.tree import DocumentPath, Fault, Spot, Tree, path_text
 from sequences.wording import did_you_mean, faults_of
-from sequences.yaml_text import MOST_BYTES, DocumentPath, Spot, Tree, parse, path_text
+from sequences.yaml_text import MOST_BYTES, parse
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
 @dataclass(frozen=True)
 class Located(Generic[Model]):
-    """A checked document that remembers where everything stood.
+    """A checked document, with the place of each value in its file.
 
     Attributes
     ----------
     value
         The document as its model.
     text
-        The file's bytes, as they were.
+        The document's bytes, unchanged.
     file
-        The file, as it was named.
+        The file's name, as the caller gave it.
+    tree
+        The document as text, with places.
     """
 
     value: Model
@@ -41,16 +44,51 @@ class Located(Generic[Model]):
     tree: Tree
 
     def position(self, path: DocumentPath) -> Spot:
-        """Where the value at a path begins; for what is not written there, the nearest thing around it."""
+        """Return where the value at a path begins.
+
+        Parameters
+        ----------
+        path
+            The value's path; the document need not contain it.
+
+        Returns
+        -------
+        Spot
+            The place of the value, or of the nearest value around it if the document does not contain the path.
+        """
         return self.tree.spot(path)
 
     def where(self, path: DocumentPath) -> str:
-        """Say where a path is, as ``file:line:column``."""
+        """Return where the value at a path begins, as text.
+
+        Parameters
+        ----------
+        path
+            As `position` takes it.
+
+        Returns
+        -------
+        str
+            ``file:line:column``.
+        """
         spot = self.position(path)
         return f"{self.file}:{spot.line}:{spot.column}"
 
     def fault(self, path: DocumentPath, message: str) -> Fault:
-        """Make a fault of the value at a path."""
+        """Return a fault of the value at a path.
+
+        Parameters
+        ----------
+        path
+            As `position` takes it.
+        message
+            What is wrong and what to write instead.
+
+        Returns
+        -------
+        Fault
+            The fault at the place of the value.
+        """
         spot = self.position(path)
         return Fault(self.file, spot.line, spot.column, path_text(path), message)
 
@@ -65,24 +103,43 @@ def read_document(
     path
         The file.
     model
-        The pydantic model it must fit.
+        The pydantic model that checks the document.
     settings
-        What is set otherwise than the file says (`sequences.settings`); the text given back has it in it.
+        Values that replace the file's own (`sequences.settings`); the returned text contains them.
+
+    Returns
+    -------
+    Located
+        The checked document.
 
     Raises
     ------
     DocumentFaults
-        With every fault found: a file that cannot be opened, text that is not plain YAML, values that do
-        not fit.
+        With every fault found: a file that cannot be opened, text that is not plain YAML, values that the model
+        refuses.
     """
     data = with_settings(_bytes_of(Path(path)), str(path), settings or {})
     return check_document(data, f"{path} with settings" if settings else str(path), model)
 
 
 def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]:
-    """Check a YAML document's bytes; as ``read_document``, for text that is in no file of that name.
+    """Check a YAML document's bytes: `read_document` for text that need not be in a file.
 
     The model's validators find the whole mapping, as text, under ``document`` in their context.
+
+    Parameters
+    ----------
+    data
+        The document; UTF-8.
+    file
+        The name that faults carry.
+    model
+        The pydantic model that checks the document.
+
+    Returns
+    -------
+    Located
+        The checked document.
 
     Raises
     ------
@@ -104,12 +161,25 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
 
 
 def find_document(name_or_path: str, shipped: Path) -> Path:
-    """Find a file: the one at a path, or by its bare name (no folder, no ending) the one shipped in a folder.
+    """Find a file by its path, or a shipped file by its bare name.
+
+    Parameters
+    ----------
+    name_or_path
+        A path, or a name without folder and ending.
+    shipped
+        The folder of the shipped ``*.yaml`` files.
+
+    Returns
+    -------
+    Path
+        The shipped file if a bare name was given and no file of that name exists; else the path itself, which need not
+        exist.
 
     Raises
     ------
     DocumentFaults
-        When neither is there; names those that are shipped.
+        If a bare name is neither a file nor shipped; the message lists the shipped names.
     """
     path = Path(name_or_path)
     if path.name != name_or_path or path.suffix or path.exists():
@@ -118,16 +188,20 @@ def find_document(name_or_path: str, shipped: Path) -> Path:
     if name_or_path not in known:
         hint = did_you_mean(name_or_path, known)
         raise DocumentFaults(
-            [Fault(name_or_path, 0, 0, "", f"there is no such file, and none is shipped by this name.{hint}")]
+            [
+                Fault(
+                    name_or_path, 0, 0, "", f"there is no such file, and no shipped file has this name.{hint}"
+                )
+            ]
         )
     return known[name_or_path]
 
 
 def _of_this_format(tree: Tree, model: type[BaseModel]) -> dict[str, Any]:
-    """Give the document if it says it is of this kind: else one fault, not one at every line."""
+    """Return the document if its format is the wanted one; else raise one fault instead of one for each line."""
     if not isinstance(tree.value, dict):
         found = "empty" if tree.value is None else "something else"
-        message = f"the document must be a mapping (key: value), and is {found}."
+        message = f"the document must be a mapping (key: value), but it is {found}."
         raise DocumentFaults([*tree.faults, Fault(tree.file, *tree.spot(()), "", message)])
     wanted = (
         typing.get_args(model.model_fields["format"].annotation)[0]
@@ -136,16 +210,16 @@ def _of_this_format(tree: Tree, model: type[BaseModel]) -> dict[str, Any]:
     )
     said = tree.value.get("format", wanted)
     if said != wanted:
-        message = f"this is not a document of the kind wanted here: {wanted!r} (got {said!r})."
+        message = f"wrong kind of document: {wanted!r} is needed here (got {said!r})."
         raise DocumentFaults([*tree.faults, Fault(tree.file, *tree.spot(("format",)), "format", message)])
     return tree.value
 
 
 def _bytes_of(path: Path) -> bytes:
-    """Read the file: one byte more at most than a document may have."""
+    """Read the file, at most one byte more than a document may have."""
     try:
         if path.exists() and not path.is_file():
-            message = "this is not a file" + (" but a folder." if path.is_dir() else ".")
+            message = "this is a folder, not a file." if path.is_dir() else "this is not a regular file."
             raise DocumentFaults([Fault(str(path), 0, 0, "", message)])
         with path.open("rb") as stream:
             return stream.read(MOST_BYTES + 1)

@@ -1,7 +1,7 @@
-"""What a sequence file may say: the script language's words, units, defaults and bounds.
+"""The sequence file as pydantic models: keys, units, defaults and bounds of the script language.
 
-Knows the shape of one document as pydantic models; ``sequences.reader`` brings the text here and places the
-faults, ``sequences.script`` flattens a checked document into steps. Touches no file and no device.
+`sequences.reader` reads the text and places the faults; `sequences.flatten` unfolds a checked document into steps. The
+module opens no file and no device. The fields of each model are explained in ``docs/sequences.md``.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ Limit = Annotated[float, Field(gt=0)] | None
 NotNegative = Annotated[float, Field(ge=0)]
 
 
-class Words(BaseModel):
-    """A mapping of a document: its own keys and no others, finite numbers only, never changed once read."""
+class StrictModel(BaseModel):
+    """A mapping of a document: no unknown keys, finite numbers only, immutable."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
     bare_words: ClassVar[tuple[str, ...]] = ()
-    """Single words that may stand for the whole mapping."""
+    """Single words that may be written in place of the whole mapping."""
 
     @classmethod
     def __get_pydantic_json_schema__(
         cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        """Let the exported schema allow the bare words too."""
+        """Allow the bare words in the exported schema too."""
         reference = handler(core_schema)
         if cls.bare_words:
             schema = handler.resolve_ref_schema(reference)
@@ -63,21 +63,19 @@ class Words(BaseModel):
         return reference
 
 
-class FlickerWords(Words):
-    """A flicker. Its level is a share of what the station's light may do, so a sequence fits every bench."""
+class FlickerConfig(StrictModel):
+    """A flicker. Its level is relative to the station's brightest level, so that a sequence suits every bench."""
 
     waveform: Waveform = "square"
     frequency_hz: Annotated[float, Field(gt=0, le=100_000)] = 60.0
-    duty_percent: Annotated[float, Field(gt=0, lt=100, description="Share of a period that is bright.")] = (
-        50.0
-    )
-    level_percent: Annotated[float, Field(gt=0, le=100, description="Of the station's brightest level.")] = (
-        100.0
-    )
+    duty_percent: Annotated[float, Field(gt=0, lt=100, description="Bright part of a period.")] = 50.0
+    level_percent: Annotated[
+        float, Field(gt=0, le=100, description="Percent of the station's brightest level.")
+    ] = 100.0
 
 
-class LightWords(FlickerWords):
-    """Switch the light to a flicker; or ``light: off``."""
+class LightConfig(FlickerConfig):
+    """Switch the light to a flicker, or off (``light: off``)."""
 
     bare_words = ("on", "off")
 
@@ -89,10 +87,10 @@ class LightWords(FlickerWords):
         return {"output": value} if isinstance(value, str) else value
 
 
-class MoveWords(Words):
-    """A pose to move to; without angles: the pose of the surrounding ``repeat``.
+class MoveConfig(StrictModel):
+    """A pose to move to; without angles, the pose of the surrounding ``repeat``.
 
-    An axis the pose does not name stands at 0 degrees.
+    An axis that the pose does not name goes to 0 degrees.
     """
 
     name: Name | None = None
@@ -101,22 +99,28 @@ class MoveWords(Words):
     roll_deg: Angle | None = None
 
     def angles_deg(self) -> dict[str, float]:
-        """Angles given, by axis."""
+        """Return the angles that are given.
+
+        Returns
+        -------
+        dict
+            Angle by axis, degrees.
+        """
         given = {axis: getattr(self, f"{axis}_deg") for axis in AXES}
         return {axis: angle for axis, angle in given.items() if angle is not None}
 
 
-class PoseWords(MoveWords):
-    """A pose of a list: at least one angle."""
+class PoseConfig(MoveConfig):
+    """A pose in a list; it has at least one angle."""
 
     @model_validator(mode="after")
-    def _has_an_angle(self) -> PoseWords:
+    def _has_an_angle(self) -> PoseConfig:
         if not self.angles_deg():
             raise PydanticCustomError("no_angle", "a pose needs pan_deg, tilt_deg or roll_deg.")
         return self
 
 
-class Span(Words):
+class Span(StrictModel):
     """Evenly spaced angles, both ends included."""
 
     first: Angle
@@ -124,7 +128,12 @@ class Span(Words):
     count: Annotated[int, Field(ge=1, le=10_000)]
 
     def angles_deg(self) -> list[float]:
-        """List the angles.
+        """Return the angles of the span.
+
+        Returns
+        -------
+        list of float
+            ``count`` angles, degrees; a single angle is the middle.
 
         Examples
         --------
@@ -147,10 +156,10 @@ Angles = Annotated[
 ]
 
 
-class Grid(Words):
-    """Every combination of the angles of its axes; the axis named first in pan, tilt, roll moves fastest.
+class Grid(StrictModel):
+    """Every combination of the axes' angles. The fastest axis is the first one given of pan, tilt, roll.
 
-    ``serpentine`` turns back and forth along the fast axis, ``rows`` begins each row at the same end.
+    ``serpentine`` goes back and forth along the fast axis; ``rows`` starts each row at the same end.
     """
 
     pan_deg: Angles | None = None
@@ -165,7 +174,13 @@ class Grid(Words):
         return self
 
     def angles_deg(self) -> dict[str, list[float]]:
-        """Angles by axis, of the axes named."""
+        """Return the angles of the axes that are given.
+
+        Returns
+        -------
+        dict
+            List of angles by axis, degrees.
+        """
         given = {axis: getattr(self, f"{axis}_deg") for axis in AXES}
         return {
             axis: angles.angles_deg() if isinstance(angles, Span) else list(angles)
@@ -180,7 +195,7 @@ def _pose_set_kind(value: Any) -> str:
     return "grid" if isinstance(value, Mapping | Grid) else "list"
 
 
-PoseList = Annotated[list[PoseWords], Field(min_length=1, max_length=10_000)]
+PoseList = Annotated[list[PoseConfig], Field(min_length=1, max_length=10_000)]
 PoseSet = Annotated[
     Annotated[PoseList, Tag("list")] | Annotated[Grid, Tag("grid")], Discriminator(_pose_set_kind)
 ]
@@ -190,37 +205,39 @@ PoseSetOrName = Annotated[
 ]
 
 
-class SettleWords(Words):
-    """Stand still, so that vibrations die away before a recording."""
+class SettleConfig(StrictModel):
+    """Keep the stage still, so that vibrations decay before a recording."""
 
     duration_s: Annotated[float, Field(ge=0, le=3600)] = 0.5
 
 
-class GateWords(Words):
-    """What a recording must show to be accepted."""
+class GateConfig(StrictModel):
+    """Conditions that a recording must meet to be accepted."""
 
     min_stars: Annotated[int, Field(ge=0, le=100_000)] = 40
     max_event_rate_mev_s: Annotated[float, Field(gt=0, le=10_000)] = 200.0
-    require_triggers: Annotated[bool, Field(description="One sync edge a flicker period, none missing.")] = (
+    require_triggers: Annotated[bool, Field(description="Every flicker period must have its sync edge.")] = (
         True
     )
     max_motion_px: Annotated[
-        NotNegative, Field(description="From the first half of the window to the second.")
+        NotNegative, Field(description="Image motion between the two halves of the window.")
     ] = 0.05
     max_triggers_missed: NotNegative = 1
     max_trigger_jitter_us: NotNegative | None = None
     max_flicker_off_percent: Annotated[
         NotNegative | None,
-        Field(description="From what the light was set to; 0.1 by triggers, 0.5 by events."),
+        Field(description="Measured frequency against the set one; default 0.1 by triggers, 0.5 by events."),
     ] = None
     max_flicker_disagreement_percent: Annotated[
-        NotNegative, Field(description="Between the flicker by triggers and by events.")
+        NotNegative, Field(description="Frequency by triggers against frequency by events.")
     ] = 0.5
     max_rate_controller_loss_percent: NotNegative = 1.0
-    max_silent_rows: Annotated[NotNegative, Field(description="Rows without events amid lit ones.")] = 3
+    max_silent_rows: Annotated[
+        NotNegative, Field(description="Rows without events between rows with events.")
+    ] = 3
     max_hot_pixels: NotNegative | None = None
     min_flicker_duty: Annotated[
-        NotNegative | None, Field(description="Share of a period for which the sync signal is high, 0 to 1.")
+        NotNegative | None, Field(description="Part of a period in which the sync signal is high, 0 to 1.")
     ] = None
     max_flicker_duty: NotNegative | None = None
     min_lit_pixels: Annotated[
@@ -233,8 +250,8 @@ class GateWords(Words):
     max_first_on_spread_us: NotNegative | None = None
 
 
-class RecordWords(Words):
-    """Record the flicker at the present pose and find the stars in it."""
+class RecordConfig(StrictModel):
+    """Record the flicker at the current pose and find the stars in it."""
 
     window_ms: Annotated[float, Field(gt=0, le=60_000, description="Rounded to whole flicker periods.")] = (
         33.0
@@ -243,31 +260,31 @@ class RecordWords(Words):
     attempts: Annotated[int, Field(ge=1, le=20)] = 2
     backoff_s: Annotated[
         float,
-        Field(ge=0, le=600, description="Before the second attempt; twice as long before each further one."),
+        Field(ge=0, le=600, description="Pause before the second attempt; doubles before each further one."),
     ] = 0.0
-    on_failure: Annotated[OnFailure, Field(description="Once the attempts are used up.")] = "fail"
+    on_failure: Annotated[OnFailure, Field(description="What to do when no attempt is left.")] = "fail"
     hold_s: Annotated[float, Field(gt=0, le=7 * 86_400, description="How long hold waits for an answer.")] = (
         3600.0
     )
-    gates: GateWords = GateWords()
+    gates: GateConfig = GateConfig()
 
 
-class WaitWords(Words):
-    """Let time pass: warm-up, drift between two rounds."""
+class WaitConfig(StrictModel):
+    """Wait, for example for a warm-up or between two rounds."""
 
     duration_s: Annotated[float, Field(gt=0, le=7 * 86_400)]
 
 
-class PromptWords(Words):
-    """Ask the operator; unattended, the default answer counts after the time-out."""
+class PromptConfig(StrictModel):
+    """Ask the operator; after the time-out the default answer counts."""
 
     text: Annotated[str, Field(min_length=1, max_length=500)]
     default: Answer = "continue"
     timeout_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 600.0
 
 
-class LimitWords(Words):
-    """The most a result may show. Within a tenth of its limit it is marginal, above it the result fails."""
+class LimitConfig(StrictModel):
+    """Upper limits of the result. Above a limit the result fails; within a tenth below it, it is marginal."""
 
     rms_px: Limit = None
     mean_px: Limit = None
@@ -285,56 +302,56 @@ class LimitWords(Words):
     sigma_r_mm: Limit = None
 
 
-class SolveWords(Words):
+class SolveConfig(StrictModel):
     """Calibrate from the poses recorded so far."""
 
     model: CalibrationModel = "spherical"
     distortion: tuple[DistortionTerm, ...] = ("k1", "k2")
     loss: Loss = "huber"
     huber_px: Annotated[float, Field(gt=0, le=100)] | None = None
-    limits: LimitWords = LimitWords()
+    limits: LimitConfig = LimitConfig()
 
     @field_validator("distortion")
     @classmethod
     def _each_once(cls, terms: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(terms)) != len(terms):
-            raise PydanticCustomError("term_twice", "a distortion term stands twice.")
+            raise PydanticCustomError("term_twice", "a distortion term is given twice.")
         return terms
 
 
-class ReportWords(Words):
+class ReportConfig(StrictModel):
     """Write the report and seal the run."""
 
 
-class RepeatWords(Words):
-    """Steps done again and again: once a pose (``poses``), or so many times (``times``)."""
+class RepeatConfig(StrictModel):
+    """Repeat steps: once for each pose (``poses``), or a number of times (``times``)."""
 
     poses: PoseSetOrName | None = None
     times: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    steps: Annotated[list[StepWords], Field(min_length=1)]
+    steps: Annotated[list[StepConfig], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _poses_or_times(self) -> RepeatWords:
+    def _poses_or_times(self) -> RepeatConfig:
         if (self.poses is None) == (self.times is None):
             raise PydanticCustomError("poses_or_times", "a repeat needs either poses or times.")
         return self
 
 
-class StepWords(Words):
-    """One step: a mapping with its one word as key, or the bare word where the defaults will do."""
+class StepConfig(StrictModel):
+    """One step: a mapping with the step's word as its only key, or the bare word to use the defaults."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
     bare_words = ("light", "move", "settle", "record", "solve", "report")
 
-    light: LightWords | None = None
-    move: MoveWords | None = None
-    settle: SettleWords | None = None
-    record: RecordWords | None = None
-    wait: WaitWords | None = None
-    prompt: PromptWords | None = None
-    solve: SolveWords | None = None
-    report: ReportWords | None = None
-    repeat: RepeatWords | None = None
+    light: LightConfig | None = None
+    move: MoveConfig | None = None
+    settle: SettleConfig | None = None
+    record: RecordConfig | None = None
+    wait: WaitConfig | None = None
+    prompt: PromptConfig | None = None
+    solve: SolveConfig | None = None
+    report: ReportConfig | None = None
+    repeat: RepeatConfig | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -343,33 +360,33 @@ class StepWords(Words):
             return {value: {}}
         if isinstance(value, Mapping):
             if len(value) != 1:
-                message = "a step is one of {words}; here are {count}: give each its own dash."
+                message = "a step has one key, of {words}; this one has {count}: give each step its own dash."
                 words = ", ".join(cls.model_fields)
                 raise PydanticCustomError("one_word", message, {"words": words, "count": len(value)})
-            return {word: {} if said is None else said for word, said in value.items()}
+            return {word: {} if given is None else given for word, given in value.items()}
         return value
 
     @property
     def word(self) -> str:
-        """Which step it is."""
+        """The step's word, for example ``record``."""
         return next(iter(self.model_fields_set))
 
 
-class DefaultWords(Words):
-    """What steps mean where they say nothing themselves."""
+class DefaultConfig(StrictModel):
+    """Settings of steps that do not give their own."""
 
-    light: FlickerWords = FlickerWords()
-    settle: SettleWords = SettleWords()
-    record: RecordWords = RecordWords()
-    solve: SolveWords = SolveWords()
+    light: FlickerConfig = FlickerConfig()
+    settle: SettleConfig = SettleConfig()
+    record: RecordConfig = RecordConfig()
+    solve: SolveConfig = SolveConfig()
 
 
-class Sequence(Words):
+class Sequence(StrictModel):
     """A sequence file."""
 
     format: Literal["starbench/sequence/1"]
     name: Name
     description: Annotated[str, Field(max_length=2000)] = ""
-    defaults: DefaultWords = DefaultWords()
+    defaults: DefaultConfig = DefaultConfig()
     poses: dict[Name, PoseSet] = {}
-    steps: Annotated[list[StepWords], Field(min_length=1)]
+    steps: Annotated[list[StepConfig], Field(min_length=1)]

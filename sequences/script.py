@@ -1,6 +1,6 @@
-"""The script as it is run: numbered steps, one after another, with nothing left to look up.
+"""The script as the bench runs it: numbered steps in order, each with all its settings.
 
-Knows what a step holds. ``sequences.flatten`` makes steps from a sequence; the bench runs them.
+`sequences.flatten` makes the steps from a sequence; the bench runs them.
 """
 
 from __future__ import annotations
@@ -13,18 +13,30 @@ from sequences.schema import (
     Answer,
     CalibrationModel,
     DistortionTerm,
-    GateWords,
+    GateConfig,
     ImageKind,
     Loss,
     OnFailure,
     Waveform,
 )
-from sequences.yaml_text import DocumentPath
+from sequences.tree import DocumentPath
 
 
 @dataclass(frozen=True)
 class Flicker:
-    """What a light is to do; its level is a share of what the station's light may do."""
+    """A waveform for the light.
+
+    Attributes
+    ----------
+    waveform
+        Shape of the light's level over time.
+    frequency_hz
+        Periods in a second.
+    duty_percent
+        Part of a period in which the light is bright.
+    level_percent
+        Bright level, in percent of the brightest level that the station allows.
+    """
 
     waveform: Waveform
     frequency_hz: float
@@ -39,11 +51,11 @@ class Pose:
     Attributes
     ----------
     index
-        From 1 over the recordings of the run; 0 for a pose at which nothing is recorded.
+        Number of the pose's recording, from 1 over the run; 0 if nothing is recorded at the pose.
     name
-        For people; no two poses of a run share it.
+        Unique among the poses of a run.
     angles_deg
-        Angle by axis, for every axis the sequence names anywhere.
+        Angle by axis, for every axis that the sequence names anywhere.
     """
 
     index: int
@@ -52,35 +64,56 @@ class Pose:
 
     @property
     def key(self) -> str:
-        """For files: ``pose-001``."""
+        """Name for files: ``pose-001``."""
         return f"pose-{self.index:03d}"
 
 
 @dataclass(frozen=True)
 class Gates:
-    """What a recording must show to be accepted.
+    """Conditions that a recording must meet to be accepted.
 
-    ``limits`` hold the least (``min_...``) and the most (``max_...``) of numbers that a recording tells of itself, by
-    their names.
+    Attributes
+    ----------
+    min_stars
+        Stars that must be found, at least.
+    max_event_rate_mev_s
+        Highest event rate allowed, million events per second.
+    require_triggers
+        Whether every flicker period must have its sync edge.
+    limits
+        Lower (``min_...``) and upper (``max_...``) limits of the recording's other numbers, by name.
     """
 
     min_stars: int
     max_event_rate_mev_s: float
     require_triggers: bool
-    limits: Mapping[str, float] = field(default_factory=lambda: Gates.from_words(dict(GateWords())).limits)
+    limits: Mapping[str, float] = field(
+        default_factory=lambda: Gates.from_settings(dict(GateConfig())).limits
+    )
 
     @classmethod
-    def from_words(cls, words: Mapping[str, Any]) -> Gates:
-        """Take a sequence's words, ``GateWords`` as a mapping."""
-        limits = {name: limit for name, limit in words.items() if limit is not None}
+    def from_settings(cls, settings: Mapping[str, Any]) -> Gates:
+        """Make gates from a sequence's settings.
+
+        Parameters
+        ----------
+        settings
+            The fields of a `GateConfig` by name.
+
+        Returns
+        -------
+        Gates
+            The gates; settings that are None set no limit.
+        """
+        limits = {name: limit for name, limit in settings.items() if limit is not None}
         stars, rate = limits.pop("min_stars"), limits.pop("max_event_rate_mev_s")
         return cls(stars, rate, limits.pop("require_triggers"), limits)
 
 
 # Every step has the same first three fields:
 #   number  from 1 over the run
-#   where   ``file:line:column`` of its word in the sequence
-#   path    the same place inside the document
+#   where   ``file:line:column`` of the step in the sequence
+#   path    the same place, as keys and indices of the document
 
 
 @dataclass(frozen=True)
@@ -95,7 +128,7 @@ class LightStep:
 
 @dataclass(frozen=True)
 class MoveStep:
-    """Turn the camera into a pose."""
+    """Turn the camera to a pose."""
 
     number: int
     where: str
@@ -105,7 +138,7 @@ class MoveStep:
 
 @dataclass(frozen=True)
 class SettleStep:
-    """Stand still that long."""
+    """Keep the stage still for ``duration_s`` before a recording."""
 
     number: int
     where: str
@@ -115,10 +148,10 @@ class SettleStep:
 
 @dataclass(frozen=True)
 class RecordStep:
-    """Record at a pose, until a recording passes its gates or the attempts are used up.
+    """Record at a pose until a recording passes the gates or no attempt is left.
 
-    The ``backoff_s`` before the second attempt doubles with every further one; ``hold_s`` bounds how long
-    ``on_failure: hold`` waits for an answer.
+    ``backoff_s`` is the pause before the second attempt; it doubles before each further attempt. ``hold_s`` limits how
+    long ``on_failure: hold`` waits for an answer.
     """
 
     number: int
@@ -146,7 +179,7 @@ class WaitStep:
 
 @dataclass(frozen=True)
 class PromptStep:
-    """Ask the operator; the default answer counts after the time-out."""
+    """Ask the operator; after ``timeout_s`` the default answer counts."""
 
     number: int
     where: str
@@ -160,7 +193,7 @@ class PromptStep:
 class SolveStep:
     """Calibrate from the poses recorded so far.
 
-    ``huber_px`` None leaves the choice to the engine; ``limits`` are the most each named result may show.
+    With ``huber_px`` None the engine chooses the threshold. ``limits`` are the upper limits of the named results.
     """
 
     number: int

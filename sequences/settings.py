@@ -1,7 +1,7 @@
-"""A document with some of its values replaced: what a job, or the command line, sets otherwise than the file says.
+"""Replace values in a YAML document: settings of a job or of the command line take the place of the file's values.
 
-Knows YAML text and paths such as ``defaults.record.window_ms``; not what a document means. Whether the result makes
-sense is found out as for any document, when it is checked.
+Paths such as ``defaults.record.window_ms`` say which values. The module does not check what the document means; the
+reader checks the result like any document.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from typing import Any
 
 import yaml
 
-from sequences.errors import DocumentFaults, Fault
+from sequences.errors import DocumentFaults
+from sequences.tree import Fault
 from sequences.yaml_text import parse
 
 
 class _Plain(yaml.SafeDumper):
-    """Writes what the reader gives: texts, and nothing at all for no value."""
+    """Writes the values of a `Tree`: text, and an empty value for None."""
 
 
 _Plain.add_representer(type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", ""))
@@ -28,22 +29,22 @@ def with_settings(data: bytes, file: str, settings: Mapping[str, str]) -> bytes:
     Parameters
     ----------
     data
-        The document, as ``reader.check_document`` takes it.
+        The document, as `reader.check_document` takes it.
     file
-        Its name, for faults.
+        The name that faults carry.
     settings
-        YAML texts by path; the keys of a path are separated by dots, elements of a list are counted from 0. Mappings
-        that are missing on the way are made.
+        YAML texts by path. Dots separate the keys of a path; list elements count from 0. Missing mappings on the way
+        are created.
 
     Returns
     -------
     bytes
-        A document of its own; comments do not survive. The same as ``data`` where nothing is set.
+        The new document, without the comments of the old one; ``data`` itself if there are no settings.
 
     Raises
     ------
     DocumentFaults
-        When the document, or a value, is not plain YAML, or a path leads through something that has no such part.
+        If the document or a value is not plain YAML, or if a path leads through a value that has no such part.
 
     Examples
     --------
@@ -84,12 +85,12 @@ def _put(tree: Any, path: str, value: Any, file: str) -> None:
         else:
             _mapping(here)[last] = value
     except (TypeError, ValueError, IndexError):
-        fault = Fault(file, 0, 0, path, "there is no such place to set.")
+        fault = Fault(file, 0, 0, path, "the document has no such place to set: check the path.")
         raise DocumentFaults([fault]) from None
 
 
 def _part(here: Any, key: str) -> Any:
-    """Go into a list or a mapping; a mapping that is not there is made."""
+    """Return the part of a list or mapping at a key; create a missing mapping."""
     if isinstance(here, list):
         return here[int(key)]
     if _mapping(here).get(key) is None:

@@ -1,6 +1,6 @@
-"""A model's complaints in plain words, each with its place in the file and what to write instead.
+"""From pydantic's validation errors to faults: plain words, the place in the file, and what to write instead.
 
-Knows pydantic's errors: their kinds, and how their locations follow a document through unions and tags.
+The module interprets the kinds of pydantic's errors, and their locations inside unions that a tag tells apart.
 """
 
 from __future__ import annotations
@@ -13,20 +13,22 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from sequences.errors import Fault
-from sequences.yaml_text import DocumentPath, Tree, path_text
+from sequences.tree import DocumentPath, Fault, Tree, path_text
 
 LONGEST_QUOTE = 60
-MOST_COMPARED, MOST_TOLD = 50, 30
-"""Known words that a wrong one is held against, and that are listed: a file may name thousands of its own."""
+"""Characters of a wrong value that a message quotes at most."""
+MOST_COMPARED = 50
+"""Known words that an unknown word is compared with at most; a file may define thousands of names."""
+MOST_LISTED = 30
+"""Known words that a message lists at most."""
 
-PLAIN = {
-    "missing": "required, and missing.",
+MESSAGES = {
+    "missing": "this key is required, but it is missing.",
     "float_parsing": "must be a number",
     "float_type": "must be a number",
     "finite_number": "must be a finite number",
     "int_parsing": "must be a whole number",
-    "int_parsing_size": "must be a whole number of sensible size",
+    "int_parsing_size": "must be a smaller whole number",
     "int_from_float": "must be a whole number",
     "int_type": "must be a whole number",
     "bool_parsing": "must be true or false",
@@ -43,20 +45,47 @@ PLAIN = {
     "less_than": "must be less than {lt:g}",
     "less_than_equal": "must be {le:g} or less",
     "string_too_short": "must not be empty",
-    "string_too_long": "must have {max_length} characters or fewer",
-    "too_short": "must have at least {min_length} in it",
-    "too_long": "must have {max_length} entries or fewer",
+    "string_too_long": "must have {max_length} or fewer characters",
+    "too_short": "must have {min_length} or more entries",
+    "too_long": "must have {max_length} or fewer entries",
 }
-"""Our words for pydantic's kinds of error; a kind not named here keeps pydantic's own."""
+"""Message for each of pydantic's kinds of error; other kinds keep pydantic's own message."""
 
 
 def faults_of(error: ValidationError, tree: Tree, model: type[BaseModel]) -> list[Fault]:
-    """All complaints of a model about a document, in words and at their places."""
-    return [_fault(complaint, tree, model) for complaint in error.errors(include_url=False)]
+    """Return the faults that a model found in a document.
+
+    Parameters
+    ----------
+    error
+        What the model's validation raised.
+    tree
+        The document that was validated, with its places.
+    model
+        The model that refused the document.
+
+    Returns
+    -------
+    list of Fault
+        One fault for each of pydantic's errors, in pydantic's order.
+    """
+    return [_fault(issue, tree, model) for issue in error.errors(include_url=False)]
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Hint at the nearest known word, or at all of them.
+    """Return a hint for an unknown word: the most similar known word, or a list of the known words.
+
+    Parameters
+    ----------
+    word
+        The word as written.
+    known
+        The words that are allowed.
+
+    Returns
+    -------
+    str
+        A sentence that begins with a space; empty if no words are known.
 
     Examples
     --------
@@ -69,45 +98,45 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(word, names[:MOST_COMPARED], n=1)
     if near:
         return f" Did you mean {near[0]!r}?"
-    more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
-    return f" Known here: {', '.join(names[:MOST_TOLD])}{more}." if names else ""
+    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    return f" Known here: {', '.join(names[:MOST_LISTED])}{more}." if names else ""
 
 
-def _fault(complaint: Any, tree: Tree, model: type[BaseModel]) -> Fault:
-    kind, context = complaint["type"], complaint.get("ctx", {})
-    path = _document_path(complaint["loc"], tree, is_missing=kind == "missing")
+def _fault(issue: Any, tree: Tree, model: type[BaseModel]) -> Fault:
+    kind, context = issue["type"], issue.get("ctx", {})
+    path = _document_path(issue["loc"], tree, is_missing=kind == "missing")
     spot = tree.spot(path)
-    got = _quoted(complaint["input"])
+    got = _quoted(issue["input"])
     if kind == "extra_forbidden":
         spot = tree.keys.get(path, spot)
-        message = f"unknown key.{did_you_mean(str(path[-1]), _keys_known(model, complaint['loc'][:-1]))}"
+        message = f"unknown key.{did_you_mean(str(path[-1]), _keys_known(model, issue['loc'][:-1]))}"
     elif kind == "literal_error":
-        message = f"must be {context['expected']}{got}.{_nearest(complaint['input'], context['expected'])}"
+        message = f"must be {context['expected']}{got}.{_nearest(issue['input'], context['expected'])}"
     elif kind in {"union_tag_invalid", "union_tag_not_found"}:
         name = context["discriminator"].strip("'")
         path = (*path, name)
         spot = tree.spot(path)
-        known = _tags(model, complaint["loc"], name)
+        known = _tags(model, issue["loc"], name)
         message = f"must be one of {', '.join(map(repr, known))}" + (
-            f" (got {context['tag']!r})." if "tag" in context else ", and is missing."
+            f" (got {context['tag']!r})." if "tag" in context else ", but it is missing."
         )
     elif kind == "missing":
-        message = PLAIN[kind]
-    elif kind in PLAIN:
-        message = f"{PLAIN[kind].format(**context)}{got}."
+        message = MESSAGES[kind]
+    elif kind in MESSAGES:
+        message = f"{MESSAGES[kind].format(**context)}{got}."
     else:
-        message = complaint["msg"]
+        message = issue["msg"]
     return Fault(tree.file, *spot, path_text(path), message)
 
 
 def _document_path(loc: tuple[int | str, ...], tree: Tree, *, is_missing: bool) -> DocumentPath:
-    """Turn a complaint's location into the document's path, without the names of unions' branches."""
+    """Convert pydantic's location into the document's path: leave out the names of a union's branches."""
     path: DocumentPath = ()
     value = tree.value
     for part in loc[:-1] if is_missing else loc:
         if (*path, part) in tree.values:
             path, value = (*path, part), value[part]
-        elif part == value:  # a bare word that stands for a mapping
+        elif part == value:  # a bare word in place of a mapping
             path = (*path, part)
     return (*path, loc[-1]) if is_missing else path
 
@@ -128,19 +157,19 @@ def _nearest(value: Any, expected: str) -> str:
 
 
 def _keys_known(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Keys that a mapping at a location of the model may have."""
+    """Return the keys that a mapping at a location of the model may have."""
     found = _types_at(model, loc)
     return [key for kind in found if _is_model(kind) for key in kind.model_fields]
 
 
 def _tags(model: type[BaseModel], loc: tuple[int | str, ...], discriminator: str) -> list[str]:
-    """Values of a union's discriminator."""
+    """Return the values that the discriminator of a union may have."""
     fields = [kind.model_fields[discriminator] for kind in _types_at(model, loc) if _is_model(kind)]
     return [tag for each in fields for tag in typing.get_args(each.annotation)]
 
 
 def _types_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[Any]:
-    """Types a value at a location may have; a part of it that names a union's branch leaves that branch."""
+    """Return the types that a value at a location may have; a part that names a union's branch selects that branch."""
     found: list[Any] = [model]
     for part in loc:
         inner = [each for kind in found for each in _inner(kind, part)]
@@ -150,7 +179,7 @@ def _types_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[Any]:
 
 
 def _inner(kind: Any, part: int | str) -> list[Any]:
-    """Types of what a type holds at a key or index."""
+    """Return the types that a type holds at a key or index."""
     if _is_model(kind):
         field = kind.model_fields.get(part)
         return _alternatives(field.annotation) if field else []
@@ -176,5 +205,5 @@ def _is_model(kind: Any) -> bool:
 
 
 def _is_branch(kind: Any, part: int | str) -> bool:
-    """Whether a tag (a driver's name, say) belongs to this model."""
+    """Whether a tag, for example a driver's name, belongs to this model."""
     return any(part in typing.get_args(field.annotation) for field in kind.model_fields.values())

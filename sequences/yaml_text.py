@@ -1,87 +1,35 @@
-"""Strict YAML text: mappings, lists and plain text, every one with its place, and nothing clever.
+"""Strict YAML reader: from bytes to mappings, lists and plain text, each with its place.
 
-Knows the part of YAML our documents may use. All scalars stay text (``serial: 00051234`` is no number, ``no``
-is not false); only an empty value, ``~`` and ``null`` mean "nothing". Duplicate keys, anchors, aliases, tags,
-directives, several documents and bottomless or bloated ones are refused. Knows no schema and opens no file.
+The documents use a part of YAML only. All scalars stay text (``serial: 00051234`` is not a number, ``no`` is not
+false); only an empty value, ``~`` and ``null`` mean None. The reader refuses duplicate keys, anchors, aliases, tags,
+directives, several documents in a file, and documents that are too large or too deeply nested. It checks no schema and
+opens no file.
 """
 
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import yaml
 
-from sequences.errors import Fault
+from sequences.tree import DocumentPath, Fault, Spot, Tree
 
 MOST_BYTES = 1_000_000
+"""Bytes that a document may have at most."""
 MOST_NODES = 20_000
+"""Values and keys that a document may have at most."""
 MOST_DEPTH = 40
-
-DocumentPath = tuple[str | int, ...]
-"""Keys and list indices from the top of a document."""
-
-
-class Spot(NamedTuple):
-    """A place in a file, from 1; columns count characters."""
-
-    line: int
-    column: int
-
-
-@dataclass
-class Tree:
-    """A document's values as text, with their places.
-
-    Attributes
-    ----------
-    value
-        Nested dicts, lists, str and None.
-    values, keys
-        Where each value, and each key of a mapping, begins.
-    complete
-        False where reading broke off, so that what is missing may just not have been reached.
-    faults
-        What was refused; the value then holds the rest.
-    """
-
-    file: str
-    value: Any = None
-    complete: bool = False
-    values: dict[DocumentPath, Spot] = field(default_factory=dict)
-    keys: dict[DocumentPath, Spot] = field(default_factory=dict)
-    faults: list[Fault] = field(default_factory=list)
-
-    def spot(self, path: DocumentPath) -> Spot:
-        """Where the value at a path begins; for what is not written, the nearest thing around it."""
-        while path and path not in self.values:
-            path = path[:-1]
-        return self.values.get(path, Spot(1, 1))
-
-    def add_fault(self, spot: Spot, path: DocumentPath, message: str) -> None:
-        """Note what is wrong at a place."""
-        self.faults.append(Fault(self.file, spot.line, spot.column, path_text(path), message))
+"""Levels of nesting that a document may have at most."""
 
 
 class _Refused(Exception):
-    """Reading on makes no sense; the fault is noted."""
-
-
-def path_text(path: DocumentPath) -> str:
-    """Write a path as people do.
-
-    Examples
-    --------
-    >>> path_text(("steps", 2, "record", "window_ms"))
-    'steps[2].record.window_ms'
-    """
-    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
-    return "".join(parts).removeprefix(".")
+    """Reading must stop; the fault is already recorded."""
 
 
 def parse(data: bytes, file: str) -> Tree:
-    """Read a document's bytes. Never raises: what is wrong stands in ``faults``.
+    """Read a document's bytes. Never raises: the faults are in the returned tree.
 
     Parameters
     ----------
@@ -89,6 +37,11 @@ def parse(data: bytes, file: str) -> Tree:
         The file's content; UTF-8.
     file
         Its name, for the messages.
+
+    Returns
+    -------
+    Tree
+        The values that could be read, their places, and every fault.
     """
     tree = Tree(file)
     with contextlib.suppress(_Refused):
@@ -101,7 +54,7 @@ def _decoded(data: bytes, tree: Tree) -> str:
     """Decode the text, if it is small enough and all of it is printable UTF-8."""
     if len(data) > MOST_BYTES:
         tree.faults.append(
-            Fault(tree.file, 0, 0, "", f"larger than {MOST_BYTES} bytes: no file of this kind is.")
+            Fault(tree.file, 0, 0, "", f"larger than {MOST_BYTES} bytes: a file may not be larger.")
         )
         raise _Refused
     try:
@@ -113,7 +66,7 @@ def _decoded(data: bytes, tree: Tree) -> str:
         raise _Refused from None
     strange = yaml.reader.Reader.NON_PRINTABLE.search(text)
     if strange:
-        message = f"a character that is not text (U+{ord(strange.group()):04X})."
+        message = f"a character that is not allowed in text (U+{ord(strange.group()):04X}): remove it."
         tree.add_fault(_end_of(text[: strange.start()]), (), message)
         raise _Refused
     return text
@@ -125,34 +78,34 @@ def _end_of(text: str) -> Spot:
 
 @dataclass
 class _Open:
-    """A collection whose end has not come yet."""
+    """A mapping or list that the reader has not reached the end of."""
 
     value: dict[str, Any] | list[Any]
     path: DocumentPath
-    kept: bool = True  # a value under a refused key is read, and dropped
+    kept: bool = True  # a value under a refused key is read and discarded
     key: str | None = None
     has_key: bool = False
 
 
 class _Walk:
-    """The parser's events taken one by one: no recursion, bounds before memory."""
+    """Takes the parser's events one by one, without recursion, and checks each bound before it needs memory."""
 
     def __init__(self, text: str, tree: Tree) -> None:
         self.tree = tree
-        self.loader: Any = yaml.SafeLoader(text)  # the pure one: libyaml's dies of deep nesting
+        self.loader: Any = yaml.SafeLoader(text)  # pure Python: libyaml crashes on deep nesting
         self.nodes = 0
         self.open: list[_Open] = []
 
     def document(self) -> None:
-        """Read to the end of the first document, and see that no second follows."""
+        """Read to the end of the first document; refuse a second one."""
         documents = 0
         while not isinstance(event := self._next_event(), yaml.StreamEndEvent):
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if event.version or event.tags:
-                    self._fault(event, (), "a directive (%) has no place here.")
+                    self._fault(event, (), "a directive (%) is not allowed: remove it.")
                 if documents > 1:
-                    self._fault(event, (), "a second document; one file holds one.")
+                    self._fault(event, (), "a second document is not allowed: a file holds one document.")
                     raise _Refused
             elif isinstance(event, yaml.NodeEvent):
                 self._node(event)
@@ -167,39 +120,39 @@ class _Walk:
             hint = " Indent with spaces, not tabs." if "'\\t'" in str(error.problem) else ""
             context = f" {error.context}" if error.context else ""
             self._fault_at(mark, (), f"not valid YAML{context}: {error.problem}.{hint}")
-        except (ValueError, OverflowError):  # an escape or a version number that is no number
+        except (ValueError, OverflowError):  # an invalid escape, or a version number that is not a number
             self._fault_at(
-                self.loader.get_mark(), (), "not valid YAML: an escape that stands for no character."
+                self.loader.get_mark(), (), "not valid YAML: invalid escape sequence or version number."
             )
         raise _Refused
 
     def _node(self, event: Any) -> None:
         self.nodes += 1
         if self.nodes > MOST_NODES:
-            self._fault(event, (), f"more than {MOST_NODES} values: no file of this kind has so many.")
+            self._fault(event, (), f"more than {MOST_NODES} values: a file may not have more.")
             raise _Refused
-        self._refuse_the_clever(event)
+        self._refuse_references_and_tags(event)
         parent = self.open[-1] if self.open else None
         if parent is not None and isinstance(parent.value, dict) and not parent.has_key:
             self._key(event, parent)
         else:
             self._value(event, parent)
 
-    def _refuse_the_clever(self, event: Any) -> None:
+    def _refuse_references_and_tags(self, event: Any) -> None:
         where = self.open[-1].path if self.open else ()
         if isinstance(event, yaml.AliasEvent):
-            self._fault(event, where, f"an alias (*{event.anchor}) is not allowed: write the value out.")
+            self._fault(event, where, f"an alias (*{event.anchor}) is not allowed: write the value in full.")
         elif event.anchor is not None:
             self._fault(
                 event,
                 where,
-                f"an anchor (&{event.anchor}) is not allowed: write values out.",
+                f"an anchor (&{event.anchor}) is not allowed: write each value in full.",
             )
         if getattr(event, "tag", None) is not None:
-            self._fault(event, where, f"a tag ({event.tag}) is not allowed: values stand as text.")
+            self._fault(event, where, f"a tag ({event.tag}) is not allowed: write the value without a tag.")
 
     def _key(self, event: Any, parent: _Open) -> None:
-        parent.has_key, parent.key = True, None  # no key: its value is dropped
+        parent.has_key, parent.key = True, None  # None: the value is discarded
         if not isinstance(event, yaml.ScalarEvent):
             if not isinstance(event, yaml.AliasEvent):
                 self._fault(event, parent.path, "a key must be plain text.")
@@ -212,7 +165,7 @@ class _Walk:
         path = (*parent.path, text)
         if path in self.tree.keys and parent.kept:
             first = self.tree.keys[path]
-            self._fault(event, path, f"duplicate key; it stands in line {first.line} already.")
+            self._fault(event, path, f"duplicate key; the first one is in line {first.line}.")
         elif parent.kept:
             self.tree.keys[path] = _spot(event.start_mark)
             parent.key = text
@@ -237,7 +190,7 @@ class _Walk:
             parent.has_key = False
 
     def _enter(self, event: Any, path: DocumentPath, *, kept: bool) -> Any:
-        """Give the event's value; a collection is opened, to be filled by the events that follow."""
+        """Return the event's value; a mapping or list is opened, and the following events fill it."""
         if isinstance(event, yaml.ScalarEvent):
             return self._text(event, path)
         if not isinstance(event, yaml.CollectionStartEvent):
@@ -254,7 +207,7 @@ class _Walk:
         if event.style is None and text in {"", "~", "null"}:
             return None
         if any((ord(char) < 32 and char not in "\n\t") or 0xD800 <= ord(char) < 0xE000 for char in text):
-            self._fault(event, path, "a control character has no place here.")
+            self._fault(event, path, "a control character is not allowed: remove it.")
             return ""
         return text
 

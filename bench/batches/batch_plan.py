@@ -16,7 +16,7 @@ from bench.batches.schedule import Bounds, Item, Slot, bounds_of, items_of, look
 from bench.errors import ScriptError
 from bench.plans.plan import Plan, load, plan
 from sequences.errors import DocumentFaults
-from sequences.queue import JobFile, JobWords, Queue
+from sequences.queue import JobConfig, JobFile, Queue
 from sequences.reader import Located, read_document
 
 _HEAD_BYTES = 4096
@@ -55,7 +55,7 @@ def read_queue(path: Path) -> Located[Queue]:
     return queue
 
 
-def read_job(path: Path) -> JobWords:
+def read_job(path: Path) -> JobConfig:
     """Read a file of one job, and everything it names; its files are named in full afterwards, shipped ones aside.
 
     Raises
@@ -64,7 +64,7 @@ def read_job(path: Path) -> JobWords:
         With every fault.
     """
     try:
-        job = _in_full(read_document(path, JobFile).value.words(), path.parent)
+        job = _in_full(read_document(path, JobFile).value.job(), path.parent)
     except DocumentFaults as error:
         raise ScriptError([str(fault) for fault in error.faults]) from error
     if faults := job_faults(job):
@@ -72,7 +72,7 @@ def read_job(path: Path) -> JobWords:
     return job
 
 
-def _in_full(job: JobWords, base: Path) -> JobWords:
+def _in_full(job: JobConfig, base: Path) -> JobConfig:
     """Name the files of a job so that they are found from anywhere: beside the file that names them, or from here."""
     names = {}
     for key in ("sequence", "station"):
@@ -83,7 +83,7 @@ def _in_full(job: JobWords, base: Path) -> JobWords:
     return job.model_copy(update=names)
 
 
-def job_faults(job: JobWords) -> list[str]:
+def job_faults(job: JobConfig) -> list[str]:
     """Say what is wrong with the files a job names; empty when nothing is."""
     try:
         return [str(fault) for fault in plan(*load(job.sequence, job.station, job.settings)).faults]
@@ -91,12 +91,12 @@ def job_faults(job: JobWords) -> list[str]:
         return error.faults
 
 
-def plan_of(job: JobWords) -> Plan:
+def plan_of(job: JobConfig) -> Plan:
     """Plan one run of a job, once a process. Raises ScriptError where a file cannot be read."""
     return _plan_of(*_key(job))
 
 
-def _key(job: JobWords) -> tuple[str, str, tuple[tuple[str, str], ...]]:
+def _key(job: JobConfig) -> tuple[str, str, tuple[tuple[str, str], ...]]:
     """Give what the plan of a job depends on."""
     return job.sequence, job.station, tuple(job.settings.items())
 
@@ -106,7 +106,7 @@ def _plan_of(sequence: str, station: str, settings: tuple[tuple[str, str], ...])
     return plan(*load(sequence, station, dict(settings)))
 
 
-def planned_s(job: JobWords) -> float:
+def planned_s(job: JobConfig) -> float:
     """Expected duration of one run of a job, its process included, s; nothing where its files cannot be read."""
     try:
         return plan_of(job).duration_s + WORKER_S

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from bench.batches.schedule import Bounds, Item, bounds_of, items_of
 from bench.errors import JournalBroken
 from bench.records.journal import Entry
-from sequences.queue import JobWords, Queue
+from sequences.queue import JobConfig, Queue
 
 
 class BatchEvent(StrEnum):
@@ -199,7 +199,7 @@ class BatchRecord:
             return
         assert self.begun is not None
         if data["word"] == "add":
-            job = JobWords.model_validate(data["job"])
+            job = JobConfig.model_validate(data["job"])
             now_s = max(self.seconds(now), self.bounds.opens_s)
             self._add(items_of([job], self.begun, now_s, self.queue.zone))
         else:
@@ -214,7 +214,7 @@ class BatchRecord:
         return self.begun + timedelta(seconds=at_s)
 
 
-def _meant(job: JobWords, files: Mapping[str, str]) -> JobWords:
+def _meant(job: JobConfig, files: Mapping[str, str]) -> JobConfig:
     """Name a job's files as the batch was begun with."""
     names = {key: files.get(getattr(job, key), getattr(job, key)) for key in ("sequence", "station")}
     return job.model_copy(update=names)

@@ -27,7 +27,7 @@ from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import is_temporary, make_folder, remove, storing, write_whole
-from sequences.queue import JobWords, Key
+from sequences.queue import JobConfig, Key
 
 REQUESTS = "requests"
 POLL_S = 0.2
@@ -58,7 +58,7 @@ class Request(BaseModel):
     id: str = Field(default_factory=lambda: uuid.uuid4().hex, min_length=1, max_length=64)
     word: Word
     by: str = Field(min_length=1, max_length=200)
-    job: JobWords | None = None
+    job: JobConfig | None = None
     name: Key | None = None
 
     @model_validator(mode="after")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, time, timedelta
 from zoneinfo import ZoneInfo
 
-from sequences.queue import JobWords, Queue
+from sequences.queue import JobConfig, Queue
 
 NEVER_S = math.inf
 
@@ -34,7 +34,7 @@ class Item:
     """
 
     key: str
-    job: JobWords
+    job: JobConfig
     number: int
     from_s: float = 0.0
 
@@ -129,7 +129,7 @@ def bounds_of(queue: Queue, begun: datetime) -> Bounds:
 
 
 def items_of(
-    jobs: Sequence[JobWords], begun: datetime, now_s: float = 0.0, zone: str | None = None
+    jobs: Sequence[JobConfig], begun: datetime, now_s: float = 0.0, zone: str | None = None
 ) -> list[Item]:
     """List every run of some jobs.
 
@@ -200,7 +200,7 @@ def look_ahead(undone: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Las
 
     Examples
     --------
-    >>> job = JobWords(name="a", sequence="s", station="t", times=3, every_min=60)
+    >>> job = JobConfig(name="a", sequence="s", station="t", times=3, every_min=60)
     >>> items = items_of([job], datetime(2026, 3, 1, 20, tzinfo=UTC))
     >>> [(s.item.key, s.begin_s) for s in look_ahead(items, 0, Bounds(done_by_s=7000), lambda _: 600)]
     [('a-001', 0), ('a-002', 3600.0), ('a-003', None)]

@@ -19,7 +19,7 @@ from bench.stations.placeholders import unfilled
 from bench.stations.station import Station, load_station
 from bench.stations.station_cameras import FrameCameraWords
 from bench.stations.station_stages import AxisWords
-from sequences.errors import DocumentFaults, Fault
+from sequences.errors import DocumentFaults
 from sequences.flatten import unfold
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Sequence
@@ -35,6 +35,7 @@ from sequences.script import (
     Step,
     WaitStep,
 )
+from sequences.tree import Fault
 
 SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
 DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep)

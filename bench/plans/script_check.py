@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraWords
-from sequences.errors import Fault
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
 from sequences.script import (
@@ -26,7 +25,7 @@ from sequences.script import (
     Step,
     WaitStep,
 )
-from sequences.yaml_text import DocumentPath, Tree
+from sequences.tree import DocumentPath, Fault, Tree
 
 FEWEST_POSES = 2
 """Directions without which no model's focal length is determined."""

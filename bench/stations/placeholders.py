@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from sequences.errors import Fault
-from sequences.yaml_text import DocumentPath, Tree, path_text
+from sequences.tree import DocumentPath, Fault, Tree, path_text
 
 ASK = "ASK-THE-LABEL"
 NO_PORT = "/dev/serial/by-id/CHOOSE-A-PORT"

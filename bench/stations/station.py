@@ -25,12 +25,12 @@ from bench.stations.station_words import SIMULATED, Positive, Serial, Text
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from sequences.reader import Located, find_document, read_document
-from sequences.schema import Name, Words
+from sequences.schema import Name, StrictModel
 
 SHIPPED = Path(__file__).parent
 
 
-class Target(Words):
+class Target(StrictModel):
     """The printed star pattern."""
 
     squares: tuple[int, int] = (50, 72)
@@ -63,7 +63,7 @@ class Target(Words):
         )
 
 
-class Collimator(Words):
+class Collimator(StrictModel):
     """What is known of the collimator beforehand; for the report, no estimator reads it."""
 
     serial: Serial | None = None
@@ -71,7 +71,7 @@ class Collimator(Words):
     certificate: Text | None = None
 
 
-class Expected(Words):
+class Expected(StrictModel):
     """What is expected of the bench, roughly: for plans and studies alone; no estimator reads it."""
 
     focal_px: Positive
@@ -83,7 +83,7 @@ class Expected(Words):
     star_sigma_px: Annotated[Positive, Field(description="Uncertainty of a star, per axis.")] = 0.02
 
 
-class Disk(Words):
+class Disk(StrictModel):
     """What must be free on the disk before a run, besides what the run itself needs."""
 
     min_free_gb: Annotated[float, Field(ge=0, le=1_000_000)] = 1.0
@@ -107,7 +107,7 @@ def _plain_values(section: Any) -> Any:
     return int(section) if section.lstrip("+-").isdigit() else number
 
 
-class Station(Words):
+class Station(StrictModel):
     """A station file."""
 
     format: Literal["starbench/station/1"]

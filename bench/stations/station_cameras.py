@@ -12,13 +12,13 @@ from pydantic import Field
 
 from bench.stations.station_words import Port, Serial, Text
 from drivers.camera.frames import FrameSettings
-from sequences.schema import Words
+from sequences.schema import StrictModel
 
 NotNegative = Annotated[int, Field(ge=0, le=8191)]
 Pixels = Annotated[int, Field(gt=0, le=8192)]
 
 
-class Biases(Words):
+class Biases(StrictModel):
     """Offsets from the factory values, within what an IMX636 takes; those not named stay at 0."""
 
     bias_diff_on: Annotated[int, Field(ge=-150, le=200)] = 0
@@ -28,7 +28,7 @@ class Biases(Words):
     bias_refr: Annotated[int, Field(ge=-50, le=255)] = 0
 
 
-class CameraWords(Words):
+class CameraWords(StrictModel):
     """What every camera has."""
 
     serial: Serial
@@ -78,7 +78,7 @@ class RecordedCamera(CameraWords):
     path: Path
 
 
-class FrameCameraWords(Words):
+class FrameCameraWords(StrictModel):
     """What every frame camera has; its light burns steadily."""
 
     serial: Annotated[

@@ -11,12 +11,12 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_words import Positive, Text
-from sequences.schema import Words
+from sequences.schema import StrictModel
 
 Hold = Annotated[float, Field(gt=0, le=86_400, description="Longest hold in a run, all its holds together.")]
 
 
-class _Bounded(Words):
+class _Bounded(StrictModel):
     max_hold_s: Hold = 1800.0
 
 
@@ -80,7 +80,7 @@ class DeviceLostWords(_Bounded):
     retry_s: Annotated[float, Field(ge=0.1, le=600)] = 5.0
 
 
-class InterlockWords(Words):
+class InterlockWords(StrictModel):
     """Interlocks of a station; none unless named."""
 
     door: DoorWords | None = None

@@ -13,13 +13,13 @@ from pydantic_core import PydanticCustomError
 from bench.stations.station_words import Port, Positive, Serial, Text
 from drivers.light import LightSettings
 from drivers.light.scpi_dialects import DialectName, Load
-from sequences.schema import Words
+from sequences.schema import StrictModel
 from sequences.script import Flicker
 
 Volts = Annotated[float, Field(ge=-20, le=20)]
 
 
-class ScpiLight(Words):
+class ScpiLight(StrictModel):
     """A function generator that drives the lamp; its sync output goes to the camera's trigger input."""
 
     driver: Literal["scpi"]
@@ -60,7 +60,7 @@ class ScpiLight(Words):
         )
 
 
-class GardasoftLight(Words):
+class GardasoftLight(StrictModel):
     """A Gardasoft RT strobe controller; one of its channels is the lamp, another the sync to the camera."""
 
     driver: Literal["gardasoft"]

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_words import Text
-from sequences.schema import Words
+from sequences.schema import StrictModel
 
 Occasion = Literal["failure", "hold", "end"]
 Address = Annotated[str, Field(max_length=254, pattern=r"^[^\s@<>\"]+@[^\s@<>\"]+$")]
@@ -20,7 +20,7 @@ Variable = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z_][A-Za-z0-9_]
 Url = Annotated[str, Field(max_length=2000, pattern=r"^https?://[^\s]+$")]
 
 
-class Mail(Words):
+class Mail(StrictModel):
     """Mail by SMTP."""
 
     host: Text
@@ -40,7 +40,7 @@ class Mail(Words):
         return self
 
 
-class Webhook(Words):
+class Webhook(StrictModel):
     """A JSON object posted to an address: ``id occasion subject text run folder utc``."""
 
     url: Url | None = None
@@ -53,13 +53,13 @@ class Webhook(Words):
         return self
 
 
-class Service(Words):
+class Service(StrictModel):
     """Any service that the library apprise knows (chat, telephone, ...), by its address, which is a secret."""
 
     url_env: Variable
 
 
-class Messages(Words):
+class Messages(StrictModel):
     """Who hears what of a run."""
 
     occasions: tuple[Occasion, ...] = ("failure", "hold", "end")

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from bench.stations.station_words import Port, Serial
 from drivers.stage import AxisLimits
-from sequences.schema import Angle, Axis, Words
+from sequences.schema import Angle, Axis, StrictModel
 
 
 def _not_zero(scale: float) -> float:
@@ -25,7 +25,7 @@ def _not_zero(scale: float) -> float:
 Scale = Annotated[float, AfterValidator(_not_zero)]
 
 
-class AxisWords(Words):
+class AxisWords(StrictModel):
     """What every rotary axis has. Its scale is stated in each family's own counts, never guessed from a name."""
 
     zero_deg: Annotated[Angle, Field(description="Angle at which the controller's counter is 0.")] = 0.0
@@ -81,7 +81,7 @@ class ZaberAxis(AxisWords):
     encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
 
 
-class ZaberAsciiStage(Words):
+class ZaberAsciiStage(StrictModel):
     """One to three rotary axes that speak Zaber's ASCII protocol on one line."""
 
     driver: Literal["zaber_ascii"]
@@ -105,7 +105,7 @@ class XimcAxis(AxisWords):
     encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
 
 
-class XimcStage(Words):
+class XimcStage(StrictModel):
     """One to three rotary axes on Standa controllers that speak XIMC, each on its own port."""
 
     driver: Literal["ximc"]
@@ -126,7 +126,7 @@ class GrblAxis(AxisWords):
     steps_per_deg: Annotated[float, Field(gt=0, description="As the board's $100 ... must say.")]
 
 
-class GrblStage(Words):
+class GrblStage(StrictModel):
     """One to three rotary axes on a board that runs GRBL 1.1."""
 
     driver: Literal["grbl"]
@@ -160,7 +160,7 @@ class EspAxis(AxisWords):
         return int(value) if isinstance(value, str) and value in {"-1", "+1", *"123456"} else value
 
 
-class EspStage(Words):
+class EspStage(StrictModel):
     """One to three rotary axes on a Newport ESP300, ESP301 or ESP302."""
 
     driver: Literal["esp30x"]

@@ -12,7 +12,7 @@ from bench.run.gates import recording_gates, refusals
 from bench.run.measure import measure
 from drivers.camera import RecordingFacts
 from drivers.camera.raw_file import RawFile
-from sequences.schema import GateWords
+from sequences.schema import GateConfig
 from sequences.script import Gates
 from simulators.optics.picture import TARGET, pose_rotation, render
 from simulators.pixels.evt3_writer import Evt3Writer
@@ -75,7 +75,7 @@ def judge(path, recording, said=LIMITS):
         scan.rate_controller_in, scan.rate_controller_out,
     )  # fmt: skip
     found = measure(path, name="p", target=TARGET, image="auto", periods=2, expected_hz=60.0)
-    gates = Gates.from_words(dict(GateWords(**said)))
+    gates = Gates.from_words(dict(GateConfig(**said)))
     return found, refusals(facts, gates, recording_gates(facts, gates, 60.0, found.facts, found.stars))
 
 

@@ -7,7 +7,7 @@ from bench.batches.supervisor import WorkerEnd
 from bench.records.history import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
-from sequences.queue import JobWords, Queue
+from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 
 JOB = "  - {{name: {}, sequence: three_pose, station: simulated{}}}\n"
@@ -19,7 +19,7 @@ def queue(*jobs, top=""):
 
 
 def job_words(name, **words):
-    return JobWords(name=name, **{"sequence": "three_pose", "station": "simulated", **words})
+    return JobConfig(name=name, **{"sequence": "three_pose", "station": "simulated", **words})
 
 
 class NightClock:

@@ -16,7 +16,7 @@ from bench.errors import RunFolderError, ScriptError
 from bench.records.history import Event
 from bench.records.journal import Journal, read_journal
 from sequences.errors import DocumentFaults
-from sequences.queue import JobWords, Queue
+from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 
 
@@ -146,7 +146,7 @@ def test_the_queue_in_the_documents_is_one_and_names_every_key():
     shown = check_document(example.encode(), "example", Queue).value
     items = in_order(items_of(shown.jobs, datetime(2026, 3, 1, tzinfo=UTC)))
     assert [item.key for item in items][:2] == ["first-001", "cam7-001"]
-    keys = {*Queue.model_fields, *JobWords.model_fields}
+    keys = {*Queue.model_fields, *JobConfig.model_fields}
     assert sorted(key for key in keys if key not in document) == []
 
 

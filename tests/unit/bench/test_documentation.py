@@ -12,15 +12,15 @@ from bench.stations.station import Station, load_station
 from sequences.flatten import flatten
 from sequences.reader import check_document, read_document
 from sequences.schema import (
-    DefaultWords,
-    FlickerWords,
-    GateWords,
-    LimitWords,
-    RecordWords,
+    DefaultConfig,
+    FlickerConfig,
+    GateConfig,
+    LimitConfig,
+    RecordConfig,
     Sequence,
-    SettleWords,
-    SolveWords,
-    StepWords,
+    SettleConfig,
+    SolveConfig,
+    StepConfig,
 )
 
 ROOT = Path(__file__).parents[3]
@@ -53,12 +53,12 @@ def test_the_sequence_shown_whole_is_the_one_shipped():
 
 def test_every_word_of_the_language_is_in_the_table_of_steps():
     table = DOCS["sequences"].partition("| Step |")[2].partition("\n\n")[0]
-    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == list(StepWords.model_fields)
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == list(StepConfig.model_fields)
 
 
 @pytest.mark.parametrize(
     "words",
-    [FlickerWords, SettleWords, GateWords, RecordWords, SolveWords, LimitWords, DefaultWords],
+    [FlickerConfig, SettleConfig, GateConfig, RecordConfig, SolveConfig, LimitConfig, DefaultConfig],
     ids=lambda words: words.__name__,
 )
 def test_every_setting_is_named_in_the_document(words):

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.batches.schedule import Bounds, Item, bounds_of, choose, items_of, look_ahead, next_time
-from sequences.queue import JobWords, Queue
+from sequences.queue import JobConfig, Queue
 
 EVENING = datetime(2026, 3, 1, 18, 0, tzinfo=UTC)
 
 
 def job(name="a", **words):
-    return JobWords(name=name, sequence="s", station="t", **words)
+    return JobConfig(name=name, sequence="s", station="t", **words)
 
 
 def queue(*jobs, **words):
@@ -144,7 +144,7 @@ def test_the_look_ahead_is_what_a_batch_does_that_takes_as_long_as_expected(
 
 
 def test_a_long_night_is_looked_ahead_over_with_one_question_a_job():
-    jobs = [JobWords(name=name, sequence="s", station="t", times=100, every_min=30) for name in "ab"]
+    jobs = [JobConfig(name=name, sequence="s", station="t", times=100, every_min=30) for name in "ab"]
     asked = []
     slots = look_ahead(
         items_of(jobs, datetime(2026, 3, 1, 20, tzinfo=UTC)),

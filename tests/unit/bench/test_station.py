@@ -49,7 +49,7 @@ def test_every_shipped_station_reads_without_a_fault():
 
 
 def test_an_unknown_station_is_met_with_those_that_are_shipped():
-    with pytest.raises(DocumentFaults, match=r"none is shipped by this name\. Did you mean 'simulated'\?"):
+    with pytest.raises(DocumentFaults, match=r"no shipped file has this name\. Did you mean 'simulated'\?"):
         load_station("simulatd")
     with pytest.raises(DocumentFaults, match=r"nowhere\.yaml: there is no such file"):
         load_station("nowhere.yaml")
@@ -81,7 +81,7 @@ def test_serial_numbers_stay_text_zeros_included():
             "[5, 15]",
             "stage.axes.pan.limits_deg: 0 degrees must be within the limits: there the stage is parked.",
         ),
-        ("[-15, 15]", "[-15]", "stage.axes.pan.limits_deg[1]: required, and missing."),
+        ("[-15, 15]", "[-15]", "stage.axes.pan.limits_deg[1]: this key is required, but it is missing."),
         ("device: 2", "device: 1", "stage.axes: two axes have the same device and axis."),
         (
             "microsteps_per_deg: 6400\n      limits_deg: [-15",
@@ -127,7 +127,7 @@ def test_simulated_ports_are_refused_where_nothing_is_simulated():
 @pytest.mark.parametrize(
     ("stage", "fault"),
     [
-        ("{driver: esp30x, port: a, axes: {}}", "stage.axes: must have at least 1 in it."),
+        ("{driver: esp30x, port: a, axes: {}}", "stage.axes: must have 1 or more entries."),
         ("{driver: esp, port: a}", "stage.driver: must be one of 'zaber_ascii', 'ximc', 'grbl', 'esp30x' (got 'esp')."),
         ("{driver: grbl, port: a, axes: {pan: {letter: Q}}}", "stage.axes.pan.letter: must be 'X', 'Y', 'Z', 'A', 'B' or 'C'"),
         ("{driver: esp30x, port: a, axes: {pan: {direction: 0}}}", "stage.axes.pan.direction: must be 1 or -1 (got '0')."),

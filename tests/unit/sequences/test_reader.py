@@ -11,24 +11,24 @@ from pydantic import Field
 
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document, find_document, read_document
-from sequences.schema import Sequence, Words
+from sequences.schema import Sequence, StrictModel
 from sequences.yaml_text import MOST_BYTES
 
 SHIPPED = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
 
 
-class Lamp(Words):
+class Lamp(StrictModel):
     kind: Literal["lamp"]
     watts: Annotated[float, Field(gt=0)]
 
 
-class Laser(Words):
+class Laser(StrictModel):
     kind: Literal["laser"]
     serial: str
     on: bool = False
 
 
-class Table(Words):
+class Table(StrictModel):
     format: Literal["test/1"]
     light: Annotated[Lamp | Laser, Field(discriminator="kind")]
     legs: dict[str, tuple[int, int]] = Field(default_factory=dict)
@@ -55,11 +55,11 @@ def test_every_fault_is_reported_at_once_in_the_order_of_the_file():
         "format: test/1\nlihgt: 1\nlight: {kind: lamp, wats: 3}\nlegs:\n  a: [1, x]\n  b: [1.5, 2]\n  a: 2\n"
     ) == [
         "t.yaml:2:1: lihgt: unknown key. Did you mean 'light'?",
-        "t.yaml:3:8: light.watts: required, and missing.",
+        "t.yaml:3:8: light.watts: this key is required, but it is missing.",
         "t.yaml:3:21: light.wats: unknown key. Did you mean 'watts'?",
         "t.yaml:5:10: legs.a[1]: must be a whole number (got 'x').",
         "t.yaml:6:7: legs.b[0]: must be a whole number (got '1.5').",
-        "t.yaml:7:3: legs.a: duplicate key; it stands in line 5 already.",
+        "t.yaml:7:3: legs.a: duplicate key; the first one is in line 5.",
     ]
 
 
@@ -68,7 +68,7 @@ def test_an_unknown_kind_is_met_with_the_known_ones():
         "t.yaml:2:15: light.kind: must be one of 'lamp', 'laser' (got 'candle')."
     ]
     assert faults("format: test/1\nlight: {watts: 3}\n") == [
-        "t.yaml:2:8: light.kind: must be one of 'lamp', 'laser', and is missing."
+        "t.yaml:2:8: light.kind: must be one of 'lamp', 'laser', but it is missing."
     ]
 
 
@@ -111,8 +111,8 @@ def test_what_is_no_mapping_is_one_fault(text):
 
 def test_a_document_of_another_kind_is_one_fault_not_one_a_line():
     (said,) = faults("format: starbench/station/1\nname: x\nstage: {}\n", Sequence)
-    assert said.startswith("t.yaml:1:9: format: this is not a document of the kind wanted here")
-    assert said.endswith("'starbench/sequence/1' (got 'starbench/station/1').")
+    assert said.startswith("t.yaml:1:9: format: wrong kind of document")
+    assert said.endswith("'starbench/sequence/1' is needed here (got 'starbench/station/1').")
 
 
 def test_a_document_cut_off_by_a_syntax_error_is_not_blamed_for_what_was_not_reached():
@@ -127,9 +127,9 @@ def test_a_file_that_is_not_there_is_a_folder_or_cannot_be_read_is_one_fault(tmp
         return str(caught.value)
 
     assert fault_of(tmp_path / "no.yaml") == f"{tmp_path}/no.yaml: there is no such file."
-    assert fault_of(tmp_path) == f"{tmp_path}: this is not a file but a folder."
+    assert fault_of(tmp_path) == f"{tmp_path}: this is a folder, not a file."
     os.mkfifo(tmp_path / "pipe")
-    assert fault_of(tmp_path / "pipe") == f"{tmp_path}/pipe: this is not a file."
+    assert fault_of(tmp_path / "pipe") == f"{tmp_path}/pipe: this is not a regular file."
     assert "cannot be read" in fault_of(tmp_path / "a\0b")
     assert "cannot be read" in fault_of(tmp_path / ("x" * 300))
 
@@ -163,7 +163,7 @@ def test_a_bare_name_finds_what_is_shipped_and_a_path_what_it_names(tmp_path, mo
     assert find_document("three", tmp_path / "shipped") == tmp_path / "shipped" / "three.yaml"
     assert find_document("shipped/three", tmp_path / "shipped") == Path("shipped/three")
     assert find_document("three.yaml", tmp_path / "shipped") == Path("three.yaml")
-    with pytest.raises(DocumentFaults, match=r"none is shipped by this name\. Did you mean 'three'\?"):
+    with pytest.raises(DocumentFaults, match=r"no shipped file has this name\. Did you mean 'three'\?"):
         find_document("tree", tmp_path / "shipped")
     (tmp_path / "three").touch()
     assert find_document("three", tmp_path / "shipped") == Path("three")

@@ -16,12 +16,15 @@ def read(text: str) -> Sequence:
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("steps: []", "s.yaml:3:8: steps: must have at least 1 in it."),
+        ("steps: []", "s.yaml:3:8: steps: must have 1 or more entries."),
         ("steps: [lihgt]", "s.yaml:3:9: steps[0].lihgt: unknown key. Did you mean 'light'?"),
-        ("steps: [wait]", "s.yaml:3:9: steps[0].wait.duration_s: required, and missing."),
-        ("steps: [{wait: }]", "s.yaml:3:15: steps[0].wait.duration_s: required, and missing."),
-        ("steps: [{light: off, move: {}}]", "steps[0]: a step is one of light, move, settle,"),
-        ("steps: [{}]", "steps[0]: a step is one of light, move, settle,"),
+        ("steps: [wait]", "s.yaml:3:9: steps[0].wait.duration_s: this key is required, but it is missing."),
+        (
+            "steps: [{wait: }]",
+            "s.yaml:3:15: steps[0].wait.duration_s: this key is required, but it is missing.",
+        ),
+        ("steps: [{light: off, move: {}}]", "steps[0]: a step has one key, of light, move, settle,"),
+        ("steps: [{}]", "steps[0]: a step has one key, of light, move, settle,"),
         ("steps: [[move]]", "s.yaml:3:9: steps[0]: must be a mapping (key: value)."),
         (
             "steps: [{repeat: {steps: [move]}}]",
@@ -33,7 +36,7 @@ def read(text: str) -> Sequence:
         ),
         (
             "steps: [{solve: {distortion: [k1, k1]}}]",
-            "steps[0].solve.distortion: a distortion term stands twice.",
+            "steps[0].solve.distortion: a distortion term is given twice.",
         ),
         ("steps: [{solve: {distortion: k1}}]", "steps[0].solve.distortion: must be a list (got 'k1')."),
         ("steps: [{light: of}]", "steps[0].light: must be 'on' or 'off' (got 'of'). Did you mean 'off'?"),
@@ -48,7 +51,7 @@ def read(text: str) -> Sequence:
             "defaults.light: must be a mapping (key: value) (got 'off').",
         ),
         ("defaults: {move: {pan_deg: 1}}\nsteps: [light]", "defaults.move: unknown key."),
-        ("poses: {a: []}\nsteps: [light]", "poses.a: must have at least 1 in it."),
+        ("poses: {a: []}\nsteps: [light]", "poses.a: must have 1 or more entries."),
         (
             "poses: {a: [{name: x}]}\nsteps: [light]",
             "poses.a[0]: a pose needs pan_deg, tilt_deg or roll_deg.",
@@ -57,7 +60,7 @@ def read(text: str) -> Sequence:
         ("poses: {a: {pan_deg: 3}}\nsteps: [light]", "poses.a.pan_deg: must be a list (got '3')."),
         (
             "poses: {a: {pan_deg: {first: 1, last: 2}}}\nsteps: [light]",
-            "poses.a.pan_deg.count: required, and missing.",
+            "poses.a.pan_deg.count: this key is required, but it is missing.",
         ),
         ("poses: {a: {pan_deg: [1, x]}}\nsteps: [light]", "poses.a.pan_deg[1]: must be a number (got 'x')."),
         ("poses: {' a': [{pan_deg: 1}]}\nsteps: [light]", "poses. a: must "),

@@ -2,7 +2,7 @@
 
 import difflib
 
-from sequences.wording import MOST_COMPARED, MOST_TOLD, did_you_mean
+from sequences.wording import MOST_COMPARED, MOST_LISTED, did_you_mean
 
 
 def test_of_thousands_of_names_some_are_compared_and_listed(monkeypatch):
@@ -14,5 +14,5 @@ def test_of_thousands_of_names_some_are_compared_and_listed(monkeypatch):
     )
     said = did_you_mean("?", [f"set {i}" for i in range(2000)])
     assert compared == [MOST_COMPARED]
-    assert said.count("set ") == MOST_TOLD
-    assert said.endswith(f" and {2000 - MOST_TOLD} more.")
+    assert said.count("set ") == MOST_LISTED
+    assert said.endswith(f" and {2000 - MOST_LISTED} more.")
