@@ -210,15 +210,23 @@ def matrix(folder: Path):
 
 
 HEAD = """\
-# Faults, and what each leads to
+# Faults, and what each one leads to
 
 Made by `python tests/support/fault_matrix.py > docs/faults.md`; the test `tests/unit/bench/test_fault_matrix.py` makes it anew.
 
-A row is a fault, a column the state in which it strikes: **F** the run failed, named the fault, and was dark and at rest;
-**A** it was aborted safely; **f** it finished with every pose recorded, the fault overcome and told; **K** the process was gone at
-once; **-** it cannot happen there, for nothing asks that device then. Where a run did not finish, the cause was removed and
-it was resumed: in every cell it then ended with each pose recorded once, and every recording that the journal had told of was
-on the disk, byte for byte. The number is the time to the end of the run on its own clock, in seconds; undisturbed it takes %(whole).0f.
+Each row is a fault. Each column is the state of the run in which the fault occurs. The letter says how the run ended:
+
+| sign | meaning |
+| --- | --- |
+| **F** | failed: the run named the fault, the light was off, and nothing moved |
+| **A** | aborted safely |
+| **f** | finished: every pose was recorded, and the run reported the fault that it had overcome |
+| **K** | the process ended at once |
+| **-** | the fault cannot occur in this state, because the run does not use that device then |
+
+After a run that did not finish, the cause was removed and the run was resumed. In every such cell, the run then ended with each pose recorded
+once, and every recording named in the journal was on the disk, byte for byte. The number is the time to the end of the run on the run's own
+clock, in seconds. An undisturbed run takes %(whole).0f s.
 """
 SIGNS = {"failed": "F", "aborted": "A", "finished": "f", "died": "K", "": "-"}
 

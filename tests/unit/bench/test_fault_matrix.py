@@ -24,7 +24,7 @@ def signs(document):
     """The table without its times: fault, state, sign."""
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")]
-        for line in document.splitlines()
+        for line in document[document.index("| fault |") :].splitlines()
         if line.startswith("|")
     ]
     states = rows[0][1:]
