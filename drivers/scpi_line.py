@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout
+from drivers.retry import TRIES
 from drivers.serial_port import Port
-from drivers.text_line import PROMPT_S, TRIES, TextLine
+from drivers.text_line import PROMPT_S, TextLine
 from drivers.wire_log import WireLog
 
 _LONGEST_QUEUE = 40

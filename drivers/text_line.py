@@ -13,8 +13,9 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.clock import Clock
-from drivers.errors import ReplyError, ReplyGarbled
+from drivers.errors import ReplyGarbled
 from drivers.link import Incoming, Link
+from drivers.retry import TRIES, repeat, resynchronise
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
@@ -22,8 +23,6 @@ REPLY_S: Final = 2.0
 """Some devices need a tenth of a second to carry a setting out, and answer nothing meanwhile."""
 PROMPT_S: Final = 0.75
 """For what a device answers at once, or never."""
-TRIES: Final = 3
-_RESYNC_TRIES = 2
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _QUIET_S = 0.1
 _LOUD_S = 2.0
@@ -107,12 +106,7 @@ class TextLine:
         Raises ReplyTimeout, ReplyGarbled, PortLost.
         """
         deadline_s = deadline_s or self._reply_s
-        for _ in range(tries - 1):
-            try:
-                return self._ask(query, deadline_s)
-            except ReplyError:
-                continue
-        return self._ask(query, deadline_s)
+        return repeat(lambda: self._ask(query, deadline_s), tries=tries)
 
     def number(self, query: str) -> float:
         """Send a query whose answer is one finite number. Raises as ``ask``."""
@@ -179,34 +173,24 @@ class TextLine:
         return body.decode("ascii").strip()
 
     def _identify(self) -> str:
-        for attempt in range(TRIES):
-            try:
-                text = self._ask(self._who, PROMPT_S)
-                if not self._is_identity(text):
-                    raise self.garbled(f"{self._who} answered {text!r}, which is no identity.")
-            except ReplyError:
-                self._link.drain(_QUIET_S, _LOUD_S)
-                if attempt == TRIES - 1:
-                    raise
-            else:
-                return text
-        raise AssertionError
+        def ask_once() -> str:
+            text = self._ask(self._who, PROMPT_S)
+            if not self._is_identity(text):
+                raise self.garbled(f"{self._who} answered {text!r}, which is no identity.")
+            return text
+
+        return repeat(ask_once, before_next=lambda: self._link.drain(_QUIET_S, _LOUD_S))
 
     def _resynchronise(self) -> None:
         """Wait for silence, then for the identity and silence again: nothing older can come after it."""
         if not self.identity_text:
             return  # it is just being asked, by _identify, which drains the line itself
-        for attempt in range(_RESYNC_TRIES):
-            self._link.drain(_QUIET_S, _LOUD_S)
-            try:
-                answer = self._ask(self._who, PROMPT_S, urgent=True)
-            except ReplyError:
-                if attempt == _RESYNC_TRIES - 1:
-                    raise
-                continue
-            if not self._link.drain(_QUIET_S, _LOUD_S) and answer == self.identity_text:
-                return
-        raise self.garbled(f"no clear answer to {self._who}, though it answered it before.")
+
+        def is_known() -> bool:
+            return self._ask(self._who, PROMPT_S, urgent=True) == self.identity_text
+
+        if not resynchronise(self._link, is_known, quiet_s=_QUIET_S, limit_s=_LOUD_S):
+            raise self.garbled(f"no clear answer to {self._who}, though it answered it before.")
 
 
 def _nothing(_incoming: Incoming) -> None:

@@ -9,8 +9,9 @@ import threading
 from collections.abc import Sequence
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, MoveTimeout, ReplyError, ReplyGarbled
+from drivers.errors import DeviceRefused, MoveTimeout, ReplyGarbled
 from drivers.link import Incoming, Link
+from drivers.retry import repeat, resynchronise
 from drivers.serial_port import Port
 from drivers.stage import grbl_protocol, motion
 from drivers.stage.grbl_protocol import Report
@@ -20,8 +21,6 @@ _REPLY_S = 1.0
 _MARKER_S = 0.5
 _QUIET_S = 0.1
 _LOUD_S = 1.0
-_TRIES = 3
-_RESYNC_TRIES = 2
 _BOOT_TRIES = 6
 """A board that restarts because its port was opened says nothing for a second or two."""
 _SPOILER = b"Q\n"
@@ -75,24 +74,14 @@ class GrblController:
 
     def report(self) -> Report:
         """Ask for state and position, up to three times."""
-        for _ in range(_TRIES - 1):
-            try:
-                return self._report()
-            except ReplyError:
-                continue
-        return self._report()
+        return repeat(self._report)
 
     def ask(self, line: str) -> list[bytes]:
         """Send a line that does no harm when it is sent again; return the lines before its ``ok``.
 
         Raises DeviceRefused, ReplyError, PortLost.
         """
-        for _ in range(_TRIES - 1):
-            try:
-                return self.tell(line)
-            except ReplyError:
-                continue
-        return self.tell(line)
+        return repeat(lambda: self.tell(line))
 
     def tell(self, line: str) -> list[bytes]:
         """Send a line, once; return the lines before its ``ok``. Raises as ``ask``."""
@@ -214,33 +203,24 @@ class GrblController:
         return alarm is not None or grbl_protocol.is_chatter(line)
 
     def _wait_for_boot(self) -> None:
-        for attempt in range(_BOOT_TRIES):
-            try:
-                self._report()
-            except ReplyError:
-                if attempt == _BOOT_TRIES - 1:
-                    raise
-            else:
-                break
+        repeat(self._report, tries=_BOOT_TRIES)
         self._link.distrust()  # it may still hold half a line of somebody before us
 
     def _resynchronise(self) -> None:
         """Spoil what half line the board holds and wait for its refusal; then one ``ok`` to an empty line, alone."""
-        for attempt in range(_RESYNC_TRIES):
-            self._route_all(self._link.drain(_QUIET_S, _LOUD_S))
-            try:
-                self._link.exchange(_SPOILER, self._refusal, deadline_s=_REPLY_S, urgent=True)
-                self._report(deadline_s=_MARKER_S, urgent=True)
-                self._link.exchange(b"\n", self._single_ok, deadline_s=_MARKER_S, urgent=True)
-            except ReplyError:
-                if attempt == _RESYNC_TRIES - 1:
-                    raise
-                continue
-            if not self._link.drain(_QUIET_S, _LOUD_S):
-                return
-        raise ReplyGarbled(
-            "the board says more than it was asked.", where=self.name, remedy="Check the port."
-        )
+
+        def exchange_marker() -> bool:
+            self._link.exchange(_SPOILER, self._refusal, deadline_s=_REPLY_S, urgent=True)
+            self._report(deadline_s=_MARKER_S, urgent=True)
+            self._link.exchange(b"\n", self._single_ok, deadline_s=_MARKER_S, urgent=True)
+            return True
+
+        if not resynchronise(
+            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LOUD_S, hear=self._route_all
+        ):
+            raise ReplyGarbled(
+                "the board says more than it was asked.", where=self.name, remedy="Check the port."
+            )
 
     def _refusal(self, incoming: Incoming) -> None:
         """Receive until something is refused: answers to what was asked before come first."""

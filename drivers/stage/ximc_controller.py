@@ -9,8 +9,9 @@ import struct
 import threading
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled
+from drivers.errors import DeviceRefused, ReplyGarbled
 from drivers.link import Incoming, Link
+from drivers.retry import repeat, resynchronise
 from drivers.serial_port import Port
 from drivers.stage import ximc_protocol
 from drivers.stage.ximc_protocol import EdgeSettings, MoveSettings, Status
@@ -20,8 +21,6 @@ _REPLY_S = 1.0
 _MARKER_S = 0.5
 _QUIET_S = 0.05
 _LOUD_S = 1.0
-_TRIES = 3
-_RESYNC_TRIES = 2
 
 
 class XimcController:
@@ -114,13 +113,7 @@ class XimcController:
 
     def set(self, command: str, data: bytes) -> None:
         """Send a setting; sent again when its echo is lost, which does no harm."""
-        for _ in range(_TRIES - 1):
-            try:
-                self.command(command, data)
-            except ReplyError:
-                continue
-            return
-        self.command(command, data)
+        repeat(lambda: self.command(command, data))
 
     def command(self, command: str, data: bytes = b"", *, urgent: bool = False) -> None:
         """Send a command, once, and see it echoed.
@@ -141,14 +134,10 @@ class XimcController:
     def stop(self) -> None:
         """Ramp down, at once and before any resynchronising; sent again until it is echoed."""
         with self._link.lock:
-            for _ in range(_TRIES - 1):
-                try:
-                    self.command("sstp", urgent=True)
-                except ReplyError:
-                    self._link.drain(_QUIET_S, _LOUD_S)
-                    continue
-                return
-            self.command("sstp", urgent=True)
+            repeat(
+                lambda: self.command("sstp", urgent=True),
+                before_next=lambda: self._link.drain(_QUIET_S, _LOUD_S),
+            )
 
     def count(self, steps: int, microsteps: int) -> int:
         """Return a position in microsteps."""
@@ -172,12 +161,7 @@ class XimcController:
 
     def _get(self, command: str, layout: struct.Struct) -> bytes:
         """Send a question, up to three times, and return its data."""
-        for _ in range(_TRIES - 1):
-            try:
-                return self._ask(command, layout)
-            except ReplyError:
-                continue
-        return self._ask(command, layout)
+        return repeat(lambda: self._ask(command, layout))
 
     def _ask(
         self, command: str, layout: struct.Struct, *, deadline_s: float = _REPLY_S, urgent: bool = False
@@ -192,21 +176,23 @@ class XimcController:
 
     def _resynchronise(self) -> None:
         """Fill up by zeros what the controller waits for, then ask for its serial number, alone on the line."""
-        for attempt in range(_RESYNC_TRIES):
-            self._link.drain(_QUIET_S, _LOUD_S)
+
+        def clear_device() -> None:
             self._link.send(ximc_protocol.SYNCHRONISE)
             self._link.drain(_QUIET_S, _LOUD_S)
-            try:
-                self._ask("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True)
-            except ReplyError:
-                if attempt == _RESYNC_TRIES - 1:
-                    raise
-                continue
-            if not self._link.drain(_QUIET_S, _LOUD_S):
-                return
-        raise ReplyGarbled(
-            "more bytes come than were asked for.", where=self.name, remedy="Check the port and the cable."
-        )
+
+        def exchange_marker() -> bool:
+            self._ask("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True)
+            return True
+
+        if not resynchronise(
+            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LOUD_S, clear_device=clear_device
+        ):
+            raise ReplyGarbled(
+                "more bytes come than were asked for.",
+                where=self.name,
+                remedy="Check the port and the cable.",
+            )
 
 
 def _text(field: bytes) -> str:

@@ -12,8 +12,9 @@ from collections import deque
 from collections.abc import Collection
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled
+from drivers.errors import DeviceRefused, ReplyGarbled
 from drivers.link import Incoming, Link
+from drivers.retry import repeat, resynchronise
 from drivers.serial_port import Port
 from drivers.stage import zaber_protocol
 from drivers.stage.zaber_protocol import Reply, Unsolicited
@@ -24,8 +25,6 @@ _REPLY_S = 1.0
 _MARKER_S = 0.5
 _QUIET_S = 0.05
 _LOUD_S = 1.0
-_TRIES = 3
-_RESYNC_TRIES = 2
 
 
 class ZaberChain:
@@ -90,12 +89,7 @@ class ZaberChain:
 
         Raises as ``command``.
         """
-        for _ in range(_TRIES - 1):
-            try:
-                return self.command(device, axis, words)
-            except ReplyError:
-                continue
-        return self.command(device, axis, words)
+        return repeat(lambda: self.command(device, axis, words))
 
     def number(self, device: int, axis: int, words: str) -> int:
         """Send a query whose answer is one whole number. Raises as ``command``."""
@@ -133,13 +127,7 @@ class ZaberChain:
         Goes out at once, before any resynchronising. Raises ReplyTimeout, PortLost.
         """
         with self._link.lock:
-            for _ in range(_TRIES - 1):
-                try:
-                    self._stop_once()
-                except ReplyError:
-                    continue
-                return
-            self._stop_once()
+            repeat(self._stop_once)
 
     def listen(self, seconds: float) -> None:
         """Wait that long for what comes. A wait that no clock interrupts: for stopping only."""
@@ -186,15 +174,12 @@ class ZaberChain:
 
     def _resynchronise(self) -> None:
         """Wait for silence; then the answer to a fresh id proves that no older one is to come."""
-        for attempt in range(_RESYNC_TRIES):
-            self._link.drain(_QUIET_S, _LOUD_S)
-            try:
-                self._ask(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True)
-            except ReplyError:
-                if attempt == _RESYNC_TRIES - 1:
-                    raise
-            else:
-                return
+
+        def exchange_marker() -> bool:
+            self._ask(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True)
+            return True
+
+        resynchronise(self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LOUD_S, silence_after=False)
 
     def _take_unsolicited(self, line: bytes) -> bool:
         message = zaber_protocol.parse_unsolicited(line, self.name)

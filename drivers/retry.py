@@ -1,0 +1,129 @@
+"""Repeat a request after a bad reply, and bring a line back into step.
+
+Every protocol of this package shares the two loops that stand here. Only requests that do no harm when they are sent
+twice may be repeated: questions, settings and stops. A command that moves something is sent once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Protocol, TypeVar
+
+from drivers.errors import ReplyError
+
+TRIES: Final = 3
+"""How often a request is sent in all, before its last error is passed on."""
+RESYNCHRONISE_TRIES: Final = 2
+
+T = TypeVar("T")
+
+
+def do_nothing(*_arguments: object) -> None:
+    """Take any arguments and do nothing: the step of a loop that a protocol does not need."""
+
+
+def repeat(
+    attempt: Callable[[], T], *, tries: int = TRIES, before_next: Callable[[], object] = do_nothing
+) -> T:
+    """Call a function until it succeeds.
+
+    Parameters
+    ----------
+    attempt
+        Sends one request and returns what the reply says. Another call is made only after a ReplyError.
+    tries
+        How often ``attempt`` is called in all, at least once.
+    before_next
+        Called between a failure and the next attempt.
+
+    Returns
+    -------
+    T
+        What ``attempt`` returned.
+
+    Raises
+    ------
+    ReplyError
+        The one of the last attempt. Any other exception of ``attempt`` ends the loop at once.
+
+    Examples
+    --------
+    >>> replies = iter(["", "", "17"])
+    >>> def ask():
+    ...     if not (reply := next(replies)):
+    ...         raise ReplyError("no reply.")
+    ...     return reply
+    >>> repeat(ask)
+    '17'
+    """
+    for _ in range(tries - 1):
+        try:
+            return attempt()
+        except ReplyError:
+            before_next()
+    return attempt()
+
+
+class Drainable(Protocol):
+    """A line whose unread bytes can be thrown away, such as ``drivers.link.Link``."""
+
+    def drain(self, quiet_s: float, limit_s: float) -> bytes:
+        """See `Link.drain`."""
+        ...
+
+
+def resynchronise(
+    link: Drainable,
+    exchange_marker: Callable[[], bool],
+    *,
+    quiet_s: float,
+    limit_s: float,
+    clear_device: Callable[[], object] = do_nothing,
+    hear: Callable[[bytes], object] = do_nothing,
+    silence_after: bool = True,
+) -> bool:
+    """Bring a line back into step: throw away what is old, then prove that nothing old is left.
+
+    The proof is a marker: a request whose answer cannot be the answer to an older request. The line is in step when
+    the marker is answered and, for a protocol without message ids, nothing follows its answer. Two attempts are made.
+
+    Parameters
+    ----------
+    link
+        The line, held by this thread.
+    exchange_marker
+        Sends the marker and returns whether its answer is the expected one; raises ReplyError for no valid answer.
+    quiet_s
+        How long nothing may arrive before the line counts as silent, in seconds.
+    limit_s
+        Longest wait for that silence, in seconds.
+    clear_device
+        Sends what makes the device forget the beginning of a command. Called after the line was silent.
+    hear
+        Takes the old bytes, for the messages in them that must not be lost.
+    silence_after
+        Whether nothing may follow the marker's answer.
+
+    Returns
+    -------
+    bool
+        False when the last answer to the marker was unexpected, or something followed it.
+
+    Raises
+    ------
+    ReplyError
+        The marker was not answered at the last attempt, or the device does not fall silent.
+    """
+    for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
+        hear(link.drain(quiet_s, limit_s))
+        clear_device()
+        try:
+            expected = exchange_marker()
+        except ReplyError:
+            if not tries_left:
+                raise
+            continue
+        followed = silence_after and link.drain(quiet_s, limit_s)
+        if expected and not followed:
+            return True
+    return False

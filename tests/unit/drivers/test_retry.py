@@ -1,0 +1,122 @@
+"""The two loops of every protocol: a request repeated after a bad reply, a line brought back into step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from drivers.errors import PortLost, ReplyGarbled, ReplyTimeout
+from drivers.retry import RESYNCHRONISE_TRIES, TRIES, repeat, resynchronise
+
+
+class Line:
+    """A line whose old bytes are given, one drain after the other; keeps what happens to it."""
+
+    def __init__(self, *unread: bytes) -> None:
+        self.unread = list(unread)
+        self.events: list[str] = []
+
+    def drain(self, quiet_s: float, limit_s: float) -> bytes:
+        self.events.append("drain")
+        return self.unread.pop(0) if self.unread else b""
+
+
+def answers(line: Line, *outcomes: bool | Exception) -> Callable[[], bool]:
+    """Return a marker's exchange with these outcomes, one after the other."""
+    left = list(outcomes)
+
+    def exchange_marker() -> bool:
+        line.events.append("marker")
+        outcome = left.pop(0)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    return exchange_marker
+
+
+def bring_into_step(line: Line, *outcomes: bool | Exception, **more) -> bool:
+    return resynchronise(line, answers(line, *outcomes), quiet_s=0.1, limit_s=1.0, **more)
+
+
+def test_a_request_is_repeated_until_its_reply_is_good() -> None:
+    outcomes = iter([ReplyTimeout("late"), ReplyGarbled("cut"), 5])
+    pauses: list[int] = []
+
+    def attempt() -> int:
+        outcome = next(outcomes)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    assert repeat(attempt, before_next=lambda: pauses.append(1)) == 5
+    assert len(pauses) == 2
+
+
+def test_the_error_of_the_last_attempt_is_passed_on() -> None:
+    errors = [ReplyTimeout(str(number)) for number in range(TRIES)]
+    left = list(errors)
+    pauses: list[int] = []
+
+    def attempt() -> None:
+        raise left.pop(0)
+
+    with pytest.raises(ReplyTimeout) as caught:
+        repeat(attempt, before_next=lambda: pauses.append(1))
+    assert caught.value is errors[-1]
+    assert len(pauses) == TRIES - 1
+
+
+def test_a_lost_port_ends_the_attempts_at_once() -> None:
+    calls: list[int] = []
+
+    def attempt() -> None:
+        calls.append(1)
+        raise PortLost("gone")
+
+    with pytest.raises(PortLost):
+        repeat(attempt)
+    assert len(calls) == 1
+
+
+def test_a_marker_answered_on_a_silent_line_proves_that_it_is_in_step() -> None:
+    line = Line()
+    assert bring_into_step(line, True)
+    assert line.events == ["drain", "marker", "drain"]
+
+
+def test_what_follows_the_marker_is_a_reason_to_try_again() -> None:
+    line = Line(b"old", b"doubled", b"", b"")
+    assert bring_into_step(line, True, True)
+    assert line.events == ["drain", "marker", "drain"] * 2
+
+
+@pytest.mark.parametrize("outcome", [False, True], ids=["another answer", "more than was asked for"])
+def test_a_line_that_cannot_be_brought_into_step_is_said_to_be_out_of_it(outcome) -> None:
+    line = Line(*[b"", b"" if not outcome else b"more"] * RESYNCHRONISE_TRIES)
+    assert not bring_into_step(line, *[outcome] * RESYNCHRONISE_TRIES)
+
+
+def test_a_marker_without_answer_is_sent_again_and_then_an_error() -> None:
+    line = Line()
+    with pytest.raises(ReplyTimeout, match="second"):
+        bring_into_step(line, ReplyTimeout("first"), ReplyTimeout("second"))
+    assert line.events == ["drain", "marker"] * 2
+
+
+def test_with_message_ids_nothing_waits_for_silence_after_the_marker() -> None:
+    line = Line()
+    assert bring_into_step(line, True, silence_after=False)
+    assert line.events == ["drain", "marker"]
+
+
+def test_old_bytes_are_heard_before_the_device_is_cleared() -> None:
+    line = Line(b"ALARM:1\r\n")
+    assert bring_into_step(
+        line,
+        True,
+        hear=lambda old: line.events.append(old.decode().strip()),
+        clear_device=lambda: line.events.append("clear"),
+    )
+    assert line.events == ["drain", "ALARM:1", "clear", "marker", "drain"]
