@@ -31,8 +31,8 @@ from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError, SimulatorError
-from simulators.faults.catalogue import Order, order, order_from_text
-from simulators.faults.fault_injection import Parts, prepare
+from simulators.faults.catalogue import FaultOrder, fault_order, fault_order_from_text
+from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.faults.orders import allow_background, answer, take_orders
 from simulators.lights.lamp import Lamp
@@ -77,7 +77,7 @@ class Bench:
         clock = self.world.now_s
         lamp = Lamp(self.world.set_light)
         light = make_light(self._config.light, clock, lamp.drive)
-        stage = make_stage(self._config.stage_kind, self._config.axes, clock, self._axis_moves)
+        stage = make_stage(self._config.stage_kind, self._config.axes, clock, self._publish_axis)
         dialects: dict[str, Dialect] = {**stage.dialects, "light": light}
         chance = np.random.SeedSequence(self.world.seed).spawn(len(dialects))
         lines = {
@@ -93,7 +93,7 @@ class Bench:
             frame_camera.start()
             stack.callback(frame_camera.close)
             self._write_truth()
-            self._parts = Parts(
+            self._bench_parts = BenchParts(
                 stage.controllers, ports, lines, stage.ports, light, lamp, camera, clock, frame_camera
             )
             self.endpoints = {name: port.address for name, port in ports.items()}
@@ -103,7 +103,7 @@ class Bench:
             self.inject(one)
         return self
 
-    def inject(self, one: Order) -> None:
+    def inject(self, one: FaultOrder) -> None:
         """Let something go wrong, at once or after the order's time.
 
         Raises
@@ -111,7 +111,7 @@ class Bench:
         ConfigError
             When this bench has no such device, or a parameter makes no sense.
         """
-        bring_about = prepare(one, self._parts)
+        bring_about = fault_action(one, self._bench_parts)
         if one.after_s <= 0.0:
             bring_about()
             return
@@ -136,7 +136,7 @@ class Bench:
             port = PseudoTerminal(self._folder / name)
         return SerialDevice(port, dialect, paced=self._config.paced)
 
-    def _axis_moves(self, name: AxisName, pointing: Pointing) -> None:
+    def _publish_axis(self, name: AxisName, pointing: Pointing) -> None:
         motion = AxisMotion(pointing.angle_deg, pointing.settled_from_s, round(pointing.rest))
         self.world.set_axis(name, motion, since_s=pointing.course.start_s)
 
@@ -184,9 +184,9 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def _obey(bench: Bench, line: str) -> dict[str, Any]:
+def _execute(bench: Bench, line: str) -> dict[str, Any]:
     """Carry out an order, written as JSON or as words, and say what was done."""
-    one = order(json.loads(line)) if line.startswith("{") else order_from_text(line)
+    one = fault_order(json.loads(line)) if line.startswith("{") else fault_order_from_text(line)
     bench.inject(one)
     return {"device": one.device, "fault": one.fault, "after_s": one.after_s, **one.parameters}
 
@@ -216,7 +216,7 @@ def main(words: Sequence[str] | None = None) -> int:
             answer(ready)
             threading.Thread(target=_warm_up, args=(bench.world.truth,), name="warm-up", daemon=True).start()
             ended = ending.set if arguments.until_eof else lambda: None
-            threading.Thread(target=take_orders, args=(partial(_obey, bench), ended), daemon=True).start()
+            threading.Thread(target=take_orders, args=(partial(_execute, bench), ended), daemon=True).start()
             ending.wait()
     except (SimulatorError, OSError) as error:
         sys.stderr.write(f"{error}\n")

@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from simulators.errors import ConfigError
-from simulators.faults.catalogue import Order, order
+from simulators.faults.catalogue import FaultOrder, fault_order
 from simulators.world.truth import Truth
 from simulators.world.truth_config import truth_from_config
 from simulators.world.world import AxisName
@@ -116,7 +116,7 @@ class BenchConfig:
         }
     )
     light: LightConfig = field(default_factory=LightConfig)
-    faults: tuple[Order, ...] = ()
+    faults: tuple[FaultOrder, ...] = ()
     camera_serial: str = "00050423"
     camera_seed: int | None = None
     mounting_from_seed: bool = True
@@ -191,10 +191,10 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     )
 
 
-def _order(index: int, given: Mapping[str, Any]) -> Order:
+def _order(index: int, given: Mapping[str, Any]) -> FaultOrder:
     """Read one order of the list of faults."""
     try:
-        return order(given)
+        return fault_order(given)
     except ConfigError as error:
         raise ConfigError(error.what, where=f"faults[{index}].{error.where}", remedy=error.remedy) from error
 

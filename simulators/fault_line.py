@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from simulators.errors import SimulatorError
-from simulators.faults.catalogue import order_from_text
-from simulators.faults.fault_injection import line_action
+from simulators.faults.catalogue import fault_order_from_text
+from simulators.faults.fault_injection import line_fault_action
 from simulators.faults.line_faults import FaultLine, SerialBridge
 from simulators.faults.orders import allow_background, answer, take_orders
 from simulators.ports.pseudo_terminal import PseudoTerminal
@@ -62,7 +62,7 @@ def main(words: Sequence[str] | None = None) -> int:
         # The device and its own line take their time already.
         with SerialDevice(PseudoTerminal(arguments.link), line, paced=False) as device:
             answer({"link": device.address, "pid": os.getpid()})
-            carry_out = partial(_obey, device, line)
+            carry_out = partial(_execute, device, line)
             threading.Thread(target=take_orders, args=(carry_out, ending.set), daemon=True).start()
             ending.wait()
         bridge.close()
@@ -72,10 +72,10 @@ def main(words: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _obey(device: SerialDevice, line: FaultLine, text: str) -> dict[str, Any]:
+def _execute(device: SerialDevice, line: FaultLine, text: str) -> dict[str, Any]:
     """Bring a fault about, and say which."""
-    one = order_from_text(f"gimbal {text}")
-    line_action(one, device, line)()
+    one = fault_order_from_text(f"gimbal {text}")
+    line_fault_action(one, device, line)()
     return {"fault": one.fault, **one.parameters}
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
-from simulators.cameras.evk4_requests import Refusal, flag, frames_kept, one_of, parsed
+from simulators.cameras.evk4_requests import Refusal, parse_request, read_enabled, read_frames, read_name
 from simulators.cameras.keep_alive import KeepAlive
 from simulators.cameras.stream_faults import StreamFaults
 from simulators.cameras.time_base import TimeBase
@@ -27,13 +27,13 @@ from simulators.world.world import World
 
 HEADER: Final = struct.Struct("<cI")
 """Frame header: type and payload length."""
-LONGEST_REQUEST: Final = 65536
+MAX_REQUEST_BYTES: Final = 65536
 FIRMWARE: Final = "4.2.0-simulated"
 NOMINAL_LUX: Final = 250.0
 """Illumination of the sensor at nominal brightness."""
 MEAN_COVERAGE: Final = 0.5
 """Half of a star is black."""
-WAIT_S: Final = 0.1
+POLL_S: Final = 0.1
 """How often waiting threads look whether they are to end."""
 
 
@@ -102,7 +102,7 @@ class SimulatedEvk4:
             connection.join()
         self.time_base.power_up()
 
-    def fault(self, message: str) -> None:
+    def report_fault(self, message: str) -> None:
         """Tell the connected host, if there is one, of a fault."""
         connection = self._connection
         if connection is not None:
@@ -111,7 +111,7 @@ class SimulatedEvk4:
     def _listen(self) -> None:
         """Accept hosts until closed."""
         while not self._closing.is_set():
-            if not select.select([self._listener], [], [], WAIT_S)[0]:
+            if not select.select([self._listener], [], [], POLL_S)[0]:
                 continue
             link, _ = self._listener.accept()
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -147,37 +147,37 @@ class _Connection:
         *,
         paced: bool,
     ) -> None:
-        self._link = link
+        self._socket = link
         self._world = world
         self._serial = serial
         self._repeats = repeats
         self._time_base = time_base
-        self._faults = faults
+        self._stream_faults = faults
         self._paced = paced
-        self._sending = threading.Lock()
+        self._send_lock = threading.Lock()
         self._biases = dict(FACTORY)
         self._filters = dict.fromkeys(FILTERS, False)
         self._trigger_in = False
         self._stop = threading.Event()
-        self._left = threading.Event()
+        self._ended = threading.Event()
         self._streamer: threading.Thread | None = None
-        self._alive = KeepAlive(self._tell_that_it_computes)
+        self._keep_alive = KeepAlive(self._send_computing)
         self._thread = threading.Thread(target=self._serve, name="simulated-evk4-host", daemon=True)
 
     def start(self) -> None:
         """Begin to answer."""
-        self._alive.start()
+        self._keep_alive.start()
         self._thread.start()
 
     def is_open(self) -> bool:
         """Whether the host is still there."""
-        return not self._left.is_set()
+        return not self._ended.is_set()
 
     def hang_up(self) -> None:
         """Close the connection from this side."""
         self._stop.set()
         with suppress(OSError):  # the host may be faster
-            self._link.shutdown(socket.SHUT_RDWR)
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def join(self) -> None:
         """Wait until the connection has ended."""
@@ -189,7 +189,7 @@ class _Connection:
         with suppress(_HostGone):
             self._send(b"N", _json({"event": "fault", "message": message}))
 
-    def _tell_that_it_computes(self) -> None:
+    def _send_computing(self) -> None:
         with suppress(_HostGone):
             self._send(b"N", _json({"event": "computing"}))
 
@@ -200,21 +200,21 @@ class _Connection:
         try:
             while True:
                 request = self._receive()
-                with self._alive.computing():
+                with self._keep_alive.computing():
                     answer = self._answer(request)
                 self._send(b"A", _json(answer))
         except _HostGone:
             self._stop.set()
         if self._streamer is not None:
             self._streamer.join()
-        self._alive.close()
-        self._left.set()  # first: a host that sees the connection end may connect again at once
-        self._link.close()
+        self._keep_alive.close()
+        self._ended.set()  # first: a host that sees the connection end may connect again at once
+        self._socket.close()
 
     def _receive(self) -> bytes:
         """Payload of the next request."""
         kind, length = HEADER.unpack(self._receive_exactly(HEADER.size))
-        if kind != b"Q" or length > LONGEST_REQUEST:
+        if kind != b"Q" or length > MAX_REQUEST_BYTES:
             self.notify(f"A frame {kind!r} of {length} bytes is no request.")
             raise _HostGone
         return self._receive_exactly(length)
@@ -224,7 +224,7 @@ class _Connection:
         data = bytearray()
         while len(data) < n:
             try:
-                part = self._link.recv(n - len(data))
+                part = self._socket.recv(n - len(data))
             except OSError as error:
                 raise _HostGone from error
             if not part:
@@ -234,16 +234,16 @@ class _Connection:
 
     def _send(self, kind: bytes, payload: bytes) -> None:
         """Send a frame, whole."""
-        with self._sending:
-            _send(self._link, kind, payload)
+        with self._send_lock:
+            _send(self._socket, kind, payload)
 
     def _answer(self, payload: bytes) -> dict[str, Any]:
         """Carry out a request and say how it went."""
         number: object = None
         try:
-            request = parsed(payload)
+            request = parse_request(payload)
             number = request.get("id")
-            name = one_of("command", request.get("cmd"), self._commands())
+            name = read_name("command", request.get("cmd"), self._commands())
             return {"id": number, "ok": True, **self._commands()[name](request)}
         except Refusal as refusal:
             return {"id": number, "ok": False, "error": refusal.code, "message": str(refusal)}
@@ -252,7 +252,9 @@ class _Connection:
         """All commands by name."""
         return {
             "identify": self._identify,
-            "get_bias": lambda request: {"value": self._biases[one_of("bias", request.get("name"), ALLOWED)]},
+            "get_bias": lambda request: {
+                "value": self._biases[read_name("bias", request.get("name"), ALLOWED)]
+            },
             "get_biases": lambda _request: {"biases": dict(self._biases)},
             "set_bias": self._set_bias,
             "get_filters": lambda _request: dict(self._filters),
@@ -278,7 +280,7 @@ class _Connection:
         }
 
     def _set_bias(self, request: dict[str, Any]) -> dict[str, Any]:
-        name = one_of("bias", request.get("name"), ALLOWED)
+        name = read_name("bias", request.get("name"), ALLOWED)
         value = request.get("value")
         if isinstance(value, bool) or not isinstance(value, int):
             raise Refusal("bad_value", f"A bias is a whole number, not {value!r}.")
@@ -290,14 +292,14 @@ class _Connection:
         return {"name": name, "value": value}
 
     def _set_filter(self, request: dict[str, Any]) -> dict[str, Any]:
-        name = one_of("filter", request.get("name"), self._filters)
-        enabled = flag(request)
+        name = read_name("filter", request.get("name"), self._filters)
+        enabled = read_enabled(request)
         self._refuse_while_streaming()
         self._filters[name] = enabled
         return {"name": name, "enabled": enabled}
 
     def _set_trigger_in(self, request: dict[str, Any]) -> dict[str, Any]:
-        enabled = flag(request)
+        enabled = read_enabled(request)
         self._refuse_while_streaming()
         self._trigger_in = enabled
         return {"enabled": enabled}
@@ -328,7 +330,7 @@ class _Connection:
         if self._is_streaming():
             raise Refusal("streaming", "The camera streams already.")
         self._stop.clear()
-        acting = {**self._filters, "erc": self._filters["erc"] or self._faults.overflows}
+        acting = {**self._filters, "erc": self._filters["erc"] or self._stream_faults.overflows}
         camera = CameraState(dict(self._biases), acting, self._trigger_in)
         self._streamer = threading.Thread(
             target=self._stream, args=(camera,), name="simulated-evk4-stream", daemon=True
@@ -337,7 +339,7 @@ class _Connection:
         return {}
 
     def _stop_stream(self, request: dict[str, Any]) -> dict[str, Any]:
-        frames = frames_kept(request)
+        frames = read_frames(request)
         if self._streamer is None:
             raise Refusal("not_streaming", "The camera does not stream.")
         self._stop.set()
@@ -350,17 +352,17 @@ class _Connection:
     def _stream(self, camera: CameraState) -> None:
         """Send frames of words until told to stop, each when the sensor has seen it."""
         try:
-            with self._alive.computing():
+            with self._keep_alive.computing():
                 stream = SensorStream(self._world, camera, self._repeats, self._time_base.now_us)
             self._time_base.start(stream.clock_us)
             while not self._stop.is_set():
-                with self._alive.computing():
-                    frame = self._faults.carry(stream.next_frame())
+                with self._keep_alive.computing():
+                    frame = self._stream_faults.apply(stream.next_frame())
                 if self._paced and self._stop.wait(max(0.0, stream.covered_s - self._world.now_s())):
                     return
                 if frame:
                     self._send(b"D", frame)
-                self._time_base.made(stream.clock_us, sent=bool(frame))
+                self._time_base.advance(stream.clock_us, sent=bool(frame))
         except SimulatorError as error:
             self.notify(f"The stream broke off: {error}")
         except _HostGone:

@@ -18,7 +18,7 @@ class Refusal(Exception):
         super().__init__(message)
 
 
-def parsed(payload: bytes) -> dict[str, Any]:
+def parse_request(payload: bytes) -> dict[str, Any]:
     """Parse a request. Raises Refusal."""
     try:
         request = json.loads(payload)
@@ -29,14 +29,14 @@ def parsed(payload: bytes) -> dict[str, Any]:
     return request
 
 
-def one_of(what: str, name: object, known: Mapping[str, Any]) -> str:
+def read_name(what: str, name: object, known: Mapping[str, Any]) -> str:
     """Check a bias's or a filter's name. Raises Refusal."""
     if not isinstance(name, str) or name not in known:
         raise Refusal(f"unknown_{what}", f"There is no {what} {name!r}; there are {', '.join(known)}.")
     return name
 
 
-def flag(request: Mapping[str, Any]) -> bool:
+def read_enabled(request: Mapping[str, Any]) -> bool:
     """Check the switch of a request. Raises Refusal."""
     enabled = request.get("enabled")
     if not isinstance(enabled, bool):
@@ -44,7 +44,7 @@ def flag(request: Mapping[str, Any]) -> bool:
     return enabled
 
 
-def frames_kept(request: Mapping[str, Any]) -> int | None:
+def read_frames(request: Mapping[str, Any]) -> int | None:
     """Check how many frames the host says it has kept; None when it says nothing. Raises Refusal."""
     frames = request.get("frames")
     if frames is not None and (isinstance(frames, bool) or not isinstance(frames, int) or frames < 0):

@@ -32,9 +32,9 @@ DARK_ELECTRONS: Final = 60.0
 READ_NOISE_ELECTRONS: Final = 12.0
 PIXEL_SPREAD: Final = 0.006
 """1-sigma of the pixels' sensitivities."""
-INSTANTS: Final = 32
+LIGHT_SAMPLES: Final = 32
 """Moments of an exposure at which the light is looked at."""
-WAIT_S: Final = 0.1
+POLL_S: Final = 0.1
 """How often waiting threads look whether they are to end."""
 
 
@@ -55,9 +55,9 @@ class PictureMaker:
         shape = camera.height, camera.width
         self._sensitivity = 1.0 + PIXEL_SPREAD * spread.standard_normal(shape, np.float32)
         self._repeats: dict[str, int] = {}
-        self._seen: tuple[object, NDArray[np.float32]] | None = None
+        self._scene_cache: tuple[object, NDArray[np.float32]] | None = None
 
-    def begin(self) -> np.random.SeedSequence:
+    def connection_seed(self) -> np.random.SeedSequence:
         """Give the seed of a connection that begins now."""
         now_s = self._world.now_s()
         key = json.dumps(
@@ -73,7 +73,7 @@ class PictureMaker:
         digest = hashlib.sha256(key.encode()).digest()
         return np.random.SeedSequence([self._world.seed, repeat, *np.frombuffer(digest[:16], "<u4").tolist()])
 
-    def picture(self, rng: np.random.Generator) -> NDArray[np.uint8]:
+    def expose(self, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Expose now: (height, width) grey values."""
         begin_s = self._world.now_s()
         light = self._world.light(begin_s)
@@ -88,17 +88,17 @@ class PictureMaker:
         """Share of the light in each pixel; what moves meanwhile is blurred."""
         moments = (begin_s,) if self._world.is_settled(begin_s) else (begin_s, begin_s + EXPOSURE_S / 2)
         truth, poses = self._world.truth_at(begin_s), [self._world.angles_deg(moment) for moment in moments]
-        if self._seen is None or self._seen[0] != (truth, poses):
+        if self._scene_cache is None or self._scene_cache[0] != (truth, poses):
             seen = [scene.picture(truth, pose) for pose in poses]
-            self._seen = (truth, poses), np.mean(seen, axis=0, dtype=np.float32)
-        return self._seen[1]
+            self._scene_cache = (truth, poses), np.mean(seen, axis=0, dtype=np.float32)
+        return self._scene_cache[1]
 
 
 def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> float:
     """Average the light over an exposure; nominal brightness = 1."""
     if not light.output:
         return 0.0
-    instants = begin_s + (np.arange(INSTANTS) + 0.5) / INSTANTS * exposure_s
+    instants = begin_s + (np.arange(LIGHT_SAMPLES) + 0.5) / LIGHT_SAMPLES * exposure_s
     phases = np.array([light.phase_at(float(t)) for t in instants])
     if light.waveform == "sine":
         shares = 0.5 + 0.5 * np.sin(2.0 * np.pi * phases)
@@ -152,16 +152,16 @@ class SimulatedFrameCamera:
             self._thread.join()
         self._listener.close()
 
-    def go_wrong(self, fault: str) -> None:
+    def inject_fault(self, fault: str) -> None:
         """Let one of `FRAME_CAMERA_FAULTS` happen from now on, in place of any before."""
         self._fault = "" if fault == "mend" else fault
 
     def _listen(self) -> None:
         while not self._closing.is_set():
-            if not select.select([self._listener], [], [], WAIT_S)[0]:
+            if not select.select([self._listener], [], [], POLL_S)[0]:
                 continue
             link, _ = self._listener.accept()
-            link.settimeout(WAIT_S)
+            link.settimeout(POLL_S)
             if self._fault == "unplug":
                 link.close()
                 continue
@@ -171,13 +171,13 @@ class SimulatedFrameCamera:
     def _stream(self, link: socket.socket) -> None:
         """Send pictures until the host hangs up or the camera is closed."""
         width, height = self._pictures.size
-        rng = np.random.default_rng(self._pictures.begin())
+        rng = np.random.default_rng(self._pictures.connection_seed())
         self._send(link, f"YUV4MPEG2 W{width} H{height} F{RATE_HZ}:1 Ip A1:1 Cmono\n".encode())
         while not self._closing.wait(1.0 / RATE_HZ) and self._fault != "unplug":
             if self._fault == "silence":
                 continue
             if self._fault != "frozen" or not self._last:
-                self._last = self._pictures.picture(rng).tobytes()
+                self._last = self._pictures.expose(rng).tobytes()
             self._send(link, b"FRAME\n" + self._last)
 
     def _send(self, link: socket.socket, data: bytes) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-EVERY_S: Final = 0.5
+INTERVAL_S: Final = 0.5
 """So long a piece of computing lasts before it is told of, and again each time; the protocol promises a second."""
 
 
@@ -21,15 +21,15 @@ class KeepAlive:
 
     Parameters
     ----------
-    tell
-        Called by a thread of its own, every ``EVERY_S`` for as long as a single piece lasts.
+    notify
+        Called by a thread of its own, every ``INTERVAL_S`` for as long as a single piece lasts.
     """
 
-    def __init__(self, tell: Callable[[], None]) -> None:
-        self._tell = tell
-        self._begun_s: dict[int, float] = {}
+    def __init__(self, notify: Callable[[], None]) -> None:
+        self._notify = notify
+        self._started_s: dict[int, float] = {}
         self._lock = threading.Lock()
-        self._over = threading.Event()
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="keep-alive", daemon=True)
 
     def start(self) -> None:
@@ -38,7 +38,7 @@ class KeepAlive:
 
     def close(self) -> None:
         """Tell nothing more; returns when the thread has ended."""
-        self._over.set()
+        self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
 
@@ -47,16 +47,16 @@ class KeepAlive:
         """Mark what this thread does inside as one piece of computing."""
         thread = threading.get_ident()
         with self._lock:
-            self._begun_s[thread] = time.monotonic()
+            self._started_s[thread] = time.monotonic()
         try:
             yield
         finally:
             with self._lock:
-                del self._begun_s[thread]
+                del self._started_s[thread]
 
     def _watch(self) -> None:
-        while not self._over.wait(EVERY_S):
+        while not self._closing.wait(INTERVAL_S):
             with self._lock:
-                begun_s = min(self._begun_s.values(), default=None)
-            if begun_s is not None and time.monotonic() - begun_s >= EVERY_S:
-                self._tell()
+                started_s = min(self._started_s.values(), default=None)
+            if started_s is not None and time.monotonic() - started_s >= INTERVAL_S:
+                self._notify()

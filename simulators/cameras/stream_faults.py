@@ -80,7 +80,7 @@ class StreamFaults:
         with self._lock:
             self._faults.clear()
 
-    def carry(self, frame: bytes) -> bytes:
+    def apply(self, frame: bytes) -> bytes:
         """Give what arrives of a frame; empty for nothing."""
         with self._lock:
             due = self._due()

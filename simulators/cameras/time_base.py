@@ -9,14 +9,14 @@ from __future__ import annotations
 class TimeBase:
     """Where the clock stands.
 
-    Frames that were sent and that the host threw away, because they came after its stop, are as if never made: how
+    Frames that were sent and that the host threw away, because they came after its stop, are as if never advance: how
     many they are is chance, and the next stream is to begin at the same time in every equal run.
 
     Examples
     --------
     >>> clock = TimeBase()
     >>> clock.start(0)
-    >>> clock.made(2000, sent=True), clock.made(4000, sent=True)
+    >>> clock.advance(2000, sent=True), clock.advance(4000, sent=True)
     (None, None)
     >>> clock.stop(1), clock.now_us
     (True, 2000)
@@ -36,7 +36,7 @@ class TimeBase:
         self.now_us = at_us
         self._sent_us = [at_us]
 
-    def made(self, until_us: int, *, sent: bool) -> None:
+    def advance(self, until_us: int, *, sent: bool) -> None:
         """Go on to the end of a frame, us; ``sent``: the host can have it."""
         self.now_us = until_us
         if sent:

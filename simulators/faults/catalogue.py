@@ -1,6 +1,6 @@
 """Faults by name: what can go wrong on the simulated bench, and how an order for it is written.
 
-Knows the catalogue and checks orders against it; `fault_injection` carries them out.
+Knows the faults_of and checks orders against it; `fault_injection` carries them out.
 
 An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera, frame-camera),
 ``fault``, perhaps ``after_s``, and the fault's parameters; or the same as text: ``pan stall share=0.3``.
@@ -24,7 +24,7 @@ Parameter = float | int | str
 
 @dataclass(frozen=True)
 class Fault:
-    """An entry of the catalogue: what happens, and its parameters with their defaults."""
+    """An entry of the faults_of: what happens, and its parameters with their defaults."""
 
     what: str
     parameters: Mapping[str, Parameter]
@@ -117,8 +117,8 @@ _FRAME_CAMERA: Final[Mapping[str, Fault]] = {
 
 
 @dataclass(frozen=True)
-class Order:
-    """One fault that is to happen, checked against the catalogue."""
+class FaultOrder:
+    """One fault that is to happen, checked against the faults_of."""
 
     device: str
     fault: str
@@ -126,7 +126,7 @@ class Order:
     after_s: float = 0.0
 
 
-def catalogue(device: str) -> Mapping[str, Fault]:
+def faults_of(device: str) -> Mapping[str, Fault]:
     """List what can go wrong with a device.
 
     Raises
@@ -148,7 +148,7 @@ def catalogue(device: str) -> Mapping[str, Fault]:
     return by_device[device]
 
 
-def order_from_text(text: str) -> Order:
+def fault_order_from_text(text: str) -> FaultOrder:
     """Read an order as it is typed.
 
     Raises
@@ -158,7 +158,7 @@ def order_from_text(text: str) -> Order:
 
     Examples
     --------
-    >>> order_from_text("pan stall share=0.3").parameters
+    >>> fault_order_from_text("pan stall share=0.3").parameters
     {'share': 0.3, 'skip': 0}
     """
     try:
@@ -172,10 +172,10 @@ def order_from_text(text: str) -> Order:
             remedy="As in: pan stall share=0.3",
         )
     given = dict(word.split("=", 1) for word in words[2:])
-    return order({"device": words[0], "fault": words[1], **given})
+    return fault_order({"device": words[0], "fault": words[1], **given})
 
 
-def order(given: Mapping[str, Any]) -> Order:
+def fault_order(given: Mapping[str, Any]) -> FaultOrder:
     """Check an order.
 
     Raises
@@ -187,7 +187,7 @@ def order(given: Mapping[str, Any]) -> Order:
         if not isinstance(given.get(key), str):
             raise ConfigError("It is missing, or no text.", where=key)
     device, fault = given["device"], given["fault"]
-    known = catalogue(device)
+    known = faults_of(device)
     if fault not in known:
         raise ConfigError(
             f"No fault {fault!r} of {device}.", where="fault", remedy=f"Known are: {', '.join(known)}."
@@ -201,7 +201,7 @@ def order(given: Mapping[str, Any]) -> Order:
             raise ConfigError("Unknown key.", where=key, remedy=f"Known are: {', '.join(defaults)}.")
         values[key] = _like(defaults[key], value, key)
     after_s = float(values.pop("after_s"))
-    return Order(device, fault, values, after_s)
+    return FaultOrder(device, fault, values, after_s)
 
 
 def _like(default: Parameter, value: object, where: str) -> Parameter:

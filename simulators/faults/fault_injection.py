@@ -14,7 +14,7 @@ from typing import Protocol, cast
 
 from simulators.cameras.stream_faults import StreamFault, StreamFaults
 from simulators.errors import ConfigError
-from simulators.faults.catalogue import LIGHT_FAULTS, Order, Parameter
+from simulators.faults.catalogue import LIGHT_FAULTS, FaultOrder, Parameter
 from simulators.faults.line_faults import FaultLine, LineFault
 from simulators.lights.lamp import Lamp
 from simulators.ports.serial_device import SerialDevice
@@ -70,7 +70,7 @@ class Camera(Protocol):
         """Break the connection."""
         ...
 
-    def fault(self, message: str) -> None:
+    def report_fault(self, message: str) -> None:
         """Tell the host of a fault."""
         ...
 
@@ -78,13 +78,13 @@ class Camera(Protocol):
 class FrameCamera(Protocol):
     """What a fault needs of the frame camera."""
 
-    def go_wrong(self, fault: str) -> None:
+    def inject_fault(self, fault: str) -> None:
         """Let it happen from now on."""
         ...
 
 
 @dataclass(frozen=True)
-class Parts:
+class BenchParts:
     """The bench, as far as things can go wrong with it.
 
     Attributes
@@ -116,7 +116,7 @@ class Parts:
     frame_camera: FrameCamera | None = None
 
 
-def prepare(one: Order, parts: Parts) -> Callable[[], None]:
+def fault_action(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     """Give the call that brings a fault about.
 
     Raises
@@ -129,7 +129,7 @@ def prepare(one: Order, parts: Parts) -> Callable[[], None]:
     if one.device == "camera":
         return _on_camera(one, parts.camera)
     if one.device == "frame-camera" and (frame_camera := parts.frame_camera) is not None:
-        return lambda: frame_camera.go_wrong(one.fault)
+        return lambda: frame_camera.inject_fault(one.fault)
     if one.device in parts.axes:
         name = parts.axis_ports[one.device]
         controller, port, line = parts.axes[one.device], parts.ports[name], parts.lines[name]
@@ -138,16 +138,16 @@ def prepare(one: Order, parts: Parts) -> Callable[[], None]:
             "press_stop": lambda: controller.emergency_stop(parts.clock()),
         }
         act = from_outside.get(one.fault)
-        then = None if act is None else lambda t_s: line.at(t_s, act)
+        then = None if act is None else lambda t_s: line.schedule(t_s, act)
         return lambda: port.between_exchanges(lambda: _on_axis(one, controller, parts.clock(), then))
     raise ConfigError(f"This bench has no {one.device}.", where="device")
 
 
-def _on_camera(one: Order, camera: Camera) -> Callable[[], None]:
+def _on_camera(one: FaultOrder, camera: Camera) -> Callable[[], None]:
     if one.fault == "unplug":
         return camera.unplug
     if one.fault == "fault":
-        return lambda: camera.fault(str(one.parameters["message"]))
+        return lambda: camera.report_fault(str(one.parameters["message"]))
     if one.fault == "mend":
         return camera.stream_faults.clear
     if one.fault == "overflow":
@@ -156,24 +156,24 @@ def _on_camera(one: Order, camera: Camera) -> Callable[[], None]:
     return lambda: camera.stream_faults.inject(fault)
 
 
-def _on_port(one: Order, parts: Parts) -> Callable[[], None]:
+def _on_port(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     port = parts.ports[one.device]
     if one.fault in LIGHT_FAULTS:
         act = _on_light(one, parts)
         return lambda: port.between_exchanges(act)
-    act = line_action(one, port, parts.lines[one.device])
+    act = line_fault_action(one, port, parts.lines[one.device])
     if one.fault == "mend" and one.device == "light":
 
         def mend_both() -> None:
             act()
-            port.between_exchanges(parts.lamp.mend)
+            port.between_exchanges(parts.lamp.clear_faults)
             port.between_exchanges(lambda: parts.light.clip(None))
 
         return mend_both
     return act
 
 
-def line_action(one: Order, port: SerialDevice, line: FaultLine) -> Callable[[], None]:
+def line_fault_action(one: FaultOrder, port: SerialDevice, line: FaultLine) -> Callable[[], None]:
     """Give the call that brings a fault of a line about.
 
     Raises
@@ -187,7 +187,7 @@ def line_action(one: Order, port: SerialDevice, line: FaultLine) -> Callable[[],
     return lambda: port.between_exchanges(act)
 
 
-def _on_line(one: Order, line: FaultLine) -> Callable[[], None]:
+def _on_line(one: FaultOrder, line: FaultLine) -> Callable[[], None]:
     if one.fault == "mend":
         return line.clear
     if one.fault == "baud":
@@ -200,7 +200,7 @@ def _on_line(one: Order, line: FaultLine) -> Callable[[], None]:
     return lambda: line.inject(fault)
 
 
-def _on_light(one: Order, parts: Parts) -> Callable[[], None]:
+def _on_light(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     if one.fault == "trip":
         return parts.light.trip
     if one.fault == "exchange":
@@ -211,10 +211,10 @@ def _on_light(one: Order, parts: Parts) -> Callable[[], None]:
     factor = float(one.parameters.get("factor", 1.0))
     if factor <= 0.0:
         raise ConfigError(f"{factor} is not positive.", where="factor")
-    return lambda: parts.lamp.go_wrong(one.fault, factor)
+    return lambda: parts.lamp.inject_fault(one.fault, factor)
 
 
-def _line_fault(one: Order) -> LineFault:
+def _line_fault(one: FaultOrder) -> LineFault:
     p = one.parameters
     try:
         re.compile(str(p["pattern"]).encode())
@@ -240,7 +240,7 @@ def _bytes(text: Parameter, where: str) -> bytes:
 
 
 def _on_axis(
-    one: Order, controller: AxisController, now: float, then: Callable[[float], None] | None
+    one: FaultOrder, controller: AxisController, now: float, then: Callable[[float], None] | None
 ) -> None:
     axis, p = controller.axis, one.parameters
     if "skip" in p:
@@ -256,7 +256,7 @@ def _on_axis(
     elif one.fault == "stuck_busy":
         axis.stuck_busy = True
     elif one.fault == "idle_flicker":
-        axis.say_idle(int(p["times"]))
+        axis.report_false_idle(int(p["times"]))
     elif one.fault == "push":
         axis.push(float(p["deg"]) * axis.mechanics.counts_per_deg, now)
     elif one.fault == "reboot":
@@ -265,7 +265,7 @@ def _on_axis(
         controller.exchange(str(p["serial"]), now)
     elif one.fault == "mend":
         axis.arm(None)
-        axis.say_idle(0)
+        axis.report_false_idle(0)
         axis.stuck_busy = False
     else:
         controller.emergency_stop(now, released=one.fault == "release")

@@ -11,10 +11,10 @@ from typing import Final
 from simulators.stages import ximc
 
 #: A reply line of the Zaber protocol: addresses, id, the rest, checksum.
-_LINE: Final = re.compile(rb"@(\d\d \d )(\d\d)( [^:\r\n]*):[0-9A-F]{2}\r\n")
+_ZABER_REPLY: Final = re.compile(rb"@(\d\d \d )(\d\d)( [^:\r\n]*):[0-9A-F]{2}\r\n")
 
 #: An answer of the XIMC protocol that carries data: four letters, data, CRC of two bytes.
-_ANSWER: Final = re.compile(rb"([a-z0-9]{4})(.+)..", re.DOTALL)
+_XIMC_ANSWER: Final = re.compile(rb"([a-z0-9]{4})(.+)..", re.DOTALL)
 
 
 def wrong_checksum(reply: bytes) -> bytes:
@@ -25,9 +25,11 @@ def wrong_checksum(reply: bytes) -> bytes:
     >>> wrong_checksum(b"@01 0 00 OK IDLE WR 0:BE\r\n")
     b'@01 0 00 OK IDLE WR 0:41\r\n'
     """
-    if _LINE.search(reply):
-        return _LINE.sub(lambda m: m[0][:-4] + b"%02X" % (int(m[0][-4:-2], 16) ^ 0xFF) + m[0][-2:], reply)
-    if _sealed(reply):
+    if _ZABER_REPLY.search(reply):
+        return _ZABER_REPLY.sub(
+            lambda m: m[0][:-4] + b"%02X" % (int(m[0][-4:-2], 16) ^ 0xFF) + m[0][-2:], reply
+        )
+    if _has_valid_crc(reply):
         return reply[:-2] + bytes(byte ^ 0xFF for byte in reply[-2:])
     return reply
 
@@ -40,9 +42,9 @@ def missing_checksum(reply: bytes) -> bytes:
     >>> missing_checksum(b"@01 0 00 OK IDLE WR 0:BE\r\n")
     b'@01 0 00 OK IDLE WR 0\r\n'
     """
-    if _LINE.search(reply):
-        return _LINE.sub(lambda m: m[0][:-5] + m[0][-2:], reply)
-    return reply[:-2] if _sealed(reply) else reply
+    if _ZABER_REPLY.search(reply):
+        return _ZABER_REPLY.sub(lambda m: m[0][:-5] + m[0][-2:], reply)
+    return reply[:-2] if _has_valid_crc(reply) else reply
 
 
 def wrong_id(reply: bytes) -> bytes:
@@ -58,10 +60,10 @@ def wrong_id(reply: bytes) -> bytes:
         body = b"%s%02d%s" % (match[1], (int(match[2]) + 1) % 100, match[3])
         return b"@%s:%02X\r\n" % (body, -sum(body) & 0xFF)  # of bytes: they may be garbled already
 
-    return _LINE.sub(another, reply)
+    return _ZABER_REPLY.sub(another, reply)
 
 
-def _sealed(reply: bytes) -> bool:
+def _has_valid_crc(reply: bytes) -> bool:
     """Tell whether it is an answer whose last two bytes are the CRC of its data."""
-    match = _ANSWER.fullmatch(reply)
+    match = _XIMC_ANSWER.fullmatch(reply)
     return match is not None and ximc.crc16(match[2]).to_bytes(2, "little") == reply[-2:]

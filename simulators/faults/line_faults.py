@@ -122,9 +122,9 @@ class FaultLine:
         self._clock = clock
         self._rng = rng
         self._faults: list[LineFault] = []
-        self._last = b""
-        self._late: list[tuple[float, bytes]] = []
-        self._acts: list[tuple[float, Callable[[], None]]] = []
+        self._last_reply = b""
+        self._delayed: list[tuple[float, bytes]] = []
+        self._scheduled: list[tuple[float, Callable[[], None]]] = []
         self._other_baud: int | None = None
 
     @property
@@ -152,25 +152,25 @@ class FaultLine:
 
     def say(self, text: bytes) -> None:
         """Let the host hear something that nobody has asked for."""
-        self._late.append((self._clock(), text))
+        self._delayed.append((self._clock(), text))
 
     def listen_at(self, baud: int) -> None:
         """Have the device listen at another baud rate."""
         self._other_baud = baud
 
-    def at(self, t_s: float, act: Callable[[], None]) -> None:
+    def schedule(self, t_s: float, act: Callable[[], None]) -> None:
         """Have something done at a time, between two exchanges."""
-        self._acts.append((t_s, act))
+        self._scheduled.append((t_s, act))
 
     def clear(self) -> None:
         """Let nothing more go wrong; what is late still comes."""
         self._faults.clear()
-        self._acts.clear()
+        self._scheduled.clear()
         self._other_baud = None
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes of the host and give what reaches it at once."""
-        self._act()
+        self._run_scheduled()
         echoed = b""
         for fault in self._due(data, REQUEST_FAULTS):
             if fault.kind == "request_lost":
@@ -179,27 +179,27 @@ class FaultLine:
                 echoed = data
             else:
                 data = _garbled(fault, data, self._rng)[0][1]
-        return echoed + self._befall(self._device.receive(data))
+        return echoed + self._apply_reply_faults(self._device.receive(data))
 
     def unsolicited(self) -> bytes:
         """Give what comes late, and what the device says of its own accord."""
-        self._act()
+        self._run_scheduled()
         now = self._clock()
-        due = b"".join(piece for moment, piece in self._late if moment <= now)
-        self._late = [(moment, piece) for moment, piece in self._late if moment > now]
-        return due + self._befall(self._device.unsolicited())
+        due = b"".join(piece for moment, piece in self._delayed if moment <= now)
+        self._delayed = [(moment, piece) for moment, piece in self._delayed if moment > now]
+        return due + self._apply_reply_faults(self._device.unsolicited())
 
-    def _act(self) -> None:
+    def _run_scheduled(self) -> None:
         """Do what is due by now."""
         now = self._clock()
-        due = [act for t_s, act in self._acts if t_s <= now]
-        self._acts = [(t_s, act) for t_s, act in self._acts if t_s > now]
+        due = [act for t_s, act in self._scheduled if t_s <= now]
+        self._scheduled = [(t_s, act) for t_s, act in self._scheduled if t_s > now]
         for act in due:
             act()
 
-    def _befall(self, reply: bytes) -> bytes:
+    def _apply_reply_faults(self, reply: bytes) -> bytes:
         pieces: Pieces = [(0.0, reply)]
-        last, self._last = self._last, reply or self._last
+        last, self._last_reply = self._last_reply, reply or self._last_reply
         for fault in self._due(reply, (*REPLY_FAULTS, "stale", "any")):
             if fault.kind == "stale":
                 pieces = [(0.0, last)]
@@ -212,7 +212,7 @@ class FaultLine:
                 for more, part in REPLY_FAULTS[kind](fault, piece, self._rng)
             ]
         now = self._clock()
-        self._late += [(now + delay, piece) for delay, piece in pieces if delay > 0.0]
+        self._delayed += [(now + delay, piece) for delay, piece in pieces if delay > 0.0]
         return b"".join(piece for delay, piece in pieces if delay <= 0.0)
 
     def _due(self, message: bytes, kinds: tuple[str, ...]) -> list[LineFault]:

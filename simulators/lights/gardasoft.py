@@ -21,7 +21,7 @@ from simulators.world.world import FULL_DRIVE_V, LightState
 _COMMAND: Final = re.compile(r"([A-Z]{2})(.*)")
 _TIME: Final = re.compile(r"([0-9]*\.?[0-9]+)(US|MS|S)?")
 _MS: Final = {"US": 1e-3, "MS": 1.0, "S": 1000.0, "": 1.0, None: 1.0}
-_LONGEST: Final = 256
+_MAX_MESSAGE: Final = 256
 _CHANNELS: Final = 4
 
 #: Ranges of a pulse's width and delay, and of the internal trigger's period, ms.
@@ -30,7 +30,7 @@ _DELAY_MS: Final = (0.005, 999.0)
 _PERIOD_MS: Final = (0.1, 10_000.0)
 
 #: Highest brightness of a pulse, percent of the lamp's rating.
-_MOST_PERCENT: Final = 999.0
+_MAX_PERCENT: Final = 999.0
 
 CONTINUOUS, SWITCHED, PULSE = 0, 1, 2
 
@@ -78,15 +78,15 @@ class GardasoftRt:
         self._clock = clock
         self._drive = drive
         self._version = version
-        self._heard = b""
+        self._buffer = b""
         self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
         self._trigger = False
         self._period_ms = 20.0
-        self._tells_events = False
+        self._events_enabled = False
         self._event = ""
-        self._unsaid = ""
+        self._pending_events = ""
         self._tripped = False
-        self._most_percent = _MOST_PERCENT
+        self._max_percent = _MAX_PERCENT
         self._light = LightState(origin_s=clock())
         self._commands: dict[str, Callable[[list[str]], str]] = {
             "VR": lambda _words: self._version,
@@ -98,9 +98,9 @@ class GardasoftRt:
             "ST": self._status,
             "GT": self._set_events,
             "GR": self._clear,
-            "AW": lambda words: _no_more(words, 0),
+            "AW": lambda words: _expect_at_most(words, 0),
         }
-        self._tell()
+        self._publish()
 
     @property
     def baud(self) -> int:
@@ -109,42 +109,42 @@ class GardasoftRt:
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes as they arrive and give all answers."""
-        *lines, self._heard = (self._heard + data).replace(b"\n", b"").split(b"\r")
-        self._heard = self._heard[-_LONGEST:]
+        *lines, self._buffer = (self._buffer + data).replace(b"\n", b"").split(b"\r")
+        self._buffer = self._buffer[-_MAX_MESSAGE:]
         said = ""
         for line in lines:
             for command in line.decode("ascii", "replace").replace(" ", "").split(";"):
-                said += self._obey(command.upper())
+                said += self._execute(command.upper())
             said += ">"
         return said.encode("ascii")
 
     def unsolicited(self) -> bytes:
         """Events, once they are wanted."""
-        said, self._unsaid = self._unsaid, ""
+        said, self._pending_events = self._pending_events, ""
         return said.encode("ascii")
 
     def clip(self, most_v: float | None) -> None:
         """Hold brightness to come within a share of the full drive, or no more."""
-        self._most_percent = _MOST_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
+        self._max_percent = _MAX_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 
     def trip(self, event: int = OVER_TEMPERATURE) -> None:
         """Have a protection switch the light off; the event is told, or kept for ``GR``."""
         self._tripped = True
         self._event = f"Evt1,{event};"
-        if self._tells_events:
-            self._unsaid += f"{self._event}\r\n"
-        self._tell()
+        if self._events_enabled:
+            self._pending_events += f"{self._event}\r\n"
+        self._publish()
 
     def exchange(self, serial: str) -> None:
         """Be another controller from now on, fresh from power-up; it has no serial number to tell."""
         del serial
         self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
-        self._trigger = self._tells_events = self._tripped = False
+        self._trigger = self._events_enabled = self._tripped = False
         self._event = ""
-        self._tell()
+        self._publish()
 
     # ------------------------------------------------------------------ commands
-    def _obey(self, command: str) -> str:
+    def _execute(self, command: str) -> str:
         if not command:
             return ""
         match = _COMMAND.fullmatch(command)
@@ -160,34 +160,34 @@ class GardasoftRt:
             raise _RtError(1 if words else 4)
         period, warned = self._period_ms, False
         if len(words) == 2:
-            period, warned = _held(_time_ms(words[1]), _PERIOD_MS)
+            period, warned = _clipped(_time_ms(words[1]), _PERIOD_MS)
         self._trigger, self._period_ms = words[0] == "1", period
-        return self._changed(warned=warned)
+        return self._apply(warned=warned)
 
     def _set_pulse(self, words: list[str]) -> str:
         if len(words) not in {4, 5}:
             raise _RtError(4)
         channel = _channel(words[0])
-        width, too_wide = _held(_time_ms(words[1]), _WIDTH_MS)
-        delay, too_late = _held(_time_ms(words[2]), _DELAY_MS)
-        percent, too_bright = _held(_number(words[3]), (0.0, self._most_percent))
+        width, too_wide = _clipped(_time_ms(words[1]), _WIDTH_MS)
+        delay, too_late = _clipped(_time_ms(words[2]), _DELAY_MS)
+        percent, too_bright = _clipped(_number(words[3]), (0.0, self._max_percent))
         self.outputs[channel] = Output(PULSE, percent, width, delay)
-        return self._changed(warned=too_wide or too_late or too_bright)
+        return self._apply(warned=too_wide or too_late or too_bright)
 
     def _set_level(self, words: list[str], mode: int) -> str:
         if len(words) < 2 or len(words) > (2 if mode == CONTINUOUS else 4):
             raise _RtError(4)
         channel = _channel(words[0])
-        percent, warned = _held(_number(words[1]), (0.0, min(100.0, self._most_percent)))
+        percent, warned = _clipped(_number(words[1]), (0.0, min(100.0, self._max_percent)))
         self.outputs[channel] = replace(self.outputs[channel], mode=mode, percent=percent)
-        return self._changed(warned=warned)
+        return self._apply(warned=warned)
 
     def _fire(self, words: list[str]) -> str:
         _channel(words[0] if words else "")
-        return _no_more(words, 1)
+        return _expect_at_most(words, 1)
 
     def _status(self, words: list[str]) -> str:
-        _no_more(words, 1)
+        _expect_at_most(words, 1)
         if words in ([], ["0"]):
             return f"TM {int(self._trigger)}, TP {self._period_ms:.3f}ms"
         channel = _channel(words[0])
@@ -200,24 +200,24 @@ class GardasoftRt:
     def _set_events(self, words: list[str]) -> str:
         if words not in (["0"], ["1"]):
             raise _RtError(1 if words else 4)
-        self._tells_events = words == ["1"]
+        self._events_enabled = words == ["1"]
         return ""
 
     def _clear(self, words: list[str]) -> str:
-        _no_more(words, 0)
+        _expect_at_most(words, 0)
         said, self._event = self._event, ""
         self._tripped = False
-        self._tell()
+        self._publish()
         return said
 
     # ------------------------------------------------------------------ effect
-    def _changed(self, *, warned: bool) -> str:
-        self._tell()
+    def _apply(self, *, warned: bool) -> str:
+        self._publish()
         if warned:
             raise _RtError(5)
         return ""
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         """Let the world know what the light does now: pulses begin with the internal trigger's edge."""
         now, one = self._clock(), self.outputs[1]
         frequency = 1000.0 / self._period_ms
@@ -241,7 +241,7 @@ def _unknown(_words: list[str]) -> str:
     raise _RtError(2)
 
 
-def _held(value: float, bounds: tuple[float, float]) -> tuple[float, bool]:
+def _clipped(value: float, bounds: tuple[float, float]) -> tuple[float, bool]:
     """Hold a value within bounds, and say whether it had to be."""
     held = min(max(value, bounds[0]), bounds[1])
     return held, held != value
@@ -269,7 +269,7 @@ def _channel(text: str) -> int:
     return int(text)
 
 
-def _no_more(words: list[str], most: int) -> str:
+def _expect_at_most(words: list[str], most: int) -> str:
     """See that there are not too many parameters; answers nothing."""
     if len(words) > most:
         raise _RtError(4)

@@ -18,7 +18,7 @@ Shape = Literal["square", "sine", "dc"]
 Setting = Literal["frequency", "duty", "amplitude", "offset", "high", "low"]
 
 #: Why a value was not taken as it was given.
-Held = Literal["", "lower limit", "upper limit", "conflict"]
+ClipReason = Literal["", "lower limit", "upper limit", "conflict"]
 
 #: Output resistance: into an open input the voltage is twice that into 50 ohm.
 SOURCE_OHM: Final = 50.0
@@ -27,8 +27,8 @@ _FREQUENCY_HZ: Final = (1e-6, 80e6)
 _DUTY_PERCENT: Final = (20.0, 80.0)
 
 #: Range of the output into an open input, and the least amplitude there.
-_MOST_V: Final = 10.0
-_LEAST_AMPLITUDE_V: Final = 0.002
+_MAX_V: Final = 10.0
+_MIN_AMPLITUDE_V: Final = 0.002
 
 
 @dataclass(frozen=True)
@@ -77,44 +77,44 @@ class Generator:
         self._clock = clock
         self._drive = drive
         self._light = LightState(origin_s=clock())
-        self.most_v = _MOST_V
+        self.most_v = _MAX_V
         self.settings = Settings()
-        self._tell()
+        self._publish()
 
     # ------------------------------------------------------------------ settings
     def reset(self) -> None:
         """Set everything back."""
-        self._take(Settings())
+        self._apply(Settings())
 
-    def shape(self, shape: Shape) -> None:
+    def set_shape(self, shape: Shape) -> None:
         """Take another waveform."""
-        self._take(replace(self.settings, shape=shape))
+        self._apply(replace(self.settings, shape=shape))
 
     def switch(self, *, output: bool | None = None, sync: bool | None = None) -> None:
         """Switch the output, or the sync output."""
         now = self.settings
-        self._take(
+        self._apply(
             replace(
                 now, output=now.output if output is None else output, sync=now.sync if sync is None else sync
             )
         )
 
-    def load(self, ohm: float) -> None:
+    def set_load(self, ohm: float) -> None:
         """Take another load: the output stays as it is, the voltages shown for it change."""
-        scale = _share(ohm) / _share(self.settings.load_ohm)
+        scale = _voltage_share(ohm) / _voltage_share(self.settings.load_ohm)
         low_v, high_v = self.settings.low_v * scale, self.settings.high_v * scale
-        self._take(replace(self.settings, load_ohm=ohm, low_v=low_v, high_v=high_v))
+        self._apply(replace(self.settings, load_ohm=ohm, low_v=low_v, high_v=high_v))
 
-    def set(self, name: Setting, value: float) -> Held:
+    def set(self, name: Setting, value: float) -> ClipReason:
         """Set a value, or the nearest that can be, and say which bound held it."""
         lowest, highest = self.bounds(name)
-        held: Held = "lower limit" if value < lowest else "upper limit" if value > highest else ""
+        held: ClipReason = "lower limit" if value < lowest else "upper limit" if value > highest else ""
         value = min(max(value, lowest), highest)
         now = self.settings
         if name == "frequency":
-            self._take(replace(now, frequency_hz=round(value, 6)))
+            self._apply(replace(now, frequency_hz=round(value, 6)))
         elif name == "duty":
-            self._take(replace(now, duty_percent=round(value, 1)))
+            self._apply(replace(now, duty_percent=round(value, 1)))
         else:
             moved = self._set_level(name, value)
             held = held or moved
@@ -122,8 +122,8 @@ class Generator:
 
     def bounds(self, name: Setting) -> tuple[float, float]:
         """Values that a setting takes at present."""
-        share = _share(self.settings.load_ohm)
-        most, least = self.most_v * share, _LEAST_AMPLITUDE_V * share
+        share = _voltage_share(self.settings.load_ohm)
+        most, least = self.most_v * share, _MIN_AMPLITUDE_V * share
         half = self.settings.amplitude_v / 2.0
         ranges: dict[Setting, tuple[float, float]] = {
             "frequency": _FREQUENCY_HZ,
@@ -137,21 +137,21 @@ class Generator:
 
     def clip(self, most_v: float | None) -> None:
         """Hold levels to come within less than usual, or no more."""
-        self.most_v = _MOST_V if most_v is None else most_v
+        self.most_v = _MAX_V if most_v is None else most_v
 
     def trip(self) -> None:
         """Have the overload protection switch the output off, without a word."""
         self.switch(output=False)
 
     # ------------------------------------------------------------------ inside
-    def _set_level(self, name: Setting, value: float) -> Held:
+    def _set_level(self, name: Setting, value: float) -> ClipReason:
         """Set both levels from one of the four ways to say them; the other level yields where it must."""
-        now, share = self.settings, _share(self.settings.load_ohm)
-        least = _LEAST_AMPLITUDE_V * share
+        now, share = self.settings, _voltage_share(self.settings.load_ohm)
+        least = _MIN_AMPLITUDE_V * share
         if name == "offset" and now.shape == "dc":
             # The amplitude puts nothing out, and yields so that offset and amplitude fit the range later.
             half = min(now.amplitude_v / 2.0, max(self.most_v * share - abs(value), least / 2.0))
-            self._take(replace(now, low_v=value - half, high_v=value + half))
+            self._apply(replace(now, low_v=value - half, high_v=value + half))
             return ""
         low_v, high_v = {
             "amplitude": (now.offset_v - value / 2.0, now.offset_v + value / 2.0),
@@ -162,19 +162,19 @@ class Generator:
         most = self.most_v * share
         conflict = low_v < -most - 1e-9 or high_v > most + 1e-9
         conflict |= (name == "high" and low_v < now.low_v) or (name == "low" and high_v > now.high_v)
-        self._take(replace(now, low_v=round(max(low_v, -most), 4), high_v=round(min(high_v, most), 4)))
+        self._apply(replace(now, low_v=round(max(low_v, -most), 4), high_v=round(min(high_v, most), 4)))
         return "conflict" if conflict else ""
 
-    def _take(self, settings: Settings) -> None:
+    def _apply(self, settings: Settings) -> None:
         self.settings = settings
-        self._tell()
+        self._publish()
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         """Let the world know what the light does now."""
         now, settings = self._clock(), self.settings
         levels = (settings.offset_v,) * 2 if settings.shape == "dc" else (settings.low_v, settings.high_v)
         # The lamp's input is open: it sees the source's own voltage, whatever load the display is set for.
-        open_circuit = 1.0 / _share(settings.load_ohm)
+        open_circuit = 1.0 / _voltage_share(settings.load_ohm)
         self._light = LightState(
             waveform="sine" if settings.shape == "sine" else "square",
             frequency_hz=settings.frequency_hz,
@@ -188,6 +188,6 @@ class Generator:
         self._drive(self._light)
 
 
-def _share(load_ohm: float) -> float:
+def _voltage_share(load_ohm: float) -> float:
     """Share of the source's own voltage that stands at a load."""
     return 1.0 if math.isinf(load_ohm) else load_ohm / (load_ohm + SOURCE_OHM)

@@ -14,7 +14,7 @@ from simulators.lights.generator import Generator
 from simulators.world.world import LightState
 
 #: Longest message the input buffer takes.
-_LONGEST: Final = 2048
+_MAX_MESSAGE: Final = 2048
 
 
 class GeneratorLine(ABC):
@@ -30,7 +30,7 @@ class GeneratorLine(ABC):
 
     def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None]) -> None:
         self._generator = Generator(clock, drive)
-        self._heard = b""
+        self._buffer = b""
 
     @property
     @abstractmethod
@@ -42,15 +42,15 @@ class GeneratorLine(ABC):
         """Be another instrument of this model from now on, fresh from power-up."""
 
     @abstractmethod
-    def _answers(self, message: str) -> list[str]:
+    def _execute(self, message: str) -> list[str]:
         """Obey a message and give its answers, a line each."""
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes as they arrive and give what they ask for."""
-        *messages, self._heard = (self._heard + data).split(b"\n")
-        self._heard = self._heard[-_LONGEST:]
+        *messages, self._buffer = (self._buffer + data).split(b"\n")
+        self._buffer = self._buffer[-_MAX_MESSAGE:]
         answers = [
-            answer for message in messages for answer in self._answers(message.decode("ascii", "replace"))
+            answer for message in messages for answer in self._execute(message.decode("ascii", "replace"))
         ]
         return b"".join(f"{answer}\n".encode("ascii") for answer in answers)
 

@@ -87,7 +87,7 @@ class Lamp:
             )
         )
 
-    def go_wrong(self, kind: str, factor: float = 0.5) -> None:
+    def inject_fault(self, kind: str, factor: float = 0.5) -> None:
         """Let something go wrong from now on.
 
         Parameters
@@ -109,7 +109,7 @@ class Lamp:
         self._effect = _EFFECTS[kind](self._effect, factor)
         self.drive(self._driven)
 
-    def mend(self) -> None:
+    def clear_faults(self) -> None:
         """Have all well again."""
         self._effect = _Effect()
         self.drive(self._driven)

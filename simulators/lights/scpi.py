@@ -175,7 +175,7 @@ class CommandTree:
         raise ScpiError(-113)
 
 
-def the_one(arguments: Sequence[str]) -> str:
+def only_argument(arguments: Sequence[str]) -> str:
     """Take the only argument."""
     if not arguments:
         raise ScpiError(-109)
@@ -184,7 +184,7 @@ def the_one(arguments: Sequence[str]) -> str:
     return arguments[0]
 
 
-def no_arguments(arguments: Sequence[str]) -> None:
+def expect_no_arguments(arguments: Sequence[str]) -> None:
     """See that there are none."""
     if arguments:
         raise ScpiError(-108)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from simulators.lights.generator import Held, Setting, Shape
+from simulators.lights.generator import ClipReason, Setting, Shape
 from simulators.lights.generator_line import GeneratorLine
 from simulators.lights.scpi import (
     CommandTree,
@@ -19,9 +19,9 @@ from simulators.lights.scpi import (
     ScpiError,
     boolean,
     choice,
-    no_arguments,
+    expect_no_arguments,
     number,
-    the_one,
+    only_argument,
 )
 from simulators.world.world import LightState
 
@@ -33,7 +33,7 @@ _LOAD_OHM: Final = (1.0, 10_000.0)
 
 _SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
 
-_WHY: Final = {
+_CLIP_ERRORS: Final = {
     "lower limit": (-222, "value clipped to lower limit"),
     "upper limit": (-222, "value clipped to upper limit"),
     "conflict": (-221, "the other level has been adjusted"),
@@ -86,7 +86,7 @@ class ScpiGenerator(GeneratorLine):
         super().__init__(clock, drive)
         self.model = model
         self._tree = CommandTree(ErrorQueue())
-        self._teach()
+        self._register_commands()
 
     @property
     def baud(self) -> int:
@@ -100,92 +100,100 @@ class ScpiGenerator(GeneratorLine):
         self._generator.reset()
 
     # ------------------------------------------------------------------ what it understands
-    def _answers(self, message: str) -> list[str]:
+    def _execute(self, message: str) -> list[str]:
         answer = self._tree.answer(message)
         return [] if answer is None else [answer]
 
-    def _teach(self) -> None:
+    def _register_commands(self) -> None:
         tree, model, generator = self._tree, self.model, self._generator
         source, output = ("[:SOURce#]", "OUTPut#") if model.numbered_channels else ("[:SOURce]", "OUTPut")
         tree.add("*IDN", None, lambda _: self._identity())
         tree.add("*RST", self._reset, None)
         tree.add("*CLS", lambda _: tree.errors.clear(), None)
-        tree.add("*OPC", no_arguments, lambda _: "1")
-        tree.add("*WAI", no_arguments, None)
+        tree.add("*OPC", expect_no_arguments, lambda _: "1")
+        tree.add("*WAI", expect_no_arguments, None)
         if model.error_queue:
             tree.add("SYSTem:ERRor[:NEXT]", None, lambda _: tree.errors.next())
         for word in ("REMote", "LOCal", "RWLock"):
-            tree.add(f"SYSTem:{word}", no_arguments, None)
+            tree.add(f"SYSTem:{word}", expect_no_arguments, None)
         tree.add(f"{source}:FUNCtion[:SHAPe]", self._set_shape, lambda _: self._shape())
-        self._teach_value(f"{source}:FREQuency", "frequency", _HERTZ, lambda: generator.settings.frequency_hz)
-        self._teach_value(
+        self._register_value(
+            f"{source}:FREQuency", "frequency", _HERTZ, lambda: generator.settings.frequency_hz
+        )
+        self._register_value(
             f"{source}:FUNCtion:SQUare:DCYCle", "duty", _PERCENT, lambda: generator.settings.duty_percent
         )
-        self._teach_value(f"{source}:VOLTage", "amplitude", _VOLTS, lambda: generator.settings.amplitude_v)
-        self._teach_value(f"{source}:VOLTage:OFFSet", "offset", _VOLTS, lambda: generator.settings.offset_v)
-        self._teach_value(f"{source}:VOLTage:HIGH", "high", _VOLTS, lambda: generator.settings.high_v)
-        self._teach_value(f"{source}:VOLTage:LOW", "low", _VOLTS, lambda: generator.settings.low_v)
+        self._register_value(f"{source}:VOLTage", "amplitude", _VOLTS, lambda: generator.settings.amplitude_v)
+        self._register_value(
+            f"{source}:VOLTage:OFFSet", "offset", _VOLTS, lambda: generator.settings.offset_v
+        )
+        self._register_value(f"{source}:VOLTage:HIGH", "high", _VOLTS, lambda: generator.settings.high_v)
+        self._register_value(f"{source}:VOLTage:LOW", "low", _VOLTS, lambda: generator.settings.low_v)
         tree.add(
             f"{output}[:STATe]",
-            lambda words: generator.switch(output=boolean(the_one(words))),
-            lambda _: self._switched(generator.settings.output),
+            lambda words: generator.switch(output=boolean(only_argument(words))),
+            lambda _: self._format_switch(generator.settings.output),
         )
         tree.add(
             f"{output}:SYNC[:STATe]",
-            lambda words: generator.switch(sync=boolean(the_one(words))),
-            lambda _: self._switched(generator.settings.sync),
+            lambda words: generator.switch(sync=boolean(only_argument(words))),
+            lambda _: self._format_switch(generator.settings.sync),
         )
         tree.add(
-            f"{output}:LOAD", self._set_load, lambda _: _printed(min(generator.settings.load_ohm, 9.9e37))
+            f"{output}:LOAD",
+            self._set_load,
+            lambda _: _format_number(min(generator.settings.load_ohm, 9.9e37)),
         )
 
-    def _teach_value(
+    def _register_value(
         self, header: str, name: Setting, unit_factors: dict[str, float], read: Callable[[], float]
     ) -> None:
         """Understand a number: set it, read it, and tell its bounds, as in ``FREQ? MAX``."""
 
-        def set_it(arguments: list[str]) -> None:
-            word = the_one(arguments)
+        def set_value(arguments: list[str]) -> None:
+            word = only_argument(arguments)
             bound = _bound(word)
             lowest_highest = self._generator.bounds(name)
             value = number(word, unit_factors) if bound is None else lowest_highest[bound]
-            _complain(self._generator.set(name, value))
+            _raise_if_clipped(self._generator.set(name, value))
 
-        def tell_it(arguments: list[str]) -> str:
+        def read_value(arguments: list[str]) -> str:
             if not arguments:
-                return _printed(read())
-            bound = _bound(the_one(arguments))
+                return _format_number(read())
+            bound = _bound(only_argument(arguments))
             if bound is None:
                 raise ScpiError(-224)
-            return _printed(self._generator.bounds(name)[bound])
+            return _format_number(self._generator.bounds(name)[bound])
 
-        self._tree.add(header, set_it, tell_it)
+        self._tree.add(header, set_value, read_value)
 
     def _identity(self) -> str:
         model = self.model
         return f"{model.maker},{model.name},{model.serial},{model.firmware}"
 
     def _reset(self, arguments: list[str]) -> None:
-        no_arguments(arguments)
+        expect_no_arguments(arguments)
         self._generator.reset()
 
     def _set_shape(self, arguments: list[str]) -> None:
-        word = choice(the_one(arguments), list(_SHAPES))
-        self._generator.shape(next(shape for name, shape in _SHAPES.items() if name.startswith(word)))
+        word = choice(only_argument(arguments), list(_SHAPES))
+        self._generator.set_shape(next(shape for name, shape in _SHAPES.items() if name.startswith(word)))
 
     def _shape(self) -> str:
         return {"square": "SQU", "sine": "SIN", "dc": "DC"}[self._generator.settings.shape]
 
     def _set_load(self, arguments: list[str]) -> None:
-        word = the_one(arguments)
+        word = only_argument(arguments)
         if word.upper() in {"INF", "INFINITY"}:
-            self._generator.load(math.inf)
+            self._generator.set_load(math.inf)
             return
         asked = number(word, _OHMS)
-        self._generator.load(min(max(asked, _LOAD_OHM[0]), _LOAD_OHM[1]))
-        _complain("lower limit" if asked < _LOAD_OHM[0] else "upper limit" if asked > _LOAD_OHM[1] else "")
+        self._generator.set_load(min(max(asked, _LOAD_OHM[0]), _LOAD_OHM[1]))
+        _raise_if_clipped(
+            "lower limit" if asked < _LOAD_OHM[0] else "upper limit" if asked > _LOAD_OHM[1] else ""
+        )
 
-    def _switched(self, on: bool) -> str:
+    def _format_switch(self, on: bool) -> str:
         if self.model.numbered_channels:
             return "ON" if on else "OFF"
         return str(int(on))
@@ -198,12 +206,12 @@ def _bound(word: str) -> int | None:
     return 1 if word.upper() in {"MAX", "MAXIMUM"} else None
 
 
-def _complain(held: Held) -> None:
+def _raise_if_clipped(held: ClipReason) -> None:
     """Queue the error of a value that was held."""
     if held:
-        raise ScpiError(*_WHY[held])
+        raise ScpiError(*_CLIP_ERRORS[held])
 
 
-def _printed(value: float) -> str:
+def _format_number(value: float) -> str:
     """Print a number as the instrument does."""
     return f"{value:+.13E}"

@@ -67,7 +67,7 @@ class SiglentGenerator(GeneratorLine):
         self._generator.reset()
 
     # ------------------------------------------------------------------ commands
-    def _answers(self, message: str) -> list[str]:
+    def _execute(self, message: str) -> list[str]:
         answers = (self._answer(command.strip()) for command in message.split(";"))
         return [answer for answer in answers if answer]
 
@@ -96,7 +96,7 @@ class SiglentGenerator(GeneratorLine):
         for name, value in zip(words[::2], words[1::2], strict=False):
             number = _number(value)
             if name == "WVTP" and value in _SHAPES:
-                self._generator.shape(_SHAPES[value])
+                self._generator.set_shape(_SHAPES[value])
             elif name in _VALUES and number is not None:
                 self._generator.set(_VALUES[name], number)
 
@@ -107,7 +107,7 @@ class SiglentGenerator(GeneratorLine):
             load = words[words.index("LOAD") + 1]
             ohm = math.inf if load == "HZ" else _number(load)
             if ohm is not None and ohm >= 1.0:
-                self._generator.load(ohm)
+                self._generator.set_load(ohm)
 
     def _set_sync(self, words: list[str]) -> None:
         if words[0] in {"ON", "OFF"}:

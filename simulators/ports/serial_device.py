@@ -16,10 +16,10 @@ from types import TracebackType
 from typing import Protocol, Self
 
 #: Bits on the wire a byte: start, eight data, stop.
-_BITS = 10
+_BITS_PER_BYTE = 10
 
 #: A USB adapter hands bytes on in packets; a reader sees a long reply in parts.
-_PACKET = 32
+_PACKET_BYTES = 32
 
 #: How often a device with something to say of its own accord is asked.
 _POLL_S = 0.02
@@ -101,8 +101,8 @@ class SerialDevice:
         self._port = port
         self._dialect = dialect
         self._paced = paced
-        self._ending = threading.Event()
-        self._orders: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._closing = threading.Event()
+        self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._waking, self._wake = socket.socketpair()
         self._thread = threading.Thread(target=self._serve, name=f"serial {port.name}", daemon=True)
 
@@ -126,7 +126,7 @@ class SerialDevice:
 
     def close(self) -> None:
         """Stop answering, and remove the port."""
-        self._ending.set()
+        self._closing.set()
         self._wake.send(b".")
         self._thread.join()
         self._port.close()
@@ -159,41 +159,41 @@ class SerialDevice:
             else:
                 done.set_result(None)
 
-        self._orders.put(carry_out)
+        self._actions.put(carry_out)
         self._wake.send(b".")
         done.result()
 
     # ------------------------------------------------------------------ inside
     def _serve(self) -> None:
-        while not self._ending.is_set():
+        while not self._closing.is_set():
             ends = [self._waking.fileno()] + ([self._port.fileno()] if self._port.fileno() >= 0 else [])
             ready, _, _ = select.select(ends, [], [], _POLL_S)
             if self._waking.fileno() in ready:
                 self._waking.recv(64)
-            while not self._orders.empty():
-                self._orders.get()()
+            while not self._actions.empty():
+                self._actions.get()()
             if self._port.fileno() >= 0:
                 self._exchange()
 
     def _exchange(self) -> None:
-        heard = self._port.read()
+        received = self._port.read()
         understood = self._port.client_baud() in (self._dialect.baud, None)
-        if heard:
-            self._take_time(len(heard))
-        answer = self._dialect.receive(heard) if heard and understood else _garbage(heard)
+        if received:
+            self._wait_for_line(len(received))
+        answer = self._dialect.receive(received) if received and understood else _garbage(received)
         answer += self._dialect.unsolicited() if understood else b""
         if self._port.fileno() < 0:  # pulled out meanwhile
             return
-        for start in range(0, len(answer), _PACKET):
-            packet = answer[start : start + _PACKET]
-            self._take_time(len(packet))
+        for start in range(0, len(answer), _PACKET_BYTES):
+            packet = answer[start : start + _PACKET_BYTES]
+            self._wait_for_line(len(packet))
             self._port.write(packet)
 
-    def _take_time(self, count: int) -> None:
+    def _wait_for_line(self, count: int) -> None:
         if self._paced:
-            self._ending.wait(count * _BITS / self._dialect.baud)
+            self._closing.wait(count * _BITS_PER_BYTE / self._dialect.baud)
 
 
-def _garbage(heard: bytes) -> bytes:
+def _garbage(received: bytes) -> bytes:
     """Make what a line at the wrong speed carries: as many bytes, none of them right."""
-    return bytes((0x80 | (byte * 29 + 7 * index)) & 0xFF for index, byte in enumerate(heard))
+    return bytes((0x80 | (byte * 29 + 7 * index)) & 0xFF for index, byte in enumerate(received))

@@ -126,11 +126,11 @@ class Axis:
         self._homing_sets_counter = True
         self._referenced = False
         self._armed: MotionFault | None = None
-        self._false_idles = 0
+        self._false_idle_replies = 0
         self.stuck_busy = False
         self._event: MotionEvent | None = None
         self.commanded = self.motor = Course.resting(now_s, start)
-        self.pointing = self._followed(start, 0.0)
+        self.pointing = self._follow_motor(start, 0.0)
 
     # ------------------------------------------------------------------ questions
     def counter(self, t_s: float) -> float:
@@ -156,11 +156,11 @@ class Axis:
         """Whether a ramp is still under way; a load that only settles is not busy."""
         return t_s < self.commanded.end_s
 
-    def says_busy(self, t_s: float) -> bool:
+    def reports_busy(self, t_s: float) -> bool:
         """What the controller tells of that: the truth, unless a fault of reporting was set."""
         busy = self.busy(t_s)
-        if busy and self._false_idles > 0:
-            self._false_idles -= 1
+        if busy and self._false_idle_replies > 0:
+            self._false_idle_replies -= 1
             return False
         return busy or self.stuck_busy
 
@@ -181,7 +181,7 @@ class Axis:
     def move_to(self, target: float, t_s: float, speed: float, acceleration: float) -> None:
         """Ramp to a counter value, from wherever and however fast the axis is."""
         self._abandon_homing(t_s)
-        self._go(t_s, [(target + self._origin, speed)], acceleration)
+        self._ramp_through(t_s, [(target + self._origin, speed)], acceleration)
 
     def stop(self, t_s: float, acceleration: float) -> None:
         """Brake to a halt on a whole count; ends homing without a reference."""
@@ -189,7 +189,7 @@ class Axis:
         velocity = self.commanded.velocity(t_s)
         rest = self.commanded.position(t_s) + velocity * abs(velocity) / (2.0 * acceleration)
         rest = float(math.ceil(rest) if velocity > 0.0 else math.floor(rest))
-        self._go(t_s, [(rest, max(abs(velocity), 1.0))], acceleration)
+        self._ramp_through(t_s, [(rest, max(abs(velocity), 1.0))], acceleration)
 
     def halt(self, t_s: float) -> None:
         """Stand still at once, as with the motor's current cut."""
@@ -198,7 +198,7 @@ class Axis:
         load, offset = self._load(t_s)
         self.commanded = Course.resting(t_s, float(round(self.commanded.position(t_s))))
         self.motor = Course.resting(t_s, float(round(self.motor.position(t_s))))
-        self.pointing = self._followed(load, offset)
+        self.pointing = self._follow_motor(load, offset)
 
     def home(
         self, t_s: float, speed: float, slow: float, acceleration: float, *, set_counter: bool = True
@@ -208,9 +208,9 @@ class Axis:
         self._referenced = False
         self._homing = True
         self._homing_sets_counter = set_counter
-        sensor = float(round(self.mechanics.home_deg * self.mechanics.counts_per_deg)) - self._lost(t_s)
+        sensor = float(round(self.mechanics.home_deg * self.mechanics.counts_per_deg)) - self._slip(t_s)
         below = sensor - _HOMING_OVERRUN_DEG * self.mechanics.counts_per_deg
-        self._go(t_s, [(below, speed), (sensor, slow)], acceleration)
+        self._ramp_through(t_s, [(below, speed), (sensor, slow)], acceleration)
 
     def restart(self, t_s: float) -> None:
         """Power-cycle the controller: it halts, counts from 0 where it stands, and has no reference."""
@@ -238,9 +238,9 @@ class Axis:
         """Let something go wrong with a motion to come, in place of what was armed before; None for nothing."""
         self._armed = fault
 
-    def say_idle(self, times: int) -> None:
+    def report_false_idle(self, times: int) -> None:
         """Have it reported idle that many times while it still moves."""
-        self._false_idles = times
+        self._false_idle_replies = times
 
     def push(self, counts: float, t_s: float) -> None:
         """Turn the shaft from outside, unknown to the counter."""
@@ -252,10 +252,10 @@ class Axis:
             start_s=t_s, position=present.position_at(t_s) + counts, velocity=present.velocity_at(t_s)
         )
         self.motor = Course((first, *begun))
-        self.pointing = self._followed(load, offset)
+        self.pointing = self._follow_motor(load, offset)
 
     # ------------------------------------------------------------------ inside
-    def _lost(self, t_s: float) -> float:
+    def _slip(self, t_s: float) -> float:
         """Motor minus commanded position: what slipped or was pushed since power-up."""
         return self.motor.position(t_s) - self.commanded.position(t_s)
 
@@ -263,7 +263,7 @@ class Axis:
         """Where the load is, and on which side of the gear's play."""
         return self.pointing.load(t_s), self.pointing.offsets[self.pointing.course.index(t_s)]
 
-    def _followed(self, load: float, offset: float) -> Pointing:
+    def _follow_motor(self, load: float, offset: float) -> Pointing:
         """Let the load follow the motor from now on, and tell the world."""
         m = self.mechanics
         backlash = m.backlash_deg * m.counts_per_deg
@@ -271,10 +271,10 @@ class Axis:
         self._publish(pointing)
         return pointing
 
-    def _go(self, t_s: float, stations: list[tuple[float, float]], acceleration: float) -> None:
+    def _ramp_through(self, t_s: float, stations: list[tuple[float, float]], acceleration: float) -> None:
         """Ramp from here and now through stations (commanded position, speed), resting at each."""
         load, offset = self._load(t_s)
-        lost = self._lost(t_s)
+        lost = self._slip(t_s)
         begin, velocity = (
             self.motor.position(t_s),
             self.motor.velocity(t_s) if t_s < self.motor.end_s else 0.0,
@@ -289,11 +289,11 @@ class Axis:
             self._armed = replace(self._armed, skip=self._armed.skip - 1)
         elif self._armed is not None:
             fault, self._armed = self._armed, None
-            self._go_wrong(fault)
-        self._meet_end_stops()
-        self.pointing = self._followed(load, offset)
+            self._apply_fault(fault)
+        self._stop_at_end_stops()
+        self.pointing = self._follow_motor(load, offset)
 
-    def _go_wrong(self, fault: MotionFault) -> None:
+    def _apply_fault(self, fault: MotionFault) -> None:
         t_s = self.commanded.start_s + fault.share * (self.commanded.end_s - self.commanded.start_s)
         if fault.then is not None:
             fault.then(t_s)
@@ -302,20 +302,20 @@ class Axis:
         elif fault.kind == "slip":
             self.motor = self.motor.until(t_s)
         elif fault.kind == "stall":
-            self._hold_fast(t_s)
+            self._stall(t_s)
         else:
             self.motor, self.commanded = self.motor.until(t_s), self.commanded.until(t_s)
             self.stuck_busy = self.stuck_busy or fault.kind == "no_progress"
             if fault.kind in {"limit", "twist", "restart"}:
                 self._event = MotionEvent(cast("Noticed", fault.kind), t_s)
 
-    def _meet_end_stops(self) -> None:
+    def _stop_at_end_stops(self) -> None:
         scale = self.mechanics.counts_per_deg
         hit_s = self.motor.first_beyond(self.mechanics.lowest_deg * scale, self.mechanics.highest_deg * scale)
         if hit_s is not None:
-            self._hold_fast(hit_s)
+            self._stall(hit_s)
 
-    def _hold_fast(self, t_s: float) -> None:
+    def _stall(self, t_s: float) -> None:
         """Let the motor stand from a time on; a controller that notices stops there, another counts on."""
         self.motor = self.motor.until(t_s)
         if self.mechanics.stall_detection:

@@ -22,9 +22,9 @@ from simulators.world.trajectory import Pointing
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10
-_LONGEST: Final = 256
+_MAX_LINE: Final = 256
 
-_MESSAGES: Final = {
+_ERROR_TEXTS: Final = {
     0: "NO ERROR DETECTED",
     4: "EMERGENCY STOP ACTIVATED",
     6: "COMMAND DOES NOT EXIST",
@@ -33,7 +33,7 @@ _MESSAGES: Final = {
     37: "AXIS NUMBER MISSING",
     38: "COMMAND PARAMETER MISSING",
 }
-_AXIS_MESSAGES: Final = {
+_AXIS_ERROR_TEXTS: Final = {
     1: "PARAMETER OUT OF RANGE",
     3: "FOLLOWING ERROR THRESHOLD EXCEEDED",
     4: "POSITIVE HARDWARE LIMIT DETECTED",
@@ -138,14 +138,14 @@ class EspController:
             number: EspAxis(self, number, model, Axis(model.mechanics, clock(), publisher(number)))
             for number, model in enumerate(models, start=1)
         }
-        self._pressed = False
-        self._awake_from_s = clock()
+        self._stop_pressed = False
+        self._boot_ends_s = clock()
         self._power_up()
-        self._axis_commands = self._for_one_axis()
+        self._axis_commands = self._known_axis_commands()
 
     def _power_up(self) -> None:
         """Have all that a restart leaves."""
-        self._heard = b""
+        self._buffer = b""
         self._commands: deque[str] = deque()
         self._waiting_for: EspAxis | None = None
         self._errors: deque[int] = deque(maxlen=_QUEUE_LENGTH)
@@ -167,31 +167,31 @@ class EspController:
     def receive(self, data: bytes) -> bytes:
         """Take bytes as they arrive and give what they ask for."""
         now = self._clock()
-        if now < self._awake_from_s:
+        if now < self._boot_ends_s:
             return b""
-        *lines, self._heard = (self._heard + data).replace(b"\n", b"").split(b"\r")
-        self._heard = self._heard[-_LONGEST:]
+        *lines, self._buffer = (self._buffer + data).replace(b"\n", b"").split(b"\r")
+        self._buffer = self._buffer[-_MAX_LINE:]
         for line in lines:
             self._commands.extend(line.decode("ascii", "replace").split(";"))
-        return self._work(now)
+        return self._run_pending(now)
 
     def unsolicited(self) -> bytes:
         """Give what commands that had to wait have answered by now."""
-        return self._work(self._clock())
+        return self._run_pending(self._clock())
 
-    def _work(self, now: float) -> bytes:
+    def _run_pending(self, now: float) -> bytes:
         """Take up what has happened, and obey commands in their order as long as none has to wait."""
-        self._notice(now)
+        self._take_events(now)
         said = ""
         while self._commands:
-            if self._waiting_for is not None and self._waiting_for.axis.says_busy(now):
+            if self._waiting_for is not None and self._waiting_for.axis.reports_busy(now):
                 break
             self._waiting_for = None
-            answer = self._obey(self._commands.popleft(), now)
+            answer = self._execute(self._commands.popleft(), now)
             said += "" if answer is None else f"{answer}\r\n"
         return said.encode("ascii")
 
-    def _obey(self, command: str, now: float) -> str | None:
+    def _execute(self, command: str, now: float) -> str | None:
         if not command.strip():
             return None
         match = _COMMAND.fullmatch(command)
@@ -201,24 +201,24 @@ class EspController:
         number, name, rest = match[1], match[2].upper(), match[3]
         try:
             if name in {"VE", "TE", "TB", "TS", "RS", "AB", "ST"} and not number:
-                return self._of_all(name, now)
-            return self._of_one(number, name, rest, now)
+                return self._controller_command(name, now)
+            return self._axis_command(number, name, rest, now)
         except _EspError as error:
             self._errors.append(error.number)
             return None
 
     # ------------------------------------------------------------------ commands to the controller
-    def _of_all(self, name: str, now: float) -> str | None:
+    def _controller_command(self, name: str, now: float) -> str | None:
         if name == "VE":
             return "ESP301 Version 3.0.1 6/1/99"
         if name == "TE":
             return str(self._errors.popleft() if self._errors else 0)
         if name == "TB":
             number = self._errors.popleft() if self._errors else 0
-            text = _AXIS_MESSAGES[number % 100] if number >= 100 else _MESSAGES[number]
+            text = _AXIS_ERROR_TEXTS[number % 100] if number >= 100 else _ERROR_TEXTS[number]
             return f"{number}, {int(now * 1000) % 10_000_000}, {text}"
         if name == "TS":
-            bits = sum(1 << (one.number - 1) for one in self.axes.values() if one.axis.says_busy(now))
+            bits = sum(1 << (one.number - 1) for one in self.axes.values() if one.axis.reports_busy(now))
             return chr(0x40 | bits | (0x10 if any(one.motor_on for one in self.axes.values()) else 0))
         if name == "RS":
             self.restart(now)
@@ -229,7 +229,7 @@ class EspController:
         return None
 
     # ------------------------------------------------------------------ commands to an axis
-    def _of_one(self, number: str, name: str, rest: str, now: float) -> str | None:
+    def _axis_command(self, number: str, name: str, rest: str, now: float) -> str | None:
         if name not in self._axis_commands and name not in self.axes[1].settings:
             raise _EspError(6)
         if not number:
@@ -246,7 +246,7 @@ class EspController:
                 error.number if error.number in {4, 38} else one.number * 100 + error.number
             ) from None
 
-    def _for_one_axis(self) -> Mapping[str, Callable[[EspAxis, str, float], str | None]]:
+    def _known_axis_commands(self) -> Mapping[str, Callable[[EspAxis, str, float], str | None]]:
         return {
             "ID": lambda one, _rest, _now: f"{one.model.name}, SN{one.model.serial}",
             "TP": lambda one, _rest, now: f"{one.axis.encoder(now) / one.model.mechanics.counts_per_deg:.5f}",
@@ -256,7 +256,7 @@ class EspController:
             "TV": lambda one, _rest, now: (
                 f"{one.axis.velocity(now) / one.model.mechanics.counts_per_deg:.5f}"
             ),
-            "MD": lambda one, _rest, now: str(int(not one.axis.says_busy(now))),
+            "MD": lambda one, _rest, now: str(int(not one.axis.reports_busy(now))),
             "MO": self._motor_on,
             "MF": self._motor_off,
             "PA": lambda one, rest, now: self._move(one, rest, now, start=0.0),
@@ -289,7 +289,7 @@ class EspController:
     def _motor_on(self, one: EspAxis, rest: str, _now: float) -> str | None:
         if rest == "?":
             return str(int(one.motor_on))
-        if self._pressed:
+        if self._stop_pressed:
             raise _EspError(4)
         one.motor_on = True
         return None
@@ -312,7 +312,7 @@ class EspController:
         if rest == "?":
             return f"{one.axis.rest_counter(now) / scale:.5f}"
         target = start + _number(rest)
-        self._see_that_it_may_move(one)
+        self._require_motion_allowed(one)
         if target > one.settings["SR"]:
             raise _EspError(6)
         if target < one.settings["SL"]:
@@ -324,14 +324,14 @@ class EspController:
     def _home(self, one: EspAxis, rest: str, now: float) -> str | None:
         if rest not in {"", "0", "1", "2", "3", "4"}:
             raise _EspError(1)
-        self._see_that_it_may_move(one)
+        self._require_motion_allowed(one)
         scale = one.model.mechanics.counts_per_deg
         speed = one.settings["OH"] * scale
         one.homing = True
         one.axis.home(now, speed, speed / 10.0, one.settings["AC"] * scale)
         return None
 
-    def _see_that_it_may_move(self, one: EspAxis) -> None:
+    def _require_motion_allowed(self, one: EspAxis) -> None:
         if not one.motor_on:
             raise _EspError(13)
         if one.homing:
@@ -356,7 +356,7 @@ class EspController:
         self._waiting_for = one
 
     # ------------------------------------------------------------------ what is not on the wire
-    def _notice(self, now: float) -> None:
+    def _take_events(self, now: float) -> None:
         """Take up what has happened to the motions by now."""
         for one in self.axes.values():
             if one.homing and not one.axis.busy(now):
@@ -376,11 +376,11 @@ class EspController:
         for one in self.axes.values():
             one.axis.restart(t_s)
         self._power_up()
-        self._awake_from_s = t_s + 1.0
+        self._boot_ends_s = t_s + 1.0
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency stop, which switches all motors off, or release it; they stay off."""
-        self._pressed = not released
+        self._stop_pressed = not released
         if released:
             return
         self._errors.append(4)

@@ -19,21 +19,21 @@ from simulators.stages.grbl_planner import (
     GrblAxisModel,
     Motion,
     Planner,
-    divides,
+    must_be_positive,
 )
-from simulators.stages.grbl_settings import factory_settings, shown
+from simulators.stages.grbl_settings import factory_settings, format_setting
 from simulators.world.trajectory import Pointing
 
 State = Literal["Idle", "Run", "Jog", "Home", "Alarm"]
 
-_BANNER: Final = "\r\nGrbl 1.1h ['$' for help]\r\n"
+_WELCOME: Final = "\r\nGrbl 1.1h ['$' for help]\r\n"
 _LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
-_LONGEST: Final = 80
+_MAX_LINE: Final = 80
 _SETTING: Final = re.compile(r"(\d+)=([+-]?(?:\d+\.?\d*|\.\d+))")
 _SOFT_LIMITS, _HOMING_ENABLED = 20, 22
 
 #: What else a status report tells, each now and then, by the number of the report modulo ten.
-_NOW_AND_THEN: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
+_EXTRA_FIELDS: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
 
 
 class GrblController:
@@ -71,8 +71,8 @@ class GrblController:
         self._letters = "".join(models)
         self._in_reset = False
         self._reports = 0
-        self._say = ""
-        self._begin_anew("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
+        self._output = ""
+        self._reset_state("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
         self._real_time: Mapping[int, Callable[[], None]] = {
             ord("?"): self._report,
             ord("!"): self._hold,
@@ -91,17 +91,17 @@ class GrblController:
         """Its axes, by letter."""
         return self._planner.axes
 
-    def _begin_anew(self, state: State) -> None:
+    def _reset_state(self, state: State) -> None:
         """Have all that a reset leaves."""
-        self._typed = ""
-        self._lines: deque[str] = deque()
+        self._line = ""
+        self._pending_lines: deque[str] = deque()
         self._planner.forget()
         self._state: State = state
         self._must_reset = False
         self._dwell_s: float | None = None
         self._dwell_until_s: float | None = None
         self._motion, self._distance, self._feed = "G0", "G90", 0.0
-        self._say += _BANNER + (_LOCKED if state == "Alarm" else "")
+        self._output += _WELCOME + (_LOCKED if state == "Alarm" else "")
 
     # ------------------------------------------------------------------ the line
     def receive(self, data: bytes) -> bytes:
@@ -111,40 +111,40 @@ class GrblController:
             if byte in self._real_time:
                 self._real_time[byte]()
             elif byte in b"\r\n":
-                self._lines.append(self._typed)
-                self._typed = ""
+                self._pending_lines.append(self._line)
+                self._line = ""
             elif 0x20 <= byte < 0x7F:
-                self._typed += chr(byte)
+                self._line += chr(byte)
             self._take_lines()
-        return self._said()
+        return self._take_output()
 
     def unsolicited(self) -> bytes:
         """Give what has come up by now: late ``ok``, alarms, the banner."""
         self._advance()
-        return self._said()
+        return self._take_output()
 
-    def _said(self) -> bytes:
-        said, self._say = self._say, ""
+    def _take_output(self) -> bytes:
+        said, self._output = self._output, ""
         return said.encode("ascii")
 
     def _take_lines(self) -> None:
         """Obey lines in their order, as long as none has to wait; before a reset that is due, none is heard."""
-        while self._lines and not self._waiting() and not self._must_reset:
-            line = self._lines.popleft().strip()
+        while self._pending_lines and not self._waiting() and not self._must_reset:
+            line = self._pending_lines.popleft().strip()
             try:
-                self._obey(line)
+                self._execute(line)
             except GcodeError as error:
-                self._say += f"{error}\r\n"
+                self._output += f"{error}\r\n"
             else:
                 if not self._waiting() and not self._must_reset:
-                    self._say += "ok\r\n"
+                    self._output += "ok\r\n"
 
     def _waiting(self) -> bool:
         return self._state == "Home" or self._dwell_s is not None
 
     # ------------------------------------------------------------------ lines
-    def _obey(self, line: str) -> None:
-        if len(line) > _LONGEST:
+    def _execute(self, line: str) -> None:
+        if len(line) > _MAX_LINE:
             raise GcodeError(14)
         if not line:
             return
@@ -159,25 +159,25 @@ class GrblController:
 
     def _system(self, command: str) -> None:
         if command == "I":
-            self._need_rest()
-            self._say += f"[VER:1.1h.20190830:{self.name}]\r\n[OPT:V,15,128]\r\n"
+            self._require_idle_or_alarm()
+            self._output += f"[VER:1.1h.20190830:{self.name}]\r\n[OPT:V,15,128]\r\n"
         elif command.startswith("I="):
-            self._need_rest()
+            self._require_idle_or_alarm()
             self.name = command[2:].replace(" ", "").upper()
         elif command == "G":
-            self._say += (
+            self._output += (
                 f"[GC:{self._motion} G54 G17 G21 {self._distance} G94 M5 M9 T0 F{self._feed:g} S0]\r\n"
             )
         elif command == "$":
             if self._state != "Jog":
-                self._need_rest()
-            self._say += "".join(
-                f"${number}={shown(number, value)}\r\n" for number, value in self.settings.items()
+                self._require_idle_or_alarm()
+            self._output += "".join(
+                f"${number}={format_setting(number, value)}\r\n" for number, value in self.settings.items()
             )
         elif command == "X":
             if self._state == "Alarm":
                 self._state = "Idle"
-                self._say += "[MSG:Caution: Unlocked]\r\n"
+                self._output += "[MSG:Caution: Unlocked]\r\n"
         elif command == "H":
             self._home()
         elif command[:1] in {"I", "G", "$", "X", "H"}:
@@ -185,7 +185,7 @@ class GrblController:
         else:
             self._set(command)
 
-    def _need_rest(self) -> None:
+    def _require_idle_or_alarm(self) -> None:
         if self._state not in {"Idle", "Alarm"}:
             raise GcodeError(8)
 
@@ -193,10 +193,10 @@ class GrblController:
         setting = _SETTING.fullmatch(command)
         if setting is None:
             raise GcodeError(3 if command[:1].isdigit() and "=" not in command else 2)
-        self._need_rest()
+        self._require_idle_or_alarm()
         number, value = int(setting[1]), float(setting[2])
         # The firmware takes a scale, speed or acceleration of zero, and is of no use afterwards.
-        if value < 0.0 or (value == 0.0 and divides(number)):
+        if value < 0.0 or (value == 0.0 and must_be_positive(number)):
             raise GcodeError(4)
         if number not in self.settings:
             raise GcodeError(3)
@@ -207,7 +207,7 @@ class GrblController:
     def _home(self) -> None:
         if not self.settings[_HOMING_ENABLED]:
             raise GcodeError(5)
-        self._need_rest()
+        self._require_idle_or_alarm()
         self._state = "Home"
         self._planner.home(self._clock())
 
@@ -245,7 +245,7 @@ class GrblController:
 
     def _targets(self, block: Block, *, relative: bool) -> dict[str, float]:
         """Where a block leads, from where all that was ordered before it ends."""
-        targets = self._planner.last_target(self._clock())
+        targets = self._planner.final_target(self._clock())
         for letter, value in block.targets.items():
             targets[letter] = value + (targets[letter] if relative else 0.0)
         return targets
@@ -272,7 +272,7 @@ class GrblController:
     def _finish_homing(self, now: float) -> None:
         if self._planner.homed(now):
             self._state = "Idle"
-            self._say += "ok\r\n"
+            self._output += "ok\r\n"
         else:
             self._alarm(9, must_reset=False)
 
@@ -284,13 +284,13 @@ class GrblController:
             self._dwell_until_s = now + self._dwell_s
         if now >= self._dwell_until_s:
             self._dwell_s = self._dwell_until_s = None
-            self._say += "ok\r\n"
+            self._output += "ok\r\n"
 
     def _alarm(self, number: int, *, must_reset: bool = True) -> None:
         self._planner.forget()
         self._state = "Alarm"
         self._must_reset = must_reset
-        self._say += f"ALARM:{number}\r\n" + ("[MSG:Reset to continue]\r\n" if must_reset else "")
+        self._output += f"ALARM:{number}\r\n" + ("[MSG:Reset to continue]\r\n" if must_reset else "")
 
     # ------------------------------------------------------------------ real-time bytes
     def _report(self) -> None:
@@ -298,12 +298,12 @@ class GrblController:
         state: str = self._state
         if self._planner.held:
             state = "Hold:1" if self._planner.moving(now) else "Hold:0"
-        elif self._planner.flickers(now):
+        elif self._planner.reports_false_idle(now):
             state = "Idle"
         position = ",".join(f"{value:.3f}" for value in self._planner.position(now))
-        extra = _NOW_AND_THEN.get(self._reports % 10, "")
+        extra = _EXTRA_FIELDS.get(self._reports % 10, "")
         self._reports += 1
-        self._say += f"<{state}|MPos:{position}|FS:{self._planner.feed(now):.0f},0{extra}>\r\n"
+        self._output += f"<{state}|MPos:{position}|FS:{self._planner.feed(now):.0f},0{extra}>\r\n"
 
     def _hold(self) -> None:
         if self._state == "Run":
@@ -322,17 +322,17 @@ class GrblController:
         """Soft reset: harmless at rest; in motion steps are lost, and the position with them."""
         now = self._clock()
         if self._planner.moving(now):
-            self._say += f"ALARM:{6 if self._state == 'Home' else 3}\r\n"
+            self._output += f"ALARM:{6 if self._state == 'Home' else 3}\r\n"
             self._planner.halt(now)
             self._state = "Alarm"
-        self._begin_anew("Alarm" if self._state == "Alarm" else "Idle")
+        self._reset_state("Alarm" if self._state == "Alarm" else "Idle")
 
     # ------------------------------------------------------------------ what is not on the wire
     def restart(self, t_s: float) -> None:
         """Lose power and have it again: position 0, locked until homed."""
         for axis in self.axes.values():
             axis.restart(t_s)
-        self._begin_anew("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
+        self._reset_state("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
 
     def exchange(self, name: str, t_s: float) -> None:
         """Be another board from now on, of another name: settings that somebody has made are gone."""
@@ -345,11 +345,11 @@ class GrblController:
         """Hold the board in reset, as a stop button on its reset pin does, or let it go."""
         self._in_reset = not released
         if released:
-            self._begin_anew("Alarm")
+            self._reset_state("Alarm")
         else:
             self._planner.halt(t_s)
             self._state = "Alarm"
-            self._say = ""
+            self._output = ""
 
 
 @dataclass(frozen=True)

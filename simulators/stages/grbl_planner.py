@@ -22,7 +22,7 @@ STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130
 _RUN_ON_S: Final = 0.005
 
 
-def divides(number: int) -> bool:
+def must_be_positive(number: int) -> bool:
     """Tell whether a setting is a scale, a speed or an acceleration, with which nothing moves at zero."""
     return STEPS <= number < MAX_TRAVEL or number in {HOMING_FEED, HOMING_SEEK}
 
@@ -83,16 +83,16 @@ class Planner:
         self.axes = {one: Axis(model.mechanics, now_s, publisher(one)) for one, model in models.items()}
         self.held = False
         self._queue: deque[Motion] = deque()
-        self._present: Motion | None = None
+        self._current: Motion | None = None
 
     # ------------------------------------------------------------------ questions
     def moving(self, now: float) -> bool:
         """Whether an axis moves, or is stuck saying so."""
         return any(axis.busy(now) or axis.stuck_busy for axis in self.axes.values())
 
-    def flickers(self, now: float) -> bool:
+    def reports_false_idle(self, now: float) -> bool:
         """Whether an axis that moves says, this once, that it does not."""
-        return any(axis.busy(now) and not axis.says_busy(now) for axis in self.axes.values())
+        return any(axis.busy(now) and not axis.reports_busy(now) for axis in self.axes.values())
 
     def done(self, now: float) -> bool:
         """Whether nothing moves and nothing is left to do."""
@@ -108,9 +108,9 @@ class Planner:
         speeds = [axis.velocity(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return 60.0 * math.sqrt(sum(speed * speed for speed in speeds))
 
-    def last_target(self, now: float) -> dict[str, float]:
+    def final_target(self, now: float) -> dict[str, float]:
         """Where everything that was ordered ends."""
-        return dict(self._queue[-1].targets) if self._queue else self._rest(now)
+        return dict(self._queue[-1].targets) if self._queue else self._rest_targets(now)
 
     def inside(self, targets: Mapping[str, float]) -> bool:
         """Whether targets lie within the travel of all axes."""
@@ -125,13 +125,13 @@ class Planner:
     def go_on(self, now: float) -> None:
         """Begin the next motion if the last one has ended."""
         while self._queue and not self.held and not self.moving(now):
-            self._present = self._queue.popleft()
-            self._begin(self._present, now)
+            self._current = self._queue.popleft()
+            self._start(self._current, now)
 
     def hold(self, now: float) -> None:
         """Brake, and keep what is left to do."""
-        if self._present is not None and not self.held:
-            self._queue.appendleft(self._present)
+        if self._current is not None and not self.held:
+            self._queue.appendleft(self._current)
         self.held = True
         self._brake(now)
 
@@ -172,8 +172,8 @@ class Planner:
         return all(axis.referenced(now) for axis in self.axes.values())
 
     # ------------------------------------------------------------------ inside
-    def _begin(self, motion: Motion, now: float) -> None:
-        present = self._rest(now)
+    def _start(self, motion: Motion, now: float) -> None:
+        present = self._rest_targets(now)
         distances = {one: motion.targets[one] - present[one] for one in self._order}
         length = math.sqrt(sum(distance * distance for distance in distances.values()))
         shares = {one: abs(distance) / length for one, distance in distances.items() if distance}
@@ -192,7 +192,7 @@ class Planner:
             if axis.busy(now):
                 axis.stop(now, self._setting(ACCELERATION, letter) * self._steps(letter))
 
-    def _rest(self, now: float) -> dict[str, float]:
+    def _rest_targets(self, now: float) -> dict[str, float]:
         return {letter: axis.rest_counter(now) / self._steps(letter) for letter, axis in self.axes.items()}
 
     def _steps(self, letter: str) -> float:

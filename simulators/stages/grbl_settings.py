@@ -38,6 +38,6 @@ def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -
     return dict(sorted(settings.items()))
 
 
-def shown(number: int, value: float) -> str:
+def format_setting(number: int, value: float) -> str:
     """Print a setting: those that are no whole numbers with three decimals."""
     return f"{value:.3f}" if number in _WITH_DECIMALS or number >= STEPS else f"{value:.0f}"

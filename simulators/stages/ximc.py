@@ -126,14 +126,14 @@ class XimcController:
         self.model = model
         self._clock = clock
         self.axis = Axis(model.mechanics, clock(), publish)
-        self._heard = b""
-        self._heard_at_s = self._awake_from_s = clock()
+        self._buffer = b""
+        self._received_at_s = self._boot_ends_s = clock()
         self._settings = self._factory_settings()
         self._command = 0
         self._failed = False
         self._flags = 0
         self._edges = 0
-        self._pressed = False
+        self._stop_pressed = False
         self._commands = self._known_commands()
 
     @property
@@ -145,26 +145,26 @@ class XimcController:
     def receive(self, data: bytes) -> bytes:
         """Take bytes as they arrive and give all answers."""
         now = self._clock()
-        self._notice(now)
-        if now < self._awake_from_s:
+        self._take_events(now)
+        if now < self._boot_ends_s:
             return b""
-        if now - self._heard_at_s > _BYTE_TIMEOUT_S:
-            self._heard = b""
-        self._heard_at_s = now
-        self._heard += data
+        if now - self._received_at_s > _BYTE_TIMEOUT_S:
+            self._buffer = b""
+        self._received_at_s = now
+        self._buffer += data
         answers = b""
-        while self._heard:
-            if self._heard[0] == 0:
-                self._heard = self._heard[1:]
+        while self._buffer:
+            if self._buffer[0] == 0:
+                self._buffer = self._buffer[1:]
                 answers += b"\0"
                 continue
-            letters = self._heard[:4]
+            letters = self._buffer[:4]
             if len(letters) < 4:
                 break
             length = self._data_length(letters)
-            if len(self._heard) < 4 + length:
+            if len(self._buffer) < 4 + length:
                 break
-            content, self._heard = self._heard[4 : 4 + length], self._heard[4 + length :]
+            content, self._buffer = self._buffer[4 : 4 + length], self._buffer[4 + length :]
             answers += self._answer(letters, content, now)
         return answers
 
@@ -185,15 +185,15 @@ class XimcController:
 
     def _answer(self, letters: bytes, content: bytes, now: float) -> bytes:
         try:
-            said = self._carry_out(letters.decode("latin-1"), content, now)
+            data = self._execute(letters.decode("latin-1"), content, now)
         except _ErrorReply as error:
             # What follows an error cannot be trusted to be the beginning of a command.
-            self._heard = b""
+            self._buffer = b""
             self._flags |= _ERROR_FLAGS[error.letters]
             return error.letters
-        return letters + (said + struct.pack("<H", crc16(said)) if said else b"")
+        return letters + (data + struct.pack("<H", crc16(data)) if data else b"")
 
-    def _carry_out(self, name: str, content: bytes, now: float) -> bytes:
+    def _execute(self, name: str, content: bytes, now: float) -> bytes:
         if content:
             content, crc = content[:-2], struct.unpack("<H", content[-2:])[0]
             if crc != crc16(content):
@@ -231,7 +231,7 @@ class XimcController:
 
     def _move(self, name: str, target: int, now: float) -> bytes:
         """Move to a position, or to the border that lies before it: then the command ends in error."""
-        if not self._begins(name):
+        if not self._accept_command(name):
             return b""
         flags = self._settings["eds"][0]
         lowest, highest = self._border(0), self._border(1)
@@ -244,14 +244,14 @@ class XimcController:
         return b""
 
     def _home(self, _data: bytes, now: float) -> bytes:
-        if self._begins("home"):
+        if self._accept_command("home"):
             fast, fraction, slow, slow_fraction, *_ = self._settings["hom"]
             acceleration = float(self._settings["mov"][2] * MICROSTEPS)
             fast_speed, slow_speed = float(_counts(fast, fraction)), float(_counts(slow, slow_fraction))
             self.axis.home(now, fast_speed, slow_speed, acceleration, set_counter=False)
         return b""
 
-    def _begins(self, name: str) -> bool:
+    def _accept_command(self, name: str) -> bool:
         """Note the command; in alarm it is taken and ignored."""
         if self._flags & _ALARM:
             return False
@@ -266,7 +266,7 @@ class XimcController:
             self.axis.halt(now)
             self.axis.forget_reference()
         self._command = _COMMAND_NUMBERS["stop"]
-        if not self._pressed:
+        if not self._stop_pressed:
             self._flags &= ~(_ALARM | _SLIPPED)
         return b""
 
@@ -295,7 +295,7 @@ class XimcController:
 
     # ------------------------------------------------------------------ readings
     def _status(self, now: float) -> bytes:
-        busy = self.axis.says_busy(now)
+        busy = self.axis.reports_busy(now)
         velocity = round(self.axis.velocity(now))
         speed = _counts(*self._settings["mov"][:2])
         moving = (_MOVING if busy else 0) | (_AT_SPEED if abs(velocity) >= speed else 0)
@@ -327,14 +327,14 @@ class XimcController:
     def restart(self, t_s: float) -> None:
         """Reboot: silent for a while, then without a reference, counting from 0."""
         self.axis.restart(t_s)
-        self._heard = b""
+        self._buffer = b""
         self._command = self._flags = self._edges = 0
         self._failed = False
-        self._awake_from_s = t_s + self.model.boot_s
+        self._boot_ends_s = t_s + self.model.boot_s
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency input, which halts and raises the alarm, or release it; the alarm stays."""
-        self._pressed = not released
+        self._stop_pressed = not released
         if not released:
             self.axis.halt(t_s)
             self.axis.forget_reference()
@@ -346,7 +346,7 @@ class XimcController:
         self._settings = self._factory_settings()
         self.restart(t_s)
 
-    def _notice(self, now: float) -> None:
+    def _take_events(self, now: float) -> None:
         """Take up what has happened to the motion by now."""
         event = self.axis.take_event(now)
         if event is None:

@@ -14,10 +14,10 @@ import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from simulators.stages.zaber_controller import Refused, ZaberController
+from simulators.stages.zaber_controller import CommandRejected, ZaberController
 
 #: Longer requests are dropped.
-_LONGEST = 80
+_MAX_REQUEST = 80
 
 _END_OF_LINE = re.compile(rb"[\r\n]+")
 
@@ -53,7 +53,7 @@ def parse_request(line: bytes) -> Request | None:
     True
     """
     _, slash, rest = line.rpartition(b"/")
-    if not slash or len(line) > _LONGEST or not rest.isascii():
+    if not slash or len(line) > _MAX_REQUEST or not rest.isascii():
         return None
     body, colon, given = rest.decode("ascii").partition(":")
     if colon and given.strip().upper() != checksum(body):
@@ -81,7 +81,7 @@ class ZaberChain:
     def __init__(self, controllers: Sequence[ZaberController], clock: Callable[[], float]) -> None:
         self.controllers = tuple(controllers)
         self._clock = clock
-        self._heard = b""
+        self._buffer = b""
 
     @property
     def baud(self) -> int:
@@ -90,8 +90,8 @@ class ZaberChain:
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes as they arrive and give all replies."""
-        *lines, self._heard = _END_OF_LINE.split(self._heard + data)
-        self._heard = self._heard[-2 * _LONGEST :]
+        *lines, self._buffer = _END_OF_LINE.split(self._buffer + data)
+        self._buffer = self._buffer[-2 * _MAX_REQUEST :]
         return b"".join(self._answers(line) for line in lines)
 
     def unsolicited(self) -> bytes:
@@ -117,7 +117,7 @@ class ZaberChain:
         now = self._clock()
         try:
             verdict, data = "OK", one.execute(request.axis, request.words, now)
-        except Refused as refusal:
+        except CommandRejected as refusal:
             verdict, data = "RJ", refusal.reason
         message_id = f"{request.message_id} " if request.message_id else ""
         status = f"{verdict} {one.status(now)} {_flag(one, now)}"

@@ -24,7 +24,7 @@ _MAX_ACCELERATION_SETTING = 32_767
 _RANK = "FF FH FV FO FD FC FM FN FQ FI FS FB FP FE FT WL WP WV WT WS WM WR WH NC NI NT NU NR"
 
 #: Flags that `warnings clear` does not take down: they last as long as their cause.
-_LASTING = {"WR", "FO", "FH"}
+_NOT_CLEARABLE = {"WR", "FO", "FH"}
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class ZaberModel:
 
 
 @dataclass
-class Refused(Exception):
+class CommandRejected(Exception):
     """A rejection: the word that stands in the reply's data."""
 
     reason: str
@@ -98,17 +98,17 @@ class ZaberController:
         self.model = model
         self.axis = Axis(model.mechanics, now_s, publish)
         self._state = self._powered_up()
-        self._awake_from_s = now_s
+        self._boot_ends_s = now_s
 
     # ------------------------------------------------------------------ what replies carry
     def awake(self, t_s: float) -> bool:
         """Whether it answers at all: not while it boots."""
-        self._notice(t_s)
-        return t_s >= self._awake_from_s
+        self._take_events(t_s)
+        return t_s >= self._boot_ends_s
 
     def status(self, t_s: float) -> str:
         """BUSY while a ramp is under way, else IDLE."""
-        return "BUSY" if self.axis.says_busy(t_s) else "IDLE"
+        return "BUSY" if self.axis.reports_busy(t_s) else "IDLE"
 
     def warnings(self, t_s: float) -> list[str]:
         """All flags that are up, the gravest first."""
@@ -149,11 +149,11 @@ class ZaberController:
 
         Raises
         ------
-        Refused
+        CommandRejected
             When the reply is a rejection.
         """
         if axis > 1:
-            raise Refused("BADAXIS")
+            raise CommandRejected("BADAXIS")
         if not words:
             return "0"
         commands: dict[str, Callable[[list[str], float], str]] = {
@@ -168,12 +168,12 @@ class ZaberController:
             "system": self._system,
         }
         if words[0] not in commands:
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         return commands[words[0]](words[1:], t_s)
 
     def _get(self, words: list[str], t_s: float) -> str:
         if len(words) != 1:
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         name = words[0]
         readings: dict[str, Callable[[], str]] = {
             "deviceid": lambda: str(self.model.device_id),
@@ -199,21 +199,21 @@ class ZaberController:
             return readings[name]()
         if name in self._state.settings:
             return str(self._state.settings[name])
-        raise Refused("BADCOMMAND")
+        raise CommandRejected("BADCOMMAND")
 
     def _set(self, words: list[str], t_s: float) -> str:
         if len(words) != 2:
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         name, value = words[0], _integer(words[1])
         if name == "pos":
             self.axis.set_counter(value, t_s)
             self.axis.set_encoder(value, t_s)
             return "0"
         if name not in self._state.settings:
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         lowest, highest = self._range(name)
         if not lowest <= value <= highest:
-            raise Refused("BADDATA")
+            raise CommandRejected("BADDATA")
         self._state.settings[name] = value
         return "0"
 
@@ -231,7 +231,7 @@ class ZaberController:
         return ranges[name]
 
     def _home(self, words: list[str], t_s: float) -> str:
-        _no_more(words)
+        _expect_no_arguments(words)
         self._begin_motion(t_s)
         speed = min(self._speed("limit.approach.maxspeed"), self._speed("maxspeed"))
         self.axis.home(t_s, speed, speed / 10.0, self._acceleration())
@@ -240,27 +240,27 @@ class ZaberController:
 
     def _move(self, words: list[str], t_s: float) -> str:
         if not words:
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         kind, arguments = words[0], [_integer(word) for word in words[1:]]
         lowest, highest = self._state.settings["limit.min"], self._state.settings["limit.max"]
         speed, acceleration = self._speed("maxspeed"), self._acceleration()
         if kind in {"abs", "rel"} and 1 <= len(arguments) <= 3:
             start = 0 if kind == "abs" else round(self.axis.counter(t_s))
             target = start + arguments[0]
-            speed, acceleration = _ramp_given(arguments[1:], speed, acceleration)
+            speed, acceleration = _motion_ramp(arguments[1:], speed, acceleration)
         elif kind == "vel" and 1 <= len(arguments) <= 2:
             target = highest if arguments[0] > 0 else lowest
             speed = abs(arguments[0]) / _TICK
-            acceleration = _ramp_given([0, *arguments[1:]], speed, acceleration)[1]
+            acceleration = _motion_ramp([0, *arguments[1:]], speed, acceleration)[1]
             if speed == 0.0:
                 return self._stop([], t_s)
         elif kind in {"max", "min"} and len(arguments) <= 2:
             target = highest if kind == "max" else lowest
-            speed, acceleration = _ramp_given(arguments, speed, acceleration)
+            speed, acceleration = _motion_ramp(arguments, speed, acceleration)
         else:
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         if not lowest <= target <= highest:
-            raise Refused("BADDATA")
+            raise CommandRejected("BADDATA")
         self._begin_motion(t_s)
         self.axis.move_to(target, t_s, speed, acceleration)
         self._state.was_busy = self.axis.busy(t_s)
@@ -269,23 +269,23 @@ class ZaberController:
     def _begin_motion(self, t_s: float) -> None:
         """Refuse a motion that cannot be; else note whether it interrupts another."""
         if self._state.parked:
-            raise Refused("PARKED")
+            raise CommandRejected("PARKED")
         if "FH" in self._state.flags:
-            raise Refused("DRIVERDISABLED")
+            raise CommandRejected("DRIVERDISABLED")
         if self.axis.busy(t_s):
             self._state.flags.add("NI")
         else:
             self._state.flags.discard("NI")
 
     def _stop(self, words: list[str], t_s: float) -> str:
-        _no_more(words)
+        _expect_no_arguments(words)
         if self.axis.busy(t_s):
             self._state.flags.add("NI")
             self.axis.stop(t_s, self._acceleration())
         return "0"
 
     def _estop(self, words: list[str], t_s: float) -> str:
-        _no_more(words)
+        _expect_no_arguments(words)
         if self.axis.busy(t_s):
             self._state.flags.add("NI")
             self.axis.halt(t_s)
@@ -293,19 +293,19 @@ class ZaberController:
 
     def _warnings(self, words: list[str], t_s: float) -> str:
         if words not in ([], ["clear"]):
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         flags = self.warnings(t_s)
         if words:
-            self._state.flags &= _LASTING
+            self._state.flags &= _NOT_CLEARABLE
         return " ".join([f"{len(flags):02d}", *flags])
 
     def _tools(self, words: list[str], t_s: float) -> str:
         if words[:1] == ["echo"]:
             return " ".join(words[1:]) or "0"
         if words not in (["parking", "park"], ["parking", "unpark"]):
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         if self.axis.busy(t_s):
-            raise Refused("STATUSBUSY")
+            raise CommandRejected("STATUSBUSY")
         self._state.parked = words[1] == "park"
         return "0"
 
@@ -315,7 +315,7 @@ class ZaberController:
         elif words == ["restore"]:
             self._state.settings = self._factory_settings()
         else:
-            raise Refused("BADCOMMAND")
+            raise CommandRejected("BADCOMMAND")
         return "0"
 
     # ------------------------------------------------------------------ what is not on the wire
@@ -333,7 +333,7 @@ class ZaberController:
         self._state = self._powered_up()
         self.restart(t_s)
 
-    def _notice(self, t_s: float) -> None:
+    def _take_events(self, t_s: float) -> None:
         """Take up what has happened to the motion by now."""
         event = self.axis.take_event(t_s)
         if event is None:
@@ -349,7 +349,7 @@ class ZaberController:
             self.axis.restart(t_s)
         self._state.flags.clear()
         self._state.was_busy = False
-        self._awake_from_s = t_s + self.model.boot_s
+        self._boot_ends_s = t_s + self.model.boot_s
 
     # ------------------------------------------------------------------ inside
     def _powered_up(self) -> _State:
@@ -379,18 +379,18 @@ def _integer(word: str) -> int:
     try:
         return int(word)
     except ValueError:
-        raise Refused("BADDATA") from None
+        raise CommandRejected("BADDATA") from None
 
 
-def _no_more(words: list[str]) -> None:
+def _expect_no_arguments(words: list[str]) -> None:
     if words:
-        raise Refused("BADCOMMAND")
+        raise CommandRejected("BADCOMMAND")
 
 
-def _ramp_given(arguments: list[int], speed: float, acceleration: float) -> tuple[float, float]:
+def _motion_ramp(arguments: list[int], speed: float, acceleration: float) -> tuple[float, float]:
     """Speed and acceleration of one motion, as given behind its target; 0 stands for the setting."""
     if any(argument < 0 for argument in arguments):
-        raise Refused("BADDATA")
+        raise CommandRejected("BADDATA")
     if arguments and arguments[0]:
         speed = arguments[0] / _TICK
     if len(arguments) > 1 and arguments[1]:

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simulators.faults.catalogue import order_from_text
-from simulators.faults.fault_injection import AxisController, Parts, prepare
+from simulators.faults.catalogue import fault_order_from_text
+from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import Dialect, SerialDevice
@@ -170,7 +170,7 @@ def both(family: str, wrap: Callable[[Dialect, AxisController], tuple[Dialect, l
             dialect, orders = wrap(dialect, axis)
             with SerialDevice(PseudoTerminal(Path(folder) / "stage"), dialect) as port:
                 for order in orders:
-                    parts = Parts(
+                    parts = BenchParts(
                         {"pan": axis},
                         {"gimbal": port},
                         {"gimbal": dialect},
@@ -180,7 +180,7 @@ def both(family: str, wrap: Callable[[Dialect, AxisController], tuple[Dialect, l
                         None,
                         time.monotonic,
                     )
-                    prepare(order_from_text(order), parts)()
+                    fault_action(fault_order_from_text(order), parts)()
                 told.append(verdict([sys.executable, "-c", script, port.address, folder, family], axis))
     return told
 

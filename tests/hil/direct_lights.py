@@ -12,8 +12,8 @@ from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from simulators.assembly.lights import LightDriver, make_light
 from simulators.config import LightConfig
-from simulators.faults.catalogue import order_from_text
-from simulators.faults.fault_injection import Parts, prepare
+from simulators.faults.catalogue import fault_order_from_text
+from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.lights.lamp import Lamp
 from simulators.world.world import LightState
@@ -32,7 +32,7 @@ class DirectLight:
 
     def order(self, text: str) -> None:
         """Let something go wrong, as it is ordered on a bench."""
-        parts = Parts(
+        parts = BenchParts(
             axes={},
             ports={"light": self.line},
             lines={"light": self.line.device},
@@ -42,7 +42,7 @@ class DirectLight:
             camera=None,
             clock=self.line.clock.monotonic,
         )
-        prepare(order_from_text(f"light {text}"), parts)()
+        fault_action(fault_order_from_text(f"light {text}"), parts)()
 
 
 OPENED: dict[str, Callable[..., Light]] = {

@@ -15,8 +15,8 @@ from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
-from simulators.faults.catalogue import order_from_text
-from simulators.faults.fault_injection import AxisController, Parts, prepare
+from simulators.faults.catalogue import fault_order_from_text
+from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
@@ -113,7 +113,7 @@ class DirectStage:
     def order(self, text: str) -> None:
         """Let something go wrong, as it is ordered on a bench; the axis is called pan, its line gimbal."""
         line = self.line.device
-        parts = Parts(
+        parts = BenchParts(
             axes={"pan": self.controller},
             ports={"gimbal": self.line},
             lines={"gimbal": line},
@@ -123,7 +123,7 @@ class DirectStage:
             camera=None,
             clock=self.line.clock.monotonic,
         )
-        prepare(order_from_text(text), parts)()
+        fault_action(fault_order_from_text(text), parts)()
 
     def true_deg(self) -> float:
         """Where the axis really points, once it has settled."""

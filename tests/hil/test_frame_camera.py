@@ -296,13 +296,13 @@ def test_each_fault_of_the_camera_is_noticed_and_over_when_it_is_mended(
 ):
     monkeypatch.setattr(frame_cameras, "SILENCE_S", 1.0)
     camera.capture(tmp_path / "before.tif", 2)
-    simulated.go_wrong(fault)
+    simulated.inject_fault(fault)
     kind, words = FAULTS[fault]
     began = time.monotonic()
     with pytest.raises(kind, match=words):
         camera.capture(tmp_path / "during.tif", 2)
     assert time.monotonic() - began < 20.0
-    simulated.go_wrong("mend")
+    simulated.inject_fault("mend")
     camera.capture(tmp_path / "after.tif", 2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["after.tif", "before.tif"]
 

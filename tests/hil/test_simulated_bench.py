@@ -16,7 +16,7 @@ import serial
 from simulators.bench import Bench, main
 from simulators.config import bench_config
 from simulators.errors import ConfigError
-from simulators.faults.catalogue import order_from_text
+from simulators.faults.catalogue import fault_order_from_text
 
 
 def start(folder, *words: str, until_eof: bool = True) -> subprocess.Popen[str]:
@@ -252,7 +252,7 @@ def test_the_stage_may_be_of_another_kind(tmp_path, kind, ports, talk):
             for said, answer in talk:
                 line.write(said)
                 assert line.read_until(answer).endswith(answer)
-        bench.inject(order_from_text("pan push deg=1"))
+        bench.inject(fault_order_from_text("pan push deg=1"))
         deadline = time.monotonic() + 10.0
         while bench.world.angles_deg(bench.world.now_s())["pan"] != pytest.approx(3.4):
             assert time.monotonic() < deadline
@@ -274,10 +274,10 @@ def test_the_light_may_be_of_another_kind(tmp_path, kind, said, identity, other,
             line.write(said)
             assert line.read_until(identity).endswith(identity)
             assert world.light(world.now_s()).frequency_hz == 50.0
-            bench.inject(order_from_text("light exchange serial=SG7"))
+            bench.inject(fault_order_from_text("light exchange serial=SG7"))
             line.write(said)
             assert line.read_until(other).endswith(other)
-        bench.inject(order_from_text("light trip"))
+        bench.inject(fault_order_from_text("light trip"))
         assert not world.light(world.now_s()).output
 
 
@@ -288,9 +288,9 @@ def test_without_pseudo_terminals_the_lines_run_over_tcp(tmp_path):
         for _ in range(2):
             with serial.serial_for_url(address, timeout=5.0) as line:
                 assert ask(line, "/2 0 00 get system.serial").startswith("@02 0 00 OK IDLE WR 100102")
-        bench.inject(order_from_text("gimbal unplug"))
+        bench.inject(fault_order_from_text("gimbal unplug"))
         with pytest.raises(serial.SerialException):
             serial.serial_for_url(address, timeout=5.0)
-        bench.inject(order_from_text("gimbal replug"))
+        bench.inject(fault_order_from_text("gimbal replug"))
         with serial.serial_for_url(address, timeout=5.0) as line:
             assert ask(line, "/1 0 00").startswith("@01 0 00 OK")

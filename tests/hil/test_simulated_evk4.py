@@ -136,7 +136,7 @@ def test_a_pulled_cable_is_noticed_and_the_camera_can_be_opened_again(camera):
 def test_a_fault_reaches_the_host(camera):
     with Host(camera) as host:
         host.ask("identify")
-        camera.fault("over temperature")
+        camera.report_fault("over temperature")
         kind, payload = host.frame()
     assert kind == b"N"
     assert json.loads(payload) == {"event": "fault", "message": "over temperature"}

@@ -327,7 +327,7 @@ def test_a_controller_that_stays_busy_is_noticed(rig, homed) -> None:
 
 @each_in_turn
 def test_an_idle_flicker_in_mid_move_is_no_arrival(rig, homed) -> None:
-    rig.axes["pan"].say_idle(1)
+    rig.axes["pan"].report_false_idle(1)
     homed.move_to({"pan": -9.0})
     assert homed.position_deg()["pan"] == pytest.approx(-9.0, abs=0.002)
 

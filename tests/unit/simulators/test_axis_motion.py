@@ -291,10 +291,10 @@ def test_a_fault_waits_for_its_motion():
 
 def test_a_report_may_be_false_while_the_motion_is_not():
     one = move_with(None)
-    one.say_idle(2)
-    assert [one.says_busy(20.1) for _ in range(3)] == [False, False, True]
+    one.report_false_idle(2)
+    assert [one.reports_busy(20.1) for _ in range(3)] == [False, False, True]
     one.stuck_busy = True
-    assert one.says_busy(30.0)
+    assert one.reports_busy(30.0)
     assert not one.busy(30.0)
 
 

@@ -12,8 +12,8 @@ from simulators.assembly.stages import make_stage
 from simulators.cameras.stream_faults import StreamFaults
 from simulators.config import BenchConfig
 from simulators.errors import ConfigError
-from simulators.faults.catalogue import catalogue, order, order_from_text
-from simulators.faults.fault_injection import Parts, prepare
+from simulators.faults.catalogue import fault_order, fault_order_from_text, faults_of
+from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
 from simulators.lights.lamp import Lamp
 from simulators.world.world import LightState
@@ -43,7 +43,7 @@ class Camera:
     def unplug(self) -> None:
         self.told.append("unplugged")
 
-    def fault(self, message: str) -> None:
+    def report_fault(self, message: str) -> None:
         self.told.append(message)
 
 
@@ -64,12 +64,12 @@ class Bench:
             name: FaultLine(one, lambda: self.now_s, np.random.default_rng(1))
             for name, one in self.dialects.items()
         }
-        self.parts = Parts(
+        self.parts = BenchParts(
             stage.controllers, self.ports, lines, stage.ports, light, lamp, self.camera, lambda: self.now_s
         )
 
     def order(self, text: str) -> None:
-        prepare(order_from_text(text), self.parts)()
+        fault_action(fault_order_from_text(text), self.parts)()
 
     def say(self, request: str) -> str:
         self.now_s += 10.0
@@ -159,13 +159,13 @@ def test_the_camera_hears_of_its_faults(bench: Bench):
     bench.order("camera fault message='too hot'")
     assert bench.camera.told == ["unplugged", "too hot"]
     bench.order("camera frames_lost skip=1 count=2")
-    assert [bench.camera.stream_faults.carry(b"ab") for _ in range(4)] == [b"ab", b"", b"", b"ab"]
+    assert [bench.camera.stream_faults.apply(b"ab") for _ in range(4)] == [b"ab", b"", b"", b"ab"]
     bench.order("camera overflow")
     assert bench.camera.stream_faults.overflows
     bench.order("camera silence")
-    assert bench.camera.stream_faults.carry(b"ab") == b""
+    assert bench.camera.stream_faults.apply(b"ab") == b""
     bench.order("camera mend")
-    assert bench.camera.stream_faults.carry(b"ab") == b"ab"
+    assert bench.camera.stream_faults.apply(b"ab") == b"ab"
     assert not bench.camera.stream_faults.overflows
 
 
@@ -188,7 +188,7 @@ def test_an_order_that_makes_no_sense_here_names_its_key(bench: Bench, text, whe
 
 @pytest.mark.parametrize("kind", ["stall", "limit", "restart", "stop_short", "slip", "creep"])
 def test_a_fault_of_a_motion_waits_for_it(bench: Bench, kind):
-    prepare(order({"device": "tilt", "fault": kind, "skip": 2}), bench.parts)()
+    fault_action(fault_order({"device": "tilt", "fault": kind, "skip": 2}), bench.parts)()
     armed = bench.parts.axes["tilt"].axis._armed
     assert armed is not None
     assert (armed.kind, armed.skip) == (kind, 2)
@@ -197,14 +197,14 @@ def test_a_fault_of_a_motion_waits_for_it(bench: Bench, kind):
 
 @pytest.mark.parametrize("kind", [*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"])
 def test_a_fault_of_messages_waits_for_them(bench: Bench, kind):
-    prepare(order({"device": "gimbal", "fault": kind, "count": 3, "delay_s": 2}), bench.parts)()
+    fault_action(fault_order({"device": "gimbal", "fault": kind, "count": 3, "delay_s": 2}), bench.parts)()
     (waiting,) = bench.parts.lines["gimbal"].faults
     assert waiting == LineFault(kind, count=3, delay_s=2.0)
     assert bench.parts.lines["light"].faults == ()
 
 
 ORDERS = [
-    f"{device} {fault}" for device in ("pan", "gimbal", "light", "camera") for fault in catalogue(device)
+    f"{device} {fault}" for device in ("pan", "gimbal", "light", "camera") for fault in faults_of(device)
 ]
 
 

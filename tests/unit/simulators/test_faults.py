@@ -15,10 +15,10 @@ from simulators.faults.catalogue import (
     CAMERA_FAULTS,
     LIGHT_FAULTS,
     LINE_FAULTS,
-    Order,
-    catalogue,
-    order,
-    order_from_text,
+    FaultOrder,
+    fault_order,
+    fault_order_from_text,
+    faults_of,
 )
 from simulators.lights.lamp import Lamp
 from simulators.world.sync_line import SyncLine
@@ -28,19 +28,19 @@ from simulators.world.world import LightState
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("pan stall share=0.3", Order("pan", "stall", {"share": 0.3, "skip": 0})),
-        ("tilt reboot after_s=2", Order("tilt", "reboot", {}, 2.0)),
-        ("light lamp_open", Order("light", "lamp_open", {})),
-        ("light wrong_frequency factor=0.9", Order("light", "wrong_frequency", {"factor": 0.9})),
-        ("camera fault message='too hot'", Order("camera", "fault", {"message": "too hot"})),
+        ("pan stall share=0.3", FaultOrder("pan", "stall", {"share": 0.3, "skip": 0})),
+        ("tilt reboot after_s=2", FaultOrder("tilt", "reboot", {}, 2.0)),
+        ("light lamp_open", FaultOrder("light", "lamp_open", {})),
+        ("light wrong_frequency factor=0.9", FaultOrder("light", "wrong_frequency", {"factor": 0.9})),
+        ("camera fault message='too hot'", FaultOrder("camera", "fault", {"message": "too hot"})),
     ],
 )
 def test_an_order_is_read_as_typed(text, expected):
-    assert order_from_text(text) == expected
+    assert fault_order_from_text(text) == expected
 
 
 def test_an_order_fills_in_the_defaults_of_its_fault():
-    late = order({"device": "gimbal", "fault": "late", "delay_s": 2})
+    late = fault_order({"device": "gimbal", "fault": "late", "delay_s": 2})
     assert late.parameters == {
         "count": 1,
         "skip": 0,
@@ -66,21 +66,21 @@ def test_an_order_fills_in_the_defaults_of_its_fault():
 )
 def test_a_wrong_order_names_its_key(given_order, where):
     with pytest.raises(ConfigError) as caught:
-        order(given_order)
+        fault_order(given_order)
     assert caught.value.where == where
 
 
 @given(st.text(max_size=60))
 def test_any_text_is_an_order_or_a_clear_error(text):
     with suppress(ConfigError):
-        assert order_from_text(text).device in {"pan", "tilt", "roll", "gimbal", "light", "camera"}
+        assert fault_order_from_text(text).device in {"pan", "tilt", "roll", "gimbal", "light", "camera"}
 
 
 def test_every_device_has_its_catalogue():
-    assert catalogue("roll") == AXIS_FAULTS
-    assert catalogue("gimbal") == LINE_FAULTS
-    assert catalogue("camera") == CAMERA_FAULTS
-    assert {*LINE_FAULTS, *LIGHT_FAULTS} == set(catalogue("light"))
+    assert faults_of("roll") == AXIS_FAULTS
+    assert faults_of("gimbal") == LINE_FAULTS
+    assert faults_of("camera") == CAMERA_FAULTS
+    assert {*LINE_FAULTS, *LIGHT_FAULTS} == set(faults_of("light"))
 
 
 # ---------------------------------------------------------------- the lamp
@@ -101,11 +101,11 @@ def test_a_lamp_fails_at_once_stays_so_and_is_mended(kind, factor, name, value):
     shown: list[LightState] = []
     lamp = Lamp(shown.append)
     lamp.drive(LIT)
-    lamp.go_wrong(kind, factor)
+    lamp.inject_fault(kind, factor)
     assert getattr(shown[-1], name) == pytest.approx(value)
     lamp.drive(LIT)
     assert getattr(shown[-1], name) == pytest.approx(value)
-    lamp.mend()
+    lamp.clear_faults()
     assert shown[-1] == LIT
 
 
@@ -122,9 +122,9 @@ def test_the_sync_cable_fails_and_is_mended(kind, factor, line):
     shown: list[LightState] = []
     lamp = Lamp(shown.append)
     lamp.drive(LIT)
-    lamp.go_wrong(kind, factor)
+    lamp.inject_fault(kind, factor)
     assert shown[-1].sync_line == line
-    lamp.mend()
+    lamp.clear_faults()
     assert shown[-1] == LIT
 
 
@@ -173,4 +173,4 @@ def test_jitter_is_bounded_even_and_of_each_edge_its_own():
 
 def test_an_unknown_lamp_fault_is_refused():
     with pytest.raises(SimulatorError, match="lamp_open"):
-        Lamp(lambda _state: None).go_wrong("burnt")
+        Lamp(lambda _state: None).inject_fault("burnt")

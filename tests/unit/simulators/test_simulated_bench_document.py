@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, bench_config
-from simulators.faults.catalogue import catalogue, order, order_from_text
+from simulators.faults.catalogue import fault_order, fault_order_from_text, faults_of
 
 TEXT = (Path(__file__).parents[3] / "docs" / "simulated-bench.md").read_text(encoding="utf-8")
 
@@ -24,12 +24,12 @@ def words_of_first_column(title: str) -> set[str]:
     ("title", "device"), [("Of an axis", "pan"), ("Of a line", "gimbal"), ("Of the camera", "camera")]
 )
 def test_every_fault_stands_in_its_table(title, device):
-    assert words_of_first_column(title) == set(catalogue(device))
+    assert words_of_first_column(title) == set(faults_of(device))
 
 
 def test_every_fault_of_the_light_stands_in_its_table():
-    of_the_line = set(catalogue("gimbal"))
-    assert words_of_first_column("Of the light") == set(catalogue("light")) - of_the_line
+    of_the_line = set(faults_of("gimbal"))
+    assert words_of_first_column("Of the light") == set(faults_of("light")) - of_the_line
 
 
 def test_every_kind_of_device_is_told():
@@ -41,13 +41,13 @@ def test_the_example_is_a_configuration():
     example = re.search(r"```yaml\n(.*?)```", TEXT, flags=re.DOTALL)
     assert example
     config = bench_config(yaml.safe_load(example[1])["simulation"])
-    assert config.faults == (order({"device": "pan", "fault": "stall", "skip": 3}),)
+    assert config.faults == (fault_order({"device": "pan", "fault": "stall", "skip": 3}),)
 
 
 def test_the_example_orders_are_orders():
     block = TEXT.split("answered by a line of JSON:\n\n```\n", 1)[1].split("```", 1)[0].splitlines()
     orders = [
-        order(yaml.safe_load(line)) if line.startswith("{") else order_from_text(line) for line in block
+        fault_order(yaml.safe_load(line)) if line.startswith("{") else fault_order_from_text(line) for line in block
     ]
     assert [one.fault for one in orders] == ["stall", "late", "wrong_frequency"]
 
@@ -55,7 +55,7 @@ def test_the_example_orders_are_orders():
 def test_the_order_for_each_mishap_is_an_order():
     table = TEXT.split("### Which order for which mishap", 1)[1].split("\n## ", 1)[0]
     orders = [
-        order_from_text(text)
+        fault_order_from_text(text)
         for line in table.splitlines()
         if line.startswith("| ")
         for text in re.findall(r"`([^`]+)`", line)

@@ -15,7 +15,7 @@ def carried(*faults: StreamFault, frames: int = 1) -> list[list[int]]:
     way = StreamFaults()
     for fault in faults:
         way.inject(fault)
-    return [np.frombuffer(way.carry(FRAME.tobytes()), "<u2").tolist() for _ in range(frames)]
+    return [np.frombuffer(way.apply(FRAME.tobytes()), "<u2").tolist() for _ in range(frames)]
 
 
 WHOLE = FRAME.tolist()
