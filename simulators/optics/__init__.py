@@ -1,1 +1,1 @@
-"""What the camera would see: target, collimator, lens, screen."""
+"""Image formation of the simulated bench: target, collimator, lens and screen."""

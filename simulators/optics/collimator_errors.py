@@ -1,18 +1,20 @@
-"""How a real collimator departs from the ideal one: where a point of its reticle seems to lie.
+"""Errors of a real collimator: where a point of its reticle appears to lie.
 
-An ideal collimator sends the light of a reticle point P out in the direction P - c, whichever part of its pupil
-the camera looks through. A real one bends it, by an amount that depends on the place in the field,
-h = (P - (x, y)) / r, and on the place of the camera's pupil in the collimator's, which the disc of light shows:
-b = (disc's centre - (x, y)) / r. The apparent displacement of P is that of the third-order aberrations (Seidel;
-the gradient of the wave aberration along b), in units of r:
+An ideal collimator sends the light of a reticle point P out in the direction P - c, through every part of its pupil.
+A real one bends the light. The amount depends on the place in the field, h = (P - (x, y)) / r, and on the place of the
+camera's pupil in the collimator's pupil. The disc of light shows the latter: b = (disc centre - (x, y)) / r. The
+apparent displacement of P, in units of r, is that of the third-order aberrations (Seidel; the gradient of the wave
+aberration along b; Born and Wolf, Principles of Optics, section 5.3):
 
     defocus b + spherical |b|^2 b + coma (|b|^2 h + 2 (h.b) b)
     + astigmatism 2 (h.b) h + field_curvature 2 |h|^2 b + distortion |h|^2 h
 
-Defocus is finite collimation: all points move together, as if c moved with the disc. A bowed reticle acts as
-distortion. Besides, the camera's pupil is only partly filled towards the disc's edge, and points roll outwards (or
-inwards) with the fourth power of their distance from its centre; and what no law says of glass, `irregularity` does.
-Knows the target plane only: no camera, no image.
+Defocus is finite collimation: all points move together, as if c moved with the disc. A curved reticle acts as
+distortion. Two effects are added. Towards the disc's edge the camera's pupil is only partly filled, and points move
+outwards (or inwards) with the fourth power of their distance from the disc's centre. Random displacements that follow
+no aberration polynomial come from `irregularity`.
+
+This module works in the target plane only; it uses no camera and no image.
 """
 
 from __future__ import annotations
@@ -30,14 +32,21 @@ from simulators.world.truth import CollimatorTruth
 FloatArray = NDArray[np.float64]
 
 ROLL_TO = 1.2
-"""Distance from the disc's centre, in radii, from which on the rim's roll grows no more than in proportion."""
+"""Distance from the disc's centre, in radii, beyond which the rim's displacement grows only in proportion to it."""
 
 
 class Disc(NamedTuple):
-    """The disc of light in a pose: centre and mean radius on the target plane, mm.
+    """Disc of light in one pose.
 
-    ``edge`` makes it uneven: by what share of the radius it is wider in a direction phi, as coefficients of
-    cos 2 phi, sin 2 phi, cos 3 phi, ..., (EDGE_TERMS,) float64, or (0,) of an even one.
+    Attributes
+    ----------
+    x, y
+        Centre on the target plane, mm.
+    radius
+        Mean radius, mm.
+    edge
+        (EDGE_TERMS,) float64: relative change of the radius in direction phi, as coefficients of cos 2 phi, sin 2 phi,
+        cos 3 phi, ...; (0,) for a circle.
     """
 
     x: float
@@ -51,7 +60,23 @@ EDGE_TERMS: Final = 8
 
 
 class Bending(NamedTuple):
-    """The collimator's errors in a pose, as the compiled functions take them."""
+    """Errors of the collimator in one pose, as the compiled functions take them.
+
+    Attributes
+    ----------
+    x, y, r
+        The camera's centre is (x, y, -r), mm of the target plane.
+    b_x, b_y
+        Centre of the disc relative to (x, y), in units of r.
+    defocus, spherical, coma, astigmatism, field_curvature, distortion
+        Third-order coefficients, dimensionless.
+    roll_mm
+        Outward displacement at the disc's edge.
+    disc_x, disc_y, disc_radius
+        Disc of light, mm.
+    irregular
+        (K, 2) float64, mm: coefficients of ``irregularity.field``; (0, 2) for none.
+    """
 
     x: float
     y: float
@@ -75,19 +100,27 @@ _NOTHING: Final = np.zeros((0, 2))
 NO_BENDING: Final = Bending(
     *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 1.0), _NOTHING
 )
-"""That of no collimator at all."""
+"""No collimator, or an ideal one: nothing is displaced."""
 
 
 def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
-    """Disc of light in a pose: it moves as the camera turns, unless its pupil stands on the turning point.
+    """Return the disc of light in a pose.
 
-    It walks in proportion to the turn, and wanders about that, as the pupil does on a mount that is moved by hand. Its
-    edge is uneven by the rms asked for, with 2 to 5 periods around it.
+    The disc moves in proportion to the camera's turn, unless the camera's pupil stands on the turning point. A random
+    part is added, as on a mount that is moved by hand. The edge departs from a circle by the rms of the truth, with 2
+    to 5 periods around it.
 
     Parameters
     ----------
+    collimator
+        Disc and its variations.
     rotation
         (3, 3), camera <- target.
+
+    Returns
+    -------
+    Disc
+        Centre, mean radius and edge, mm.
     """
     along = _axis(rotation)
     x, y = collimator.x + collimator.disc_x, collimator.y + collimator.disc_y
@@ -113,7 +146,20 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
 
 @njit(cache=True, nogil=True)
 def width(cosine: float, sine: float, edge: FloatArray) -> float:
-    """Radius of the disc in the direction of that cosine and sine, in mean radii."""
+    """Return the radius of the disc in one direction, relative to the mean radius; at least 0.1.
+
+    Parameters
+    ----------
+    cosine, sine
+        Of the direction's angle from X.
+    edge
+        (2 M,) float64, as in ``Disc``.
+
+    Returns
+    -------
+    float
+        Radius / mean radius.
+    """
     wide, c, s = 1.0, cosine, sine
     for m in range(edge.size // 2):
         c, s = c * cosine - s * sine, c * sine + s * cosine
@@ -123,7 +169,20 @@ def width(cosine: float, sine: float, edge: FloatArray) -> float:
 
 @njit(cache=True, nogil=True)
 def share_of(x_mm: float, y_mm: float, disc: Disc) -> float:
-    """How far a point of the target lies from the disc's centre, as a share of the way to the disc's edge."""
+    """Return the distance of a target point from the disc's centre, as a fraction of the radius in that direction.
+
+    Parameters
+    ----------
+    x_mm, y_mm
+        Point of the target plane.
+    disc
+        Disc of light.
+
+    Returns
+    -------
+    float
+        0 at the centre, 1 at the edge.
+    """
     x, y = x_mm - disc.x, y_mm - disc.y
     away = math.sqrt(x * x + y * y)
     if disc.edge.size == 0 or away == 0.0:
@@ -133,7 +192,20 @@ def share_of(x_mm: float, y_mm: float, disc: Disc) -> float:
 
 @njit(cache=True, nogil=True)
 def shares_of(points_mm: NDArray, disc: Disc) -> NDArray:
-    """``share_of`` for points, (N, 2) mm; (N,)."""
+    """Return ``share_of`` for several points.
+
+    Parameters
+    ----------
+    points_mm
+        (N, 2) float64, points of the target plane.
+    disc
+        Disc of light.
+
+    Returns
+    -------
+    (N,) float64
+        0 at the centre, 1 at the edge.
+    """
     out = np.empty(points_mm.shape[0])
     for i in range(points_mm.shape[0]):
         out[i] = share_of(points_mm[i, 0], points_mm[i, 1], disc)
@@ -141,13 +213,26 @@ def shares_of(points_mm: NDArray, disc: Disc) -> NDArray:
 
 
 def _axis(rotation: FloatArray) -> tuple[float, float]:
-    """Tangents of the camera's turn: where its optical axis points in the target's frame."""
+    """Return the tangents of the camera's turn: where its optical axis points in the target's frame."""
     axis = rotation[2]
     return float(axis[0] / axis[2]), float(axis[1] / axis[2])
 
 
 def bending_of(collimator: CollimatorTruth, rotation: FloatArray) -> Bending:
-    """Errors of the collimator in a pose."""
+    """Return the errors of the collimator in a pose.
+
+    Parameters
+    ----------
+    collimator
+        Coefficients and disc.
+    rotation
+        (3, 3), camera <- target.
+
+    Returns
+    -------
+    Bending
+        Everything that ``displacement`` needs.
+    """
     disc = disc_of(collimator, rotation)
     return Bending(
         collimator.x,
@@ -170,7 +255,7 @@ def bending_of(collimator: CollimatorTruth, rotation: FloatArray) -> Bending:
 
 
 def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
-    """Coefficients of what follows no law, none if all does."""
+    """Return the coefficients of the irregular displacements; none if there are none."""
     c = collimator
     if c.irregularity_mm == 0.0 and c.rim_irregularity_mm == 0.0:
         return _NOTHING
@@ -178,13 +263,41 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
 
 
 def apparent(points_mm: FloatArray, bending: Bending) -> FloatArray:
-    """Where points of the reticle, (N, 2) mm, seem to lie, (N, 2) mm."""
+    """Return the apparent positions of reticle points.
+
+    Parameters
+    ----------
+    points_mm
+        (N, 2), true positions on the target plane.
+    bending
+        Errors of the collimator in the pose.
+
+    Returns
+    -------
+    (N, 2) float64
+        Apparent positions, mm.
+    """
     return np.asarray(_apparent(np.ascontiguousarray(points_mm, np.float64), bending))
 
 
 @njit(cache=True, nogil=True)
 def displacement(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
-    """Apparent displacement of a reticle point, mm."""
+    """Return the apparent displacement of a reticle point; the module's docstring has the equation.
+
+    Third-order terms: Born and Wolf, Principles of Optics, section 5.3.
+
+    Parameters
+    ----------
+    x_mm, y_mm
+        True position on the target plane.
+    e
+        Errors of the collimator in the pose.
+
+    Returns
+    -------
+    tuple of float
+        dx and dy, mm.
+    """
     h_x, h_y = (x_mm - e.x) / e.r, (y_mm - e.y) / e.r
     hh, bb, hb = h_x * h_x + h_y * h_y, e.b_x * e.b_x + e.b_y * e.b_y, h_x * e.b_x + h_y * e.b_y
     along_b = e.defocus + e.spherical * bb + 2.0 * e.coma * hb + 2.0 * e.field_curvature * hh
@@ -201,7 +314,20 @@ def displacement(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def reticle_point(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
-    """Point of the reticle that seems to lie at (x, y): ``apparent`` turned round, to about 1e-6 mm."""
+    """Return the reticle point that appears at (x, y): the inverse of ``apparent``, to about 1e-6 mm.
+
+    Parameters
+    ----------
+    x_mm, y_mm
+        Apparent position on the target plane.
+    e
+        Errors of the collimator in the pose.
+
+    Returns
+    -------
+    tuple of float
+        True position, mm.
+    """
     p_x, p_y = x_mm, y_mm
     for _ in range(6):
         dx, dy = displacement(p_x, p_y, e)
@@ -211,7 +337,18 @@ def reticle_point(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def is_ideal(e: Bending) -> bool:
-    """Whether nothing is displaced."""
+    """Return whether the collimator displaces no point.
+
+    Parameters
+    ----------
+    e
+        Errors of the collimator in the pose.
+
+    Returns
+    -------
+    bool
+        True if all coefficients are zero.
+    """
     return (
         e.defocus == 0.0
         and e.spherical == 0.0

@@ -1,9 +1,11 @@
-"""Which share of every pixel a polygon covers, exactly.
+"""Exact area of each pixel that a polygon covers.
 
-A polygon is a closed ring of edges. An edge adds, to every cell to its right, the height that it spans in that
-cell's row, with its sign; the sum over a ring is the area inside. Only the differences between neighbouring
-cells of a row are stored, so an edge costs as much as it is long, and one running sum along a row makes areas of
-them. Knows cells and edges only: neither what is drawn, nor through which lens.
+A polygon is a closed ring of edges. An edge adds, to every cell to its right, the signed height that it spans in that
+cell's row; the sum over a ring is the area inside. Only the differences between neighbouring cells of a row are
+stored, so the cost of an edge is proportional to its length. A running sum along a row turns differences into areas.
+Font rasterisers use the same accumulation buffer (font-rs; Levien 2016).
+
+This module works on cells and edges only; it uses no scene and no lens.
 """
 
 from __future__ import annotations
@@ -18,24 +20,25 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 REACH_SIGMAS: Final = 3.6
-"""Standard deviations after which the point spread is cut off."""
+"""Standard deviations beyond which the point spread is cut off."""
 
 
 def blank(width: int, height: int, cells: int, margin: int) -> NDArray[np.float32]:
-    """Make a picture with nothing in it.
+    """Return an empty picture.
 
     Parameters
     ----------
     width, height
-        Its pixels.
+        Pixels of the image.
     cells
         Cells along a pixel's side.
     margin
-        Pixels around it that are drawn as well, so that light from there may spread into it.
+        Pixels around the image that are drawn as well, so that their light can spread into it.
 
     Returns
     -------
-    (rows of cells, columns of cells + 1) float32: differences of covered area along each row.
+    (rows of cells, columns of cells + 1) float32
+        Differences of covered area along each row, all zero.
     """
     return np.zeros(((height + 2 * margin) * cells, (width + 2 * margin) * cells + 1), np.float32)
 
@@ -47,9 +50,13 @@ def add_edge(steps: NDArray, x0: float, y0: float, x1: float, y1: float, weight:
     Parameters
     ----------
     steps
-        (rows, columns + 1) float32: differences along a row, added to in place. What lies outside is cut off.
+        (rows, columns + 1) float32: differences along a row, changed in place. Parts of the edge outside are cut off.
+    x0, y0
+        Start of the edge, cells.
+    x1, y1
+        End of the edge, cells.
     weight
-        What a cell wholly inside a ring that runs from +x to +y (clockwise as seen) gains.
+        Value that a cell gains if it lies wholly inside a ring that runs from +x to +y (clockwise as seen).
     """
     rows, columns = steps.shape[0], steps.shape[1] - 1
     if y0 == y1 or (x0 >= columns and x1 >= columns):
@@ -82,7 +89,7 @@ def _add_span(steps: NDArray, left: float, right: float, height: float) -> None:
 
 @njit(cache=True, nogil=True)
 def _area_left_of(x: float, left: float, right: float) -> float:
-    """Area right of an edge of unit height that runs from ``left`` to ``right``, and left of x."""
+    """Return the area between an edge of unit height, which runs from ``left`` to ``right``, and x to its right."""
     if x <= left:
         return 0.0
     if x >= right:
@@ -91,7 +98,7 @@ def _area_left_of(x: float, left: float, right: float) -> float:
 
 
 def spread_kernel(sigma_px: float, cells: int) -> FloatArray:
-    """Weights with which cells make a pixel: its own area, and a Gaussian point spread.
+    """Return the weights that join cells to a pixel: the pixel's own area convolved with a Gaussian point spread.
 
     Parameters
     ----------
@@ -102,8 +109,9 @@ def spread_kernel(sigma_px: float, cells: int) -> FloatArray:
 
     Returns
     -------
-    (cells + 2 n,) float64 that sum to 1: those of the pixel, and n to either side. The cells' own width is
-    counted as part of the point spread.
+    (cells + 2 n,) float64
+        Weights of the pixel's cells and of n cells to either side; they sum to 1. The width of a cell counts as part of
+        the point spread.
     """
     sigma = math.sqrt(max(sigma_px**2 - 1.0 / (12.0 * cells**2), 1e-12))
     beside = math.ceil(REACH_SIGMAS * sigma_px * cells)
@@ -113,7 +121,7 @@ def spread_kernel(sigma_px: float, cells: int) -> FloatArray:
 
 
 def _normal(z: float) -> float:
-    """Standard normal distribution."""
+    """Return the cumulative standard normal distribution at z."""
     return 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))
 
 
@@ -121,22 +129,27 @@ def _normal(z: float) -> float:
 def gather(
     steps: NDArray, light: NDArray, shades: tuple[float, float], kernel: NDArray, cells: int, margin: int
 ) -> NDArray:
-    """Join cells to pixels.
+    """Join cells to pixels: light times covered area, after the point spread.
 
     Parameters
     ----------
     steps
-        As filled by ``add_edge``, for a picture with a margin of ``margin`` pixels all around.
+        (rows, columns + 1) float32, filled by ``add_edge`` for a picture with a margin of ``margin`` pixels all around.
     light
         (height + 2 margin + 1, width + 2 margin + 1) float32 brightness at the corners of pixels; linear between.
     shades
-        Share of the light that what is not covered sends, and how much more what is covered sends.
+        Share of the light that uncovered area sends, and how much more covered area sends.
     kernel
-        Of ``spread_kernel``.
+        (cells + 2 n,) float64, weights of ``spread_kernel``.
+    cells
+        Cells along a pixel's side.
+    margin
+        Pixels drawn around the image.
 
     Returns
     -------
-    (height, width) float32.
+    (height, width) float32
+        Brightness of each pixel.
     """
     height, width = steps.shape[0] // cells - 2 * margin, (steps.shape[1] - 1) // cells - 2 * margin
     before = margin * cells - (kernel.size - cells) // 2  # cells of the margin beyond the kernel's reach
@@ -161,7 +174,7 @@ def gather(
 def _lit_row(
     steps: NDArray, above: NDArray, below: NDArray, v: float, shades: tuple[float, float], row: NDArray
 ) -> None:
-    """Brightness of the cells of a row, that lies a share v down between two rows of corners."""
+    """Compute the brightness of the cells of a row at fraction v between two rows of pixel corners."""
     pixels = above.size - 1
     cells = row.size // pixels
     covered = 0.0

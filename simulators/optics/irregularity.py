@@ -1,10 +1,11 @@
-"""What no law says of a collimator: how its picture warps, and where its disc stands, from one pose to the next.
+"""Random errors of a collimator that follow no aberration law: displaced points, and a disc that varies with the pose.
 
-The figure of lenses is uneven, and a camera in another pose looks through another part of it. Points are displaced
-by a smooth random field over the disc, Zernike polynomials (Noll 1976) of degree 1 to 5 in either direction, whose
-coefficients are smooth random functions of where the camera looks: alike in nearly the same pose, unlike some ten
-degrees away. At the rim, where the camera's pupil is but partly filled, they are displaced more, outwards on the
-whole, and by another random field. All fixed by a seed, as the collimator is one piece of glass.
+The figure of lenses is uneven, and a camera in another pose looks through another part of them. Points are displaced
+by a smooth random field over the disc: Zernike polynomials (Noll 1976, normalised as there) of degree 1 to 5 in x and
+in y. Their coefficients are smooth random functions of the direction in which the camera looks: nearly equal in nearly
+equal poses, different some ten degrees away. At the rim the camera's pupil is only partly filled. Points there are
+displaced more, outwards on average, by a second random field. A seed fixes everything, as a collimator is one piece of
+glass.
 """
 
 from __future__ import annotations
@@ -22,40 +23,41 @@ FloatArray = NDArray[np.float64]
 DEGREE: Final = 5
 MONOMIALS: Final = (DEGREE + 1) * (DEGREE + 2) // 2
 POWER: Final = (0.17, 0.12, 0.24, 0.20, 0.27)
-"""Share of each degree, 1 to `DEGREE`, in the mean square: as recordings of a real collimator leave them."""
+"""Share of each degree, 1 to `DEGREE`, in the mean square: taken from recordings of a real collimator."""
 WAVES: Final = 3
-"""Sinusoids that make a random function of the pose."""
+"""Sinusoids summed in a random function of the pose."""
 WAVELENGTH: Final = 0.2
-"""Mean wavelength of these, in tangents of the camera's turn."""
+"""Mean wavelength of these sinusoids, in tangents of the camera's turn."""
 EDGE: Final = 1.2
-"""Distance from the disc's centre, in radii, from which on the field stays as it is there."""
+"""Distance from the disc's centre, in radii, beyond which the field is constant."""
 RIM_FROM: Final = 0.86
-"""Distance from which on the rim's field grows to its full size at the disc's edge."""
+"""Distance from the disc's centre, in radii, at which the rim's field begins; it is full at the disc's edge."""
 RIM_POWER: Final = 1.6
 RIM_HARMONICS: Final = 3
-"""Periods of the rim's field around the disc, at most."""
+"""Largest number of periods of the rim's field around the disc."""
 RIM_OUTWARDS: Final = 1.6
-"""Mean displacement outwards, in the rim's rms."""
+"""Mean outward displacement, in units of the rim's rms."""
 
 
 def coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: int) -> FloatArray:
-    """Coefficients of the field in a pose.
+    """Return the coefficients of the displacement field in a pose.
 
     Parameters
     ----------
     axis
         Tangents of the camera's turn.
     rms
-        Root mean square displacement over the disc and over poses.
+        Root mean square displacement over the disc and over poses, mm.
     rim_rms
-        That of the rim's field at the disc's edge, each way.
+        Root mean square displacement of the rim's field at the disc's edge, in x and in y, mm.
     seed
-        Tells one collimator from another.
+        Identifies the collimator.
 
     Returns
     -------
-    (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64, as ``field`` takes them: of u^p v^q, p outermost, the coordinates
-    from the disc's centre and in its radii; and for the rim, of 1, cos phi, sin phi, cos 2 phi, ...
+    (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64
+        Coefficients in mm, as ``field`` takes them. First those of u^p v^q, p outermost, with coordinates from the
+        disc's centre in its radii. Then those of the rim: 1, cos phi, sin phi, cos 2 phi, ...
     """
     polynomials, sigmas = _zernike()
     around = 2 * RIM_HARMONICS + 1
@@ -68,14 +70,32 @@ def coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: in
 
 
 def wandering(axis: tuple[float, float], count: int, seed: int) -> FloatArray:
-    """Smooth random functions of the pose, (count,), each of mean 0 and variance 1 over all poses."""
+    """Return smooth random functions of the pose, each of mean 0 and variance 1 over all poses.
+
+    Each is a sum of sinusoids with random wave vectors and phases (spectral representation; Shinozuka and Deodatis
+    1991).
+
+    Parameters
+    ----------
+    axis
+        Tangents of the camera's turn.
+    count
+        Number of functions.
+    seed
+        Identifies the collimator.
+
+    Returns
+    -------
+    (count,) float64
+        Values of the functions in this pose.
+    """
     waves, phases = _waves(count, seed)
     return np.asarray(math.sqrt(2.0 / WAVES) * np.sin(waves @ np.array(axis) + phases).sum(axis=1))
 
 
 @lru_cache(maxsize=16)
 def _waves(count: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Wave vectors (count, WAVES, 2), and phases (count, WAVES)."""
+    """Return wave vectors (count, WAVES, 2), and phases (count, WAVES)."""
     rng = np.random.default_rng((seed, count))
     lengths = 2.0 * math.pi / WAVELENGTH * rng.uniform(0.6, 1.4, (count, WAVES))
     directions = rng.uniform(0.0, 2.0 * math.pi, (count, WAVES))
@@ -85,7 +105,10 @@ def _waves(count: int, seed: int) -> tuple[FloatArray, FloatArray]:
 
 @lru_cache(maxsize=1)
 def _zernike() -> tuple[FloatArray, FloatArray]:
-    """Zernike polynomials of mean square 1 over the disc, (N, MONOMIALS), and the rms of their coefficients."""
+    """Return Zernike polynomials of mean square 1 over the disc, (N, MONOMIALS), and the rms of their coefficients.
+
+    Normalisation: Noll (1976). The order is by degree n and then by m, not Noll's.
+    """
     place = {pq: k for k, pq in enumerate((p, q) for p in range(DEGREE + 1) for q in range(DEGREE + 1 - p))}
     rows, sigmas = [], []
     for n in range(1, DEGREE + 1):
@@ -100,7 +123,7 @@ def _zernike() -> tuple[FloatArray, FloatArray]:
 
 
 def _radial(n: int, m: int) -> dict[int, float]:
-    """Radial polynomial: weight by power."""
+    """Return the radial Zernike polynomial: weight by power (Noll 1976)."""
     f = math.factorial
     return {
         n - 2 * k: (-1) ** k * f(n - k) / (f(k) * f((n + m) // 2 - k) * f((n - m) // 2 - k))
@@ -109,7 +132,7 @@ def _radial(n: int, m: int) -> dict[int, float]:
 
 
 def _turning(m: int, power: int) -> list[tuple[int, int, float]]:
-    """rho^power cos(m phi), or sin(|m| phi) if m < 0, as monomials (p, q, weight) of u^p v^q."""
+    """Return rho^power cos(m phi), or sin(|m| phi) if m < 0, as monomials (p, q, weight) of u^p v^q."""
     angular, rest = abs(m), (power - abs(m)) // 2
     terms = []
     for k in range(angular + 1):  # (u + iv)^|m|
@@ -124,7 +147,20 @@ def _turning(m: int, power: int) -> list[tuple[int, int, float]]:
 
 @njit(cache=True, nogil=True)
 def field(u: float, v: float, coefficients: NDArray) -> tuple[float, float]:
-    """Displacement at a point of the disc, in the unit of the coefficients; there may be none of these."""
+    """Return the displacement at a point of the disc.
+
+    Parameters
+    ----------
+    u, v
+        Point relative to the disc's centre, in its radii.
+    coefficients
+        (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64, or (0, 2) for no displacement.
+
+    Returns
+    -------
+    tuple of float
+        Displacement in x and y, in the unit of the coefficients.
+    """
     x, y = 0.0, 0.0
     if coefficients.shape[0] == 0:
         return x, y
@@ -150,7 +186,7 @@ def field(u: float, v: float, coefficients: NDArray) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def _rim_field(cosine: float, sine: float, coefficients: NDArray) -> tuple[float, float]:
-    """Field of the rim at the disc's edge, in the direction of that cosine and sine."""
+    """Return the rim's field at the disc's edge, in the direction of that cosine and sine."""
     x, y = coefficients[0]
     c, s = 1.0, 0.0
     for m in range(1, RIM_HARMONICS + 1):

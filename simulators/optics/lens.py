@@ -1,7 +1,7 @@
-"""The camera's lens: from rays to pixels and back.
+"""Lens of the simulated camera: from rays to pixels and back.
 
-Two models, in OpenCV's conventions, pixel centres at integers: pinhole with Brown's distortion, and the fisheye
-of Kannala and Brandt. Knows directions in the camera's frame; nothing of what lies there.
+Two models, in OpenCV's conventions with pixel centres at integers: pinhole with Brown's distortion (Brown 1966, 1971),
+and the fisheye of Kannala and Brandt (2006). This module works on directions in the camera's frame; it uses no scene.
 """
 
 from __future__ import annotations
@@ -20,11 +20,23 @@ from simulators.world.truth import CameraTruth
 FloatArray = NDArray[np.float64]
 
 GRID_PX: Final = 8
-"""Distance of the points at which rays are computed; between them they are interpolated."""
+"""Spacing of the points at which rays are computed; between them rays are interpolated."""
 
 
 class Lens(NamedTuple):
-    """A lens as the compiled functions take it."""
+    """Parameters of a lens, as the compiled functions take them.
+
+    Attributes
+    ----------
+    fx, fy, cx, cy
+        Focal lengths and principal point, px.
+    k1, k2, k3, k4
+        Radial coefficients; k4 of a fisheye only.
+    p1, p2
+        Tangential coefficients; of a pinhole only.
+    fisheye
+        Whether the model is the fisheye; else the pinhole.
+    """
 
     fx: float
     fy: float
@@ -40,17 +52,41 @@ class Lens(NamedTuple):
 
 
 def lens_of(camera: CameraTruth) -> Lens:
-    """Lens of a camera."""
+    """Return the lens of a camera.
+
+    Parameters
+    ----------
+    camera
+        True parameters of the camera.
+
+    Returns
+    -------
+    Lens
+        The same parameters for the compiled functions.
+    """
     c = camera
     return Lens(c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2, camera.projection == "fisheye")
 
 
 @njit(cache=True, nogil=True)
 def distorted(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
-    """Distorted normalised coordinates of undistorted ones, x/z and y/z.
+    """Return distorted normalised coordinates.
 
-    Brown (1966): radial k1, k2, k3 and tangential p1, p2. Kannala and Brandt (2006): with theta = atan r, the point
-    lies at theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+    Pinhole: radial k1, k2, k3 and tangential p1, p2 (Brown 1966, 1971; sign and order as in OpenCV). Fisheye (Kannala
+    and Brandt 2006, radial part, as in OpenCV): with theta = atan r, the point lies at
+    theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+
+    Parameters
+    ----------
+    xn, yn
+        Undistorted normalised coordinates x/z and y/z.
+    lens
+        Lens model.
+
+    Returns
+    -------
+    tuple of float
+        Distorted normalised coordinates.
     """
     r2 = xn * xn + yn * yn
     if lens.fisheye:
@@ -69,7 +105,20 @@ def distorted(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]:
-    """Pixel coordinates of a point in the camera's frame; NaN if it does not lie in front."""
+    """Return the image point of a point in the camera's frame.
+
+    Parameters
+    ----------
+    x, y, z
+        Point in the camera's frame, in any unit.
+    lens
+        Lens model.
+
+    Returns
+    -------
+    tuple of float
+        u and v, px; NaN if the point does not lie in front of the camera.
+    """
     if not z > 0.0:
         return math.nan, math.nan
     xd, yd = distorted(x / z, y / z, lens)
@@ -77,12 +126,26 @@ def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]
 
 
 def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[FloatArray, FloatArray]:
-    """Undistorted normalised coordinates of distorted ones, by fixed-point iteration to 1e-13.
+    """Return undistorted normalised coordinates of distorted ones, to 1e-13.
+
+    The pinhole model is inverted by fixed-point iteration, the fisheye by Newton's method.
+
+    Parameters
+    ----------
+    xd, yd
+        Distorted normalised coordinates, two arrays of one shape (...,).
+    camera
+        True parameters of the camera.
+
+    Returns
+    -------
+    tuple of arrays, (...,) float64
+        Undistorted normalised coordinates x/z and y/z.
 
     Raises
     ------
     ConfigError
-        When the distortion cannot be inverted there: the radial polynomial turns back inside the image.
+        If the distortion cannot be inverted there: the radial polynomial decreases inside the image.
     """
     lens = lens_of(camera)
     if lens.fisheye:
@@ -102,7 +165,20 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
 
 
 def distorted_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """``distorted`` for arrays of one shape."""
+    """Return ``distorted`` for arrays.
+
+    Parameters
+    ----------
+    xn, yn
+        Undistorted normalised coordinates, two arrays of one shape (...,).
+    lens
+        Lens model.
+
+    Returns
+    -------
+    tuple of arrays, (...,) float64
+        Distorted normalised coordinates.
+    """
     flat = _distorted(np.column_stack([np.ravel(xn), np.ravel(yn)]), lens)
     return flat[:, 0].reshape(xn.shape), flat[:, 1].reshape(xn.shape)
 
@@ -117,7 +193,7 @@ def _distorted(points: NDArray, lens: Lens) -> NDArray:
 
 
 def _fisheye_undistorted(xd: FloatArray, yd: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """Solve theta (1 + k1 theta^2 + ...) = |xd, yd| by Newton's method, from the undistorted angle."""
+    """Solve theta (1 + k1 theta^2 + ...) = |xd, yd| by Newton's method, starting at |xd, yd| but at most 1.5."""
     wanted = np.hypot(xd, yd)
     theta = np.minimum(wanted, 1.5)
     k1, k2, k3, k4 = lens.k1, lens.k2, lens.k3, lens.k4
@@ -138,6 +214,7 @@ def _fisheye_undistorted(xd: FloatArray, yd: FloatArray, lens: Lens) -> tuple[Fl
 
 
 def _not_invertible() -> ConfigError:
+    """Return the error of a distortion that has no inverse."""
     return ConfigError(
         "The distortion cannot be inverted over the whole image.", where="camera", remedy="Use weaker k1, k2."
     )
@@ -145,22 +222,25 @@ def _not_invertible() -> ConfigError:
 
 @lru_cache(maxsize=8)
 def ray_grid(camera: CameraTruth, margin_px: int = 0) -> FloatArray:
-    """Rays through points of the image about `GRID_PX` apart.
+    """Return rays through points of the image that are about `GRID_PX` apart.
 
     Parameters
     ----------
+    camera
+        True parameters of the camera.
     margin_px
-        How far beyond the image's border the grid goes.
+        How far the grid extends beyond the image's border.
 
     Returns
     -------
-    (rows, columns, 2) float64, undistorted normalised coordinates; the grid divides the image, from the outer
-    edges of its outermost pixels (or the margin's), evenly.
+    (rows, columns, 2) float64
+        Undistorted normalised coordinates. The grid divides the image evenly, from the outer edges of its outermost
+        pixels (or of the margin's).
 
     Raises
     ------
     ConfigError
-        When the distortion cannot be inverted there.
+        If the distortion cannot be inverted there; ``undistort`` raises it.
     """
     u, v = (
         np.linspace(-0.5 - margin_px, size - 0.5 + margin_px, math.ceil((size + 2 * margin_px) / GRID_PX) + 1)

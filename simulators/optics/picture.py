@@ -1,12 +1,12 @@
-"""What the camera sees of the target through the collimator: a ray model of its own, shared with nobody.
+"""The image of the target through the collimator, by a ray model of its own that no other package shares.
 
-The print's black areas are followed from the target's plane through the collimator and the lens into the image,
-where each pixel gets the share that they cover, exactly; the light is dimmed by the collimator's disc and its
-unevenness, and blurred by the point spread. Knows where things lie and how bright they are; nothing of time, light
-drive or events.
+The black areas of the print are projected from the target plane through the collimator and the lens into the image.
+Each pixel gets the exact share that they cover. The light is dimmed by the disc of light and its uneven illumination,
+and blurred by the point spread. This module computes where things lie and how bright they are; it uses no time, no
+light waveform and no events.
 
-Frames: target plane Z = 0, X right, Y down, mm; camera centre c = (x, y, -r); X_cam = R (P - c); OpenCV's
-distortion and pixel convention.
+Frames: target plane Z = 0, X right, Y down, mm; camera centre c = (x, y, -r); X_cam = R (P - c); distortion and pixel
+convention of OpenCV.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _BLACK: Final = black_polygons(TARGET)
 
 
 def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> FloatArray:
-    """Rotation camera <- target of a gimbal pose, R = Rz(roll) Rx(tilt) Ry(pan) R0.
+    """Return the rotation camera <- target of a gimbal pose, R = Rz(roll) Rx(tilt) Ry(pan) R0.
 
     Parameters
     ----------
@@ -47,7 +47,8 @@ def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> Float
 
     Returns
     -------
-    (3, 3) float64.
+    (3, 3) float64
+        Rotation matrix R.
     """
     pan, tilt, roll = (math.radians(angles_deg.get(name, 0.0)) for name in ("pan", "tilt", "roll"))
     mounting = np.radians(np.asarray(optics.mounting_deg, np.float64))
@@ -55,7 +56,7 @@ def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> Float
 
 
 def _turn(rotation_vector: FloatArray | tuple[float, float, float]) -> FloatArray:
-    """Rotation matrix of a rotation vector in radians (Rodrigues)."""
+    """Return the rotation matrix of a rotation vector in radians (Rodrigues' formula)."""
     x, y, z = (float(v) for v in rotation_vector)
     angle = math.sqrt(x * x + y * y + z * z)
     if angle == 0.0:
@@ -65,7 +66,20 @@ def _turn(rotation_vector: FloatArray | tuple[float, float, float]) -> FloatArra
 
 
 def sight_of(truth: Truth, rotation: FloatArray) -> Sight:
-    """Sight of a pose, (3, 3) camera <- target."""
+    """Return the projection of a pose.
+
+    Parameters
+    ----------
+    truth
+        Camera and collimator.
+    rotation
+        (3, 3), camera <- target.
+
+    Returns
+    -------
+    Sight
+        Lens, rotation, centre and collimator errors for the compiled functions.
+    """
     c = truth.collimator
     return Sight(
         lens_of(truth.camera),
@@ -76,26 +90,45 @@ def sight_of(truth: Truth, rotation: FloatArray) -> Sight:
 
 
 def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatArray:
-    """Image points, (N, 2) px, of target points, (N, 2) mm; NaN behind the camera."""
+    """Return the image points of target points.
+
+    Parameters
+    ----------
+    points_mm
+        (N, 2), points of the target plane.
+    rotation
+        (3, 3), camera <- target.
+    truth
+        Camera and collimator.
+
+    Returns
+    -------
+    (N, 2) float64
+        Image points, px; NaN behind the camera.
+    """
     return np.asarray(image_points(np.ascontiguousarray(points_mm, np.float64), sight_of(truth, rotation)))
 
 
 def star_centres(
     truth: Truth, rotation: FloatArray, *, clearance: float = 0.0, border_px: float = 0.0
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Compute the true image points of the stars that are visible in a pose.
+    """Return the true image points of the stars that are visible in a pose.
 
     Parameters
     ----------
+    truth
+        Camera, collimator and optics.
+    rotation
+        (3, 3), camera <- target.
     clearance
-        A star is visible if it lies at least that many squares inside the bright part of the disc.
+        A star is visible if it lies at least that many squares inside the bright part of the disc ...
     border_px
         ... and at least that far inside the image's edge.
 
     Returns
     -------
     ids
-        (N,) int64, rising.
+        (N,) int64, increasing.
     points_px
         (N, 2) float64, pixel centres at integers.
     """
@@ -111,7 +144,17 @@ def star_centres(
 
 
 class Light(NamedTuple):
-    """How the target is lit: the disc, its soft rim, and the gradient."""
+    """Illumination of the target.
+
+    Attributes
+    ----------
+    disc
+        Disc of light.
+    rim
+        Width of the rim over which brightness falls to zero, as a share of the disc's radius.
+    gradient_x, gradient_y
+        Relative change of illumination over the disc's radius.
+    """
 
     disc: Disc
     rim: float
@@ -120,18 +163,21 @@ class Light(NamedTuple):
 
 
 def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArray[np.float32]:
-    """Share of the full light that reaches each pixel in a pose.
+    """Return the share of the full light that reaches each pixel in a pose.
 
     Parameters
     ----------
+    truth
+        Camera, collimator and optics.
     rotation
         (3, 3), camera <- target.
     subsamples
-        Cells along each side of a pixel. What is black of a cell is exact; the point spread weighs whole cells.
+        Cells along each side of a pixel. The black area of a cell is exact; the point spread weighs whole cells.
 
     Returns
     -------
-    (height, width) float32, about 0 to 1: printed brightness x disc x illumination, after the point spread.
+    (height, width) float32
+        About 0 to 1: printed brightness x disc x illumination, after the point spread.
     """
     optics, camera, disc = truth.optics, truth.camera, disc_of(truth.collimator, rotation)
     kernel, rim_kernel = (spread_kernel(sigma, subsamples) for sigma in (optics.psf_px, optics.psf_rim_px))
@@ -157,9 +203,9 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
 
 @njit(cache=True, nogil=True)
 def _light(plane: NDArray, light: Light, height: int, width: int) -> tuple[NDArray, NDArray]:
-    """Brightness of the disc, and distance from its centre in radii, at the corners of all pixels.
+    """Return the disc's brightness, and the distance from its centre in radii, at the corners of all pixels.
 
-    ``plane`` is where rays meet the target, on a grid that covers the image evenly.
+    ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly.
     """
     brightness = np.zeros((height + 1, width + 1), np.float32)
     distance = np.ones((height + 1, width + 1), np.float32)
@@ -183,7 +229,7 @@ def _light(plane: NDArray, light: Light, height: int, width: int) -> tuple[NDArr
 
 @njit(cache=True, nogil=True)
 def _disc_light(x: float, y: float, rho: float, light: Light) -> float:
-    """Brightness of the disc at a point inside it, x and y in its radii."""
+    """Return the disc's brightness at a point inside it, x and y in its radii."""
     brightness = 1.0 + light.gradient_x * x + light.gradient_y * y
     if rho > 1.0 - light.rim:
         c = math.cos(0.5 * math.pi * (rho - 1.0 + light.rim) / light.rim)

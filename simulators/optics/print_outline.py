@@ -1,7 +1,7 @@
-"""The black of the printed target as polygons, from which its picture is drawn.
+"""The black areas of the printed target as polygons, from which its image is drawn.
 
-Knows the print only, and says the same as `calib.target.StarTarget.reflectance` does of points. Millimetres of the
-target plane, X right, Y down.
+This module works on the print only. It describes the same print as `calib.target.StarTarget.reflectance`, which
+answers for single points. Millimetres of the target plane, X right, Y down.
 """
 
 from __future__ import annotations
@@ -16,16 +16,22 @@ from calib.target import TAG_MODULES, StarTarget
 FloatArray = NDArray[np.float64]
 
 CORNERS = 4
-"""Corners of a polygon; one that has fewer repeats its last."""
+"""Corners of a polygon; a polygon with fewer corners repeats its last one."""
 
 
 def black_polygons(target: StarTarget) -> FloatArray:
-    """Outline everything that is printed black.
+    """Return the outlines of everything that is printed black.
+
+    Parameters
+    ----------
+    target
+        Printed target.
 
     Returns
     -------
-    (N, 4, 2) float64, mm: convex polygons that do not overlap, each clockwise as seen (from +X to +Y). The first
-    corner of a star's segment is the star's centre.
+    (N, 4, 2) float64
+        Convex polygons that do not overlap, mm, each clockwise as seen (from +X to +Y). The first corner of a star's
+        segment is the star's centre.
     """
     nodes = target.positions_mm(target.ids)
     stars = nodes[:, None, None, :] + target.pitch_mm * _black_segments(target.segments)[None]
@@ -33,7 +39,7 @@ def black_polygons(target: StarTarget) -> FloatArray:
 
 
 def _black_segments(segments: int) -> FloatArray:
-    """Black segments of a star, (segments / 2, 4, 2), in squares from its centre; cut to a cell of one square."""
+    """Return the black segments of a star, (segments / 2, 4, 2), in squares from its centre, cut to a cell of side 1."""
     polygons = []
     for number in range(1, segments, 2):  # counted from +Y towards -X, the first is white
         start, end = (2.0 * math.pi * (n / segments + 0.25) for n in (number, number + 1))
@@ -49,13 +55,13 @@ def _black_segments(segments: int) -> FloatArray:
 
 
 def _on_cell(angle: float) -> FloatArray:
-    """Where a ray from the star's centre leaves its cell, the square of side 1."""
+    """Return the point where a ray from the star's centre leaves its cell, the square of side 1."""
     direction = np.array([math.cos(angle), math.sin(angle)])
     return np.asarray(0.5 * direction / np.abs(direction).max())
 
 
 def _black_modules(target: StarTarget) -> FloatArray:
-    """Black modules of the tag, (N, 4, 2), mm."""
+    """Return the black modules of the tag, (N, 4, 2), mm."""
     side = target.pitch_mm * target.tag_squares / TAG_MODULES
     rows, columns = np.nonzero(target.layout.tag_modules == 0)
     corner = target.tag_corners_mm[0] + side * np.column_stack([columns, rows])

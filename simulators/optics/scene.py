@@ -1,6 +1,6 @@
-"""What stands before the camera: the target behind the collimator, or a checkerboard on a screen at finite distance.
+"""The scene in front of the camera: the target behind the collimator, or a checkerboard on a screen at finite distance.
 
-Knows which of the two a truth means, and where the screen is seen from in a pose.
+This module selects one of the two by the truth, and computes the pose of the screen.
 """
 
 from __future__ import annotations
@@ -20,12 +20,26 @@ FloatArray = NDArray[np.float64]
 
 
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
-    """Share of the full light that reaches each pixel in a pose: (height, width) float32.
+    """Return the share of the full light that reaches each pixel in a pose.
+
+    Parameters
+    ----------
+    truth
+        Camera, optics, and collimator or screen.
+    angles_deg
+        Angles of the axes by name; missing = 0.
+    subsamples
+        Cells along each side of a pixel.
+
+    Returns
+    -------
+    (height, width) float32
+        About 0 to 1.
 
     Raises
     ------
     SimulationMisuse
-        When a screen is not wholly in front of the camera.
+        If a screen is not wholly in front of the camera.
     """
     rotation = optics.pose_rotation(angles_deg, truth.optics)
     if truth.screen.columns == 0:
@@ -37,23 +51,54 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 
 
 def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
-    """Image points, (columns * rows, 2) px, of the board's inner corners in a pose, row by row."""
+    """Return the image points of the board's inner corners in a pose.
+
+    Parameters
+    ----------
+    truth
+        Camera, optics and screen.
+    angles_deg
+        Angles of the axes by name; missing = 0.
+
+    Returns
+    -------
+    (columns * rows, 2) float64
+        Image points, px, row by row.
+    """
     rotation = optics.pose_rotation(angles_deg, truth.optics)
     return project_board(board_of(truth.screen), truth.camera, *board_pose(truth.screen, rotation))
 
 
 def board_of(screen: ScreenTruth) -> Checkerboard:
-    """Board on a screen."""
+    """Return the board on a screen.
+
+    Parameters
+    ----------
+    screen
+        True size and pose of the board.
+
+    Returns
+    -------
+    Checkerboard
+        Its corners and squares.
+    """
     return Checkerboard(screen.columns, screen.rows, screen.square_mm)
 
 
 def board_pose(screen: ScreenTruth, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation, (3, 3), and position, (3,) mm, of the board in the camera's frame: X_cam = R P + t.
+    """Return the pose of the board in the camera's frame: X_cam = R P + t.
 
     Parameters
     ----------
+    screen
+        True pose of the board at zero angles.
     rotation
         (3, 3) of the camera's pose, from the axes at zero angles.
+
+    Returns
+    -------
+    tuple of arrays
+        Rotation R, (3, 3), and position t, (3,) mm.
     """
     own = np.asarray(cv2.Rodrigues(np.radians(np.asarray(screen.turn_deg, np.float64)))[0], np.float64)
     middle = 0.5 * screen.square_mm * np.array([screen.columns - 1.0, screen.rows - 1.0, 0.0])

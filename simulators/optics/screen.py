@@ -1,7 +1,7 @@
-"""A flickering checkerboard on a screen at finite distance: what other calibration toolboxes look at.
+"""A flickering checkerboard on a screen at finite distance, the target of other calibration toolboxes.
 
 There is no collimator; lens, areas and point spread are those of ``optics``. Frames: screen plane Z = 0, X right,
-Y down, mm, its origin at the board's first inner corner; X_cam = R P + t.
+Y down, mm, origin at the board's first inner corner; X_cam = R P + t.
 """
 
 from __future__ import annotations
@@ -24,7 +24,15 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Checkerboard:
-    """A board of ``columns`` x ``rows`` inner corners, with squares of ``square_mm``; the screen is dark around it."""
+    """A checkerboard; the screen is dark around it.
+
+    Attributes
+    ----------
+    columns, rows
+        Inner corners along X and Y.
+    square_mm
+        Side of a square.
+    """
 
     columns: int = 11
     rows: int = 7
@@ -49,23 +57,32 @@ class Checkerboard:
 def project_board(
     board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray
 ) -> FloatArray:
-    """Image points, (N, 2) px, of the inner corners; pixel centres at integers.
+    """Return the image points of the board's inner corners.
 
     Parameters
     ----------
+    board
+        Board on the screen.
+    camera
+        True parameters of the camera.
     rotation, position
         R, (3, 3), and t, (3,) mm: X_cam = R P + t.
+
+    Returns
+    -------
+    (columns * rows, 2) float64
+        Image points, px, row by row; pixel centres at integers.
 
     Raises
     ------
     SimulationMisuse
-        When the board is not in front of the camera.
+        If the board is not wholly in front of the camera.
     """
     return np.asarray(image_points(board.corners_mm, _sight(board, camera, rotation, position)))
 
 
 def _sight(board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray) -> Sight:
-    """Sight of the screen, the whole board in front of the camera."""
+    """Return the projection of the screen; raise if the board is not wholly in front of the camera."""
     outline = board.bright_mm.reshape(-1, 2)
     depth = outline @ rotation[2, :2] + position[2]
     if not (depth > 0.0).all():
@@ -83,16 +100,30 @@ def render_board(
     psf_px: float = 0.7,
     subsamples: int = 4,
 ) -> NDArray[np.float32]:
-    """Share of the full light that reaches each pixel, (height, width) float32, 0 to 1.
+    """Return the share of the full light that reaches each pixel.
 
     Parameters
     ----------
+    board
+        Board on the screen.
+    camera
+        True parameters of the camera.
     rotation, position
-        As in ``project_board``.
+        R, (3, 3), and t, (3,) mm: X_cam = R P + t.
     psf_px
         Standard deviation of the Gaussian point spread.
     subsamples
         Cells along each side of a pixel.
+
+    Returns
+    -------
+    (height, width) float32
+        0 to 1.
+
+    Raises
+    ------
+    SimulationMisuse
+        If the board is not wholly in front of the camera.
     """
     sight = _sight(board, camera, rotation, position)
     kernel = spread_kernel(psf_px, subsamples)

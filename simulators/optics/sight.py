@@ -1,7 +1,7 @@
-"""From a plane in the scene to the image: where its points are seen, and which pixels its outlines cover.
+"""Projection of a plane in the scene to the image: where its points appear, and which pixels its outlines cover.
 
-A point goes through the collimator, which may bend its light, and through the lens. Knows neither what is printed
-there nor how it is lit.
+A point goes through the collimator, which may bend its light, and through the lens. This module uses neither the print
+nor its illumination.
 
 Frames: the plane is Z = 0, mm; X_cam = R (P - c), c the camera's centre in the plane's frame.
 """
@@ -22,11 +22,23 @@ from simulators.optics.lens import Lens, image_point
 FloatArray = NDArray[np.float64]
 
 CHORD_PX: Final = 1e-3
-"""How far an edge that the lens bends may lie from the chords that stand for it."""
+"""Largest distance of an edge, curved by the lens, from the chords that replace it."""
 
 
 class Sight(NamedTuple):
-    """A camera in a pose, as the compiled functions take it: ``turn`` is R, (3, 3), ``centre`` c, (3,) mm."""
+    """A camera in one pose, as the compiled functions take it.
+
+    Attributes
+    ----------
+    lens
+        Lens model.
+    turn
+        (3, 3) float64, rotation R.
+    centre
+        (3,) float64, camera centre c, mm.
+    bending
+        Errors of the collimator in the pose.
+    """
 
     lens: Lens
     turn: FloatArray
@@ -35,7 +47,15 @@ class Sight(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """How finely a picture is drawn: cells along a pixel's side, and pixels of margin around the image."""
+    """Resolution of a drawing.
+
+    Attributes
+    ----------
+    per_px
+        Cells along a pixel's side.
+    margin_px
+        Pixels drawn around the image.
+    """
 
     per_px: int
     margin_px: int
@@ -43,7 +63,20 @@ class Cells(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def seen_at(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float]:
-    """Image point of a point of the plane; NaN if it does not lie in front of the camera."""
+    """Return the image point of a point of the plane.
+
+    Parameters
+    ----------
+    x_mm, y_mm
+        Point of the plane.
+    sight
+        Camera in the pose.
+
+    Returns
+    -------
+    tuple of float
+        u and v, px; NaN if the point does not lie in front of the camera.
+    """
     dx, dy = displacement(x_mm, y_mm, sight.bending)
     x, y, z = x_mm + dx - sight.centre[0], y_mm + dy - sight.centre[1], -sight.centre[2]
     r = sight.turn
@@ -57,7 +90,20 @@ def seen_at(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def image_points(points_mm: NDArray, sight: Sight) -> NDArray:
-    """Image points, (N, 2) px, of points of the plane, (N, 2) mm."""
+    """Return the image points of points of the plane.
+
+    Parameters
+    ----------
+    points_mm
+        (N, 2) float64, points of the plane.
+    sight
+        Camera in the pose.
+
+    Returns
+    -------
+    (N, 2) float64
+        Image points, px; NaN behind the camera.
+    """
     out = np.empty((points_mm.shape[0], 2))
     for i in range(points_mm.shape[0]):
         out[i, 0], out[i, 1] = seen_at(points_mm[i, 0], points_mm[i, 1], sight)
@@ -66,12 +112,19 @@ def image_points(points_mm: NDArray, sight: Sight) -> NDArray:
 
 @njit(cache=True, nogil=True)
 def plane_points(rays: NDArray, sight: Sight) -> NDArray:
-    """Points of the plane, (rows, columns, 2) mm, that rays see; NaN where they go away from it.
+    """Return the points of the plane that rays meet.
 
     Parameters
     ----------
     rays
         (rows, columns, 2) undistorted normalised coordinates.
+    sight
+        Camera in the pose.
+
+    Returns
+    -------
+    (rows, columns, 2) float64
+        Points of the plane, mm; NaN for a ray that leads away from it.
     """
     out = np.empty_like(rays)
     r, c = sight.turn, sight.centre
@@ -97,12 +150,16 @@ def draw(
     Parameters
     ----------
     polygons_mm
-        (N, corners, 2), clockwise as seen; corners may repeat. Smaller than the image.
+        (N, corners, 2), clockwise as seen; corners may repeat. Each is smaller than the image.
+    sight
+        Camera in the pose.
     rays
-        Of ``lens.ray_grid``. A polygon of which no corner lies within their angle from the optical axis is left
-        out: the lens's polynomial means nothing there.
+        (rows, columns, 2), from ``lens.ray_grid``. A polygon is left out if none of its corners lies within the angle
+        of these rays from the optical axis: the lens polynomial is not valid there.
+    cells
+        Resolution of the drawing.
     steps
-        As ``coverage.add_edge`` takes it.
+        (rows of cells, columns of cells + 1) float32, changed in place as by ``coverage.add_edge``.
     """
     reach = float(np.linalg.norm(rays, axis=-1).max())
     _draw(np.ascontiguousarray(polygons_mm, np.float64), sight, reach, cells, steps)
@@ -126,7 +183,7 @@ def _draw(polygons: NDArray, sight: Sight, reach: float, cells: Cells, steps: ND
 
 @njit(cache=True, nogil=True)
 def _within(x_mm: float, y_mm: float, sight: Sight, reach: float) -> bool:
-    """Whether a point lies in front of the camera, and not further from the axis than that tangent."""
+    """Return whether a point lies in front of the camera and at most at that tangent from the optical axis."""
     x, y, z = x_mm - sight.centre[0], y_mm - sight.centre[1], -sight.centre[2]
     r = sight.turn
     depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
