@@ -124,7 +124,7 @@ def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
     """
     from bench.console.engine_output import show_rig
     from bench.results.offline import Choices, calibrate_paths
-    from calib.rig import relative_rotation
+    from calib.studies.rig import relative_rotation
 
     choices = Choices.from_words(**words)
     results = [calibrate_paths([path], choices) for path in (first, second)]
@@ -286,7 +286,7 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
 
     from bench.console.signals import interrupts_that_hold
     from bench.errors import UsageError
-    from drivers.camera import event_conversion
+    from drivers.camera.formats import event_conversion
 
     kind = kind or event_conversion.kind_of_name(output)
     if kind is None:

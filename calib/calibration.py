@@ -12,10 +12,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.camera import CameraModel, distortion_names
-from calib.collimator import Collimator
 from calib.errors import InputMismatch
-from calib.passport import Passport
+from calib.model.camera import CameraModel, distortion_names
+from calib.model.collimator import Collimator
+from calib.model.passport import Passport
 
 Array = NDArray[np.float64]
 ModelName = Literal["spherical", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
@@ -30,11 +30,11 @@ class CalibrationOptions:
     ----------
     model
         ``spherical``: all views share one centre. ``pupil``, ``rim``, ``field``, ``coma``: the same behind a
-        collimator with more and more imperfections (`calib.imperfections.LADDER`). ``drift``: each view's
+        collimator with more and more imperfections (`calib.model.aberrations.LADDER`). ``drift``: each view's
         centre may lie off the shared one by `drift_mm`. ``planar``: each view has a centre of its own (Zhang's
         model, for comparison). ``auto``: whichever predicts views it has not seen best.
     distortion
-        Names of the coefficients to estimate, or the name of a set in `calib.camera.DISTORTION_SETS`.
+        Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`.
     loss
         ``l2``, ``huber`` or ``cauchy``, applied to the length of each residual vector.
     huber_px
@@ -209,6 +209,12 @@ class Calibration:
         """Standard uncertainty (1 sigma) of each parameter, by name."""
         sigmas = np.sqrt(np.diag(self.covariance))
         return dict(zip(self.parameter_names, sigmas.tolist(), strict=True))
+
+    @property
+    def camera_covariance(self) -> Array:
+        """(k, k) covariance of the camera's parameters, in the order of `CameraModel.parameter_names`."""
+        at = [self.parameter_names.index(name) for name in self.camera.parameter_names]
+        return np.asarray(self.covariance[np.ix_(at, at)])
 
     @property
     def correlation(self) -> Array:

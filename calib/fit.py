@@ -12,23 +12,25 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import degeneracy, imperfections, uncertainty
-from calib.beam import Disc, inside, visible_discs, within
-from calib.bundle import Bundle
+from calib.adjustment import degeneracy
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.centre_drift import WORRYING, centre_drift
+from calib.adjustment.initialization import passport_states, planar_states, spherical_states, winner
+from calib.adjustment.levenberg_marquardt import Loss, Refined, refine
+from calib.adjustment.observations import Observations
+from calib.adjustment.parameters import State
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
-from calib.camera import PINHOLE
-from calib.collimator import CENTRE, Collimator
-from calib.contradiction import require_agreement
-from calib.disagreement import disagreement
-from calib.drift import WORRYING, centre_drift
 from calib.errors import DegenerateViews, NotConverged
-from calib.homography import fit_homography
-from calib.imperfections import LADDER, displacements
-from calib.observations import Observations
-from calib.refine import Loss, Refined, refine
-from calib.resample import MIN_VIEWS, LeftOut, leave_one_out
-from calib.start import passport_states, planar_states, spherical_states, winner
-from calib.state import State
+from calib.model import aberrations as imperfections
+from calib.model.aberrations import LADDER, displacements
+from calib.model.beam import Disc, inside, visible_discs, within
+from calib.model.camera import PINHOLE
+from calib.model.collimator import CENTRE, Collimator
+from calib.model.homography import view_homography
+from calib.uncertainty import covariance as uncertainty
+from calib.uncertainty.consistency import require_agreement
+from calib.uncertainty.cross_validation import MIN_VIEWS, LeftOut, leave_one_out
+from calib.uncertainty.variance_components import disagreement
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -89,14 +91,14 @@ def fit(
     leave_out: bool = False,
     discs: Sequence[Disc] | None = None,
 ) -> Fit:
-    """Fit one model; errors as in `calib.calibrate.calibrate`.
+    """Fit one model; errors as in `calib.engine.calibrate`.
 
     Parameters
     ----------
     views, options
         As there.
     model
-        A rung of `calib.imperfections.LADDER`, ``drift`` or ``planar``; with a passport, its terms decide.
+        A rung of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``; with a passport, its terms decide.
     leave_out
         Whether to leave out each view in turn even when the views agree.
     discs
@@ -131,7 +133,7 @@ def fit(
 
 def begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tuple[Bundle, State]:
     """Return what the ideal model estimates, and where to begin."""
-    h = np.array([fit_homography(view) for view in views])
+    h = np.array([view_homography(view) for view in views])
     size, distortion = views[0].image_size, tuple(options.distortion)
     held = options.passport.names if options.passport else ()
     centre = [] if model == "planar" else [name for name in CENTRE if name not in held]

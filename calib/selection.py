@@ -15,11 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.beam import visible_discs
 from calib.calibration import Calibration, CalibrationOptions, Candidate
 from calib.errors import CalibrationError
 from calib.fit import Fit, fit, summary
-from calib.imperfections import LADDER
+from calib.model.aberrations import LADDER
+from calib.model.beam import visible_discs
 from calib.view import View
 
 #: From the simplest; what all share comes first.

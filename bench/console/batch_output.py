@@ -22,7 +22,7 @@ from bench.report.text import with_uncertainty
 from sequences.queue import Queue
 
 if TYPE_CHECKING:
-    from calib.planning import Forecast
+    from calib.studies.planning import Forecast
 
 _SHOWN = ("fx", "cx", "cy", "r")
 _MOST_LINES = 80

@@ -12,11 +12,11 @@ from bench.plans.plan import Plan
 from bench.plans.plan_text import render_plan
 from bench.report.text import with_uncertainty
 from bench.results.studies import expected_worth, suggested_poses
-from calib.baselines import Baseline, NoAnswer
-from calib.passport import Passport
-from calib.planning import Forecast
-from calib.rig import RelativeRotation
-from calib.study import Study
+from calib.model.passport import Passport
+from calib.studies.monte_carlo import Study
+from calib.studies.planning import Forecast
+from calib.studies.reference_methods import Baseline, NoAnswer
+from calib.studies.rig import RelativeRotation
 
 
 def baseline_dict(row: Baseline | NoAnswer) -> dict[str, Any]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from bench.results.offline import OfflineResult
     from bench.run.runner import RunEnd
     from bench.stations.discovery import Discovery
-    from calib.baselines import Baseline, NoAnswer
+    from calib.studies.reference_methods import Baseline, NoAnswer
 
 STOPPED = 3
 

@@ -30,7 +30,7 @@ from bench.run.measure import Expect, Measurement
 from bench.run.runner import RunEnd, Runner
 from bench.stations.camera_kinds import CameraKind, EventKind
 from bench.stations.devices import Devices
-from calib.calibrate import Calibration, calibrate
+from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
 from sequences.script import RecordStep, SolveStep
 

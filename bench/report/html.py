@@ -28,8 +28,8 @@ from bench.report.plots import (
     uncertainty_contours,
 )
 from bench.report.walk import walk_diagram
-from calib.camera import PINHOLE, CameraModel
-from calib.infinity import camera_difference, uncertainty_map
+from calib.model.camera import PINHOLE, CameraModel
+from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 
 _DRAWN = frozenset({"section", "svg", "style"})
 """Elements whose text comes with pictures and plots; in the template, sections hold nothing else."""
@@ -188,7 +188,7 @@ def _uncertainty(results: Mapping[str, Any]) -> str:
     at = [covariance["names"].index(name) for name in names]
     matrix = np.array(covariance["matrix"])[np.ix_(at, at)]
     size = tuple(calibration["image_size"])
-    found = uncertainty_map(_camera(values, size), matrix)
+    found = projection_uncertainty(_camera(values, size), matrix)
     difference = None
     if cameras := (results.get("halves") or {}).get("cameras"):
         first, second = (_camera(half, size) for half in cameras)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bench.report.drawing import INK, LINE, MUTED, STYLE, bare, svg
 from bench.report.pictures import ViewPicture, thinned
-from calib.infinity import CameraDifference, ProjectionMap
+from calib.uncertainty.projection_uncertainty import CameraDifference, ProjectionMap
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from calib.calibrate import Calibration, CalibrationOptions, calibrate
+from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError
 from calib.view import View
 

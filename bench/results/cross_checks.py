@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.run.expectation import best_readings
-from calib.calibrate import Calibration, CalibrationOptions
+from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
-from calib.gimbal import witness
-from calib.split_half import split_half
+from calib.studies.hand_eye import witness
+from calib.studies.split_half import split_half
 from calib.view import View
 
 

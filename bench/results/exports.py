@@ -31,7 +31,7 @@ import yaml
 
 from bench.errors import BenchError
 from calib.calibration import Calibration
-from calib.camera import BROWN, CameraModel
+from calib.model.camera import BROWN, CameraModel
 from calib.target import StarTarget
 
 _RADTAN = BROWN[:4]

@@ -24,11 +24,11 @@ from bench.run.expectation import as_before
 from bench.run.job import Job
 from bench.run.measure import Expect, Measurement, measure
 from bench.stations.station import load_station
-from calib.baselines import Baseline, NoAnswer, others, ours
-from calib.calibrate import Calibration, CalibrationOptions, calibrate
-from calib.detect import detect
+from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError, TooFewStars
-from calib.rim import mistrust_rim
+from calib.stars.detect import detect
+from calib.stars.vignetting import mistrust_rim
+from calib.studies.reference_methods import Baseline, NoAnswer, others, ours
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera.frames import mean_frame

@@ -1,7 +1,7 @@
 """Passport files: a collimator as known from one calibration, kept for all that follow.
 
 A passport is one JSON object, written whole and never over another. What it holds, and what it is worth, is the
-engine's (`calib.passport`); here are the file, and the conditions under which it was made.
+engine's (`calib.model.passport`); here are the file, and the conditions under which it was made.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 
 from bench.errors import UsageError
 from bench.records.storage import storing, write_whole
-from calib.calibrate import Calibration
+from calib.engine import Calibration
 from calib.errors import InputMismatch
-from calib.passport import Passport
+from calib.model.passport import Passport
 
 _LARGEST_BYTES = 1_000_000
 

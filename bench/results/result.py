@@ -28,7 +28,7 @@ from bench.run.gates import Gate, solution_gates
 from bench.run.job import Job, calibration_options
 from bench.run.measure import Measurement, aligned_poses
 from bench.stations.camera_kinds import CameraKind
-from calib.calibrate import Calibration, calibrate
+from calib.engine import Calibration, calibrate
 from sequences.script import SolveStep
 
 VIEWS = "views.h5"

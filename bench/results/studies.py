@@ -18,20 +18,20 @@ from bench.errors import UsageError
 from bench.plans.plan import Plan, load, plan
 from bench.records.storage import storing
 from bench.stations.station import Station
-from calib.calibrate import CalibrationOptions
-from calib.camera import CameraModel
-from calib.collimator import Collimator
+from calib.engine import CalibrationOptions
 from calib.errors import DegenerateViews, TooFewStars
-from calib.imagined import Expectation
-from calib.planning import Forecast, forecast, next_poses
-from calib.study import Study, repeat
+from calib.model.camera import CameraModel
+from calib.model.collimator import Collimator
+from calib.studies.monte_carlo import Study, repeat
+from calib.studies.planning import Forecast, forecast, next_poses
+from calib.studies.predicted_views import ExpectedBench
 
 _CENTRE = 0.5
 _CANDIDATES_AN_AXIS = 13
 _BINS = np.linspace(-4, 4, 33)
 
 
-def expectation(station: Station, *, noise_px: float | None = None) -> Expectation:
+def expectation(station: Station, *, noise_px: float | None = None) -> ExpectedBench:
     """Say what a station expects of its bench: roughly, and enough to plan with.
 
     Raises
@@ -57,7 +57,7 @@ def expectation(station: Station, *, noise_px: float | None = None) -> Expectati
     )
     target = station.target.pattern()
     x, y = target.tag_centre_mm
-    return Expectation(
+    return ExpectedBench(
         camera,
         Collimator(x, y, expected.r_mm),
         expected.half_angle_deg,

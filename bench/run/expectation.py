@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bench.records.history import Attempt, History
 from bench.run.measure import Expect
-from calib.pointing import Sighting, expect_grid
+from calib.stars.pointing import Sighting, expect_grid
 from calib.target import StarTarget
 
 

@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.detect import detect, look
 from calib.errors import (
     CalibrationError,
     DegenerateViews,
@@ -26,15 +25,16 @@ from calib.errors import (
     TooFewEvents,
     TooFewStars,
 )
-from calib.event_image import BestImage, EventImages, SliceFacts, make_images
-from calib.flicker import Flicker, flicker_from_events, flicker_from_triggers
-from calib.grid_map import fit_homography
-from calib.motion import half_windows, motion_between
-from calib.picture import to_uint8
-from calib.rim import mistrust_rim
+from calib.events.event_image import BestImage, EventImages, SliceFacts, make_images
+from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
+from calib.events.grey_image import to_uint8
+from calib.events.motion import half_windows, motion_between
+from calib.model.homography import fit_homography
+from calib.stars.detect import detect, look
+from calib.stars.vignetting import mistrust_rim
 from calib.target import StarTarget
 from calib.view import View
-from drivers.camera.evt3 import Events, Triggers
+from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 
@@ -55,7 +55,7 @@ class Picture:
 
     @classmethod
     def of(cls, image: NDArray[Any]) -> Picture:
-        """Stretch (`calib.picture.to_uint8`) and pack an image (H, W)."""
+        """Stretch (`calib.events.grey_image.to_uint8`) and pack an image (H, W)."""
         return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
 
     def unpacked(self) -> NDArray[np.uint8]:

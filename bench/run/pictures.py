@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from bench.run.gates import Gate, at_least, at_most
 from bench.run.measure import Expect, Measurement, Picture, motion_px, named
 from calib.errors import CalibrationError
-from calib.motion import MOVING_PX
-from calib.rim import mistrust_rim
+from calib.events.motion import MOVING_PX
+from calib.stars.vignetting import mistrust_rim
 from calib.target import StarTarget
 from drivers.camera.frames import read_frames
 from drivers.errors import RecordingFileError

@@ -20,7 +20,7 @@ from bench.stations.station_cameras import FrameCameraWords
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameSettings
-from drivers.camera.recording import get_ready
+from drivers.camera.recording import compile_decoder
 from sequences.script import Flicker, RecordStep
 
 Camera = EventCamera | FrameCamera
@@ -92,7 +92,7 @@ class EventKind:
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
         """Set biases and trigger input, and see that no filter eats flicker; have ready what recording needs."""
-        get_ready()
+        compile_decoder()
         event_camera = cast("EventCamera", camera)
         settings = event_camera.apply(self._settings)
         filters = event_camera.filters()

@@ -25,10 +25,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from calib.calibrate import Calibration, CalibrationOptions, calibrate
+from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.fit import fit
-from calib.passport import Passport
-from calib.study import repeat
+from calib.model.passport import Passport
+from calib.studies.monte_carlo import repeat
 from calib.view import View
 
 sys.path.append(str(Path(__file__).parents[1] / "support"))

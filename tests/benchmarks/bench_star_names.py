@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.detect import detect
 from calib.errors import CalibrationError
-from calib.event_image import make_images
-from calib.flicker import Flicker
-from calib.grid_map import fit_homography
+from calib.events.event_image import make_images
+from calib.events.flicker import Flicker
+from calib.model.homography import fit_homography
+from calib.stars.detect import detect
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, Truth

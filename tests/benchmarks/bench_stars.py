@@ -23,11 +23,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calib.detect import detect
 from calib.errors import CalibrationError
-from calib.event_image import EventImages, make_images
-from calib.flicker import Flicker
-from calib.picture import to_uint8
+from calib.events.event_image import EventImages, make_images
+from calib.events.flicker import Flicker
+from calib.events.grey_image import to_uint8
+from calib.stars.detect import detect
 from calib.view import View
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate

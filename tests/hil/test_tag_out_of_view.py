@@ -9,7 +9,7 @@ from running import journal, results, starbench
 
 from bench.run.pictures import measure_pictures
 from calib.errors import DegenerateViews
-from calib.grid_map import apply_homography, fit_homography
+from calib.model.homography import apply_homography, fit_homography
 from simulators.optics.picture import TARGET, pose_rotation, render, star_centres
 from simulators.world.truth import Truth
 

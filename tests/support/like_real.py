@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.beam import Disc, visible_disc
-from calib.calibrate import Calibration, CalibrationOptions, calibrate
 from calib.calibration import ModelName
+from calib.engine import Calibration, CalibrationOptions, calibrate
+from calib.model.beam import Disc, visible_disc
 from calib.view import View
 from simulators.optics import picture as optics
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth

@@ -1,13 +1,13 @@
 """The paper's camera before a narrow beam, and three poses of it: what the simulated numbers are told for."""
 
-from calib.camera import CameraModel
-from calib.collimator import Collimator
-from calib.imagined import Expectation
+from calib.model.camera import CameraModel
+from calib.model.collimator import Collimator
+from calib.studies.predicted_views import ExpectedBench
 from calib.target import StarTarget
 
 #: Stars 26 px apart, 4.5 degrees of half angle, r = 700 mm.
 PITCH = 5.45
-NARROW = Expectation(
+NARROW = ExpectedBench(
     CameraModel(3345.0, 3345.0, 642.0, 363.0, (1280, 720), {"k1": 0.06, "k2": -0.9}),
     Collimator(24 * PITCH, 35 * PITCH, 700.0),
     4.5,

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from bench.report import ReportData, ViewPicture
-from calib.camera import CameraModel
+from calib.model.camera import CameraModel
 from calib.target import StarTarget
 
 TRUE = {"fx": 3345.06, "fy": 3345.27, "cx": 642.10, "cy": 363.32, "k1": 0.06, "k2": -0.90}

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.event_image import make_images
-from calib.flicker import Flicker
+from calib.events.event_image import make_images
+from calib.events.flicker import Flicker
 from simulators.config import bench_config
 from simulators.errors import ConfigError
 from simulators.optics import scene

@@ -7,7 +7,7 @@ its bytes are the same.
 import numpy as np
 import pytest
 
-from drivers.camera.evt3 import Events
+from drivers.camera.event_arrays import Events
 from drivers.camera.formats.ecf import decode, encode
 
 K = np.arange(40)

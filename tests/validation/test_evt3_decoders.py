@@ -91,7 +91,7 @@ def test_what_the_simulated_sensor_writes_is_what_both_decoders_read(tmp_path, d
     assert assert_same(path) == (len(t), len(edges))
     found = RawFile.open(path).read()[0]
     assert all(np.array_equal(ours, theirs) for ours, theirs in zip(found, (t, x, y, p), strict=True))
-    assert RawFile.open(path).scan().odd_windows == 0
+    assert RawFile.open(path).scan().mismatched_windows == 0
 
 
 def test_the_real_recording_decodes_alike_and_has_the_published_counts(reference_data):
@@ -105,7 +105,7 @@ def test_the_real_recording_accounts_for_its_events_and_its_trigger_pulse(refere
     triggers = recording.triggers()
     assert scan.rate_controller_in == scan.rate_controller_out == 82_460
     assert (scan.gap_count, scan.unplaced_events, scan.truncated) == (0, 0, False)
-    assert (scan.lost_events, scan.odd_windows) == (0, 0)
+    assert (scan.lost_events, scan.mismatched_windows) == (0, 0)
     assert triggers.value.tolist() == [0, 1]
     assert int(triggers.t[1] - triggers.t[0]) == 2000
     assert scan.duration_s == pytest.approx(1.25, abs=0.01)
@@ -123,7 +123,7 @@ def test_words_taken_out_of_the_real_recording_are_missed(reference_data, tmp_pa
     path.write_bytes(whole[:start] + words[kept].tobytes())
     scan = RawFile.open(path).scan()
     assert scan.lost_events == (~kept).sum() == 17
-    assert scan.odd_windows == 17
+    assert scan.mismatched_windows == 17
 
 
 def test_a_damaged_real_recording_never_gives_events_outside_the_sensor(reference_data, tmp_path):
@@ -181,8 +181,8 @@ def test_whole_windows_lost_are_counted_and_their_events_said_to_be_at_least(
     assert lost > 5 * reports
     assert scan.missing_windows == reports
     assert scan.lost_events <= lost
-    said = " ".join(scan.losses_in_words())
-    assert f"{reports} of the sensor's reports are missing" in said
+    said = " ".join(scan.loss_messages())
+    assert f"{reports} event count reports of the sensor are missing" in said
     assert f"at least {scan.lost_events} events" in said
 
 
@@ -200,4 +200,4 @@ def test_no_report_is_missed_where_bursts_are_followed_by_silence(seed):
     for part in np.split(words, np.sort(rng.integers(0, words.size, 5))):
         decoder.tally(part)
     tally = decoder.statistics()
-    assert (tally.events, tally.odd_windows, tally.missing_windows) == (t.size, 0, 0)
+    assert (tally.events, tally.mismatched_windows, tally.missing_windows) == (t.size, 0, 0)

@@ -16,8 +16,8 @@ import pytest
 
 from bench.results.exports import exports
 from calib.calibration import Calibration, ViewSummary
-from calib.camera import CameraModel
-from calib.collimator import Collimator
+from calib.model.camera import CameraModel
+from calib.model.collimator import Collimator
 
 RAYS = [[0.0, 0.0, 1.0], [0.15, -0.1, 1.0], [-0.2, 0.08, 1.1], [0.05, 0.11, 0.9], [0.19, 0.1, 1.0]]
 LENSES = {

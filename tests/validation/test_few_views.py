@@ -7,7 +7,7 @@ of infinitely many by sqrt(1 - n / 20): what the sigmas state is the scatter ove
 import numpy as np
 import pytest
 
-from calib.calibrate import CalibrationOptions, calibrate
+from calib.engine import CalibrationOptions, calibrate
 from tests.validation.test_collimator_real import read
 
 FIELD = CalibrationOptions(model="field")

@@ -15,15 +15,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.calibrate import CalibrationOptions, calibrate
-from calib.collimator import Collimator
+from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.parameters import State
+from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
 from calib.fit import begin
-from calib.homography import fit_homography
-from calib.refine import Loss, refine
-from calib.rotation import exp_map
-from calib.spherical import rotations_about
-from calib.state import State
+from calib.model.collimator import Collimator
+from calib.model.homography import view_homography
+from calib.model.rotation import exp_map
+from calib.model.spherical import rotations_about
 from tests.validation.test_collimator_real import read
 
 L2 = CalibrationOptions(loss="l2")
@@ -60,7 +60,7 @@ def far_starts(whole, homographies, rng):
 def least_cost(views, whole, rng):
     """The least cost that refinements from far starts end with, among those that are cameras."""
     bundle, _ = begin(views, L2, "spherical")
-    homographies = np.array([fit_homography(view) for view in views])
+    homographies = np.array([view_homography(view) for view in views])
     ends = [refine(bundle, start, Loss("l2"), 300) for start in far_starts(whole, homographies, rng)]
     return min(end.cost for end in ends if end.state.camera.fx > 0 and end.state.collimator.r > 0)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bench.run.measure import measure
-from calib.detect import detect
 from calib.errors import FlickerNotFound, TargetNotFound
-from calib.event_image import make_images
-from calib.flicker import Flicker, flicker_from_triggers
+from calib.events.event_image import make_images
+from calib.events.flicker import Flicker, flicker_from_triggers
+from calib.stars.detect import detect
 from calib.target import StarTarget
 from drivers.camera.raw_file import RawFile
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.calibrate import CalibrationOptions, calibrate
-from calib.detect import detect
+from calib.engine import CalibrationOptions, calibrate
+from calib.stars.detect import detect
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.world.truth import CameraTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.calibrate import calibrate
 from calib.calibration import CalibrationOptions
+from calib.engine import calibrate
 from calib.target import StarTarget
 from calib.view import View
 from sequences.flatten import flatten

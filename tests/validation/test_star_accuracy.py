@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.detect import detect
-from calib.event_image import make_images
-from calib.flicker import Flicker, flicker_from_events
-from calib.motion import half_windows, motion_between
+from calib.events.event_image import make_images
+from calib.events.flicker import Flicker, flicker_from_events
+from calib.events.motion import half_windows, motion_between
+from calib.stars.detect import detect
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth

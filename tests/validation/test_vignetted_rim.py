@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calib.calibrate import calibrate
-from calib.detect import detect
-from calib.rim import mistrust_rim
+from calib.engine import calibrate
+from calib.stars.detect import detect
+from calib.stars.vignetting import mistrust_rim
 from simulators.optics.picture import TARGET, pose_rotation, project, render
 from simulators.world.truth_config import truth_from_config
 

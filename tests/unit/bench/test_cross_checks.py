@@ -7,8 +7,8 @@ from bench.plans.plan import load
 from bench.plans.plan import plan as make_plan
 from bench.results.cross_checks import gimbal, halves
 from bench.results.studies import expectation
-from calib.calibrate import CalibrationOptions, calibrate
-from calib.imagined import imagined_view
+from calib.engine import CalibrationOptions, calibrate
+from calib.studies.predicted_views import predicted_view
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
 
@@ -19,7 +19,7 @@ def views():
     rng = np.random.default_rng(3)
     seen = []
     for pan, tilt in POSES:
-        view, _ = imagined_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, f"{pan} {tilt}")
+        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, f"{pan} {tilt}")
         view.points_px[:] += rng.normal(0, 0.02, view.points_px.shape)
         seen.append(view)
     return seen

@@ -10,7 +10,7 @@ from bench.cli import main
 from bench.plans.plan import load
 from bench.plans.plan import plan as make_plan
 from bench.results.studies import expectation, expected_worth, suggested_poses
-from calib.imagined import imagined_view
+from calib.studies.predicted_views import predicted_view
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
 
@@ -22,7 +22,7 @@ def points(tmp_path_factory):
     bench = expectation(make_plan(*load("three_pose", "simulated")).station.value)
     rng = np.random.default_rng(4)
     for number, (pan, tilt) in enumerate(POSES, 1):
-        view, _ = imagined_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, str(number))
+        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, str(number))
         seen = view.points_px + rng.normal(0, 0.03, view.points_px.shape) + 0.5
         rows = [
             f"{u} {v} {x} {y} {i}" for (u, v), (x, y), i in zip(seen, view.target_mm, view.ids, strict=True)
@@ -168,7 +168,7 @@ def test_a_study_finds_sigmas_that_hold_and_draws_them(capsys, tmp_path):
 
 @pytest.mark.parametrize("kind", ["metavision", "hdf5", "numpy"])
 def test_a_recording_is_converted_whole_and_never_over_another_file(capsys, reference_data, tmp_path, kind):
-    from drivers.camera.event_import import import_events
+    from drivers.camera.formats.event_import import import_events
 
     raw = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
     assert "82469 events, 2 triggers" in say(capsys, "convert", raw, tmp_path / "out", "--as", kind)

@@ -6,9 +6,9 @@ import pytest
 from bench.records.history import Attempt, History
 from bench.run.expectation import as_before, best_readings, by_earlier_poses
 from calib.errors import DegenerateViews
-from calib.grid_map import apply_homography
-from calib.identity import expected_grid
-from calib.rotation import euler_zxy
+from calib.model.homography import apply_homography
+from calib.model.rotation import euler_zxy
+from calib.stars.labelling import expected_grid
 from calib.target import StarTarget
 
 TARGET, SIZE = StarTarget(), (1280, 720)

@@ -10,8 +10,8 @@ import yaml
 
 from bench.results.exports import FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
 from calib.calibration import Calibration, ViewSummary
-from calib.camera import CameraModel
-from calib.collimator import Collimator
+from calib.model.camera import CameraModel
+from calib.model.collimator import Collimator
 
 LENSES = {
     "none": {},

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.run.measure import Picture, aligned_poses
-from calib.picture import to_uint8
+from calib.events.grey_image import to_uint8
 
 
 def facts(roll_deg: float, kind: str) -> dict:

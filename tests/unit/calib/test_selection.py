@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.calibrate import CalibrationOptions, calibrate
+from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
 
 AUTO = CalibrationOptions(model="auto", loss="l2")

@@ -12,8 +12,8 @@ from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
 
 from bench.report import ReportData, printed_text, render_report
 from bench.report.text import with_uncertainty
-from calib.camera import CameraModel
-from calib.infinity import camera_difference, uncertainty_map
+from calib.model.camera import CameraModel
+from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 
 
 def test_uncertainty_comes_before_reprojection_error(html):
@@ -108,7 +108,7 @@ def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html)
         },
     )
     covariance = np.array(data.results["calibration"]["covariance"]["matrix"])[:6, :6]
-    found = uncertainty_map(camera, covariance)
+    found = projection_uncertainty(camera, covariance)
     titles = re.findall(
         r">U, (px|arc seconds)</text>\s*<text[^>]*>median [\d.e+]+, at most ([\d.e+]+)<", html
     )

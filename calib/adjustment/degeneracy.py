@@ -1,0 +1,110 @@
+"""Views that do not constrain a camera: recognised, and named.
+
+Knows a fitted state and the uncertainty it has. Whether views constrain is decided by the numbers; the geometry
+(same pose, one axis, narrow beam) tells the operator why, and what to change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.parameters import State
+from calib.errors import DegenerateViews
+from calib.model.beam import Disc
+from calib.model.rotation import log_map
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: A focal length less certain than this share of itself is no calibration.
+MAX_FOCAL_SIGMA = 0.05
+#: At least this share of the views must show the beam's rim themselves.
+_SHOWING_RIM = 0.5
+_SAME_POSE_DEG = 0.5
+_PARALLEL_SINE = 0.05
+_NARROW_DEG = 5.0
+
+
+def require_turned(state: State) -> None:
+    """Refuse views that all show one pose: noise alone would tell the focal length.
+
+    Raises
+    ------
+    DegenerateViews
+        When no view is turned against the first by half a degree.
+    """
+    if np.linalg.norm(turns_deg(state.rotations), axis=1).max(initial=0.0) < _SAME_POSE_DEG:
+        raise DegenerateViews(
+            f"All {len(state.rotations)} views show the same pose.",
+            remedy="Turn the camera by some degrees between views.",
+        )
+
+
+def require_constrained(state: State, names: Sequence[str], covariance: Array, why: str) -> None:
+    """Refuse a result whose focal lengths are hardly known.
+
+    Raises
+    ------
+    DegenerateViews
+        When the 1-sigma of a focal length exceeds a twentieth of it.
+    """
+    sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
+    for name, value in (("fx", state.camera.fx), ("fy", state.camera.fy)):
+        if name in sigmas and not sigmas[name] <= MAX_FOCAL_SIGMA * value:
+            share = 100.0 * sigmas[name] / value
+            raise DegenerateViews(
+                f"These views leave {name} uncertain by {share:.0f} %. {why}".strip(),
+                remedy="Add views turned about other axes, with the stars elsewhere in the image.",
+            )
+
+
+def require_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
+    """Refuse views most of which do not show their beam's rim, where its disc's centre is asked for.
+
+    Raises
+    ------
+    DegenerateViews
+        Naming the first such view.
+    """
+    hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.seen]
+    unknown = any(not np.isfinite(disc.sigma_mm) for disc in discs)
+    if unknown or len(hidden) > (1.0 - _SHOWING_RIM) * len(views):
+        raise DegenerateViews(
+            f"The rim of the beam is out of sight in {len(hidden)} of {len(views)} views, so the place in the pupil"
+            " is unknown.",
+            where=f"view {hidden[0]}",
+            remedy="Use the spherical or the drift model, or record views that show the rim on both sides.",
+        )
+
+
+def reason(views: Sequence[View], state: State) -> str:
+    """Say in words why views may constrain little; empty when their geometry looks sound."""
+    turns = turns_deg(state.rotations)
+    lengths = np.linalg.norm(turns, axis=1)
+    if len(views) > 1 and (np.linalg.norm(turns[:, :2], axis=1) < _PARALLEL_SINE * lengths.max()).all():
+        return "The views differ only by a roll about the optical axis."
+    if len(views) > 2 and np.linalg.svd(turns, compute_uv=False)[1] < _PARALLEL_SINE * lengths.max():
+        return "All views are turned about one axis."
+    beam = beam_deg(state, views)
+    if beam < _NARROW_DEG:
+        return f"The stars span no more than +-{beam:.1f} degrees: too narrow a beam."
+    return ""
+
+
+def turns_deg(rotations: Array) -> Array:
+    """Return (n - 1, 3) the rotation vector from the first view to each other one, degrees."""
+    return np.asarray(np.rad2deg(log_map(rotations[1:] @ rotations[0].T)))
+
+
+def beam_deg(state: State, views: Sequence[View]) -> float:
+    """Return the half angle of the beam: the largest a view's stars span about their middle, degrees."""
+    widest = 0.0
+    for view, centre in zip(views, state.centres, strict=True):
+        rays = np.column_stack([view.target_mm, np.zeros(len(view))]) - centre
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        middle = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
+        widest = max(widest, float(np.rad2deg(np.arccos(np.clip(rays @ middle, -1, 1)).max())))
+    return widest

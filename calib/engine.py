@@ -1,0 +1,70 @@
+"""From views to a calibrated camera: the engine's front door.
+
+Knows what may be asked and checks what comes in; the work is done by `calib.fit` and, where the model is to be
+chosen by the data, by `calib.selection`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
+from calib.errors import DegenerateViews, InputMismatch
+from calib.fit import fit, summary
+from calib.model.aberrations import rung_of
+from calib.selection import choose
+from calib.view import View
+
+__all__ = ["Calibration", "CalibrationOptions", "Candidate", "ViewSummary", "calibrate"]
+
+
+def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) -> Calibration:
+    """Calibrate a camera from views of the star target through a collimator.
+
+    Parameters
+    ----------
+    views
+        Two or more poses; stars with ids, image points (px) and target positions (mm).
+    options
+        Model, distortion, loss; the defaults when None.
+
+    Returns
+    -------
+    Calibration
+        Intrinsics, distortion, collimator and rotations, with their covariance.
+
+    Raises
+    ------
+    InputMismatch
+        When views contradict each other (image sizes, names) or show the target mirrored.
+    TooFewStars
+        When a view has fewer than 4 stars.
+    DegenerateViews
+        When the views do not constrain the camera; says why.
+    NotConverged
+        When the refinement did not reach an optimum.
+    """
+    options = options or CalibrationOptions()
+    _check(views, 1 if options.passport else 2)
+    if options.passport:
+        return summary(fit(views, options, rung_of(options.passport.terms)))
+    if options.model == "auto":
+        return choose(views, options)
+    return summary(fit(views, options, options.model))
+
+
+def _check(views: Sequence[View], fewest: int) -> None:
+    """Refuse views that cannot belong together, or are too few."""
+    if len(views) < fewest:
+        raise DegenerateViews(
+            f"{len(views)} view{'s' if len(views) != 1 else ''}; at least {fewest} needed.",
+            remedy="Record the target from more angles.",
+        )
+    sizes = sorted({view.image_size for view in views})
+    if len(sizes) > 1:
+        shown = ", ".join(f"{width} x {height}" for width, height in sizes)
+        raise InputMismatch(f"Views of different image sizes: {shown}.", remedy="One camera at a time.")
+    name, times = Counter(view.name for view in views).most_common(1)[0]
+    if times > 1:
+        raise InputMismatch(f"{times} views are named {name!r}.", remedy="Give each view its own name.")

@@ -1,0 +1,69 @@
+"""Closed forms of the planar model: each view has its own free centre (Zhang's method).
+
+Knows homographies and the orthonormality of a rotation's columns. The planar model is here for comparison, and
+as a second way to start the spherical one; its adjustment has free centres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.rotation import nearest_rotation
+
+Array = NDArray[np.float64]
+
+
+def zhang_matrix(
+    homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
+) -> Array | None:
+    """Solve h1^T w h2 = 0 and h1^T w h1 = h2^T w h2 for w = K^-T K^-1, zero skew, in all views.
+
+    Returns
+    -------
+    Array or None
+        (3, 3) camera matrix; None when the views do not give one (frontal views, noise).
+    """
+    width, height = image_size
+    scale = 2.0 / np.hypot(width, height)
+    shift = np.array([-scale * (width - 1) / 2, -scale * (height - 1) / 2])
+    to_unit = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]], [0.0, 0.0, 1.0]])
+    unknown = [(0, 0), (1, 1), (0, 2), (1, 2)] if free_principal_point else [(0, 0), (1, 1)]
+    rows, right = [], []
+    for h in to_unit @ homographies:
+        h1, h2 = h[:, 0] / np.linalg.norm(h[:, 0]), h[:, 1] / np.linalg.norm(h[:, 0])
+        rows.append([_entry(h1, h2, ij) for ij in unknown])
+        rows.append([_entry(h1, h1, ij) - _entry(h2, h2, ij) for ij in unknown])
+        right += [-h1[2] * h2[2], h2[2] ** 2 - h1[2] ** 2]
+    solution, _, rank, _ = np.linalg.lstsq(np.array(rows), np.array(right), rcond=1e-9)
+    if rank < len(unknown):
+        return None
+    w = dict(zip(unknown, solution, strict=True))
+    if not min(w[0, 0], w[1, 1]) > 0:
+        return None
+    cx, cy = -w.get((0, 2), 0.0) / w[0, 0], -w.get((1, 2), 0.0) / w[1, 1]
+    # w33 = 1 fixes the scale of w; the true one is 1 + cx^2 / fx^2 + cy^2 / fy^2.
+    true_scale = 1.0 - w[0, 0] * cx**2 - w[1, 1] * cy**2
+    if not true_scale > 0:
+        return None
+    fx, fy = np.sqrt(true_scale / np.array([w[0, 0], w[1, 1]]))
+    return np.asarray(np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+
+
+def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
+    """Return the factor of w_ij in a^T w b."""
+    i, j = ij
+    return float(a[i] * b[j] + (a[j] * b[i] if i != j else 0.0))
+
+
+def poses(homographies: Array, matrix: Array) -> tuple[Array, Array]:
+    """Return rotations (n, 3, 3), camera <- target, and camera centres (n, 3) in the target frame, mm.
+
+    H ~ K [r1 r2 t] with t = -R c.
+    """
+    columns = np.linalg.inv(matrix) @ homographies
+    columns = columns / np.linalg.norm(columns[..., :2], axis=1).mean(axis=1)[:, None, None]
+    r1, r2 = columns[..., 0], columns[..., 1]
+    rotations = nearest_rotation(np.stack([r1, r2, np.cross(r1, r2)], axis=-1))
+    centres = -np.einsum("nji,nj->ni", rotations, columns[..., 2])
+    return rotations, np.asarray(centres)

@@ -1,0 +1,177 @@
+"""Closed forms of the spherical motion model: intrinsics and collimator from the views' homographies.
+
+Knows homographies scaled to determinant 1, and the equation they share (the paper's last one):
+H^-1 K K^T H^-T = s [[r^2 + x^2, xy, x], [xy, r^2 + y^2, y], [x, y, 1]]. Linear in the entries of K K^T and of
+the right side; no distortion, no noise model. Its answers start the refinement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.collimator import Collimator
+from calib.model.rotation import nearest_rotation
+
+Array = NDArray[np.float64]
+
+_UPPER = np.triu_indices(3)
+#: Entries of K K^T that may be unknown; the last one is 1 where the scale is free to choose.
+_IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1), (2, 2))
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a refinement of the spherical model begins.
+
+    Attributes
+    ----------
+    matrix
+        (3, 3) camera matrix K.
+    collimator
+        The shared centre.
+    """
+
+    matrix: Array
+    collimator: Collimator
+
+
+def linear_start(
+    homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
+) -> Start | None:
+    """Solve the shared equation of n views in the least squares sense.
+
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) from `calib.model.homography.view_homography`; n >= 2, or n >= 3 with a free principal point.
+    image_size
+        Width and height, px.
+    free_principal_point
+        Whether cx and cy are unknown too; otherwise they are put at the image's centre.
+
+    Returns
+    -------
+    Start or None
+        None when the solution is no camera (a negative square), which noise can do to weak views.
+    """
+    if len(homographies) < (3 if free_principal_point else 2):
+        return None
+    to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
+    inverses = np.linalg.inv(to_unit @ homographies @ plane)
+    unknown = _IMAGE[:5] if free_principal_point else _IMAGE[:2]
+    left = np.concatenate([_equations(g, unknown) for g in inverses])
+    right = np.concatenate([-np.outer(g[:, 2], g[:, 2])[_UPPER] for g in inverses])
+    scale = np.linalg.norm(left, axis=0)
+    solution = np.linalg.lstsq(left / scale, right, rcond=None)[0] / scale
+    image = dict(zip(unknown, solution, strict=False))
+    return _read_out(image, solution[len(unknown) :], to_unit, plane)
+
+
+def two_view_starts(homographies: Array, image_size: tuple[int, int]) -> list[Start]:
+    """Solve two views with a free principal point: every real root that is a camera.
+
+    Twelve equations determine the eleven ratios of the unknowns too weakly. The two weakest directions of the
+    system are mixed so that the skew vanishes, w12 w33 = w13 w23: a quadratic equation.
+    """
+    to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
+    inverses = np.linalg.inv(to_unit @ homographies @ plane)
+    left = np.concatenate([_equations(g, _IMAGE) for g in inverses])
+    scale = np.linalg.norm(left, axis=0)
+    u, v = np.linalg.svd(left / scale)[2][-2:] / scale
+    w13, w23, w12, w33 = (_IMAGE.index(ij) for ij in ((0, 2), (1, 2), (0, 1), (2, 2)))
+
+    def skew(t: float) -> float:
+        mixed = u + t * v
+        return float(mixed[w12] * mixed[w33] - mixed[w13] * mixed[w23])
+
+    # A quadratic through three of its values.
+    roots = np.roots(np.polyfit([-1.0, 0.0, 1.0], [skew(-1.0), skew(0.0), skew(1.0)], 2))
+    starts = []
+    for root in roots[np.isreal(roots)].real:
+        mixed = u + root * v
+        if abs(mixed[w33]) > np.finfo(float).tiny:
+            image = dict(zip(_IMAGE, mixed / mixed[w33], strict=False))
+            start = _read_out(image, mixed[len(_IMAGE) :] / mixed[w33], to_unit, plane)
+            starts += [start] if start is not None else []
+    return starts
+
+
+def _read_out(
+    image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
+) -> Start | None:
+    """Return the camera and the centre that entries of K K^T (the last one 1) and of the right side mean."""
+    cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
+    squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])
+    right = np.zeros((3, 3))
+    right[_UPPER] = target
+    if right[2, 2] == 0.0:
+        return None
+    x, y = right[0, 2] / right[2, 2], right[1, 2] / right[2, 2]
+    r_squared = 0.5 * ((right[0, 0] + right[1, 1]) / right[2, 2] - x**2 - y**2)
+    if not (squares > 0).all() or not r_squared > 0:
+        return None
+    fx, fy = np.sqrt(squares)
+    matrix = np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    x_mm, y_mm, _ = plane @ [x, y, 1.0]
+    collimator = Collimator(float(x_mm), float(y_mm), float(np.sqrt(r_squared) * plane[0, 0]))
+    return Start(matrix, collimator)
+
+
+def rotations_about(homographies: Array, matrix: Array, collimator: Collimator) -> Array:
+    """Return each view's rotation, (n, 3, 3), given the camera matrix and the shared centre.
+
+    H ~ K R [e1 e2 -c], so R is the rotation nearest to K^-1 H [e1 e2 -c]^-1.
+    """
+    frame = np.eye(3)
+    frame[:, 2] = -collimator.centre
+    return nearest_rotation(np.linalg.inv(matrix) @ homographies @ np.linalg.inv(frame))
+
+
+def matrix_about(homographies: Array, collimator: Collimator) -> Array | None:
+    """Return the camera matrix, given the centre: K K^T ~ H A H^T, the mean over views; one view is enough.
+
+    A is the right side of the shared equation. None when the mean is no camera.
+    """
+    x, y, r = collimator.x, collimator.y, collimator.r
+    right = np.array([[r**2 + x**2, x * y, x], [x * y, r**2 + y**2, y], [x, y, 1.0]])
+    squares = homographies @ right @ np.swapaxes(homographies, 1, 2)
+    square = (squares / squares[:, 2:, 2:]).mean(axis=0)
+    cx, cy = square[0, 2], square[1, 2]
+    f_squared = np.array([square[0, 0] - cx**2, square[1, 1] - cy**2])
+    if not (f_squared > 0).all():
+        return None
+    fx, fy = np.sqrt(f_squared)
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def _image_conditioning(image_size: tuple[int, int]) -> Array:
+    """Return the similarity that takes the image's centre to 0 and its half diagonal to 1."""
+    width, height = image_size
+    scale = 2.0 / np.hypot(width, height)
+    return np.array(
+        [[scale, 0.0, -scale * (width - 1) / 2], [0.0, scale, -scale * (height - 1) / 2], [0.0, 0.0, 1.0]]
+    )
+
+
+def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Array:
+    """Return the similarity of the target plane that takes units to mm about where the cameras look."""
+    centre = np.array([(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0])
+    looked_at = np.linalg.inv(homographies) @ centre
+    middle = np.median(looked_at[:, :2] / looked_at[:, 2:], axis=0)
+    right = np.linalg.inv(homographies) @ (centre + np.array([np.hypot(*image_size) / 4, 0.0, 0.0]))
+    scale = np.median(np.linalg.norm(right[:, :2] / right[:, 2:] - middle, axis=1)) * 2
+    return np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]], [0.0, 0.0, 1.0]])
+
+
+def _equations(g: Array, unknown: Sequence[tuple[int, int]]) -> Array:
+    """Return the rows g W g^T - B for the chosen entries of W, then those of B; 6 rows a view."""
+    columns = []
+    for i, j in unknown:
+        basis = np.zeros((3, 3))
+        basis[i, j] = basis[j, i] = 1.0
+        columns.append((g @ basis @ g.T)[_UPPER])
+    return np.column_stack([*columns, -np.eye(6)])

@@ -1,0 +1,1 @@
+"""Images to stars: the tag, the grid, the label and the centre of each star with its covariance."""

@@ -1,0 +1,152 @@
+"""The gimbal as a witness: its readings held against the rotations the camera saw.
+
+Knows rotations with their covariance and readings of the axes. The camera sits on the gimbal by an unknown turn A and
+the gimbal stands before the target by another one, B: R = A Rz(roll) Rx(tilt) Ry(pan) B. A scale of each axis that
+moved is estimated too, where the views are enough for it. The readings are never used to calibrate: a scale error of
+the gimbal would become one of the focal length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from calib.errors import DegenerateViews, InputMismatch
+from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation
+from calib.uncertainty.projection_uncertainty import ARCSEC
+
+Array = NDArray[np.float64]
+
+AXES = ("pan_deg", "tilt_deg", "roll_deg")
+_MIN_VIEWS = 3
+_MOVED_DEG = 0.5
+_STEPS = 50
+
+
+@dataclass(frozen=True)
+class GimbalWitness:
+    """What rotations and readings say of each other.
+
+    Attributes
+    ----------
+    scale
+        For each axis whose scale could be told: true angle over reading.
+    scale_sigma
+        1-sigma of those.
+    mounting, standing
+        (3, 3) rotations A and B: camera <- gimbal's head, gimbal's foot <- target.
+    disagreement_arcsec
+        (n, 3) rotation seen less rotation read, as a turn about the camera's axes.
+    sigma_arcsec
+        (n, 3) 1-sigma of the rotations seen.
+    chi_square, degrees_of_freedom
+        Of the disagreement; large when the gimbal repeats worse than the camera sees.
+    """
+
+    scale: Mapping[str, float]
+    scale_sigma: Mapping[str, float]
+    mounting: Array
+    standing: Array
+    disagreement_arcsec: Array
+    sigma_arcsec: Array
+    chi_square: float
+    degrees_of_freedom: int
+
+    @property
+    def rms_arcsec(self) -> float:
+        """Root mean square turn by which rotations and readings disagree."""
+        return float(np.sqrt((self.disagreement_arcsec**2).sum(axis=1).mean()))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the disagreement is within what chance allows in 999 of 1000 cases."""
+        return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
+
+
+def witness(
+    rotations: Array, covariance: Array, readings_deg: Sequence[Mapping[str, float]]
+) -> GimbalWitness:
+    """Hold a gimbal's readings against the rotations of a calibration.
+
+    Parameters
+    ----------
+    rotations
+        (n, 3, 3) of the views, camera <- target.
+    covariance
+        (3 n, 3 n) their joint covariance (`Calibration.rotation_covariance`).
+    readings_deg
+        For each view its axes' readings: any of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
+
+    Raises
+    ------
+    InputMismatch
+        When numbers of views differ, or an axis is unknown.
+    DegenerateViews
+        With fewer than 3 views, or when no axis moved.
+    """
+    angles = _angles(readings_deg)
+    if not len(angles) == len(rotations) == len(covariance) // 3:
+        raise InputMismatch(f"{len(rotations)} rotations, but {len(angles)} readings.")
+    moved = np.ptp(angles, axis=0) > _MOVED_DEG
+    if len(angles) < _MIN_VIEWS or not moved.any():
+        raise DegenerateViews(f"{len(angles)} views with {moved.sum()} axes moved tell nothing of a gimbal.")
+    free = [int(i) for i in np.flatnonzero(moved)] if 3 * len(angles) > 6 + moved.sum() else []
+    scales, standing, mounting = np.ones(3), np.eye(3), np.eye(3)
+    standing = nearest_rotation(np.mean(np.swapaxes(_heads(angles, scales), 1, 2) @ rotations, axis=0))
+    information = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
+    for _ in range(_STEPS):
+        off, slopes = _linearised(rotations, angles, scales, mounting, standing, free)
+        normal = slopes.T @ information @ slopes
+        step = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slopes.T @ information @ off
+        mounting, standing = exp_map(step[:3]) @ mounting, exp_map(step[3:6]) @ standing
+        scales[free] += step[6:]
+        if np.abs(step).max() < 1e-13:
+            break
+    off, slopes = _linearised(rotations, angles, scales, mounting, standing, free)
+    spread = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ information @ slopes, rcond=1e-12, hermitian=True)))
+    told = int(np.linalg.matrix_rank(slopes, tol=1e-9))
+    return GimbalWitness(
+        {AXES[i]: float(scales[i]) for i in free},
+        {AXES[i]: float(spread[6 + k]) for k, i in enumerate(free)},
+        mounting,
+        standing,
+        ARCSEC * off.reshape(-1, 3),
+        ARCSEC * np.sqrt(np.diag(covariance)).reshape(-1, 3),
+        float(off @ information @ off),
+        len(off) - told,
+    )
+
+
+def _angles(readings_deg: Sequence[Mapping[str, float]]) -> Array:
+    """Return (n, 3) pan, tilt, roll; axes not read are zero."""
+    unknown = sorted({axis for reading in readings_deg for axis in reading} - set(AXES))
+    if unknown:
+        raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known are: {', '.join(AXES)}.")
+    return np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg])
+
+
+def _heads(angles: Array, scales: Array) -> Array:
+    """Return (n, 3, 3) rotations gimbal's head <- foot."""
+    return np.array([euler_zxy(*(scales * row)) for row in angles])
+
+
+def _linearised(
+    rotations: Array, angles: Array, scales: Array, mounting: Array, standing: Array, free: Sequence[int]
+) -> tuple[Array, Array]:
+    """Return (3 n,) seen less read, and its (3 n, 6 + s) slopes by mounting, standing and scales."""
+    heads = _heads(angles, scales)
+    read = mounting @ heads @ standing
+    off = log_map(rotations @ np.swapaxes(read, 1, 2)).reshape(-1)
+    by_mounting = np.tile(np.eye(3), (len(angles), 1))
+    by_standing = (mounting @ heads).reshape(-1, 3)
+    columns = [by_mounting, by_standing]
+    for i in free:
+        step = np.zeros(3)
+        step[i] = 1e-6
+        further = mounting @ _heads(angles, scales + step) @ standing
+        columns.append(log_map(further @ np.swapaxes(read, 1, 2)).reshape(-1, 1) / 1e-6)
+    return off, np.hstack(columns)

@@ -1,0 +1,91 @@
+"""Views as the model predicts them, before anything moves.
+
+Knows an expected camera, collimator, beam and target; images nothing and adds no noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import TooFewStars
+from calib.model.camera import CameraModel
+from calib.model.collimator import Collimator
+from calib.model.passport import Passport
+from calib.model.rotation import euler_zxy
+from calib.target import StarTarget
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: Stars nearer than this to the frame's border are not found.
+_BORDER_PX = 10.0
+_MIN_STARS = 20
+
+
+@dataclass(frozen=True)
+class ExpectedBench:
+    """The bench as expected.
+
+    Parameters
+    ----------
+    camera
+        Its intrinsics, roughly, with the distortion coefficients to be estimated.
+    collimator
+        Its centre, mm, roughly.
+    half_angle_deg
+        Half angle of the beam's disc.
+    star_sigma_px
+        1-sigma of a star, per axis.
+    target
+        The printed target.
+    passport
+        The collimator's passport, if it will be used.
+    needs_tag
+        Whether a pose is only good with the whole tag in the frame and the disc.
+    """
+
+    camera: CameraModel
+    collimator: Collimator
+    half_angle_deg: float
+    star_sigma_px: float = 0.02
+    target: StarTarget = field(default_factory=StarTarget)
+    passport: Passport | None = None
+    needs_tag: bool = True
+
+
+def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -> tuple[View, Array]:
+    """Return the stars a pose will show, without noise, and its rotation (camera <- target).
+
+    Raises
+    ------
+    TooFewStars
+        When the pose shows too few stars, or not the tag where it is needed.
+    """
+    rotation = euler_zxy(pose.get("pan_deg", 0.0), pose.get("tilt_deg", 0.0), pose.get("roll_deg", 0.0))
+    ids = bench.target.ids
+    stars = bench.target.positions_mm(ids)
+    pixels, shown = _shown(bench, stars, rotation)
+    if bench.needs_tag and not _shown(bench, bench.target.tag_corners_mm, rotation)[1].all():
+        raise TooFewStars("The tag will not be whole in the picture.", where=name, remedy="Turn less far.")
+    if shown.sum() < _MIN_STARS:
+        raise TooFewStars(f"{shown.sum()} stars will be seen.", where=name, remedy="Turn less far.")
+    covariances = np.tile(np.eye(2) * bench.star_sigma_px**2, (int(shown.sum()), 1, 1))
+    view = View(name, bench.camera.image_size, ids[shown], pixels[shown], stars[shown], covariances)
+    return view, rotation
+
+
+def _shown(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return image points of points of the target, and which of them lie in the disc and the frame."""
+    centre = bench.collimator.centre
+    pixels = bench.camera.project(
+        (np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre) @ rotation.T
+    )
+    limit = np.array(bench.camera.image_size) - 1.0 - _BORDER_PX
+    with np.errstate(invalid="ignore"):
+        framed = ((pixels > _BORDER_PX) & (pixels < limit)).all(axis=1)
+    radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
+    return pixels, framed & (np.linalg.norm(points_mm - centre[:2], axis=1) < radius)

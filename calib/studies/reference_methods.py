@@ -1,0 +1,212 @@
+"""What others would answer on the same points: OpenCV's planar calibration, and the published recipe.
+
+Knows how each is run, to stand beside our own result. None of them says how sure it is of more than noise, and
+neither has a better answer for being closer to its points: see the column of views left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.calibration import Calibration, CalibrationOptions
+from calib.errors import CalibrationError, DegenerateViews, NotConverged
+from calib.fit import begin
+from calib.fit import fit as fit_model
+from calib.model.camera import PINHOLE, CameraModel
+from calib.model.lens import BROWN, FISHEYE, is_fisheye
+from calib.uncertainty import covariance as uncertainty
+from calib.uncertainty.cross_validation import MIN_VIEWS, leave_one_out
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: The published recipe names a Huber loss without its limit.
+_PUBLISHED_LIMIT_PX = 1.0
+#: OpenCV's steps, and the change of its parameters at which it ends.
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+_PUBLISHED = "published recipe, spherical"
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One method's answer.
+
+    Attributes
+    ----------
+    name
+        The method.
+    camera
+        Its camera.
+    sigma
+        The uncertainties it states, by name of the parameter.
+    rms_px, mean_px
+        Length of its residuals over all stars.
+    left_out_rms_px
+        Residual of views it has not seen, only their rotation solved; None with fewer than 3 views.
+    """
+
+    name: str
+    camera: CameraModel
+    sigma: Mapping[str, float]
+    rms_px: float
+    mean_px: float
+    left_out_rms_px: float | None
+
+
+@dataclass(frozen=True)
+class NoAnswer:
+    """A method that has no answer on these points, and why."""
+
+    name: str
+    why: str
+
+
+def others(views: Sequence[View], options: CalibrationOptions) -> list[Baseline | NoAnswer]:
+    """Ask every other method on the same points; one that has no answer says why, and the next is asked."""
+    rows: list[Baseline | NoAnswer] = []
+    methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
+    for name, method in methods:
+        try:
+            rows.append(method(views, options))
+        except CalibrationError as error:
+            rows.append(NoAnswer(name, str(error)))
+    return rows
+
+
+def ours(calibration: Calibration) -> Baseline:
+    """Put our own calibration into the same row."""
+    name = f"Starbench, {calibration.model} model"
+    return Baseline(
+        name,
+        calibration.camera,
+        calibration.sigma,
+        calibration.rms_px,
+        calibration.mean_px,
+        calibration.left_out_rms_px,
+    )
+
+
+def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baseline:
+    """Calibrate by OpenCV's ``calibrateCamera`` (Zhang's method), with the same distortion coefficients.
+
+    A fisheye lens by its ``fisheye.calibrate``, which states no uncertainties.
+
+    Raises
+    ------
+    DegenerateViews
+        When OpenCV finds no calibration.
+    """
+    names = tuple(options.distortion)
+    fisheye = _fisheye(options)
+    try:
+        rms, matrix, found, spread = (_by_fisheye if fisheye else _by_brown)(views, names)
+    except cv2.error as error:
+        told = " ".join(str(error).split())
+        raise DegenerateViews(f"OpenCV finds no calibration: {told}", remedy="Add views.") from error
+    if not (np.isfinite(rms) and np.isfinite(matrix).all() and np.isfinite(found).all()):
+        raise DegenerateViews("OpenCV's calibration is not finite.", remedy="Add views from other angles.")
+    family = FISHEYE if fisheye else BROWN
+    coefficients = dict(zip(family, np.ravel(found).tolist(), strict=False))
+    fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    camera = CameraModel(fx, fy, cx, cy, views[0].image_size, {name: coefficients[name] for name in names})
+    spreads = dict(zip((*PINHOLE, *family), np.ravel(spread).tolist(), strict=False))
+    planar = fit_model(views, CalibrationOptions("planar", names, "l2"), "planar", leave_out=True)
+    lengths = np.linalg.norm(planar.bundle.misses_px(planar.state), axis=1)
+    return Baseline(
+        _opencv_name(options),
+        camera,
+        {name: spreads[name] for name in (*PINHOLE, *names) if name in spreads},
+        float(rms),
+        float(lengths.mean()),
+        planar.left_out.total_rms_px if planar.left_out else None,
+    )
+
+
+def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Baseline:
+    """Calibrate as the paper says: linear spherical solution, then Huber, no more; sigmas from J^T J alone.
+
+    Raises
+    ------
+    DegenerateViews, NotConverged
+        When the views leave a parameter free, or there is no optimum.
+    """
+    bundle, start = begin(views, options, "spherical")
+    loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.per_px)
+    refined = refine(bundle, start, loss)
+    state = refined.state
+    known = uncertainty.at_optimum(bundle, state, loss)
+    if not refined.converged:
+        raise NotConverged(f"No optimum after {refined.iterations} steps.", remedy="Add views.")
+    lengths = np.linalg.norm(bundle.misses_px(state), axis=1)
+    left_out = leave_one_out(bundle, state, loss).total_rms_px if len(views) >= MIN_VIEWS else None
+    sigmas = np.sqrt(np.diag(known.covariance)).tolist()
+    return Baseline(
+        _PUBLISHED,
+        state.camera,
+        dict(zip(bundle.names, sigmas, strict=True)),
+        float(np.sqrt(np.mean(lengths**2))),
+        float(lengths.mean()),
+        left_out,
+    )
+
+
+def _fisheye(options: CalibrationOptions) -> bool:
+    """Tell whether a fisheye lens is asked for."""
+    return is_fisheye(dict.fromkeys(tuple(options.distortion), 0.0))
+
+
+def _opencv_name(options: CalibrationOptions) -> str:
+    """Return the name of the method that OpenCV is asked for."""
+    return "OpenCV, planar (fisheye)" if _fisheye(options) else "OpenCV, planar (Zhang)"
+
+
+def _by_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
+    """Return OpenCV's rms, camera matrix, coefficients and their spreads, for Brown's model."""
+    objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
+    images = [v.points_px.astype(np.float32)[:, None] for v in views]
+    rms, matrix, found, _, _, spread, _, _ = cv2.calibrateCameraExtended(
+        objects, images, views[0].image_size, np.eye(3), np.zeros(5), flags=_flags(names), criteria=_STOP
+    )
+    return float(rms), np.asarray(matrix, float), np.asarray(found, float), np.asarray(spread, float)
+
+
+def _by_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
+    """Return OpenCV's rms, camera matrix and coefficients for a fisheye lens; spreads it has none.
+
+    OpenCV starts such a lens from half a circle across the image, far from any that looks into a collimator; what wins
+    the race of our own closed forms starts it here.
+    """
+    start = begin(views, CalibrationOptions("planar", names, "l2"), "planar")[1].camera
+    held = [f"FIX_K{name[-1]}" for name in FISHEYE if name not in names]
+    rms, matrix, found, _, _ = cv2.fisheye.calibrate(
+        [np.column_stack([v.target_mm, np.zeros(len(v))])[None] for v in views],
+        [v.points_px[None].astype(float) for v in views],
+        views[0].image_size,
+        start.matrix,
+        start.fisheye_coefficients,
+        flags=sum(map(_fisheye_flag, ("RECOMPUTE_EXTRINSIC", "FIX_SKEW", "USE_INTRINSIC_GUESS", *held))),
+        criteria=_STOP,
+    )
+    return float(rms), np.asarray(matrix, float), np.asarray(found, float), np.zeros(0)
+
+
+def _fisheye_flag(name: str) -> int:
+    """Return a flag of OpenCV's fisheye calibration; OpenCV 5 has them with the others."""
+    return int(getattr(cv2.fisheye if hasattr(cv2.fisheye, f"CALIB_{name}") else cv2, f"CALIB_{name}"))
+
+
+def _flags(names: Sequence[str]) -> int:
+    """Return OpenCV's flags that free the named coefficients and hold all others at zero."""
+    flags = 0 if {"p1", "p2"} & set(names) else cv2.CALIB_ZERO_TANGENT_DIST
+    if {"k4", "k5", "k6"} & set(names):
+        flags |= cv2.CALIB_RATIONAL_MODEL
+    held = {name: getattr(cv2, f"CALIB_FIX_{name.upper()}") for name in BROWN if name.startswith("k")}
+    for name, flag in held.items():
+        flags |= 0 if name in names else flag
+    return int(flags)

@@ -1,0 +1,129 @@
+"""Two cameras on one rig: their relative rotation, from poses both saw through one collimator.
+
+Knows two calibrations with views of the same names. Behind a collimator every camera stands at infinity from the
+target, so how far apart the two are cannot be seen: the translation is not observable, and none is given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from calib.calibration import Calibration
+from calib.errors import DegenerateViews
+from calib.model.rotation import exp_map, log_map, nearest_rotation
+from calib.uncertainty.projection_uncertainty import ARCSEC
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RelativeRotation:
+    """The rotation from one camera of a rig to another.
+
+    Attributes
+    ----------
+    rotation
+        (3, 3) second camera <- first camera.
+    covariance
+        (3, 3) of a turn on the second camera's side, rad^2.
+    views
+        Names of the poses both saw.
+    disagreement_arcsec
+        (n, 3) each pose's own relative rotation less the common one, about the second camera's axes.
+    chi_square, degrees_of_freedom
+        Of that disagreement: large when the rig flexed.
+    """
+
+    rotation: Array
+    covariance: Array
+    views: tuple[str, ...]
+    disagreement_arcsec: Array
+    chi_square: float
+    degrees_of_freedom: int
+
+    @property
+    def sigma_arcsec(self) -> Array:
+        """(3,) 1-sigma about the second camera's axes."""
+        return np.asarray(ARCSEC * np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def vector_deg(self) -> Array:
+        """(3,) the rotation as a vector along its axis, degrees."""
+        return np.asarray(np.rad2deg(log_map(self.rotation[None])[0]))
+
+    @property
+    def rigid(self) -> bool:
+        """Whether the poses agree within what chance allows in 999 of 1000 cases."""
+        return bool(self.chi_square <= special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, lists and names only, ready for JSON; the translation is none."""
+        return {
+            "rotation": self.rotation.tolist(),
+            "vector_deg": self.vector_deg.tolist(),
+            "covariance_rad2": self.covariance.tolist(),
+            "sigma_arcsec": self.sigma_arcsec.tolist(),
+            "translation": None,
+            "translation_note": "not observable: behind a collimator the target stands at infinity",
+            "views": list(self.views),
+            "disagreement_arcsec": self.disagreement_arcsec.tolist(),
+            "chi_square": self.chi_square,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "rigid": self.rigid,
+        }
+
+
+def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotation:
+    """Return the rotation second <- first, the best for all poses both saw (least squares, generalised).
+
+    Raises
+    ------
+    DegenerateViews
+        When no view of the two has the same name.
+    """
+    names = [view.name for view in first.views]
+    others = [view.name for view in second.views]
+    common = tuple(name for name in names if name in others)
+    if not common:
+        raise DegenerateViews("The two cameras share no pose.", remedy="Name views alike that show one pose.")
+    a, b = [names.index(name) for name in common], [others.index(name) for name in common]
+    pairs = second.rotations[b] @ np.swapaxes(first.rotations[a], 1, 2)
+    covariance = _joint(second.rotation_covariance, b) + _carried(_joint(first.rotation_covariance, a), pairs)
+    information = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
+    slopes = np.tile(np.eye(3), (len(common), 1))
+    own = np.asarray(np.linalg.inv(slopes.T @ information @ slopes), np.float64)
+    rotation = nearest_rotation(pairs.mean(axis=0))
+    for _ in range(20):
+        off = log_map(pairs @ rotation.T).reshape(-1)
+        step = own @ slopes.T @ information @ off
+        rotation = exp_map(step) @ rotation
+        if np.abs(step).max() < 1e-14:
+            break
+    off = log_map(pairs @ rotation.T).reshape(-1)
+    return RelativeRotation(
+        rotation,
+        own,
+        common,
+        ARCSEC * off.reshape(-1, 3),
+        float(off @ information @ off),
+        3 * len(common) - 3,
+    )
+
+
+def _joint(covariance: Array, views: list[int]) -> Array:
+    """Return the rows and columns of some views."""
+    rows = np.concatenate([np.arange(3 * i, 3 * i + 3) for i in views])
+    return covariance[np.ix_(rows, rows)]
+
+
+def _carried(covariance: Array, turns: Array) -> Array:
+    """Carry turns on the first camera's side to the second one's."""
+    carrier = np.zeros_like(covariance)
+    for i, turn in enumerate(turns):
+        carrier[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = turn
+    return np.asarray(carrier @ covariance @ carrier.T)

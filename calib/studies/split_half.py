@@ -1,0 +1,64 @@
+"""Two halves of the views calibrated apart, to see whether they differ as much as their uncertainties say.
+
+Knows only calibrations; the halves share no view, so what they disagree on is what uncertainty ought to be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.calibration import Calibration, CalibrationOptions
+from calib.engine import calibrate
+from calib.errors import DegenerateViews
+from calib.uncertainty.projection_uncertainty import (
+    CameraDifference,
+    camera_difference,
+    projection_uncertainty,
+)
+from calib.view import View
+
+#: Each half must constrain a camera.
+_MIN_VIEWS = 4
+
+
+@dataclass(frozen=True)
+class SplitHalf:
+    """Two calibrations of one camera, and how they differ at infinity.
+
+    Attributes
+    ----------
+    halves
+        The calibrations from every other view.
+    difference
+        Their difference over the sensor.
+    expected_px
+        Root mean square over the sensor of what their uncertainties let one expect.
+    """
+
+    halves: tuple[Calibration, Calibration]
+    difference: CameraDifference
+    expected_px: float
+
+    @property
+    def ratio(self) -> float:
+        """Difference found over difference expected: about 1 when the uncertainties are honest."""
+        return self.difference.rms_px / self.expected_px
+
+
+def split_half(views: Sequence[View], options: CalibrationOptions | None = None) -> SplitHalf:
+    """Calibrate every other view, and the rest, and compare.
+
+    Raises
+    ------
+    DegenerateViews
+        With fewer than 4 views, or when a half does not constrain the camera.
+    """
+    if len(views) < _MIN_VIEWS:
+        raise DegenerateViews(f"{len(views)} views; two halves take at least {_MIN_VIEWS}.")
+    first, second = calibrate(views[::2], options), calibrate(views[1::2], options)
+    maps = [projection_uncertainty(half.camera, half.camera_covariance).sigma_px for half in (first, second)]
+    expected = float(np.sqrt(np.nanmean(maps[0] ** 2 + maps[1] ** 2)))
+    return SplitHalf((first, second), camera_difference(first.camera, second.camera), expected)

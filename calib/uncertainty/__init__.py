@@ -1,0 +1,1 @@
+"""Uncertainty of an adjustment: covariance, variance components, cross-validation, consistency, projection."""

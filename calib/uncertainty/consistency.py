@@ -1,0 +1,62 @@
+"""Whether views contradict a collimator's passport.
+
+Knows how to ask the views alone: the same fit with the passport's centre forgotten, its imperfections kept. Where
+they tell the centre themselves, it is held against the passport's, each with its own uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.parameters import State
+from calib.errors import DegenerateViews, PassportContradicted
+from calib.model.collimator import CENTRE
+from calib.model.passport import Passport
+from calib.uncertainty import covariance as uncertainty
+
+#: A passport that is right is refused this rarely.
+_FALSE_ALARMS = 1e-4
+
+
+def require_agreement(bundle: Bundle, state: State, loss: Loss, passport: Passport) -> None:
+    """Refuse a passport whose centre these views contradict.
+
+    One view, or views that do not tell the centre, cannot contradict it.
+
+    Raises
+    ------
+    PassportContradicted
+        With both values, their uncertainties, and chi-square.
+    """
+    spread = float((bundle.residuals(state) ** 2).mean())
+    names = (*state.camera.parameter_names, *state.collimator.parameter_names)
+    terms = passport.prior_of(passport.terms)
+    free = replace(bundle, names=names, prior=terms, noise_variance=spread)
+    refined = refine(free, state, loss)
+    if len(state.rotations) < 2 or not refined.converged:
+        return
+    try:
+        known = uncertainty.at_optimum(free, refined.state, loss)
+    except DegenerateViews:
+        return
+    asked = [name for name in passport.names if name in CENTRE]
+    ours = [names.index(name) for name in asked]
+    growth = max(known.disagreement if known.disagree else 1.0, passport.disagreement)
+    found, covariance = refined.state.values(asked), growth**2 * known.covariance[np.ix_(ours, ours)]
+    stated, own = np.array([passport.known[name] for name in asked]), passport.covariance_of(asked)
+    off, together = found - stated, covariance + own
+    chi_square = float(off @ np.linalg.solve(together, off))
+    if chi_square > special.chdtri(len(asked), _FALSE_ALARMS):
+        worst = int(np.argmax(np.abs(off) / np.sqrt(np.diag(together))))
+        raise PassportContradicted(
+            f"{asked[worst]} is {stated[worst]:.2f} +- {np.sqrt(own[worst, worst]):.2f} mm there, but "
+            f"{found[worst]:.2f} +- {np.sqrt(covariance[worst, worst]):.2f} mm by these views "
+            f"(chi-square {chi_square:.0f} on {len(asked)}).",
+            where="collimator passport",
+            remedy="Check that it is this collimator's, and that nothing was moved; or calibrate without it.",
+        )

@@ -1,0 +1,119 @@
+"""One view left out at a time: what the others say of it, and of themselves.
+
+Knows how to refit without a view. The views left out measure how well a model predicts (held-out error); the
+estimates without them measure what views disagree on (the jackknife).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.parameters import State
+from calib.model.collimator import Collimator
+
+Array = NDArray[np.float64]
+
+#: Leaving one view out must leave enough to calibrate with.
+MIN_VIEWS = 3
+#: Views differ by far more than what a refit leaves undone at this tolerance: some hundredths of a sigma.
+_TOLERANCE = 1e-8
+#: With as many others, one Newton step from the optimum of all ends within some hundredths of a sigma of theirs.
+_STEP_VIEWS = 9
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What leaving each view out in turn shows.
+
+    Attributes
+    ----------
+    values
+        (n, G) shared parameters estimated without each view.
+    rms_px
+        (n,) rms residual of each view, predicted by the others: camera and centre theirs, the rotation its own.
+    stars
+        (n,) number of its stars.
+    """
+
+    values: Array
+    rms_px: Array
+    stars: NDArray[np.int64]
+
+    @property
+    def total_rms_px(self) -> float:
+        """Root mean square over all stars of all views."""
+        return float(np.sqrt((self.rms_px**2 * self.stars).sum() / self.stars.sum()))
+
+    @property
+    def jackknife(self) -> Array:
+        """(G, G) covariance of the shared parameters from their scatter: (n - 1) / n sum (v - mean)^2."""
+        n = len(self.values)
+        off = self.values - self.values.mean(axis=0)
+        return np.asarray((n - 1) / n * off.T @ off)
+
+
+def leave_one_out(bundle: Bundle, state: State, loss: Loss) -> LeftOut:
+    """Refit without each view in turn, from the optimum of all: to the end, or by a step where views are many.
+
+    Parameters
+    ----------
+    bundle, state, loss
+        What was fitted, its optimum, and the loss with the limit it ended with; at least 3 views.
+    """
+    values, rms, stars = [], [], []
+    for i, near in enumerate(_steps_without(bundle, state, loss)):
+        others = [j for j in range(len(state.rotations)) if j != i]
+        fewer, without = bundle.only(others), near.only(others)
+        far = _cost(fewer, without, loss) > _cost(fewer, state.only(others), loss)
+        if far or len(others) < _STEP_VIEWS:
+            start = state.only(others) if far else without
+            without = refine(fewer, start, loss, tolerance=_TOLERANCE).state
+        values.append(without.values(bundle.names))
+        misses = _alone(bundle, without, state.rotations[i], i)
+        rms.append(np.sqrt((misses**2).sum(axis=1).mean()))
+        stars.append(len(misses))
+    return LeftOut(np.array(values), np.array(rms), np.array(stars))
+
+
+def _steps_without(bundle: Bundle, state: State, loss: Loss) -> Iterator[State]:
+    """Yield, for each view, the state one Newton step from the optimum of all towards that without it.
+
+    Without view i, the reduced normal equations are H - A_i, and what pulls is its missing pull, -s_i.
+    """
+    residuals = bundle.residuals(state)
+    lengths = np.linalg.norm(residuals, axis=1)
+    pull, root = residuals * loss.weights(lengths)[:, None], loss.curvature_root(residuals)
+    equations = bundle.normal_equations(state, pull, root)
+    information = equations.reduced()
+    answers = np.linalg.solve(equations.local, np.swapaxes(equations.coupling, 1, 2))
+    for own, score in bundle.scores(state, pull, root):
+        left = information - own
+        # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
+        step = np.linalg.lstsq(left * np.outer(scale, scale), scale * score, rcond=None)[0]
+        shared = np.asarray(-scale * step, np.float64)
+        yield state.moved(bundle.names, shared, -answers @ shared)
+
+
+def _cost(bundle: Bundle, state: State, loss: Loss) -> float:
+    """Return the robust cost; infinite where a star cannot be projected."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        cost = loss.cost(np.linalg.norm(bundle.residuals(state), axis=1)) + bundle.prior_cost(state)
+    return cost if np.isfinite(cost) else float("inf")
+
+
+def _alone(bundle: Bundle, others: State, rotation: Array, i: int) -> Array:
+    """Return the residuals, px, of a view of which only the rotation is solved."""
+    collimator = others.collimator
+    if bundle.free_centres and not bundle.drifts:
+        x, y, z = others.centres.mean(axis=0)
+        collimator = Collimator(float(x), float(y), float(-z))
+    view = replace(bundle.only([i]), names=(), free_centres=False, prior=None)
+    start = State(others.camera, collimator, rotation[None], np.zeros((1, 3)))
+    return view.misses_px(refine(view, start, Loss("l2")).state)

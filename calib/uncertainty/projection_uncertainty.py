@@ -1,0 +1,153 @@
+"""How sure a calibrated camera is of directions: its projection uncertainty over the sensor, at infinity.
+
+Knows a camera and the covariance of its parameters. A camera turned a little and recalibrated is the same camera, so
+the turn that a change of parameters implies is taken out first; what is left is what no mounting can undo. Points at
+infinity have no position, so no translation enters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.camera import CameraModel
+from calib.model.rotation import exp_map, skew
+
+Array = NDArray[np.float64]
+
+ARCSEC = 3600.0 * 180.0 / np.pi
+_TURNS = 10
+
+
+@dataclass(frozen=True)
+class ProjectionMap:
+    """A quantity over the sensor.
+
+    Attributes
+    ----------
+    grid_px
+        (h, w, 2) image points.
+    sigma_px
+        (h, w) 1-sigma of the projected point along the worse direction, px; NaN beyond the lens's fold.
+    sigma_arcsec
+        (h, w) 1-sigma of the direction of the ray seen there, the worse way, arc seconds.
+    """
+
+    grid_px: Array
+    sigma_px: Array
+    sigma_arcsec: Array
+
+    @property
+    def worst_px(self) -> float:
+        """Largest over the sensor, px."""
+        return float(np.nanmax(self.sigma_px))
+
+    @property
+    def worst_arcsec(self) -> float:
+        """Largest over the sensor, arc seconds."""
+        return float(np.nanmax(self.sigma_arcsec))
+
+
+@dataclass(frozen=True)
+class CameraDifference:
+    """How differently two cameras project, at infinity, the best turn between them taken out.
+
+    Attributes
+    ----------
+    grid_px
+        (h, w, 2) image points of the first camera.
+    offset_px
+        (h, w, 2) where the second one shows the same direction, less that point, px.
+    """
+
+    grid_px: Array
+    offset_px: Array
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square length over the sensor."""
+        return float(np.sqrt(np.nanmean((self.offset_px**2).sum(axis=2))))
+
+    @property
+    def worst_px(self) -> float:
+        """Largest length over the sensor."""
+        return float(np.nanmax(np.linalg.norm(self.offset_px, axis=2)))
+
+
+def projection_uncertainty(camera: CameraModel, covariance: Array, points_across: int = 33) -> ProjectionMap:
+    """Map the projection uncertainty of a camera: var(q) = dq/db var(b) dq/db^T, the implied turn taken out.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    covariance
+        (k, k) of its parameters, in the order of `CameraModel.parameter_names`.
+    points_across
+        Points of the map along the sensor's longer side.
+    """
+    grid = sensor_grid(camera.image_size, points_across)
+    pixels = grid.reshape(-1, 2)
+    rays = camera.rays(pixels)
+    seen = np.isfinite(rays).all(axis=1)
+    _, by_ray, by_parameters = camera.project_with_jacobians(rays[seen])
+    by_turn = -by_ray @ skew(rays[seen])
+    turn = np.linalg.lstsq(by_turn.reshape(-1, 3), by_parameters.reshape(-1, len(covariance)), rcond=None)[0]
+    left = by_parameters - by_turn @ turn
+    variance = left @ covariance @ np.swapaxes(left, 1, 2)
+
+    sigma_px, sigma_arcsec = np.full(len(pixels), np.nan), np.full(len(pixels), np.nan)
+    sigma_px[seen] = _larger(variance)
+    across = by_ray @ _across(rays[seen])
+    to_angle = np.linalg.inv(across)
+    sigma_arcsec[seen] = ARCSEC * _larger(to_angle @ variance @ np.swapaxes(to_angle, 1, 2))
+    shape = grid.shape[:2]
+    return ProjectionMap(grid, sigma_px.reshape(shape), sigma_arcsec.reshape(shape))
+
+
+def camera_difference(first: CameraModel, second: CameraModel, points_across: int = 33) -> CameraDifference:
+    """Compare two calibrations of one camera over its sensor.
+
+    The turn between their frames is the one of least squares (Gauss-Newton over the sensor).
+    """
+    grid = sensor_grid(first.image_size, points_across)
+    pixels = grid.reshape(-1, 2)
+    rays = first.rays(pixels)
+    seen = np.isfinite(rays).all(axis=1)
+    turn = np.eye(3)
+    for _ in range(_TURNS):
+        turned = rays[seen] @ turn.T
+        there, by_ray, _ = second.project_with_jacobians(turned)
+        by_turn = (-by_ray @ skew(turned)).reshape(-1, 3)
+        step = np.linalg.lstsq(by_turn, (pixels[seen] - there).reshape(-1), rcond=None)[0]
+        turn = exp_map(np.asarray(step, np.float64)) @ turn
+        if np.abs(step).max() < 1e-12:
+            break
+    offset = np.full((len(pixels), 2), np.nan)
+    offset[seen] = second.project(rays[seen] @ turn.T) - pixels[seen]
+    return CameraDifference(grid, offset.reshape(grid.shape))
+
+
+def sensor_grid(image_size: Sequence[int], points_across: int) -> Array:
+    """Return (h, w, 2) image points from the first pixel's centre to the last one's."""
+    width, height = image_size
+    down = max(2, round(points_across * height / width))
+    across = max(2, points_across)
+    x, y = np.linspace(0, width - 1, across), np.linspace(0, height - 1, down)
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def _larger(variances: Array) -> Array:
+    """Return the larger 1-sigma of (N, 2, 2) covariances."""
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(variances)[:, 1], 0.0)))
+
+
+def _across(rays: Array) -> Array:
+    """Return (N, 3, 2) two directions square to each unit ray and to each other."""
+    helper = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    one = np.cross(rays, helper)
+    one /= np.linalg.norm(one, axis=1, keepdims=True)
+    return np.stack([one, np.cross(rays, one)], axis=2)

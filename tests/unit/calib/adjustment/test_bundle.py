@@ -1,0 +1,85 @@
+"""The stacked residuals, their derivatives, and the reduced normal equations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.observations import Observations
+from calib.adjustment.parameters import State
+from calib.errors import InputMismatch
+from calib.model.camera import CameraModel
+from calib.model.collimator import Collimator
+
+NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
+
+
+def state_near(bench, rng, n=3):
+    camera = CameraModel(3300.0, 3310.0, 640.0, 360.0, bench.size, {"k1": 0.1, "k2": -0.5})
+    return State(
+        camera, Collimator(97.5, 140.0, 254.0), bench.rotations[:n], 0.3 * rng.standard_normal((n, 3))
+    )
+
+
+@pytest.mark.parametrize("free_centres", [False, True])
+def test_gradient_and_curvature_are_those_of_the_cost(bench, free_centres):
+    rng = np.random.default_rng(6)
+    bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES, free_centres=free_centres)
+    state = state_near(bench, rng)
+    residuals = bundle.residuals(state)
+    equations = bundle.normal_equations(state, residuals)
+    depth = 6 if free_centres else 3
+    scales = np.concatenate([[1, 1, 1, 1, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2], [1e-4] * 3, [1e-2] * 3])[: 9 + depth]
+
+    for i, scale in enumerate(scales):
+        shared, local = np.zeros(9), np.zeros((3, depth))
+        if i < 9:
+            shared[i] = scale * 1e-2
+        else:
+            local[1, i - 9] = scale * 1e-2
+        plus = bundle.residuals(state.moved(NAMES, shared, local))
+        minus = bundle.residuals(state.moved(NAMES, -shared, -local))
+        slope = (plus - minus) / (2e-2 * scale)
+        gradient = -(slope * residuals).sum()
+        curvature = (slope**2).sum()
+        found = equations.shared_gradient[i] if i < 9 else equations.local_gradient[1, i - 9]
+        assert found == pytest.approx(gradient, rel=1e-5)
+        found = equations.shared[i, i] if i < 9 else equations.local[1, i - 9, i - 9]
+        assert found == pytest.approx(curvature, rel=1e-5)
+
+
+def test_reduced_step_solves_the_whole_system(bench):
+    rng = np.random.default_rng(7)
+    bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES)
+    state = state_near(bench, rng)
+    equations = bundle.normal_equations(state, bundle.residuals(state))
+    whole = np.zeros((9 + 9, 9 + 9))
+    whole[:9, :9] = equations.shared
+    for i in range(3):
+        rows = slice(9 + 3 * i, 12 + 3 * i)
+        whole[rows, rows] = equations.local[i]
+        whole[:9, rows] = equations.coupling[i]
+        whole[rows, :9] = equations.coupling[i].T
+    gradient = np.concatenate([equations.shared_gradient, equations.local_gradient.ravel()])
+    shared, local = equations.step()
+    # The exact step leaves no gradient, whatever the units.
+    left = gradient - whole @ np.concatenate([shared, local.ravel()])
+    assert (
+        np.abs(left / np.sqrt(np.diag(whole))).max() < 1e-7 * np.abs(gradient / np.sqrt(np.diag(whole))).max()
+    )
+    assert np.allclose(np.linalg.inv(equations.reduced()), np.linalg.inv(whole)[:9, :9], rtol=1e-5)
+
+
+def test_a_star_counts_by_its_covariance(bench):
+    view = bench.views()[0]
+    covariances = np.tile(np.array([[0.04, 0.01], [0.01, 0.09]]), (len(view), 1, 1))
+    observations = Observations.from_views([replace(view, covariances_px2=covariances)])
+    whitened = observations.whitening @ covariances @ observations.whitening.transpose(0, 2, 1)
+    assert np.allclose(whitened, np.eye(2))
+
+
+def test_a_covariance_that_is_none_is_refused(bench):
+    view = bench.views()[0]
+    with pytest.raises(InputMismatch, match="positive definite"):
+        Observations.from_views([replace(view, covariances_px2=np.zeros((len(view), 2, 2)))])

@@ -1,0 +1,138 @@
+"""Every closed form, on any views whatever: a real and finite camera, or none; and one that can be refined from."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from calib.adjustment.initialization import passport_states, planar_states, spherical_states
+from calib.engine import CalibrationOptions, calibrate
+from calib.errors import CalibrationError
+from calib.model.collimator import Collimator
+from calib.model.homography import view_homography
+from calib.model.passport import Passport
+from calib.model.planar import zhang_matrix
+from calib.model.spherical import linear_start, matrix_about, two_view_starts
+from tests.unit.calib.conftest import Bench, rotation
+
+SIZE = (1280, 720)
+#: Turns of a set of views: anything, the same pose again and again, about one axis, a roll, and all but these.
+ANGLE = st.floats(-12.0, 12.0)
+NEARLY = st.sampled_from([0.0, 1e-12, 1e-9, 1e-6, 1e-3, 1e-1])
+
+
+@st.composite
+def poses(draw, fewest=1, most=5):
+    n = draw(st.integers(fewest, most))
+    kind = draw(st.sampled_from(["any", "same", "one axis", "roll"]))
+    base = np.array([draw(ANGLE), draw(ANGLE), draw(st.floats(-180, 180))])
+    turns = np.array([[draw(ANGLE), draw(ANGLE), draw(st.floats(-180, 180))] for _ in range(n)])
+    along = {"any": [1, 1, 1], "same": [0, 0, 0], "one axis": [1, 0, 0], "roll": [0, 0, 1]}[kind]
+    noise = draw(NEARLY) * np.random.default_rng(draw(st.integers(0, 99))).standard_normal((n, 3))
+    return (base if kind != "any" else 0.0) + turns * along + noise
+
+
+def mappings(turns, focal, centre=(97.0, 140.1, -255.0)):
+    """Exact homographies of a camera about a centre, determinant 1."""
+    matrix = np.array([[focal, 0, 640.0], [0, focal, 360.0], [0, 0, 1.0]])
+    frame = np.eye(3)
+    frame[:, 2] = -np.array(centre)
+    h = np.array([matrix @ rotation(*turn) @ frame for turn in turns])
+    return h / np.cbrt(np.linalg.det(h))[:, None, None]
+
+
+def closed_forms(h):
+    """Camera matrix and centre of all the closed forms give."""
+    for free in (True, False):
+        yield linear_start(h, SIZE, free_principal_point=free)
+        matrix = zhang_matrix(h, SIZE, free_principal_point=free)
+        yield None if matrix is None else (matrix, None)
+    if len(h) == 2:
+        yield from two_view_starts(h, SIZE)
+    matrix = matrix_about(h, Collimator(97.0, 140.1, 255.0))
+    yield None if matrix is None else (matrix, None)
+
+
+def assert_real(matrix, collimator=None):
+    numbers = np.append(matrix, collimator.values if collimator else [])
+    assert np.isrealobj(numbers)
+    assert np.isfinite(numbers).all()
+    assert (np.diag(matrix) > 0).all()
+    assert collimator is None or collimator.r > 0
+
+
+@settings(max_examples=150, deadline=None)
+@given(turns=poses(), focal=st.floats(200, 50_000), blur=st.sampled_from([0.0, 1e-9, 1e-6, 1e-3, 0.1]))
+@example(turns=np.zeros((2, 3)), focal=3345.0, blur=0.0)
+@example(turns=np.zeros((3, 3)), focal=3345.0, blur=0.0)
+@example(turns=np.array([[0.0, 0.0, 1.0]]), focal=200.0, blur=1e-6)  # w11 came out as zero
+def test_every_closed_form_gives_a_real_camera_or_none(turns, focal, blur):
+    h = mappings(turns, focal) * (1 + blur * np.random.default_rng(7).standard_normal((len(turns), 3, 3)))
+    h = h / np.cbrt(np.linalg.det(h))[:, None, None]
+    for start in closed_forms(h):
+        if isinstance(start, tuple):
+            assert_real(*start)
+        elif start is not None:
+            assert_real(start.matrix, start.collimator)
+
+
+@settings(max_examples=80, deadline=None)
+@given(turns=poses(), focal=st.floats(200, 50_000), known=st.booleans())
+@example(turns=np.zeros((2, 3)), focal=3345.0, known=False)
+@example(turns=np.zeros((1, 3)), focal=3345.0, known=True)
+def test_there_is_always_somewhere_to_begin(turns, focal, known):
+    h = mappings(turns, focal)
+    passport = Passport.of_radius(255.0, 0.1)
+    lists = [list(planar_states(h, SIZE, ("k1", "k2")))]
+    if known or len(h) == 1:
+        lists.append(list(passport_states(h, SIZE, ("k1", "k2"), passport)))
+    else:
+        lists.append(list(spherical_states(h, SIZE, ("k1", "k2"))))
+    for states in lists:
+        assert states
+        for state in states:
+            assert_real(state.camera.matrix)
+            assert np.isfinite(state.rotations).all()
+            assert np.isfinite(state.centres).all()
+            assert np.linalg.det(state.rotations) == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+@settings(max_examples=40, deadline=None)
+@given(turns=poses(most=3), noise=st.sampled_from([0.0, 0.05, 2.0]), known=st.booleans())
+@example(turns=np.zeros((3, 3)), noise=0.0, known=False)
+def test_a_calibration_ends_in_finite_numbers_or_a_named_reason(turns, noise, known):
+    bench = Bench(fx=2000.0, fy=2001.0, half_angle_deg=5.0, poses=tuple(map(tuple, np.clip(turns, -60, 60))))
+    views = [view for view in bench.views(np.random.default_rng(3), noise) if len(view) >= 4]
+    passport = Passport.of_radius(255.0, 0.1) if known else None
+    try:
+        result = calibrate(views, CalibrationOptions(distortion="k1", passport=passport))
+    except CalibrationError:
+        return  # every such error says what is wrong; any other one fails here
+    numbers = np.concatenate([result.values, result.covariance.ravel(), result.rotations.ravel()])
+    assert np.isrealobj(numbers)
+    assert np.isfinite(numbers).all()
+    assert min(result.camera.fx, result.camera.fy) > 0
+    known_to = max(result.sigma[name] / getattr(result.camera, name) for name in ("fx", "fy"))
+    assert known_to < 0.01 or any(note.startswith("Weak geometry") for note in result.notes)
+
+
+@pytest.mark.parametrize("focal", [900.0, 3345.0, 20_000.0])
+@pytest.mark.parametrize("centre", [(97.0, 140.1, -255.0), (0.0, 0.0, -5000.0), (-3000.0, 40.0, -60.0)])
+def test_closed_forms_are_exact_whatever_the_scales(focal, centre):
+    turns = np.array([[-5, 2, 0], [0.5, -2.5, 10], [5, 2.5, -20], [2, 1, 70]])
+    start = linear_start(mappings(turns, focal, centre), SIZE, free_principal_point=True)
+    assert start is not None
+    assert np.diag(start.matrix)[:2] == pytest.approx([focal, focal], rel=1e-5)
+    assert start.collimator.values == pytest.approx([centre[0], centre[1], -centre[2]], rel=1e-4, abs=1e-3)
+    for h in mappings(turns, focal, centre):
+        alone = matrix_about(h[None], Collimator(centre[0], centre[1], -centre[2]))
+        assert np.diag(alone)[:2] == pytest.approx([focal, focal], rel=1e-6)
+
+
+def test_one_view_of_a_known_collimator_begins_at_its_camera(bench):
+    h = np.array([view_homography(view) for view in bench.views()[:1]])
+    known = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), 1e-4 * np.eye(3))
+    first = next(passport_states(h, SIZE, (), known))
+    assert first.camera.fx == pytest.approx(bench.fx, rel=0.05)
+    assert first.collimator.r == 255.0

@@ -1,0 +1,179 @@
+"""Event images: what each gathers, which window they take, which one is chosen, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.errors import InputMismatch, TooFewEvents
+from calib.events.bursts import whole_periods
+from calib.events.event_image import make_images
+from calib.events.flicker import Flicker
+
+SIZE = (16, 12)
+PERIOD = 10_000.0
+FLICKER = Flicker(PERIOD, 1000.0, 0.5, 0.0, 4, 0, 0, "triggers")
+
+
+def sort_events(events):
+    """Arrays t, x, y, p of a list of (t, x, y, p)."""
+    t, x, y, p = np.array(sorted(events), np.int64).reshape(-1, 4).T
+    return t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)
+
+
+def lit_square(periods=2, *, burst=1, spread=400, seed=0):
+    """A lit square of pixels, columns 4..9 and rows 3..8: `burst` events a pixel at each edge of the light."""
+    rng = np.random.default_rng(seed)
+    events = []
+    for k in range(periods):
+        for edge, p in ((1000, 1), (6000, 0)):
+            for y in range(3, 9):
+                for x in range(4, 10):
+                    start = int(edge + k * PERIOD + rng.uniform(0, spread))
+                    events.extend((start + 700 * n, x, y, p) for n in range(burst))
+    return events
+
+
+def images(events, **options):
+    options.setdefault("window_us", (0, 20_000))
+    return make_images(*sort_events(events), SIZE, FLICKER, **options)
+
+
+def test_each_image_gathers_what_it_says():
+    made = images(lit_square(burst=3))
+    inside = np.zeros((12, 16), bool)
+    inside[3:9, 4:10] = True
+    assert (made.on_count[inside] == 6).all()
+    assert (made.off_count[inside] == 6).all()
+    assert (made.count[~inside] == 0).all()
+    assert (made.on_fired[inside] == 2).all()
+    assert (made.off_fired[inside] == 2).all()
+    assert (made.fired_per_edge == inside).all()
+    assert (made.last_polarity[inside] == -1).all()
+    assert (made.last_polarity[~inside] == 0).all()
+    assert np.isnan(made.on_latency_us[~inside]).all()
+    assert 0 < made.on_latency_us[inside].min() <= made.on_latency_us[inside].max() < 450
+
+
+def test_any_is_one_where_a_pixel_fired_at_all_and_latency_is_brightest_where_it_fired_first():
+    late = [(int(1000 + 380 + k * PERIOD), 12, 5, 1) for k in range(2)]
+    early = [(int(1001 + k * PERIOD), 13, 5, 1) for k in range(2)]
+    made = images([*lit_square(spread=400), *late, *early, (4000, 0, 0, 1)])
+    fired, quick = made.named("any"), made.named("on-latency")
+    assert set(np.unique(fired)) == {0.0, 1.0}
+    assert fired[0, 0] == fired[5, 12] == 1
+    assert fired[11, 15] == 0
+    assert quick[5, 13] > quick[5, 12] > 0 == quick[11, 15]
+
+
+def test_lock_in_adds_on_and_off_events_in_phase():
+    made = images(lit_square(burst=2, spread=1))
+    # 4 ON and 4 OFF events, bursts half a period apart, two events 700 us apart each
+    expected = 8 * np.cos(np.pi * 700 / PERIOD)
+    assert made.lock_in[5, 6] == pytest.approx(expected, rel=1e-3)
+
+
+def test_an_event_between_the_bursts_counts_for_no_edge():
+    made = images([*lit_square(), (4000, 0, 0, 1), (9000, 1, 0, 0)])
+    assert made.count[0, 0] == 1
+    assert made.fired_per_edge[0, :2].tolist() == [0, 0]
+
+
+def test_a_pixel_that_fires_twice_on_an_edge_is_counted_once():
+    made = images([*lit_square(), (1100, 0, 0, 1), (1300, 0, 0, 1)])
+    assert made.on_count[0, 0] == 2
+    assert made.on_fired[0, 0] == 1
+
+
+def test_facts_state_what_the_slice_was_like():
+    facts = images(lit_square(burst=2)).facts
+    assert (facts.periods, facts.lit_pixels, facts.events) == (2, 36, 288)
+    assert facts.events_per_edge == pytest.approx(2.0)
+    assert facts.on_share == pytest.approx(0.5)
+    assert 50 < facts.first_on_spread_us < 150
+    assert facts.silent_rows == 0
+    assert abs(facts.on_gate.start_us % PERIOD - 1000) < 60
+    assert abs(facts.off_gate.start_us % PERIOD - 6000) < 60
+
+
+def test_a_row_without_events_between_others_is_told():
+    events = [e for e in lit_square() if e[2] != 5]
+    assert images(events).facts.silent_rows == 1
+
+
+def test_rows_beside_what_is_lit_are_not_missed():
+    assert images([*lit_square(), (4000, 0, 11, 1)]).facts.silent_rows == 0
+
+
+def test_several_events_an_edge_choose_lock_in_and_few_choose_fired_per_edge():
+    few, several = images(lit_square(burst=1)).best(), images(lit_square(burst=4)).best()
+    assert few.name == "fired-per-edge"
+    assert "1.00 events per edge" in few.reason
+    assert several.name == "lock-in"
+    assert "4.00 events per edge" in several.reason
+
+
+def test_a_hot_pixel_is_masked_and_filled_from_its_surroundings():
+    hot = [(int(t), 14, 10, int(t) % 2) for t in np.linspace(0, 19_999, 60)]
+    made = images([*lit_square(), *hot])
+    assert made.hot[10, 14]
+    assert made.facts.hot_pixels == 1
+    assert made.named("count")[10, 14] == 0
+    assert not made.hot[3:9, 4:10].any()
+
+
+def test_events_beyond_the_last_whole_period_are_left_out():
+    made = images(lit_square(periods=3), window_us=(0, 26_000))
+    assert made.facts.periods == 2
+    assert made.facts.events_outside == 72
+    assert made.on_count.max() == 2
+
+
+def test_33_ms_at_60_hz_count_as_two_periods():
+    light = Flicker(1e6 / 60, 100.0, 0.5, 0.0, 2, 0, 0, "triggers")
+    start, end, n = whole_periods(np.array([0, 32_000]), light, (0.0, 33_000.0), None)
+    assert (start, n) == (0.0, 2)
+    assert end == pytest.approx(33_333.3, abs=0.1)
+
+
+def test_the_window_begins_just_before_an_edge_where_there_is_room():
+    start, _, n = whole_periods(np.array([0, 50_000]), FLICKER, (3000.0, 29_000.0), None)
+    assert n == 2
+    assert start == pytest.approx(6000 - 100)
+
+
+def test_too_short_a_window_is_refused():
+    with pytest.raises(TooFewEvents, match=r"9.00 ms hold 0 whole periods of 10.00 ms"):
+        images(lit_square(), window_us=(0, 9_000))
+
+
+def test_more_periods_than_there_are_are_refused():
+    with pytest.raises(TooFewEvents, match="hold 2 whole periods"):
+        images(lit_square(), periods=3)
+
+
+@pytest.mark.parametrize("window", [None, (50_000, 80_000)])
+def test_no_events_are_refused(window):
+    with pytest.raises(TooFewEvents):
+        images([] if window is None else lit_square(), window_us=window)
+
+
+def test_an_event_beside_the_sensor_is_refused():
+    with pytest.raises(InputMismatch, match="column 16"):
+        images([(5, 16, 0, 1)])
+
+
+def test_arrays_of_different_lengths_are_refused():
+    t, x, y, p = sort_events(lit_square())
+    with pytest.raises(InputMismatch):
+        make_images(t, x[:-1], y, p, SIZE, FLICKER)
+
+
+def test_every_image_has_a_name_and_other_names_are_refused():
+    made = images(lit_square())
+    for name in ("last-polarity", "any", "count", "fired-per-edge", "lock-in", "on-latency"):
+        image = made.named(name)
+        assert image.dtype == np.float32
+        assert image.shape == (12, 16)
+    with pytest.raises(InputMismatch, match="lock-in"):
+        made.named("sum")

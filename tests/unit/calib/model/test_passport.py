@@ -1,0 +1,111 @@
+"""A collimator known beforehand."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calib.engine import CalibrationOptions, calibrate
+from calib.errors import InputMismatch, PassportContradicted
+from calib.model.passport import Passport
+
+EXACT = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), np.diag([1e-4, 1e-4, 1e-4]) ** 2)
+
+
+def with_passport(passport, **more):
+    return CalibrationOptions(passport=passport, **more)
+
+
+@pytest.mark.parametrize(("count", "limit"), [(1, 0.5), (3, 0.1)])
+def test_an_exact_passport_settles_the_focal_length(make_bench, count, limit):
+    bench = make_bench()
+    views = bench.views(np.random.default_rng(61), 0.05)[:count]
+    known = calibrate(views, with_passport(EXACT))
+    assert known.sigma["fx"] < limit
+    assert known.camera.fx == pytest.approx(bench.fx, abs=4 * known.sigma["fx"])
+
+
+def test_the_passports_own_uncertainty_enters(bench):
+    views = bench.views(np.random.default_rng(62), 0.05)
+    loose = Passport(EXACT.names, EXACT.values, np.diag([0.01, 0.01, 0.1]) ** 2)
+    sigma = calibrate(views, with_passport(loose)).sigma["fx"]
+    # df / f = .98 dr / r, beside what the stars leave.
+    assert sigma == pytest.approx(np.hypot(0.98 * 3345 * 0.1 / 255, 0.05), rel=0.05)
+
+
+def test_a_certificate_of_the_radius_alone_helps_too(bench):
+    views = bench.views(np.random.default_rng(63), 0.05)
+    certificate = Passport.of_radius(255.0, 0.02, {"certificate": "A-17"})
+    known = calibrate(views, with_passport(certificate))
+    assert known.sigma["fx"] < 0.3 * calibrate(views).sigma["fx"]
+    assert known.camera.fx == pytest.approx(bench.fx, abs=4 * known.sigma["fx"])
+
+
+def test_a_passport_made_from_views_calibrates_another_camera(make_bench, bench):
+    first = calibrate(bench.views(np.random.default_rng(64), 0.02))
+    passport = first.passport({"temperature_c": 21.5})
+    assert passport.names == ("x", "y", "r")
+    assert passport.views == ("pose-001", "pose-002", "pose-003")
+    other = make_bench(fx=2900.0, fy=2901.0, cx=650.0, cy=340.0, k=(-0.1, 0.2))
+    result = calibrate(other.views(np.random.default_rng(65), 0.05)[:1], with_passport(passport))
+    assert result.camera.fx == pytest.approx(2900.0, abs=4 * result.sigma["fx"])
+    assert result.sigma["fx"] < 2.0
+    assert result.sigma["r"] == pytest.approx(passport.covariance[2, 2] ** 0.5)
+    assert result.collimator.r == first.collimator.r
+
+
+def test_a_passport_with_imperfections_corrects_them(defocused):
+    bench, views = defocused
+    passport = calibrate(views, CalibrationOptions(model="pupil")).passport()
+    assert passport.terms == ("pupil_shift",)
+    result = calibrate(views[:2], with_passport(passport))
+    assert result.camera.fx == pytest.approx(bench.fx, abs=4 * result.sigma["fx"])
+    assert result.collimator.imperfections["pupil_shift"] == pytest.approx(0.15, abs=0.02)
+
+
+def test_a_passport_that_views_contradict_is_refused_with_the_numbers(bench):
+    views = bench.views(np.random.default_rng(66), 0.02)
+    wrong = Passport(EXACT.names, EXACT.values + 6.0 * np.eye(3)[2], np.diag([0.05, 0.05, 0.1]) ** 2)
+    with pytest.raises(PassportContradicted, match=r"r is 261.00 .* but 25[45]\."):
+        calibrate(views, with_passport(wrong))
+
+
+def test_passports_go_round_through_json():
+    passport = Passport(
+        ("x", "y", "r", "pupil_shift"),
+        np.array([1.0, 2.0, 250.0, -0.1]),
+        np.diag([0.1, 0.1, 0.2, 0.01]),
+        (1.1, 2.2, 250.5),
+        3.5,
+        ("a", "b"),
+        {"date": "2026-11-20"},
+    )
+    again = Passport.from_dict(json.loads(json.dumps(passport.to_dict())))
+    assert again.to_dict() == passport.to_dict()
+    assert again.known["pupil_shift"] == -0.1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"schema": "other"},
+        {"values": [1.0]},
+        {"covariance": [[1, 2], [2, 1]]},
+        {"names": ["x", "y"]},
+        {"values": [1.0, float("nan")]},
+        {"reference": [1.0]},
+        {"views": None},
+        {"names": ["r", "radial"]},
+    ],
+)
+def test_what_is_no_passport_is_refused(change):
+    good = Passport(("x", "r"), np.array([1.0, 250.0]), np.eye(2)).to_dict()
+    assert Passport.from_dict(good).names == ("x", "r")
+    with pytest.raises(InputMismatch, match="passport"):
+        Passport.from_dict({**good, **change})
+
+
+def test_the_planar_model_has_no_passport_to_give(bench):
+    planar = calibrate(bench.views(np.random.default_rng(67), 0.05), CalibrationOptions(model="planar"))
+    with pytest.raises(InputMismatch, match="planar"):
+        planar.passport()

@@ -1,0 +1,38 @@
+"""Rotations."""
+
+import cv2
+import numpy as np
+
+from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation, skew
+
+RNG = np.random.default_rng(3)
+
+
+def test_exponential_agrees_with_rodrigues_formula_of_opencv():
+    vectors = RNG.normal(size=(20, 3))
+    expected = [cv2.Rodrigues(v)[0] for v in vectors]
+    assert np.allclose(exp_map(vectors), expected, atol=1e-14)
+
+
+def test_logarithm_inverts_exponential_down_to_zero():
+    vectors = np.vstack([RNG.normal(size=(20, 3)), np.zeros(3), [1e-12, 0, 0]])
+    assert np.allclose(log_map(exp_map(vectors)), vectors, atol=1e-14)
+
+
+def test_skew_matrix_times_vector_is_the_cross_product():
+    v, w = RNG.normal(size=(2, 5, 3))
+    assert np.allclose((skew(v) @ w[:, :, None])[:, :, 0], np.cross(v, w))
+
+
+def test_nearest_rotation_undoes_scale_and_noise_and_is_never_a_reflection():
+    rotations = exp_map(RNG.normal(size=(50, 3)))
+    assert np.allclose(nearest_rotation(3.0 * rotations), rotations)
+    wild = nearest_rotation(RNG.normal(size=(50, 3, 3)))
+    assert np.allclose(wild @ wild.transpose(0, 2, 1), np.eye(3))
+    assert np.allclose(np.linalg.det(wild), 1.0)
+
+
+def test_pan_turns_about_y_first_and_roll_about_z_last():
+    axis = euler_zxy(90.0, 0.0, 0.0) @ [0.0, 0.0, 1.0]
+    assert np.allclose(axis, [1.0, 0.0, 0.0])
+    assert np.allclose(euler_zxy(10.0, 20.0, 30.0), euler_zxy(0, 0, 30) @ euler_zxy(0, 20) @ euler_zxy(10, 0))

@@ -1,0 +1,402 @@
+"""Stars in images of the target: all that are whole, none that is wrong, placed as surely as stated."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.errors import InputMismatch, TargetNotFound, TooFewStars
+from calib.events.grey_image import to_uint8
+from calib.events.motion import half_windows, motion_between
+from calib.model.homography import apply_homography
+from calib.stars.detect import detect, look
+from calib.stars.labelling import expected_grid
+from calib.stars.tag import find_tag
+from calib.target import StarTarget
+
+TARGET = StarTarget()
+SIZE = (560, 440)
+
+
+class Scene:
+    """A camera in front of the target, drawn here with OpenCV's projection alone."""
+
+    def __init__(
+        self,
+        *,
+        pitch_px=40.0,
+        tilts=(4.0, -3.0),
+        roll=0.0,
+        disc_px=None,
+        k=(0.06, -0.9),
+        size=SIZE,
+        shift=(0, 0),
+    ):
+        self.size, self.disc_px, self.k = size, disc_px, np.array([*k, 0.0, 0.0])
+        f, r = 2500.0, 2500.0 * TARGET.pitch_mm / pitch_px
+        middle = size[0] / 2 - 3.3 + shift[0], size[1] / 2 + 2.1 + shift[1]
+        self.matrix = np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1]])
+        angles = np.deg2rad([*tilts, roll])
+        self.turn = cv2.Rodrigues(angles[2] * np.array([0, 0, 1.0]))[0]
+        self.turn = self.turn @ cv2.Rodrigues(np.array([angles[0], angles[1], 0.0]))[0]
+        x, y = TARGET.tag_centre_mm
+        middle = np.array([x + 0.7, y - 0.4, 0.0])
+        self.shift = np.array([0, 0, r]) - self.turn @ middle
+
+    def project(self, mm):
+        world = np.column_stack([mm, np.zeros(len(mm))])
+        return cv2.projectPoints(world, cv2.Rodrigues(self.turn)[0], self.shift, self.matrix, self.k)[0][:, 0]
+
+    def draw(self, samples=7, blur=0.7, black=0.1):
+        """Image, float32: black to 1 inside of the disc, 0 outside."""
+        image = np.zeros((self.size[1], self.size[0]), np.float32)
+        pixels = np.stack(np.meshgrid(*(np.arange(float(n)) for n in self.size)), axis=-1).reshape(-1, 2)
+        plane = np.linalg.inv(np.column_stack([self.turn[:, :2], self.shift]))
+        for i in range(samples):
+            # No two samples of a pixel share a column or row, so that edges along these are averaged as well.
+            at = pixels + np.array([i + 0.5, (5 * i + 2) % samples + 0.5]) / samples - 0.5
+            rays = cv2.undistortPoints(at[:, None], self.matrix, self.k)[:, 0]
+            on_plane = cv2.perspectiveTransform(rays[None], plane)[0]
+            value = black + (1 - black) * TARGET.reflectance(on_plane[:, 0], on_plane[:, 1])
+            image += (value * self.lit(at)).reshape(image.shape).astype(np.float32) / samples
+        return cv2.GaussianBlur(image, (0, 0), blur)
+
+    def lit(self, pixels):
+        """Light of the disc at image points: 1 inside, falling to 0 over its outer twelfth."""
+        if self.disc_px is None:
+            return np.ones(len(pixels))
+        distance = np.linalg.norm(pixels - np.array(self.size) / 2, axis=1) / self.disc_px
+        return np.clip((1.0 - distance) * 12.0, 0.0, 1.0)
+
+    def whole_stars(self, margin=0.72):
+        """Ids of the stars whose cells lie wholly in the frame and the disc, and their image points."""
+        ids = TARGET.ids
+        mm = TARGET.positions_mm(ids)
+        corners = np.array([self.project(mm + margin * TARGET.pitch_mm * np.array(c)) for c in _CORNERS])
+        inside = ((corners > 2) & (corners < np.array(self.size) - 3)).all(axis=(0, 2))
+        # Far from the axis the lens model folds back into the frame.
+        inside &= np.linalg.norm(mm - TARGET.tag_centre_mm, axis=1) < 0.3 * self.shift[2]
+        inside &= np.array([self.lit(c) >= 1.0 for c in corners]).all(axis=0)
+        return ids[inside], self.project(mm[inside])
+
+
+@cache
+def drawn(**settings):
+    """A scene and its image; drawing is what takes the time here."""
+    scene = Scene(**settings)
+    image = scene.draw()
+    image.setflags(write=False)
+    return scene, image
+
+
+_CORNERS = [(-0.7, -0.7), (0.7, -0.7), (0.7, 0.7), (-0.7, 0.7)]
+
+
+def as_events_show_it(image, rng, *, mismatch=0.12, stray=0.02):
+    """A binary image as threshold pixels make it, with mismatch and stray pixels."""
+    fired = image > 0.25 * np.exp(mismatch * rng.standard_normal(image.shape))
+    return np.where(rng.random(image.shape) < stray, rng.random(image.shape) < 0.5, fired).astype(np.float32)
+
+
+def assert_found_where_drawn(view, scene, *, rms_px, share=0.995):
+    """None wrong, nearly all there, as exact as asked; returns the normalised squares."""
+    off = view.points_px - scene.project(TARGET.positions_mm(view.ids))
+    assert np.abs(off).max() < 0.35
+    whole, _ = scene.whole_stars()
+    assert np.isin(whole, view.ids).mean() >= share
+    assert np.sqrt((off**2).mean()) <= rms_px
+    return np.einsum("ni,nij,nj->n", off, np.linalg.inv(view.covariances_px2), off) / 2
+
+
+@pytest.mark.parametrize("roll", [2, 37, 93, 143, 200, 271])
+@pytest.mark.parametrize("bright", [True, False])
+def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
+    scene, image = drawn(roll=roll)
+    view, named_by = look(image if bright else 1.0 - image, TARGET, name="p")
+    assert_found_where_drawn(view, scene, rms_px=0.008)
+    assert named_by == "tag"
+    assert view.image_size == SIZE
+    assert (np.diff(view.ids) > 0).all()
+
+
+@pytest.mark.parametrize("pitch", [20, 28, 55, 80])
+def test_stars_are_found_small_and_large(pitch):
+    scene, image = drawn(pitch_px=pitch, roll=12, size=(400, 320) if pitch < 40 else (800, 640))
+    assert_found_where_drawn(detect(image, TARGET), scene, rms_px=0.012)
+
+
+@pytest.mark.parametrize(
+    ("kind", "scale"), [(np.uint8, 200), (np.uint16, 60_000), (np.int32, 900), (np.float64, 1e-3)]
+)
+def test_any_number_type_of_a_frame_camera_does(kind, scale):
+    scene, image = drawn(roll=37)
+    assert_found_where_drawn(detect((image * scale).astype(kind), TARGET), scene, rms_px=0.008)
+
+
+@pytest.mark.parametrize(("scale", "black"), [(1e-9, 0.0), (1e9, 0.0), (100.0, 1e4)])
+def test_grey_values_may_be_of_any_size_and_on_any_pedestal(scale, black):
+    scene, image = drawn(roll=37)
+    assert_found_where_drawn(
+        detect(image * np.float32(scale) + np.float32(black), TARGET), scene, rms_px=0.008, share=0.98
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("roll", [37, 200])
+def test_covariances_say_how_surely_stars_are_placed_in_binary_images(seed, roll):
+    scene, image = drawn(roll=roll)
+    rng = np.random.default_rng(seed)
+    squares = assert_found_where_drawn(detect(as_events_show_it(image, rng), TARGET), scene, rms_px=0.06)
+    assert 0.75 < np.sqrt(squares.mean()) < 1.3
+
+
+def test_noise_that_frame_cameras_have_is_told_by_the_covariances():
+    scene, image = drawn(roll=37)
+    rng = np.random.default_rng(5)
+    image = image + 0.1 * rng.standard_normal((SIZE[1], SIZE[0])).astype(np.float32)
+    squares = assert_found_where_drawn(detect(image, TARGET), scene, rms_px=0.03)
+    assert 0.75 < np.sqrt(squares.mean()) < 1.3
+
+
+def photograph(image, rng, *, bits, electrons=4000, gamma=1.0, contrast=1.0):
+    """What a frame camera makes of an image: shot and read noise, a tone curve, so many bits."""
+    light = 0.06 + contrast * 0.7 * image + (1 - contrast) * 0.35
+    counted = (rng.poisson(light * electrons) + 8 * rng.standard_normal(image.shape)) / electrons
+    grey = np.clip(counted, 0, 1) ** gamma * (2**bits - 1)
+    return np.round(grey).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize(
+    ("settings", "rms_px"),
+    [
+        ({}, 0.008),
+        ({"gamma": 1 / 2.2}, 0.008),
+        ({"electrons": 400}, 0.016),
+        ({"contrast": 0.15}, 0.02),
+    ],
+    ids=["plain", "gamma", "dark", "dull"],
+)
+def test_photographs_do_as_well_as_their_noise_lets_them(bits, settings, rms_px):
+    scene, image = drawn(roll=37)
+    shown = photograph(image, np.random.default_rng(6), bits=bits, **settings)
+    squares = assert_found_where_drawn(detect(shown, TARGET), scene, rms_px=rms_px)
+    assert 0.75 < np.sqrt(squares.mean()) < 1.6
+
+
+@pytest.mark.parametrize(("blur", "rms_px"), [(1.5, 0.012), (2.5, 0.03)])
+def test_photographs_out_of_focus_are_told_by_the_covariances(blur, rms_px):
+    scene, image = drawn(roll=37)
+    blurred = cv2.GaussianBlur(image, (0, 0), blur)
+    squares = assert_found_where_drawn(
+        detect(photograph(blurred, np.random.default_rng(7), bits=8), TARGET), scene, rms_px=rms_px
+    )
+    assert 0.75 < np.sqrt(squares.mean()) < 1.6
+
+
+def test_stars_cut_by_the_discs_rim_are_left_out():
+    scene = Scene(roll=31, disc_px=240)
+    view = detect(scene.draw(), TARGET)
+    assert_found_where_drawn(view, scene, rms_px=0.02)
+    light = scene.lit(scene.project(TARGET.positions_mm(view.ids)))
+    assert (light > 0.3).all()
+
+
+def test_stars_cut_by_the_frame_are_left_out():
+    _, image = drawn(roll=2)
+    points = detect(image, TARGET).points_px
+    assert len(points) > 100
+    assert (points > 12).all()
+    assert (points < np.array(SIZE) - 13).all()
+
+
+def test_a_blot_on_the_target_costs_the_stars_below_it_and_no_others():
+    scene, clean = drawn(roll=143)
+    image = clean.copy()
+    cv2.circle(image, (150, 130), 50, 0.4, -1)
+    view = detect(image, TARGET)
+    whole, points = scene.whole_stars()
+    clear = np.linalg.norm(points - [150, 130], axis=1) > 50 + 30
+    assert np.isin(whole[clear], view.ids).mean() > 0.99
+    off = np.linalg.norm(view.points_px - scene.project(TARGET.positions_mm(view.ids)), axis=1)
+    assert off.max() < 0.3
+    assert not np.isin(whole[np.linalg.norm(points - [150, 130], axis=1) < 40], view.ids).any()
+
+
+def expected_homography(scene, nodes_off=(0.0, 0.0)):
+    """What a pose lets expect: from the target's grid to the image, some nodes off."""
+    ids, points = scene.whole_stars()
+    return cv2.findHomography(TARGET.node_of(ids) + np.array(nodes_off), points)[0]
+
+
+@pytest.mark.parametrize(
+    ("roll", "shift"),
+    [(20, (230, 0)), (213, (-220, 20)), (20, (10, 180)), (213, (0, -170)), (110, (210, 150))],
+)
+def test_part_of_the_tag_is_enough(roll, shift):
+    scene, image = drawn(roll=roll, shift=shift)
+    seen = look(as_events_show_it(image, np.random.default_rng(1)), TARGET)
+    assert find_tag(image, TARGET, name="p") is None, "the tag is not meant to be readable"
+    assert seen.named_by == "part of the tag"
+    assert_found_where_drawn(seen.view, scene, rms_px=0.05)
+
+
+def test_without_the_tag_stars_are_not_named():
+    _, image = drawn(roll=61, shift=(390, 0))
+    with pytest.raises(TargetNotFound, match="no readable part of the tag"):
+        detect(image, TARGET)
+
+
+@pytest.mark.parametrize("bright", [True, False])
+@pytest.mark.parametrize("off", [(0.0, 0.0), (0.25, -0.2)])
+def test_without_the_tag_the_expected_pose_names_the_stars(off, bright):
+    scene, image = drawn(roll=61, shift=(390, 0))
+    seen = look(image if bright else 1 - image, TARGET, expected=expected_homography(scene, off))
+    assert seen.named_by == "expected pose"
+    assert_found_where_drawn(seen.view, scene, rms_px=0.008)
+
+
+def test_a_known_collimator_and_camera_tell_the_expected_grid():
+    scene = Scene(roll=61, shift=(390, 0), k=(0.0, 0.0))
+    centre = -scene.turn.T @ scene.shift
+    grid = expected_grid(scene.matrix, scene.turn, centre, TARGET.pitch_mm)
+    nodes = np.array([[20.0, 30.0], [25.0, 36.0], [28.0, 33.0]])
+    assert apply_homography(grid, nodes) == pytest.approx(scene.project(nodes * TARGET.pitch_mm), abs=1e-6)
+
+
+@pytest.mark.parametrize("off", [(0.5, 0.0), (0.1, -0.4)])
+def test_an_expected_pose_between_two_namings_is_refused(off):
+    scene, image = drawn(roll=61, shift=(390, 0))
+    with pytest.raises(TargetNotFound, match="does not say which they are"):
+        detect(image, TARGET, expected=expected_homography(scene, off))
+
+
+def test_an_expected_pose_of_another_roll_is_refused():
+    _, image = drawn(roll=61, shift=(390, 0))
+    with pytest.raises(TargetNotFound, match="does not say which they are"):
+        detect(image, TARGET, expected=expected_homography(Scene(roll=80, shift=(390, 0))))
+
+
+def test_part_of_another_tag_is_refused():
+    _, image = drawn(roll=20, shift=(230, 0))
+    with pytest.raises(TargetNotFound):
+        detect(image, StarTarget(tag_id=8))
+
+
+def test_a_target_without_room_for_the_stars_seen_is_refused():
+    scene, image = drawn(roll=61, shift=(390, 0))
+    small = StarTarget(squares_x=12, squares_y=12, tag_square=(4, 4))
+    with pytest.raises(TargetNotFound):
+        detect(image, small, expected=expected_homography(scene))
+
+
+def test_a_star_of_which_a_part_is_covered_is_left_out():
+    scene, clean = drawn(roll=143)
+    whole, points = scene.whole_stars()
+    star, centre = next(
+        (i, p) for i, p in zip(whole, points, strict=True) if np.linalg.norm(p - [150, 130]) < 30
+    )
+    image = clean.copy()
+    for side in (16, -16):  # evenly, so that nothing but the missing contrast tells
+        spot = centre + side * np.array([np.cos(0.3), np.sin(0.3)])
+        cv2.circle(image, tuple(spot.round().astype(int).tolist()), 8, 0.55, -1)
+    assert star in detect(clean, TARGET).ids
+    assert star not in detect(image, TARGET).ids
+
+
+def test_a_star_out_of_line_is_left_out():
+    scene, clean = drawn(roll=143)
+    whole, points = scene.whole_stars()
+    star, centre = next(
+        (i, p) for i, p in zip(whole, points, strict=True) if np.linalg.norm(p - [150, 130]) < 30
+    )
+    x, y = centre.round().astype(int)
+    image = clean.copy()
+    image[y - 19 : y + 20, x - 18 : x + 21] = clean[y - 19 : y + 20, x - 19 : x + 20]
+    assert star not in detect(image, TARGET).ids
+
+
+def test_the_same_image_gives_the_same_view():
+    image = as_events_show_it(drawn(roll=143)[1], np.random.default_rng(3))
+    first, second = detect(image, TARGET), detect(image.copy(), TARGET)
+    assert first.points_px.tobytes() == second.points_px.tobytes()
+    assert first.covariances_px2.tobytes() == second.covariances_px2.tobytes()
+
+
+@pytest.mark.parametrize("image", [np.zeros((400, 500)), np.full((400, 500), np.nan), np.eye(300)])
+def test_an_image_without_the_target_is_refused(image):
+    with pytest.raises(TargetNotFound, match="view p7: Tag 3 of family 36h11 is not in the image"):
+        detect(image, TARGET, name="p7")
+
+
+def test_noise_alone_is_refused():
+    rng = np.random.default_rng(9)
+    with pytest.raises(TargetNotFound):
+        detect(rng.random((540, 720)), TARGET)
+
+
+def test_another_tag_is_named():
+    with pytest.raises(TargetNotFound, match="tags seen instead: 3"):
+        detect(drawn(roll=200)[1], StarTarget(tag_id=8))
+
+
+def test_a_mirrored_target_is_refused():
+    with pytest.raises(TargetNotFound):
+        detect(drawn(roll=200)[1][:, ::-1], TARGET)
+
+
+def test_two_targets_are_refused():
+    _, image = drawn(roll=37)
+    with pytest.raises(TargetNotFound, match="seen 2 times"):
+        detect(np.hstack([image, image]), TARGET)
+
+
+def test_a_tag_without_stars_around_it_is_refused():
+    scene, image = drawn(roll=37)
+    hull = scene.project(TARGET.tag_corners_mm + np.array(_CORNERS) / 0.7 * 0.4 * TARGET.pitch_mm)
+    mask = np.zeros(image.shape, np.uint8)
+    cv2.fillConvexPoly(mask, hull.round().astype(np.int32), 1)
+    with pytest.raises(TooFewStars, match="0 stars"):
+        detect(np.where(mask > 0, image, np.float32(1)), TARGET)
+
+
+def test_more_than_one_plane_is_refused():
+    with pytest.raises(InputMismatch, match="one grey plane"):
+        detect(np.zeros((40, 50, 3)), TARGET)
+
+
+def test_the_tags_contrast_and_corners_are_told():
+    scene, image = drawn(roll=93)
+    seed = find_tag(1 - image, TARGET, name="p")
+    assert seed.sign == -1
+    assert np.abs(seed.corners_px - scene.project(TARGET.tag_corners_mm)).max() < 1.5
+
+
+def test_motion_between_the_halves_is_measured():
+    still, moved = Scene(roll=10), Scene(roll=10)
+    moved.matrix = moved.matrix + np.array([[0, 0, 0.21], [0, 0, -0.13], [0, 0, 0]])
+    rng = np.random.default_rng(2)
+    first, second = (detect(as_events_show_it(s.draw(), rng, stray=0), TARGET) for s in (still, moved))
+    motion = motion_between(first, second)
+    assert motion.shift_px == pytest.approx((0.21, -0.13), abs=0.02)
+    assert motion.moving
+    assert not motion_between(first, first).moving
+    assert 0 < motion.sigma_px[0] < 0.01
+
+
+def test_halves_are_whole_periods(monkeypatch):
+    from types import SimpleNamespace
+
+    facts = SimpleNamespace(start_us=100.0, end_us=3100.0, periods=3)
+    assert half_windows(facts) == ((100.0, 1100.0), (2100.0, 3100.0))
+
+
+def test_a_picture_keeps_the_order_of_brightness():
+    ramp = np.arange(1000.0).reshape(20, 50)
+    picture = to_uint8(ramp)
+    assert picture.dtype == np.uint8
+    assert (np.diff(picture.ravel().astype(int)) >= 0).all()
+    assert (picture.min(), picture.max()) == (0, 255)

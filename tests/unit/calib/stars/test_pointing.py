@@ -1,0 +1,83 @@
+"""Where the stars of a pose should lie, by earlier poses and a gimbal: right where it is said, refused where it is not sure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.errors import DegenerateViews
+from calib.model.homography import apply_homography, fit_homography
+from calib.model.rotation import euler_zxy
+from calib.stars.pointing import MAX_SIGMA_PITCHES, Sighting, expect_grid
+from calib.target import StarTarget
+
+TARGET = StarTarget()
+
+THREE = ({"pan": -5, "tilt": 1}, {"pan": 5, "tilt": -1}, {"pan": 0, "tilt": 3})
+FAR = ({"pan": 11, "tilt": 3}, {"pan": -9, "tilt": 7}, {"pan": 0, "tilt": -8})
+
+
+class Gimbal:
+    """A camera mounted askew on a gimbal that stands askew before a collimator."""
+
+    def __init__(self, bench, mounting=(0.0, 0.0, 0.0), standing=(0.3, -0.2, 12.0)):
+        self.bench = bench
+        self.mounting, self.standing = euler_zxy(*mounting), euler_zxy(*standing)
+
+    def view(self, reading):
+        head = euler_zxy(*(reading.get(axis, 0.0) for axis in ("pan", "tilt", "roll")))
+        return self.bench.view("p", self.mounting @ head @ self.standing)
+
+    def sightings(self, readings):
+        views = [self.view(reading) for reading in readings]
+        grids = [fit_homography(TARGET.node_of(v.ids).astype(float), v.points_px) for v in views]
+        return [Sighting(*pair) for pair in zip(grids, readings, strict=True)]
+
+
+def off_node(expected, view):
+    """Distance of the stars from the nodes where they are expected, in pitches."""
+    there = apply_homography(np.linalg.inv(expected.grid), view.points_px)
+    return np.linalg.norm(there - TARGET.node_of(view.ids), axis=1)
+
+
+@pytest.mark.parametrize("mounting", [(0, 0, 0), (1.5, -1.0, 12.0)])
+@pytest.mark.parametrize("reading", FAR)
+def test_poses_with_the_tag_tell_where_the_stars_of_others_are(bench, mounting, reading):
+    gimbal = Gimbal(bench, mounting)
+    expected = expect_grid(gimbal.sightings(THREE), reading, bench.size, TARGET.pitch_mm)
+    assert off_node(expected, gimbal.view(reading)).max() < 3 * expected.sigma_pitches < 0.45
+
+
+def test_two_poses_tell_the_direction_they_span_and_one_tells_nothing(bench):
+    gimbal = Gimbal(bench)
+    two = gimbal.sightings(THREE[:2])
+    expected = expect_grid(two, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
+    assert off_node(expected, gimbal.view({"pan": 11, "tilt": -2})).max() < 0.1
+    for seen in ([], two[:1]):
+        with pytest.raises(DegenerateViews, match=r"Begin with poses that have the tag in view"):
+            expect_grid(seen, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
+
+
+def test_an_axis_that_has_not_moved_yet_tells_nothing(bench):
+    with pytest.raises(DegenerateViews, match="squares"):
+        expect_grid(Gimbal(bench).sightings(THREE), {"tilt": -8, "roll": 90}, bench.size, TARGET.pitch_mm)
+
+
+def test_readings_of_the_wrong_sign_are_refused(bench):
+    seen = [
+        s._replace(reading_deg={**s.reading_deg, "pan": -s.reading_deg["pan"]})
+        for s in Gimbal(bench).sightings(THREE)
+    ]
+    with pytest.raises(DegenerateViews, match="squares"):
+        expect_grid(seen, {"pan": -11, "tilt": 3}, bench.size, TARGET.pitch_mm)
+
+
+def test_a_reading_that_slipped_makes_the_expectation_unsure(bench):
+    seen = Gimbal(bench).sightings((*THREE, {"pan": 4, "tilt": 3}))
+    sure = expect_grid(seen, FAR[0], bench.size, TARGET.pitch_mm).sigma_pitches
+    slipped = [*seen[:-1], seen[-1]._replace(reading_deg={"pan": 4.3, "tilt": 3})]
+    try:
+        unsure = expect_grid(slipped, FAR[0], bench.size, TARGET.pitch_mm).sigma_pitches
+    except DegenerateViews:
+        unsure = MAX_SIGMA_PITCHES
+    assert unsure > 2 * sure

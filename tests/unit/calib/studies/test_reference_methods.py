@@ -1,0 +1,71 @@
+"""Other methods' answers on the same points."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.engine import CalibrationOptions, calibrate
+from calib.model.passport import Passport
+from calib.studies.reference_methods import Baseline, NoAnswer, opencv_planar, others, ours, published_recipe
+
+POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60))
+
+
+@pytest.mark.parametrize("distortion", ["none", "k1k2", "k1k2k3", "k1k2p1p2", "k1k2k3p1p2"])
+def test_opencv_is_asked_for_the_same_coefficients(bench, distortion):
+    views = bench.views(np.random.default_rng(81), 0.02, poses=POSES)
+    options = CalibrationOptions(model="planar", distortion=distortion, loss="l2")
+    theirs, own = opencv_planar(views, options), calibrate(views, options)
+    assert theirs.camera.parameter_names == own.camera.parameter_names
+    assert theirs.camera.fx == pytest.approx(own.camera.fx, abs=0.2 * own.sigma["fx"])
+    assert theirs.sigma["fx"] == pytest.approx(own.sigma["fx"], rel=0.15)
+    assert theirs.rms_px == pytest.approx(own.rms_px, rel=1e-3)
+
+
+def bent(bench, views, coefficients):
+    """The same views through a fisheye lens (OpenCV's)."""
+    matrix = np.array([[bench.fx, 0, bench.cx], [0, bench.fy, bench.cy], [0, 0, 1.0]])
+    for view, turn in zip(views, (bench.turn(*pose) for pose in POSES), strict=True):
+        world = np.column_stack([view.target_mm, np.zeros(len(view))])[:, None]
+        vector = cv2.Rodrigues(turn)[0]
+        shift = (-turn @ np.array(bench.centre))[:, None]
+        yield replace(
+            view,
+            points_px=cv2.fisheye.projectPoints(world, vector, shift, matrix, np.array(coefficients))[0][
+                :, 0
+            ],
+        )
+
+
+@pytest.mark.parametrize("distortion", [("kb1",), ("kb1", "kb2")])
+def test_a_fisheye_lens_is_asked_of_opencv_s_fisheye_calibration(make_bench, distortion):
+    bench = make_bench(fx=1200.0, fy=1201.0, half_angle_deg=25.0)
+    views = list(bent(bench, bench.views(poses=POSES), [0.03, -0.05 * (len(distortion) > 1), 0.0, 0.0]))
+    options = CalibrationOptions(model="planar", distortion=distortion, loss="l2")
+    theirs, own = opencv_planar(views, options), calibrate(views, options)
+    assert theirs.name == "OpenCV, planar (fisheye)"
+    assert theirs.camera.parameter_names == own.camera.parameter_names
+    assert theirs.camera.values == pytest.approx(own.camera.values, rel=1e-4)
+    assert theirs.camera.distortion["kb1"] == pytest.approx(0.03, abs=1e-4)
+    assert not theirs.sigma
+
+
+def test_on_ideal_data_the_published_recipe_is_our_spherical_model(bench):
+    views = bench.views(np.random.default_rng(82), 0.05, poses=POSES)
+    own = ours(calibrate(views, CalibrationOptions(loss="l2")))
+    published = published_recipe(views, CalibrationOptions())
+    assert published.camera.values == pytest.approx(own.camera.values, rel=1e-6)
+    assert published.sigma["r"] == pytest.approx(own.sigma["r"], rel=1e-3)
+    assert published.left_out_rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.2)
+    assert own.name == "Starbench, spherical model"
+
+
+def test_a_method_without_an_answer_says_why_and_the_others_stand(bench):
+    known = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), 1e-4 * np.eye(3))
+    published, opencv = others(bench.views()[:1], CalibrationOptions(passport=known))
+    assert isinstance(published, Baseline)
+    assert isinstance(opencv, NoAnswer)
+    assert opencv.name == "OpenCV, planar (Zhang)"
+    assert "same pose" in opencv.why

@@ -1,0 +1,168 @@
+"""From views to a calibrated camera."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.engine import CalibrationOptions, calibrate
+from calib.errors import InputMismatch, NotConverged
+
+
+@pytest.mark.parametrize("model", ["spherical", "planar"])
+def test_ideal_views_give_the_truth_back(bench, model):
+    result = calibrate(bench.views(), CalibrationOptions(model=model))
+    assert result.converged
+    assert result.values == pytest.approx([bench.truth[n] for n in result.parameter_names], rel=1e-6)
+    assert np.allclose(result.rotations, bench.rotations, atol=1e-7)
+    assert np.allclose(result.centres, bench.centre, atol=1e-3)
+    assert result.rms_px < 1e-8
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_noisy_views_give_it_within_the_stated_uncertainty(bench, count):
+    views = bench.views(np.random.default_rng(21), 0.05)[:count]
+    result = calibrate(views)
+    for name, sigma in result.sigma.items():
+        value = dict(zip(result.parameter_names, result.values, strict=True))[name]
+        assert abs(value - bench.truth[name]) < 4 * sigma
+    assert result.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
+    assert result.mean_px == pytest.approx(0.05 * np.sqrt(np.pi / 2), rel=0.1)
+    assert [view.n for view in result.views] == [len(view) for view in views]
+
+
+def test_five_distortion_coefficients_can_be_asked_for(bench):
+    result = calibrate(bench.views(), CalibrationOptions(distortion="k1k2k3p1p2", loss="l2"))
+    assert result.parameter_names[4:9] == ("k1", "k2", "p1", "p2", "k3")
+    assert result.camera.distortion["k2"] == pytest.approx(-0.9, rel=1e-5)
+    assert result.camera.distortion["p1"] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_a_fisheye_lens_can_be_asked_for(make_bench):
+    bent = np.array([-0.03, 0.02, 0.0, 0.0])
+
+    class Fisheye(make_bench):
+        def project(self, target_mm, turn, centre):
+            matrix = np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+            points = (np.column_stack([target_mm, np.zeros(len(target_mm))]) - centre)[:, None]
+            vector = cv2.Rodrigues(turn)[0]
+            return cv2.fisheye.projectPoints(points, vector, np.zeros(3), matrix, bent)[0][:, 0]
+
+    bench = Fisheye(
+        fx=700.0, fy=701.0, half_angle_deg=20.0, poses=((-25, 10), (10, -15, 60), (30, 5, 20), (0, 0))
+    )
+    result = calibrate(bench.views(), CalibrationOptions(distortion="fisheye", loss="l2"))
+    assert result.camera.fx == pytest.approx(700.0, rel=1e-5)
+    assert result.camera.distortion["kb1"] == pytest.approx(-0.03, abs=1e-4)
+    assert result.to_dict()["camera"]["kb2"] == pytest.approx(0.02, abs=1e-3)
+
+
+def test_residuals_are_found_minus_projected(bench):
+    views = bench.views(np.random.default_rng(22), 0.02)
+    views[1].points_px[7] += [5.0, 0.0]
+    result = calibrate(views)
+    assert result.residuals_px[1][7] == pytest.approx([5.0, 0.0], abs=0.1)
+    assert result.weights[1][7] < 0.1
+    assert min(w.min() for w in (result.weights[0], result.weights[2])) > 0.3
+
+
+def test_views_in_another_order_give_the_same_camera(bench):
+    views = bench.views(np.random.default_rng(23), 0.05)
+    forth, back = calibrate(views), calibrate(views[::-1])
+    assert np.allclose(forth.values, back.values, rtol=1e-8)
+
+
+def test_the_result_is_plain_json_with_sigmas_under_the_same_names(bench):
+    result = calibrate(bench.views(np.random.default_rng(24), 0.05))
+    shape = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    assert set(shape["sigma"]) == {*shape["camera"], *shape["collimator"]}
+    assert shape["covariance"]["names"] == list(shape["sigma"])
+    assert np.sqrt(shape["covariance"]["matrix"][0][0]) == pytest.approx(shape["sigma"]["fx"])
+    assert {"rms_px", "mean_px", "views", "model", "converged"} <= set(shape)
+    assert np.allclose(np.diag(result.correlation), 1.0)
+    assert result.correlation[0, 8] > 0.9  # f and r are nearly one parameter
+
+
+def test_the_planar_result_has_no_collimator(bench):
+    shape = calibrate(
+        bench.views(np.random.default_rng(25), 0.05), CalibrationOptions(model="planar")
+    ).to_dict()
+    assert shape["collimator"] is None
+    assert set(shape["sigma"]) == set(shape["camera"])
+
+
+def test_views_of_two_image_sizes_are_refused(bench):
+    views = bench.views()
+    with pytest.raises(InputMismatch, match="640 x 480, 1280 x 720"):
+        calibrate([replace(views[0], image_size=(640, 480)), *views[1:]])
+
+
+def test_two_views_of_one_name_are_refused(bench):
+    views = bench.views()
+    with pytest.raises(InputMismatch, match="pose-001"):
+        calibrate([views[0], replace(views[1], name="pose-001")])
+
+
+def test_a_refinement_cut_short_says_so(bench):
+    with pytest.raises(NotConverged, match="2 steps"):
+        calibrate(
+            bench.views(np.random.default_rng(26), 0.05), CalibrationOptions(loss="l2", max_iterations=2)
+        )
+
+
+@pytest.mark.parametrize(
+    "option",
+    [{"model": "cubic"}, {"loss": "tukey"}, {"huber_px": 0.0}, {"max_iterations": 0}, {"distortion": "k7"}],
+)
+def test_an_option_without_meaning_is_refused(option):
+    with pytest.raises(InputMismatch):
+        CalibrationOptions(**option)
+
+
+def test_views_that_hardly_tell_the_focal_length_are_named_weak(make_bench):
+    narrow = make_bench(half_angle_deg=4.0, poses=((-4, 0), (4, 0.3, 20)))
+    result = calibrate(narrow.views(np.random.default_rng(27), 0.05))
+    assert result.sigma["fx"] > 0.01 * result.camera.fx
+    (note,) = [note for note in result.notes if "Weak geometry" in note]
+    assert note.startswith("Weak geometry: f")
+    assert "too narrow a beam" in note
+    strong = calibrate(make_bench().views(np.random.default_rng(28), 0.05))
+    assert not [note for note in strong.notes if "Weak" in note]
+
+
+def test_stars_count_by_their_covariances(bench):
+    def scattered(view, rng, *, told):
+        """Every second star is off by 2 px, and says so or not."""
+        poor = np.arange(len(view)) % 2 == 0
+        shift = 2.0 * poor[:, None] * rng.standard_normal((len(view), 2))
+        covariances = view.covariances_px2 + np.eye(2) * np.where(poor & told, 4.0, 0.0)[:, None, None]
+        return replace(view, points_px=view.points_px + shift, covariances_px2=covariances)
+
+    views = bench.views(np.random.default_rng(29), 0.05)
+    honest, silent = (
+        calibrate(
+            [scattered(view, np.random.default_rng(i), told=told) for i, view in enumerate(views)],
+            CalibrationOptions(loss="l2"),
+        )
+        for told in (True, False)
+    )
+    assert honest.camera.fx == pytest.approx(bench.fx, abs=4 * honest.sigma["fx"])
+    assert honest.variance_factor == pytest.approx(1.0, abs=0.15)
+    assert honest.sigma["fx"] < 0.1 * silent.sigma["fx"]
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_gross_errors_of_a_few_stars_hardly_matter_to_a_robust_loss(bench, loss):
+    rng = np.random.default_rng(30)
+    views = bench.views(rng, 0.05)
+    for view in views:
+        view.points_px[rng.choice(len(view), 5, replace=False)] += [6.0, -8.0]
+    robust, plain = (calibrate(views, CalibrationOptions(loss=one)) for one in (loss, "l2"))
+    # On the length of the residual: a weight is a function of it alone.
+    gross = [np.linalg.norm(r, axis=1) > 5 for r in robust.residuals_px]
+    assert [g.sum() for g in gross] == [5, 5, 5]
+    assert max(w[g].max() for w, g in zip(robust.weights, gross, strict=True)) < 0.05
+    assert robust.camera.fx == pytest.approx(bench.fx, abs=3 * robust.sigma["fx"])
+    assert robust.sigma["fx"] < 0.4 * plain.sigma["fx"]
