@@ -1,7 +1,8 @@
-"""The simulated EVK4 on a socket: its commands, its settings, and its stream of EVT3 words.
+"""The simulated EVK4: it answers commands on a TCP socket and streams EVT3 words.
 
-Knows the wire protocol of ``docs/protocols/simulated-evk4.md`` and which commands the camera takes when. What
-the words hold is ``sensor_stream``'s. One host at a time; another is told so and turned away.
+``docs/protocols/simulated-evk4.md`` defines the wire protocol. This module handles connections, commands and
+settings; `sensor_stream` produces the EVT3 words. One host at a time holds the camera. A second host gets a fault
+notification, and its connection is closed.
 """
 
 from __future__ import annotations
@@ -26,34 +27,34 @@ from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.world.world import World
 
 HEADER: Final = struct.Struct("<cI")
-"""Frame header: type and payload length."""
+"""Frame header: type (one ASCII letter) and payload length in bytes."""
 MAX_REQUEST_BYTES: Final = 65536
 FIRMWARE: Final = "4.2.0-simulated"
 NOMINAL_LUX: Final = 250.0
-"""Illumination of the sensor at nominal brightness."""
+"""Illumination of the sensor at nominal brightness, lux."""
 MEAN_COVERAGE: Final = 0.5
-"""Half of a star is black."""
+"""Share of the target that lets light through: half of each star is black."""
 POLL_S: Final = 0.1
-"""How often waiting threads look whether they are to end."""
+"""Interval at which waiting threads check whether they must end, s."""
 
 
 class _HostGone(Exception):
-    """The host has closed the connection, or broken the protocol beyond repair."""
+    """The host has closed the connection, or has sent something that is not a request."""
 
 
 class SimulatedEvk4:
-    """The camera, listening for a host.
+    """The simulated camera; it accepts one host at a time.
 
     Parameters
     ----------
     world
-        The world it looks at.
+        World that the camera sees.
     serial
-        Its serial number.
+        Serial number that the camera reports.
     host, port
-        Where it listens; port 0 takes a free one.
+        Address to listen on; port 0 takes a free port.
     paced
-        Whether the stream takes its time, as a sensor's does; if not, it comes as fast as it can be computed.
+        Whether the stream arrives at the sensor's own rate; False sends it as fast as it is computed.
     """
 
     def __init__(
@@ -78,16 +79,16 @@ class SimulatedEvk4:
 
     @property
     def address(self) -> str:
-        """Where it listens, ``host:port``."""
+        """Address on which the camera listens, ``host:port``."""
         host, port = self._listener.getsockname()[:2]
         return f"{host}:{port}"
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start to accept hosts."""
         self._thread.start()
 
     def close(self) -> None:
-        """Hang up and stop listening; returns when all threads have ended."""
+        """Close the connection and stop listening; return after all threads have ended."""
         self._closing.set()
         self.unplug()
         if self._thread.is_alive():
@@ -95,7 +96,10 @@ class SimulatedEvk4:
         self._listener.close()
 
     def unplug(self) -> None:
-        """Break the connection, as a pulled cable does, by which the camera is powered; a host may connect again."""
+        """Break the connection and reset the sensor's clock, as pulling the USB cable does: it also powers the camera.
+
+        A host may connect again at once.
+        """
         connection = self._connection
         if connection is not None:
             connection.hang_up()
@@ -103,13 +107,19 @@ class SimulatedEvk4:
         self.time_base.power_up()
 
     def report_fault(self, message: str) -> None:
-        """Tell the connected host, if there is one, of a fault."""
+        """Send a fault notification to the connected host; without a host, do nothing.
+
+        Parameters
+        ----------
+        message
+            Text of the notification.
+        """
         connection = self._connection
         if connection is not None:
             connection.notify(message)
 
     def _listen(self) -> None:
-        """Accept hosts until closed."""
+        """Accept hosts until the camera is closed."""
         while not self._closing.is_set():
             if not select.select([self._listener], [], [], POLL_S)[0]:
                 continue
@@ -129,12 +139,12 @@ class SimulatedEvk4:
                 self.stream_faults,
                 paced=self._paced,
             )
-            # Only now: a host that has been answered must find the connection in its place.
+            # Started last: self._connection must be set before the host gets its first answer.
             self._connection.start()
 
 
 class _Connection:
-    """One host's connection: a thread that answers, and one that streams between start and stop."""
+    """Connection of one host: one thread answers requests, a second one streams between start and stop."""
 
     def __init__(
         self,
@@ -165,18 +175,18 @@ class _Connection:
         self._thread = threading.Thread(target=self._serve, name="simulated-evk4-host", daemon=True)
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start to answer requests."""
         self._keep_alive.start()
         self._thread.start()
 
     def is_open(self) -> bool:
-        """Whether the host is still there."""
+        """Whether the host is still connected."""
         return not self._ended.is_set()
 
     def hang_up(self) -> None:
-        """Close the connection from this side."""
+        """Close the connection from the camera's side."""
         self._stop.set()
-        with suppress(OSError):  # the host may be faster
+        with suppress(OSError):  # the host may already have closed it
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def join(self) -> None:
@@ -185,18 +195,19 @@ class _Connection:
             self._thread.join()
 
     def notify(self, message: str) -> None:
-        """Send a fault notification; a host that has gone does not hear it."""
+        """Send a fault notification; ignore a host that is gone."""
         with suppress(_HostGone):
             self._send(b"N", _json({"event": "fault", "message": message}))
 
     def _send_computing(self) -> None:
+        """Tell the host that the camera is still computing."""
         with suppress(_HostGone):
             self._send(b"N", _json({"event": "computing"}))
 
     # ------------------------------------------------------------- answering
 
     def _serve(self) -> None:
-        """Answer requests until the host goes."""
+        """Answer requests until the host closes the connection."""
         try:
             while True:
                 request = self._receive()
@@ -208,11 +219,11 @@ class _Connection:
         if self._streamer is not None:
             self._streamer.join()
         self._keep_alive.close()
-        self._ended.set()  # first: a host that sees the connection end may connect again at once
+        self._ended.set()  # before the socket closes: the host may connect again as soon as it sees that
         self._socket.close()
 
     def _receive(self) -> bytes:
-        """Payload of the next request."""
+        """Return the payload of the next request."""
         kind, length = HEADER.unpack(self._receive_exactly(HEADER.size))
         if kind != b"Q" or length > MAX_REQUEST_BYTES:
             self.notify(f"A frame {kind!r} of {length} bytes is no request.")
@@ -220,7 +231,7 @@ class _Connection:
         return self._receive_exactly(length)
 
     def _receive_exactly(self, n: int) -> bytes:
-        """Read n bytes of the connection."""
+        """Read n bytes from the connection."""
         data = bytearray()
         while len(data) < n:
             try:
@@ -233,12 +244,12 @@ class _Connection:
         return bytes(data)
 
     def _send(self, kind: bytes, payload: bytes) -> None:
-        """Send a frame, whole."""
+        """Send one complete frame."""
         with self._send_lock:
             _send(self._socket, kind, payload)
 
     def _answer(self, payload: bytes) -> dict[str, Any]:
-        """Carry out a request and say how it went."""
+        """Execute a request and return its answer."""
         number: object = None
         try:
             request = parse_request(payload)
@@ -249,7 +260,7 @@ class _Connection:
             return {"id": number, "ok": False, "error": refusal.code, "message": str(refusal)}
 
     def _commands(self) -> Mapping[str, Callable[[dict[str, Any]], dict[str, Any]]]:
-        """All commands by name."""
+        """Return the handlers of all commands, by name."""
         return {
             "identify": self._identify,
             "get_bias": lambda request: {
@@ -305,7 +316,7 @@ class _Connection:
         return {"enabled": enabled}
 
     def _monitor(self, _request: dict[str, Any]) -> dict[str, Any]:
-        """Temperature, mean illumination, and the refractory time that the biases give."""
+        """Return temperature, mean illumination, and the pixel dead time that the biases give."""
         settings = PixelSettings.from_biases(self._biases)
         now_s = self._world.now_s()
         light = self._world.light(now_s)
@@ -350,7 +361,7 @@ class _Connection:
         return {}
 
     def _stream(self, camera: CameraState) -> None:
-        """Send frames of words until told to stop, each when the sensor has seen it."""
+        """Send frames of EVT3 words until the host stops the stream, each after the sensor has seen it."""
         try:
             with self._keep_alive.computing():
                 stream = SensorStream(self._world, camera, self._repeats, self._time_base.now_us)
@@ -366,11 +377,11 @@ class _Connection:
         except SimulatorError as error:
             self.notify(f"The stream broke off: {error}")
         except _HostGone:
-            return  # the thread that answers sees it too, and cleans up
+            return  # the answering thread sees the same and cleans up
 
 
 def _send(link: socket.socket, kind: bytes, payload: bytes) -> None:
-    """Send a frame over a connection, whole."""
+    """Send one complete frame over a connection."""
     try:
         link.sendall(HEADER.pack(kind, len(payload)) + payload)
     except OSError as error:
@@ -378,5 +389,5 @@ def _send(link: socket.socket, kind: bytes, payload: bytes) -> None:
 
 
 def _json(content: Mapping[str, Any]) -> bytes:
-    """JSON of an answer or a notification."""
+    """Return an answer or a notification as JSON."""
     return json.dumps(content).encode()

@@ -1,6 +1,7 @@
-"""What a host of the simulated EVK4 may ask, checked: a request's JSON, names, switches and numbers.
+"""Checks of the requests to the simulated EVK4: JSON, names, switches and numbers.
 
-Knows the protocol's error codes; neither the camera nor the socket.
+Each check raises `Refusal` with an error code of ``docs/protocols/simulated-evk4.md``. Nothing here depends on the
+camera or on the socket.
 """
 
 from __future__ import annotations
@@ -11,7 +12,15 @@ from typing import Any
 
 
 class Refusal(Exception):
-    """A command that is refused: an error code of the protocol, and a sentence."""
+    """A refused command.
+
+    Parameters
+    ----------
+    code
+        Error code of the protocol, e.g. ``bad_value``.
+    message
+        Sentence for the host.
+    """
 
     def __init__(self, code: str, message: str) -> None:
         self.code = code
@@ -19,7 +28,23 @@ class Refusal(Exception):
 
 
 def parse_request(payload: bytes) -> dict[str, Any]:
-    """Parse a request. Raises Refusal."""
+    """Parse the payload of a request.
+
+    Parameters
+    ----------
+    payload
+        JSON as the host sent it.
+
+    Returns
+    -------
+    dict
+        The JSON object.
+
+    Raises
+    ------
+    Refusal
+        ``bad_request``: the payload is not JSON, or not a JSON object.
+    """
     try:
         request = json.loads(payload)
     except (ValueError, RecursionError) as error:
@@ -30,14 +55,50 @@ def parse_request(payload: bytes) -> dict[str, Any]:
 
 
 def read_name(what: str, name: object, known: Mapping[str, Any]) -> str:
-    """Check a bias's or a filter's name. Raises Refusal."""
+    """Check that a request names something that exists.
+
+    Parameters
+    ----------
+    what
+        Kind of the name: ``command``, ``bias`` or ``filter``.
+    name
+        Name from the request.
+    known
+        Mapping whose keys are the valid names.
+
+    Returns
+    -------
+    str
+        The name.
+
+    Raises
+    ------
+    Refusal
+        ``unknown_command``, ``unknown_bias`` or ``unknown_filter``.
+    """
     if not isinstance(name, str) or name not in known:
         raise Refusal(f"unknown_{what}", f"There is no {what} {name!r}; there are {', '.join(known)}.")
     return name
 
 
 def read_enabled(request: Mapping[str, Any]) -> bool:
-    """Check the switch of a request. Raises Refusal."""
+    """Read ``enabled`` from a request.
+
+    Parameters
+    ----------
+    request
+        The parsed request.
+
+    Returns
+    -------
+    bool
+        The requested state.
+
+    Raises
+    ------
+    Refusal
+        ``bad_value``: ``enabled`` is missing or not a boolean.
+    """
     enabled = request.get("enabled")
     if not isinstance(enabled, bool):
         raise Refusal("bad_value", f'"enabled" is true or false, not {enabled!r}.')
@@ -45,7 +106,23 @@ def read_enabled(request: Mapping[str, Any]) -> bool:
 
 
 def read_frames(request: Mapping[str, Any]) -> int | None:
-    """Check how many frames the host says it has kept; None when it says nothing. Raises Refusal."""
+    """Read from a stop request how many frames the host has kept.
+
+    Parameters
+    ----------
+    request
+        The parsed request.
+
+    Returns
+    -------
+    int or None
+        Number of frames; None if the request does not say.
+
+    Raises
+    ------
+    Refusal
+        ``bad_value``: ``frames`` is not a whole number from 0 on.
+    """
     frames = request.get("frames")
     if frames is not None and (isinstance(frames, bool) or not isinstance(frames, int) or frames < 0):
         raise Refusal("bad_value", f"A number of frames is a whole one, not {frames!r}.")

@@ -1,9 +1,9 @@
-"""A simulated frame camera: a network camera that sends its grey pictures, uncompressed, to whoever connects.
+"""A simulated network camera that sends uncompressed grey pictures to each host that connects.
 
-It speaks YUV4MPEG2 over TCP: one line that tells size and rate, then for each picture a line ``FRAME`` and its
-bytes. Every connection is sent pictures from its own begin on, at the camera's rate, until the host hangs up. What
-is in a picture is a function of the seed, the resting pose, the light, how many connections were made at exactly
-these before, and the picture's number.
+The camera speaks YUV4MPEG2 over TCP: first one line with size and rate, then for each picture a line ``FRAME`` and
+its bytes. It sends pictures at its own rate until the host closes the connection. Pictures depend on the seed, the
+resting pose, the light, the number of earlier connections with the same pose and light, and the number of the
+picture: equal runs get equal pictures.
 """
 
 from __future__ import annotations
@@ -25,26 +25,29 @@ from simulators.world.world import LightState, World
 RATE_HZ: Final = 25
 EXPOSURE_S: Final = 0.010
 FULL_WELL: Final = 10_000.0
-"""Electrons at which a pixel is full, and its grey value 255."""
+"""Electrons at which a pixel is saturated (grey value 255)."""
 FULL_LIGHT_ELECTRONS: Final = 8_000.0
-"""What white paper gives at nominal brightness in an exposure."""
+"""Electrons of a white pixel in one exposure at nominal brightness."""
 DARK_ELECTRONS: Final = 60.0
 READ_NOISE_ELECTRONS: Final = 12.0
 PIXEL_SPREAD: Final = 0.006
-"""1-sigma of the pixels' sensitivities."""
+"""Relative standard deviation of the pixels' sensitivities."""
 LIGHT_SAMPLES: Final = 32
-"""Moments of an exposure at which the light is looked at."""
+"""Number of moments in an exposure at which the light is sampled."""
 POLL_S: Final = 0.1
-"""How often waiting threads look whether they are to end."""
+"""Interval at which waiting threads check whether they must end, s."""
 
 
 class PictureMaker:
-    """Pictures of a world, one connection after another.
+    """Exposes pictures of a world.
+
+    The noise model is the linear camera model of the EMVA Standard 1288: shot noise of photons and dark current,
+    and read noise. Shot noise is drawn as Gaussian. Each pixel has its own sensitivity.
 
     Parameters
     ----------
     world
-        Where the axes point and what the light does.
+        World that the camera sees.
     """
 
     def __init__(self, world: World) -> None:
@@ -58,7 +61,14 @@ class PictureMaker:
         self._scene_cache: tuple[object, NDArray[np.float32]] | None = None
 
     def connection_seed(self) -> np.random.SeedSequence:
-        """Give the seed of a connection that begins now."""
+        """Return the seed for a connection that begins now.
+
+        Returns
+        -------
+        numpy.random.SeedSequence
+            Function of the bench's seed, the resting pose, the light, and the number of earlier connections with
+            the same pose and light.
+        """
         now_s = self._world.now_s()
         key = json.dumps(
             {
@@ -74,7 +84,18 @@ class PictureMaker:
         return np.random.SeedSequence([self._world.seed, repeat, *np.frombuffer(digest[:16], "<u4").tolist()])
 
     def expose(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Expose now: (height, width) grey values."""
+        """Expose one picture, beginning now.
+
+        Parameters
+        ----------
+        rng
+            Source of the picture's noise.
+
+        Returns
+        -------
+        ndarray
+            ``(height, width) uint8``, grey values.
+        """
         begin_s = self._world.now_s()
         light = self._world.light(begin_s)
         electrons = FULL_LIGHT_ELECTRONS * mean_brightness(light, begin_s, EXPOSURE_S) * self._scene(begin_s)
@@ -85,7 +106,7 @@ class PictureMaker:
         return grey
 
     def _scene(self, begin_s: float) -> NDArray[np.float32]:
-        """Share of the light in each pixel; what moves meanwhile is blurred."""
+        """Return the share of the light in each pixel; a moving scene is the mean of two moments."""
         moments = (begin_s,) if self._world.is_settled(begin_s) else (begin_s, begin_s + EXPOSURE_S / 2)
         truth, poses = self._world.truth_at(begin_s), [self._world.angles_deg(moment) for moment in moments]
         if self._scene_cache is None or self._scene_cache[0] != (truth, poses):
@@ -95,7 +116,22 @@ class PictureMaker:
 
 
 def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> float:
-    """Average the light over an exposure; nominal brightness = 1."""
+    """Return the mean brightness of the light over an exposure.
+
+    Parameters
+    ----------
+    light
+        State of the light.
+    begin_s
+        Start of the exposure, s.
+    exposure_s
+        Duration of the exposure, s.
+
+    Returns
+    -------
+    float
+        Mean brightness, as a share of the nominal brightness.
+    """
     if not light.output:
         return 0.0
     instants = begin_s + (np.arange(LIGHT_SAMPLES) + 0.5) / LIGHT_SAMPLES * exposure_s
@@ -107,24 +143,24 @@ def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> flo
     return float(np.mean(light.low + (light.high - light.low) * shares))
 
 
-#: What can go wrong with the camera, by name.
+#: Faults of the frame camera, by name.
 FRAME_CAMERA_FAULTS: Final = {
-    "unplug": "the camera goes away, and answers no more",
-    "silence": "pictures no longer come, and nobody says why",
-    "frozen": "the last picture comes again and again",
-    "mend": "all is well again",
+    "unplug": "the camera disconnects and no longer answers",
+    "silence": "no more pictures arrive, without any message",
+    "frozen": "the last picture arrives again and again",
+    "mend": "clears the fault",
 }
 
 
 class SimulatedFrameCamera:
-    """The camera, listening for hosts, one after another.
+    """The simulated frame camera; it serves one host after another.
 
     Parameters
     ----------
     world
-        The world it looks at.
+        World that the camera sees.
     host, port
-        Where it listens; port 0 takes a free one.
+        Address to listen on; port 0 takes a free port.
     """
 
     def __init__(self, world: World, *, host: str = "127.0.0.1", port: int = 0) -> None:
@@ -137,23 +173,29 @@ class SimulatedFrameCamera:
 
     @property
     def address(self) -> str:
-        """Where it listens, as a URL."""
+        """URL of the camera, ``tcp://host:port``."""
         host, port = self._listener.getsockname()[:2]
         return f"tcp://{host}:{port}"
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start to accept hosts."""
         self._thread.start()
 
     def close(self) -> None:
-        """Hang up and stop listening; returns when the thread has ended."""
+        """Close the connection and stop listening; return after the thread has ended."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
         self._listener.close()
 
     def inject_fault(self, fault: str) -> None:
-        """Let one of `FRAME_CAMERA_FAULTS` happen from now on, in place of any before."""
+        """Set the fault that lasts from now on; it replaces an earlier one.
+
+        Parameters
+        ----------
+        fault
+            One of `FRAME_CAMERA_FAULTS`; ``mend`` clears the fault.
+        """
         self._fault = "" if fault == "mend" else fault
 
     def _listen(self) -> None:
@@ -165,11 +207,11 @@ class SimulatedFrameCamera:
             if self._fault == "unplug":
                 link.close()
                 continue
-            with link, suppress(OSError):  # the host has hung up: that is how it says that it has enough
+            with link, suppress(OSError):  # a host ends the stream by closing the connection
                 self._stream(link)
 
     def _stream(self, link: socket.socket) -> None:
-        """Send pictures until the host hangs up or the camera is closed."""
+        """Send pictures until the host closes the connection or the camera is closed."""
         width, height = self._pictures.size
         rng = np.random.default_rng(self._pictures.connection_seed())
         self._send(link, f"YUV4MPEG2 W{width} H{height} F{RATE_HZ}:1 Ip A1:1 Cmono\n".encode())
@@ -181,7 +223,10 @@ class SimulatedFrameCamera:
             self._send(link, b"FRAME\n" + self._last)
 
     def _send(self, link: socket.socket, data: bytes) -> None:
-        """Send all, however slowly the host reads; raises OSError when it has gone or the camera is closed."""
+        """Send all bytes, however slowly the host reads them.
+
+        Raises OSError if the host has closed the connection or the camera is closed.
+        """
         rest = memoryview(data)
         while rest:
             if self._closing.is_set() or self._fault == "unplug":

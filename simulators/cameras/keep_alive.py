@@ -1,7 +1,7 @@
-"""Tells a host that waits, as long as what it waits for is being computed: once in a while, and only then.
+"""Notifies a waiting host at intervals while the camera computes an answer.
 
-A sensor delivers on time; a computed one may have its pixels compiled first, or share a busy machine. Knows threads and
-time, neither frames nor sockets.
+A real sensor delivers on time. A simulated one may first compile its pixel model, or share a busy computer. This
+module uses threads and time only; it depends neither on frames nor on sockets.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from contextlib import contextmanager
 from typing import Final
 
 INTERVAL_S: Final = 0.5
-"""So long a piece of computing lasts before it is told of, and again each time; the protocol promises a second."""
+"""Interval between notifications, s; also the delay before the first one. The protocol promises at most 1 s."""
 
 
 class KeepAlive:
-    """Watches pieces of computing, of any threads.
+    """Watches computations of any number of threads.
 
     Parameters
     ----------
     notify
-        Called by a thread of its own, every ``INTERVAL_S`` for as long as a single piece lasts.
+        Called by a separate thread every ``INTERVAL_S`` while one computation lasts.
     """
 
     def __init__(self, notify: Callable[[], None]) -> None:
@@ -33,18 +33,24 @@ class KeepAlive:
         self._thread = threading.Thread(target=self._watch, name="keep-alive", daemon=True)
 
     def start(self) -> None:
-        """Begin to watch."""
+        """Start to watch."""
         self._thread.start()
 
     def close(self) -> None:
-        """Tell nothing more; returns when the thread has ended."""
+        """Stop the notifications; return after the thread has ended."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
 
     @contextmanager
     def computing(self) -> Iterator[None]:
-        """Mark what this thread does inside as one piece of computing."""
+        """Mark the ``with`` block as one computation of this thread.
+
+        Yields
+        ------
+        None
+            Nothing; the computation ends with the block.
+        """
         thread = threading.get_ident()
         with self._lock:
             self._started_s[thread] = time.monotonic()

@@ -1,7 +1,8 @@
-"""Faults of the camera's stream: too many events; frames lost, cut, doubled or garbled; a clock that jumps.
+"""Faults of the camera's stream: overflow; lost, cut, doubled or garbled frames; a clock that jumps back.
 
-Knows frames of EVT3 words and which words carry the clock; neither sensor nor socket. Thread-safe: faults are
-ordered by one thread while another streams.
+A frame holds EVT3 words of 2 ms. This module depends neither on the sensor nor on the socket. It is thread-safe:
+one thread injects faults while another one streams. Word types (EVT_TIME_HIGH is 0x8, 0x9 is unused) are those of
+Prophesee's EVT 3.0 format.
 """
 
 from __future__ import annotations
@@ -14,35 +15,35 @@ import numpy as np
 
 from simulators.errors import SimulatorError
 
-#: What can befall a frame, by name.
+#: Faults of frames, by name.
 STREAM_FAULTS: Final = {
     "frames_lost": "frames never arrive",
     "frame_cut": "the second half of a frame never arrives",
     "frame_doubled": "a frame arrives twice",
-    "frame_garbled": "a word in the middle of a frame is of no known type",
-    "clock_back": "the sensor's clock jumps back, and goes on from there",
-    "silence": "nothing more arrives, and nobody says why",
+    "frame_garbled": "a word in the middle of a frame has an unknown type",
+    "clock_back": "the sensor's clock jumps back and continues from there",
+    "silence": "nothing more arrives, without any message",
 }
 
 _TIME_HIGH: Final = 0x8
 _UNKNOWN_WORD: Final = 0x9000
 
-#: How far the clock jumps, in units of its high word (4096 us).
+#: Jump of the clock, in units of its high word (4096 us).
 _JUMP: Final = 10
 
 
 @dataclass(frozen=True)
 class StreamFault:
-    """What is to befall frames of 2 ms to come.
+    """A fault of frames to come; a frame covers 2 ms.
 
     Attributes
     ----------
     kind
         One of `STREAM_FAULTS`.
     skip
-        Frames to let pass before.
+        Number of frames that pass unchanged first.
     count
-        How many it befalls; ``clock_back`` and ``silence`` last, whatever it says.
+        Number of frames to spoil; ``clock_back`` and ``silence`` last until cleared, whatever the count.
     """
 
     kind: str
@@ -51,37 +52,53 @@ class StreamFault:
 
 
 class StreamFaults:
-    """The way that frames take to the host; a good one until something is ordered."""
+    """Applies injected faults to the frames on their way to the host."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._faults: list[StreamFault] = []
         self.overflows = False
-        """Whether the sensor's rate controller drops events from the next start on, whatever its setting says."""
+        """Whether the sensor's event rate controller drops events from the next start on, whatever its setting."""
 
     def inject(self, fault: StreamFault) -> None:
-        """Let something go wrong with frames to come.
+        """Add a fault for frames to come.
+
+        Parameters
+        ----------
+        fault
+            The fault.
 
         Raises
         ------
         SimulatorError
-            When there is no such fault.
+            If the kind of the fault is unknown.
         """
         if fault.kind not in STREAM_FAULTS:
             raise SimulatorError(
-                f"No stream fault {fault.kind!r}.", remedy=f"Known are: {', '.join(STREAM_FAULTS)}."
+                f"Unknown stream fault {fault.kind!r}.", remedy=f"Use one of: {', '.join(STREAM_FAULTS)}."
             )
         with self._lock:
             self._faults.append(fault)
 
     def clear(self) -> None:
-        """Let nothing more go wrong."""
+        """Remove all faults."""
         self.overflows = False
         with self._lock:
             self._faults.clear()
 
     def apply(self, frame: bytes) -> bytes:
-        """Give what arrives of a frame; empty for nothing."""
+        """Apply the faults that are due to the next frame.
+
+        Parameters
+        ----------
+        frame
+            EVT3 words, 16 bit, little endian.
+
+        Returns
+        -------
+        bytes
+            What the host receives; empty if nothing arrives.
+        """
         with self._lock:
             due = self._due()
         for fault in due:

@@ -1,16 +1,17 @@
-"""The clock of a simulated sensor from power-up on: it goes while a stream is taken, and stands in between.
+"""Clock of a simulated sensor since power-up: it runs during a stream and stands still between streams.
 
-Knows numbers only; neither sensor nor socket. One thread at a time.
+The module computes numbers only. It is not thread-safe: use it from one thread at a time.
 """
 
 from __future__ import annotations
 
 
 class TimeBase:
-    """Where the clock stands.
+    """State of the sensor's clock.
 
-    Frames that were sent and that the host threw away, because they came after its stop, are as if never advance: how
-    many they are is chance, and the next stream is to begin at the same time in every equal run.
+    The host discards frames that arrive after its stop command. Their number depends on chance. The clock
+    therefore stands at the end of the last frame that the host kept, so that the next stream begins at the same
+    time in every equal run.
 
     Examples
     --------
@@ -28,22 +29,47 @@ class TimeBase:
         self._sent_us = [0]
 
     def power_up(self) -> None:
-        """Begin at 0."""
+        """Set the clock to 0."""
         self.start(0)
 
     def start(self, at_us: int) -> None:
-        """Go on with a stream that begins at that time, us."""
+        """Begin a stream.
+
+        Parameters
+        ----------
+        at_us
+            Sensor time at which the stream begins, us.
+        """
         self.now_us = at_us
         self._sent_us = [at_us]
 
     def advance(self, until_us: int, *, sent: bool) -> None:
-        """Go on to the end of a frame, us; ``sent``: the host can have it."""
+        """Advance the clock to the end of a frame.
+
+        Parameters
+        ----------
+        until_us
+            Sensor time at the end of the frame, us.
+        sent
+            Whether the frame was sent to the host.
+        """
         self.now_us = until_us
         if sent:
             self._sent_us.append(until_us)
 
     def stop(self, frames: int) -> bool:
-        """Stand at the end of the last frame that the host has kept, of so many; False when fewer were sent."""
+        """Set the clock to the end of the last frame that the host kept.
+
+        Parameters
+        ----------
+        frames
+            Number of frames that the host kept.
+
+        Returns
+        -------
+        bool
+            False if fewer frames were sent; the clock then stays as it is.
+        """
         if frames >= len(self._sent_us):
             return False
         self.now_us = self._sent_us[frames]
