@@ -1,4 +1,4 @@
-"""What the bench expects of an event camera: it writes a recording to a file, and says how it went."""
+"""The interface of event cameras: each writes a recording to a file, and returns the facts about it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class CameraIdentity:
-    """Which camera it is, as it says itself."""
+    """The identity of a camera, as it states it itself.
+
+    Attributes
+    ----------
+    maker, model, sensor, serial, firmware
+        Empty if the camera does not state it.
+    width, height
+        Size of the sensor, px.
+    """
 
     maker: str
     model: str
@@ -23,10 +31,18 @@ class CameraIdentity:
 
 @dataclass(frozen=True)
 class FoundCamera:
-    """A camera that is connected: what a station file calls its driver and serial number, and what is known of it.
+    """A camera that is connected.
 
-    ``trouble`` says why it cannot be used as it is; empty when it can. ``source`` is what a station file calls the
-    place of a camera that is not found by its serial number alone.
+    Attributes
+    ----------
+    driver, serial
+        The driver's name and the camera's serial number, as a station file gives them.
+    description
+        What is known of the camera, for the operator.
+    trouble
+        Why the camera cannot be used as it is; empty if it can.
+    source
+        What a station file gives as ``source`` for a camera that its serial number alone does not identify.
     """
 
     driver: str
@@ -38,10 +54,17 @@ class FoundCamera:
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What is set before recording.
+    """Settings made before a recording.
 
-    Biases are offsets from the factory value; ``roi`` the only part of the sensor that sends events: column and row
-    of its upper left pixel, width and height; None for all of it.
+    Attributes
+    ----------
+    biases
+        Offsets from the factory value by name, in the camera's own steps.
+    trigger_in
+        Whether the trigger input is on.
+    roi
+        The only part of the sensor that sends events, px: column and row of its upper left pixel, width and height;
+        None for the whole sensor.
     """
 
     biases: Mapping[str, int] = field(default_factory=dict)
@@ -55,20 +78,30 @@ class RecordingFacts:
 
     Attributes
     ----------
+    serial, model
+        The camera that recorded.
+    width, height
+        Size of the sensor, px.
+    bytes
+        Length of the file.
     duration_s
-        Span of the camera's own clock covered by the file.
-    biases
-        Offsets from the factory value, read back from the camera; empty where it cannot tell.
-    filters
-        On-chip filters by name ("afk", "stc", "trail", "erc") and whether each is on; missing = the camera has none.
+        Time on the sensor's clock that the file covers, s.
     events, triggers
-        Counted in the file: contrast events; trigger edges (rising and falling).
+        Counted in the file: contrast change events; trigger edges (rising and falling).
+    biases
+        Offsets from the factory value, read back from the camera; empty if they cannot be read back.
+    filters
+        On-chip filters by name ("afk", "stc", "trail", "erc") and whether each is on; the camera lacks those not named.
     rate_controller_in, rate_controller_out
-        Events into and out of the sensor's rate controller as it counted them; None when it does not.
+        Events into and out of the sensor's rate controller by its own count; None if it does not count.
+    temperature_c
+        Temperature of the sensor, deg C; None if it is not measured.
+    illumination_lux
+        Illumination of the sensor, lx; None if it is not measured.
     gaps
-        Where the host or the link lost data, in plain words; empty when nothing was lost.
+        Where the computer or the link lost data, in sentences; empty if nothing was lost.
     complete
-        False when the recording ended before its time; the file is then readable up to its end.
+        False if the recording ended before its time; the file can then be read up to its end.
     """
 
     serial: str
@@ -90,37 +123,96 @@ class RecordingFacts:
 
 
 class EventCamera(Protocol):
-    """An event camera. All methods raise ``drivers.errors.DriverError`` and nothing else."""
+    """An event camera. Its methods raise ``drivers.errors.DriverError`` and nothing else."""
 
     def identify(self) -> CameraIdentity:
-        """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
+        """Read the camera's identity.
+
+        Returns
+        -------
+        CameraIdentity
+            As the camera states it.
+
+        Raises
+        ------
+        WrongDevice
+            If the serial number differs from the one given when the camera was opened.
+        """
         ...
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set biases and trigger input, switch AFK, STC, TRAIL and ERC off; return what was read back."""
+        """Set biases, region of interest and trigger input, and switch off AFK, STC, TRAIL and ERC.
+
+        Biases that are not named are set to their factory value, so that equal settings are equal states.
+
+        Parameters
+        ----------
+        settings
+            The wanted settings.
+
+        Returns
+        -------
+        CameraSettings
+            What was read back from the camera.
+
+        Raises
+        ------
+        CameraSettingRefused
+            If the camera does not accept a setting, or another value is read back.
+        """
         ...
 
     def filters(self) -> Mapping[str, bool]:
-        """On-chip filters the camera has, and whether each is on."""
+        """Read which on-chip filters are on.
+
+        Returns
+        -------
+        Mapping of str to bool
+            The filters that the camera has by name, and whether each is on.
+        """
         ...
 
     def temperature_c(self) -> float | None:
-        """Sensor temperature, or None where the camera cannot tell."""
+        """Measure the temperature of the sensor.
+
+        Returns
+        -------
+        float or None
+            Temperature, deg C; None if the camera cannot measure it.
+        """
         ...
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Record that long into a new RAW file: header, the camera's own bytes, synced to disk.
+        """Record into a new RAW file: header and the camera's own bytes, synced to disk.
 
-        Blocks; waits through the clock given at opening. The file holds at least ``duration_s`` of the
-        camera's clock. Raises RecordingFailed (with the partial file left in place, readable), CameraLost.
-        An interrupt by the clock closes the file and stops the stream before it goes on.
+        The call blocks, and waits through the clock given at opening. If the clock interrupts the wait, the file is
+        closed and the stream stopped before the interrupt is passed on.
+
+        Parameters
+        ----------
+        path
+            The file to make; it must not exist.
+        duration_s
+            The file covers at least this time on the sensor's clock, s.
+
+        Returns
+        -------
+        RecordingFacts
+            What is known of the recording.
+
+        Raises
+        ------
+        RecordingFailed
+            If the file cannot be made or written, or the words are malformed; what was recorded before is kept.
+        CameraLost
+            If the camera goes away meanwhile; what was recorded before is kept.
         """
         ...
 
     def stop(self) -> None:
-        """Stop streaming, if it does. Callable from any thread."""
+        """End a recording early, if there is one. Callable from any thread."""
         ...
 
     def close(self) -> None:
-        """Let the camera go."""
+        """Release the camera."""
         ...

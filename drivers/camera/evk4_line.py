@@ -96,7 +96,7 @@ class Evk4Line:
             if frame is not None and frame.kind == b"A":
                 answer = self._json(frame)
                 if answer.get("id") == number:
-                    return self._accepted(command, answer)
+                    return self._checked_answer(command, answer)
             if self.silent_s() > silence_s or self._clock.monotonic() > deadline:
                 raise ReplyTimeout(
                     f'It did not answer "{command}"; for {self.silent_s():.1f} s it has sent nothing.',
@@ -108,7 +108,7 @@ class Evk4Line:
         """How long nothing has come, s, since something is awaited; polls count too, as a test's clock may stand."""
         return max(self._clock.monotonic() - self._heard_s, self._idle_s)
 
-    def see_that_it_speaks(self) -> None:
+    def check_alive(self) -> None:
         """Raise CameraLost when nothing has come for too long."""
         if self.silent_s() > self.silence_s:
             raise self._lost(f"it has sent nothing for {self.silence_s:g} s")
@@ -132,7 +132,7 @@ class Evk4Line:
                 self._idle_s += POLL_S
             frame = self._take_frame()
         if frame is not None and frame.kind == b"N":
-            self._heed(self._json(frame))
+            self._handle_notification(self._json(frame))
             return None
         return frame
 
@@ -146,7 +146,7 @@ class Evk4Line:
 
     def _send(self, command: str, parameters: Mapping[str, Any]) -> int:
         self._last_id += 1
-        self._awaits()
+        self._restart_silence()
         payload = json.dumps({"id": self._last_id, "cmd": command, **parameters}).encode()
         try:
             with self._sending:
@@ -163,9 +163,9 @@ class Evk4Line:
         if not data:
             raise self._lost("it closed the connection")
         self._received += data
-        self._awaits()
+        self._restart_silence()
 
-    def _awaits(self) -> None:
+    def _restart_silence(self) -> None:
         """Note that something was heard, or is awaited, from now on."""
         self._heard_s, self._idle_s = self._clock.monotonic(), 0.0
 
@@ -201,7 +201,7 @@ class Evk4Line:
             )
         return value
 
-    def _accepted(self, command: str, answer: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _checked_answer(self, command: str, answer: Mapping[str, Any]) -> Mapping[str, Any]:
         if answer.get("ok") is True:
             return answer
         reason = answer.get("message") or answer.get("error") or "it gives no reason"
@@ -211,7 +211,7 @@ class Evk4Line:
             remedy="Correct that setting, or restart the simulated bench.",
         )
 
-    def _heed(self, notification: Mapping[str, Any]) -> None:
+    def _handle_notification(self, notification: Mapping[str, Any]) -> None:
         """Take a fault for what it is; that it computes is heard by its coming, and others are let pass."""
         if notification.get("event") == "fault":
             raise CameraError(

@@ -1,97 +1,63 @@
-"""A stream of EVT3 words to events and triggers: knows what it has told so far, no files and no devices.
+"""Decode a stream of EVT3 words to events and triggers.
 
-Times are the sensor's own clock in microseconds, unwrapped over its 24 bits from the first TIME_HIGH on;
-nothing is shifted. Words that contradict the sensor's size or clock end in ``RecordingCorrupt`` with their
-byte offset.
+Times are microseconds of the sensor's own clock. They are unwrapped over its 24 bits from the first TIME_HIGH on;
+no offset is subtracted. Words that contradict the sensor's size or its clock raise ``RecordingCorrupt`` with their
+byte offset. This module opens no files and no devices. ``evt3_kernel`` lists the types of words and their source.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
 from drivers.camera.evt3_kernel import run
-from drivers.camera.evt3_plain import PACKED, Mode, add_events
-from drivers.camera.evt3_state import Fault, S, new_state
+from drivers.camera.evt3_plain import PACKED_EVENTS, Mode, add_events
+from drivers.camera.evt3_state import S, StopReason, new_state
 from drivers.camera.evt3_vectors import MARGIN
 from drivers.errors import RecordingCorrupt
 
 Words = NDArray[np.uint16]
+"""EVT3 words, (N,) uint16."""
 
 GAPS_KEPT: Final = 64
-"""Gaps beyond this number are counted, their places forgotten."""
+"""Number of gaps whose times are kept; further gaps are only counted."""
 
 _TRIGGERS_AT_ONCE: Final = 4096
 
 
-class Events(NamedTuple):
-    """Contrast change events in the order sent, one array a field.
-
-    ``t`` (N,) int64, us, the sensor's clock (busy sensors let it step back by some us now and then); ``x`` and
-    ``y`` (N,) uint16, px; ``p`` (N,) uint8, 1 = ON.
-    """
-
-    t: NDArray[np.int64]
-    x: NDArray[np.uint16]
-    y: NDArray[np.uint16]
-    p: NDArray[np.uint8]
-
-    def part(self, begin: int, end: int) -> Events:
-        """Return views of the events from ``begin`` to before ``end``."""
-        place = slice(begin, end)
-        return Events(self.t[place], self.x[place], self.y[place], self.p[place])
-
-
-class Triggers(NamedTuple):
-    """Trigger edges: ``t`` (N,) int64, us; ``value`` (N,) uint8, 1 = rising; ``id`` (N,) uint8, channel."""
-
-    t: NDArray[np.int64]
-    value: NDArray[np.uint8]
-    id: NDArray[np.uint8]
-
-
-def empty_events(n: int) -> Events:
-    """Uninitialised arrays for n events."""
-    return Events(
-        np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8)
-    )
-
-
-def empty_triggers(n: int) -> Triggers:
-    """Uninitialised arrays for n trigger edges."""
-    return Triggers(np.empty(n, np.int64), np.empty(n, np.uint8), np.empty(n, np.uint8))
-
-
 @dataclass(frozen=True)
 class StreamStatistics:
-    """What a stream has told up to its last word.
+    """Counts, times and losses of a stream up to its last word.
 
     Attributes
     ----------
     events, on_events, triggers
-        How many; triggers counts both edges.
+        Number of events, of ON events, and of trigger edges (rising and falling).
     first_t_us, last_t_us
-        The sensor's clock at its first and its last time word; both -1 before any.
+        The sensor's clock at its first and its last time word, us; both -1 before any time word.
     rate_controller_in, rate_controller_out
-        Events into and out of the rate controller, summed over its windows; None when it has not reported.
-    lost_events, odd_windows
-        The sensor reports how many events it sent in each 200 us: those that did not arrive, and the windows in
-        which the numbers differ. Zero when it does not report.
+        Number of events into and out of the rate controller, summed over its windows of 200 us; None if the sensor
+        sent no report.
+    lost_events
+        Number of events that the sensor counted in its windows and that did not arrive; 0 without reports.
+    mismatched_windows
+        Number of windows in which the sensor's count differs from the number of events that arrived; 0 without reports.
     missing_windows
-        Windows whose report did not arrive either: nobody knows how many events were sent in them, and
-        ``lost_events`` is the least that it can be.
+        Number of windows whose report did not arrive. It is not known how many events the sensor sent in them, so
+        ``lost_events`` is then a lower bound.
     gaps
-        The clock before and after each step of TIME_HIGH by more than one, us: words are missing there.
+        The clock before and after each step of TIME_HIGH by more than one, us: words are missing there. The first 64.
     gap_count
-        How many gaps, also beyond the first 64 kept.
+        Number of all gaps.
     unplaced_events
-        Events before the first time, row or vector base: the stream was joined in its middle.
+        Number of events before the first time, row or vector base: the stream began in the middle of another one.
     back_steps
-        How often TIME_LOW stepped back by some us, as busy sensors do.
+        Number of times that TIME_LOW stepped back by some microseconds, as it does in busy sensors.
     """
 
     events: int
@@ -102,7 +68,7 @@ class StreamStatistics:
     rate_controller_in: int | None
     rate_controller_out: int | None
     lost_events: int
-    odd_windows: int
+    mismatched_windows: int
     missing_windows: int
     gaps: tuple[tuple[int, int], ...]
     gap_count: int
@@ -111,37 +77,43 @@ class StreamStatistics:
 
     @property
     def duration_s(self) -> float:
-        """Span of the sensor's clock from the first time word to the last; 0 without any."""
+        """Time on the sensor's clock from the first time word to the last, s; 0 without time words."""
         return (self.last_t_us - self.first_t_us) * 1e-6 if self.first_t_us >= 0 else 0.0
 
-    def losses_in_words(self) -> tuple[str, ...]:
-        """Say each gap in a sentence, and what the sensor's own counts tell of lost events."""
-        said = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
+    def loss_messages(self) -> tuple[str, ...]:
+        """Describe each gap, and the losses that the sensor's own counts show.
+
+        Returns
+        -------
+        tuple of str
+            Sentences for the operator; none if nothing was lost.
+        """
+        messages = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
         if self.gap_count > len(self.gaps):
-            said.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
+            messages.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
         if self.missing_windows:
-            said.append(
-                f"{self.missing_windows} of the sensor's reports are missing, one every 200 us: at least "
-                f"{self.lost_events} events are lost, and all that were sent in these "
+            messages.append(
+                f"{self.missing_windows} event count reports of the sensor are missing (it sends one every 200 us): "
+                f"at least {self.lost_events} events are lost, and all events sent in these "
                 f"{self.missing_windows * 0.2:.1f} ms."
             )
-        elif self.odd_windows:
-            said.append(
-                f"In {self.odd_windows} of the sensor's windows of 200 us other events arrived than it counted: "
-                f"{self.lost_events} are missing."
+        elif self.mismatched_windows:
+            messages.append(
+                f"In {self.mismatched_windows} windows of 200 us the number of events that arrived differs from the "
+                f"sensor's count: {self.lost_events} events are missing."
             )
-        return tuple(said)
+        return tuple(messages)
 
 
 class Evt3Decoder:
-    """Decodes one stream, given in pieces of whole words.
+    """Decoder of one stream, which is given in pieces of whole words.
 
     Parameters
     ----------
     width, height
-        Size of the sensor, px; events outside it are refused.
+        Size of the sensor, px; events outside it raise ``RecordingCorrupt``.
     first_byte
-        Offset in the file of the first word, for messages.
+        Offset of the first word in the file, bytes; for messages.
     where
         The file or device, for messages.
 
@@ -161,104 +133,170 @@ class Evt3Decoder:
         self._no_events = empty_events(0)
         self._no_image = np.zeros((2, 0, 0), np.uint16)
         self._edges = np.empty((_TRIGGERS_AT_ONCE, 3), np.int64)
-        self._packed = np.empty(PACKED, np.uint32)
+        self._packed = np.empty(PACKED_EVENTS, np.uint32)
 
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
-        """Events and triggers of the words, in pieces of at most ``max_events`` (or 32 if that is less).
+        """Decode words to events and triggers, in pieces.
+
+        Parameters
+        ----------
+        words
+            (N,) uint16, the next words of the stream.
+        max_events
+            Largest number of events in a piece; 32 if it is smaller.
+
+        Yields
+        ------
+        tuple of Events and Triggers
+            The next events, and the triggers among them.
 
         Raises
         ------
         RecordingCorrupt
-            At a malformed word; the pieces before it have been handed out.
+            At a malformed word, after the pieces before it.
         """
         start = 0
         while start < len(words):
             out = empty_events(min(max(max_events, MARGIN), 12 * (len(words) - start) + MARGIN))
             stop = self._store(words, start, out)
-            yield out.part(0, int(self._state[S.TAKEN])), self._taken_triggers()
-            start = self._went_on(words, start, stop)
+            yield out.part(0, int(self._state[S.TAKEN])), self._copied_triggers()
+            start = self._advance(words, start, stop)
 
     def decode_into(self, words: Words, events: Events, at: int) -> tuple[int, Triggers]:
-        """Write the words' events into arrays, from place ``at`` on; returns the next place and the triggers.
+        """Decode words into arrays that the caller provides.
 
-        The arrays must have room for 32 events more than come. Raises RecordingCorrupt.
+        Parameters
+        ----------
+        words
+            (N,) uint16, the next words of the stream.
+        events
+            Arrays to fill; they need room for 32 events more than the words hold.
+        at
+            Index of the first event to write.
+
+        Returns
+        -------
+        tuple of int and Triggers
+            Index after the last event written, and the triggers.
+
+        Raises
+        ------
+        RecordingCorrupt
+            At a malformed word.
+        ValueError
+            If the arrays have no room for more events.
         """
         found = []
         start = 0
         while start < len(words):
             out = events.part(at, len(events.t))
             stop = self._store(words, start, out)
-            found.append(self._taken_triggers())
-            if stop == start and self._state[S.FAULT] == Fault.ROOM:
-                raise ValueError(f"arrays of {len(events.t)} events have no room for more")
+            found.append(self._copied_triggers())
+            if stop == start and self._state[S.STOP_REASON] == StopReason.ROOM:
+                raise ValueError(f"arrays for {len(events.t)} events have no room for more events")
             at += int(self._state[S.TAKEN])
-            start = self._went_on(words, start, stop)
+            start = self._advance(words, start, stop)
         return at, join_triggers(found)
 
     def count(self, words: Words, image: NDArray[np.uint16]) -> Triggers:
-        """Add the words' events to a count image without making a list of them.
+        """Add the events of words to an image of counts, without a list of events.
 
-        ``image`` (2, height, width) uint16: OFF counts, then ON counts; they wrap above 65535.
-        Returns the triggers. Raises RecordingCorrupt, and ValueError for an image of another size.
+        Parameters
+        ----------
+        words
+            (N,) uint16, the next words of the stream.
+        image
+            (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
+
+        Returns
+        -------
+        Triggers
+            The trigger edges among the words.
+
+        Raises
+        ------
+        RecordingCorrupt
+            At a malformed word.
+        ValueError
+            If the image does not have the sensor's size.
         """
         if image.shape != (2, self._state[S.HEIGHT], self._state[S.WIDTH]):
-            raise ValueError(f"a count image of shape {image.shape} for another sensor")
-        return self._without_list(words, Mode.COUNT, image)
+            raise ValueError(
+                f"a count image of shape {image.shape} does not fit the sensor of "
+                f"{self._state[S.WIDTH]} x {self._state[S.HEIGHT]} px"
+            )
+        return self._count_or_tally(words, Mode.COUNT, image)
 
     def tally(self, words: Words) -> Triggers:
-        """Only count the words' events; returns the triggers. Raises RecordingCorrupt."""
-        return self._without_list(words, Mode.TALLY, self._no_image)
+        """Count the events of words for ``statistics``, without storing them.
 
-    def _without_list(self, words: Words, mode: Mode, image: NDArray[np.uint16]) -> Triggers:
+        Parameters
+        ----------
+        words
+            (N,) uint16, the next words of the stream.
+
+        Returns
+        -------
+        Triggers
+            The trigger edges among the words.
+
+        Raises
+        ------
+        RecordingCorrupt
+            At a malformed word.
+        """
+        return self._count_or_tally(words, Mode.TALLY, self._no_image)
+
+    def _count_or_tally(self, words: Words, mode: Mode, image: NDArray[np.uint16]) -> Triggers:
         found = []
         start = 0
         while start < len(words):
             stop = run(
                 words, start, mode, self._state, self._gaps, self._no_events, image, self._edges, self._packed
             )
-            found.append(self._taken_triggers())
-            start = self._went_on(words, start, stop)
+            found.append(self._copied_triggers())
+            start = self._advance(words, start, stop)
         return join_triggers(found)
 
     def _store(self, words: Words, start: int, out: Events) -> int:
-        """Decode words into ``out`` until they end or it is full; returns where it stopped."""
+        """Decode words into ``out`` until they end or it is full; return the index of the next word."""
         state, gaps, edges = self._state, self._gaps, self._edges
         return int(run(words, start, Mode.STORE, state, gaps, out, self._no_image, edges, self._packed))
 
-    def _taken_triggers(self) -> Triggers:
-        """Return the trigger edges of the last run, copied out of the buffer."""
+    def _copied_triggers(self) -> Triggers:
+        """Return a copy of the trigger edges of the last run."""
         t, value, channel = self._edges[: self._state[S.TAKEN_EDGES]].T
         return Triggers(t.copy(), value.astype(np.uint8), channel.astype(np.uint8))
 
-    def _went_on(self, words: Words, start: int, stop: int) -> int:
-        """Book the words taken; returns where to go on. Raises RecordingCorrupt."""
+    def _advance(self, words: Words, start: int, stop: int) -> int:
+        """Move the byte offset over the words taken; return the index of the next word, or raise RecordingCorrupt."""
         self._next_byte += 2 * (stop - start)
-        fault = Fault(self._state[S.FAULT])
-        if fault not in (Fault.NONE, Fault.ROOM):
+        reason = StopReason(self._state[S.STOP_REASON])
+        if reason not in (StopReason.NONE, StopReason.ROOM):
             raise RecordingCorrupt(
-                self._explain(fault, int(words[stop])),
+                self._explain(reason, int(words[stop])),
                 offset=self._next_byte,
                 where=self._where,
-                remedy="What stands before that place can be read; record it again.",
+                remedy="Record it again. The part before that byte can be read.",
             )
         return stop
 
-    def _explain(self, fault: Fault, word: int) -> str:
-        """Say what is wrong with the word."""
+    def _explain(self, reason: StopReason, word: int) -> str:
+        """Describe what is wrong with a word."""
         state = {place: int(self._state[place]) for place in S}
-        sensor = f"on a sensor of {state[S.WIDTH]} x {state[S.HEIGHT]} px"
-        if fault == Fault.ROW:
-            return f"An event in row {word & 0x7FF} {sensor}."
-        if fault == Fault.COLUMN:
-            return f"An event in column {word & 0x7FF} {sensor}."
-        if fault == Fault.VECTOR:
-            return f"A vector from column {state[S.BASE]} on with events beyond the last column {sensor}."
-        if fault == Fault.CLOCK:
+        sensor = f"the sensor of {state[S.WIDTH]} x {state[S.HEIGHT]} px"
+        if reason == StopReason.ROW:
+            return f"Row {word & 0x7FF} lies outside {sensor}."
+        if reason == StopReason.COLUMN:
+            return f"An event in column {word & 0x7FF} lies outside {sensor}."
+        if reason == StopReason.VECTOR:
+            return f"A vector that begins at column {state[S.BASE]} holds events beyond the last column of {sensor}."
+        if reason == StopReason.CLOCK:
             part = "upper" if word >> 12 == 0x8 else "lower"
             return (
                 f"The sensor's clock steps back from {state[S.T]} us: its {part} part reads {word & 0xFFF}."
             )
-        return f"A word 0x{word:04X} of a type that EVT3 does not have."
+        return f"The type of word 0x{word:04X} does not exist in EVT3."
 
     @property
     def clock_us(self) -> int:
@@ -267,14 +305,20 @@ class Evt3Decoder:
 
     @property
     def covered_us(self) -> int:
-        """Span of the sensor's clock since the first time word, us."""
+        """Time on the sensor's clock since the first time word, us."""
         first = int(self._state[S.FIRST_T])
         return self.clock_us - first if first >= 0 else 0
 
     def statistics(self) -> StreamStatistics:
-        """Sum up what the stream has told so far."""
+        """Sum up the stream as decoded so far.
+
+        Returns
+        -------
+        StreamStatistics
+            Counts, times and losses.
+        """
         state = {place: int(self._state[place]) for place in S}
-        reported = state[S.REPORTED_AT] >= 0
+        reported = state[S.EVENTS_AT_REPORT] >= 0
         kept = self._gaps[: min(state[S.GAPS], GAPS_KEPT)]
         return StreamStatistics(
             events=state[S.EVENTS],
@@ -285,7 +329,7 @@ class Evt3Decoder:
             rate_controller_in=state[S.RATE_IN] if reported else None,
             rate_controller_out=state[S.RATE_OUT] if reported else None,
             lost_events=state[S.LOST],
-            odd_windows=state[S.ODD_WINDOWS],
+            mismatched_windows=state[S.MISMATCHED_WINDOWS],
             missing_windows=state[S.MISSING_WINDOWS],
             gaps=tuple((int(a), int(b)) for a, b in kept),
             gap_count=state[S.GAPS],
@@ -295,10 +339,19 @@ class Evt3Decoder:
 
 
 def count_events(events: Events, image: NDArray[np.uint16]) -> None:
-    """Add events to a count image, as ``Evt3Decoder.count`` does with the words they came in.
+    """Add events to an image of counts, as ``Evt3Decoder.count`` does with words.
 
-    ``image`` (2, height, width) uint16: OFF counts, then ON counts; they wrap above 65535.
-    Raises ValueError when an event lies outside the image; those before it are not counted either.
+    Parameters
+    ----------
+    events
+        The events to add.
+    image
+        (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
+
+    Raises
+    ------
+    ValueError
+        If an event lies outside the image; the image is then unchanged.
 
     Examples
     --------
@@ -308,23 +361,26 @@ def count_events(events: Events, image: NDArray[np.uint16]) -> None:
     (1, 1)
     """
     if len(events.t) and not add_events(events.x, events.y, events.p, image):
-        raise ValueError(f"an event outside an image of shape {image.shape}")
+        raise ValueError(f"an event lies outside the image of shape {image.shape}")
 
 
 def first_time_high(words: Words) -> int | None:
-    """Index of the first TIME_HIGH word, where a stream that is joined in its middle can begin; None without.
+    """Find the first TIME_HIGH word: there a stream that is joined in its middle can begin.
 
+    Parameters
+    ----------
+    words
+        (N,) uint16, EVT3 words.
+
+    Returns
+    -------
+    int or None
+        Index of the word; None if there is none.
+
+    Examples
+    --------
     >>> first_time_high(np.array([0x0005, 0x2803, 0x8001], np.uint16))
     2
     """
     found = np.flatnonzero(words >> 12 == 0x8)
     return int(found[0]) if len(found) else None
-
-
-def join_triggers(pieces: list[Triggers]) -> Triggers:
-    """One Triggers of many, in order; of none, an empty one."""
-    return (
-        Triggers(*(np.concatenate(fields) for fields in zip(*pieces, strict=True)))
-        if pieces
-        else empty_triggers(0)
-    )

@@ -1,7 +1,7 @@
-"""The loop over EVT3 words, compiled: knows the word types and the sensor clock, no files and no devices.
+"""Decode EVT3 words in one compiled loop.
 
 An EVT3 word has 16 bits; its upper four are the type. ``evt3_vectors`` reads the words of events, ``evt3_plain``
-stretches that hold only single events, rows and clock words, and ``evt3_control_words`` all others. ``evt3_state``
+runs of words that hold only single events, rows and clock words, and ``evt3_control_words`` all others. ``evt3_state``
 holds what is carried from word to word, and between calls. Parts of the loop are pasted into it (``inline``), so that
 it keeps its state in registers and is as fast as one piece.
 
@@ -22,6 +22,11 @@ type name            payload
 0xE  OTHERS          subtype 0x014 / 0x016: events into / out of the rate controller
 0xF  CONTINUED_12    12 bits of an OTHERS payload
 ==== =============== =====================================================================
+
+References
+----------
+Prophesee, "EVT 3.0 Format", https://docs.prophesee.ai/stable/data/encoding_formats/evt3.html. Type 0xD and the subtypes
+of OTHERS are named in OpenEB's source (evt3_event_types.h); 0x1 is in neither.
 """
 
 from __future__ import annotations
@@ -31,26 +36,45 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from drivers.camera.evt3_control_words import RATE_OUT, silent_us, take_control_word
-from drivers.camera.evt3_plain import JIT, LONGEST_WAIT, SHORTEST_WAIT, STRETCH, Mode, ones, take_plain
-from drivers.camera.evt3_state import Fault, S
-from drivers.camera.evt3_vectors import MARGIN, count, events_of, store
+from drivers.camera.evt3_control_words import RATE_OUT, idle_us, take_control_word
+from drivers.camera.evt3_plain import (
+    BLOCK_WORDS,
+    JIT,
+    MAX_WAIT_WORDS,
+    MIN_WAIT_WORDS,
+    Mode,
+    decode_plain_words,
+    popcount,
+)
+from drivers.camera.evt3_state import S, StopReason
+from drivers.camera.evt3_vectors import MARGIN, count_bits, read_event_word, store_bits
 
 
 @njit(**JIT)
-def most_events(words: Any) -> int:
-    """How many events the words stand for if all have a place: fast, and never too few."""
+def max_event_count(words: Any) -> int:
+    """Return an upper bound of the number of events that words hold, without decoding them.
+
+    Parameters
+    ----------
+    words
+        (N,) uint16, EVT3 words.
+
+    Returns
+    -------
+    int
+        The number of events if all have a time and a place; never too small.
+    """
     n = 0
     for i in range(len(words)):
         word: Any = np.int64(words[i])
         kind = word >> 12
-        n += (kind == 0x2) + ones(word & (0xFFF if kind == 0x4 else 0xFF if kind == 0x5 else 0))
+        n += (kind == 0x2) + popcount(word & (0xFFF if kind == 0x4 else 0xFF if kind == 0x5 else 0))
     return n
 
 
 @njit(**JIT, inline="always")
 def _put(mode: int, events: Any, image: Any, n: int, t: int, y: int, x: int, p: int, is_event: bool) -> None:
-    """Store or count an event, if the word is one; without a branch, so a place is touched in any case."""
+    """Store or count an event if the word is one. There is no branch, so an output place is touched in any case."""
     t_out, x_out, y_out, p_out = events
     if mode == Mode.STORE:
         t_out[n] = t
@@ -64,22 +88,22 @@ def _put(mode: int, events: Any, image: Any, n: int, t: int, y: int, x: int, p: 
 @njit(**JIT, inline="always")
 def _take_events(
     words: Any, i: int, mode: int, state: Any, t: int, y: int, n: int, events: Any, image: Any
-) -> tuple[Fault, int, int, int]:
-    """Take the single event or the vector at word i: fault, words taken, events, how many of them ON."""
+) -> tuple[StopReason, int, int, int]:
+    """Take the single event or the vector at word i; return stop reason, words taken, events, and how many are ON."""
     word: Any = np.int64(words[i])
     second: Any = np.int64(words[i + 1]) if i + 2 < len(words) else 0
     third: Any = np.int64(words[i + 2]) if i + 2 < len(words) else 0
-    fault, taken, x, p, bits = events_of(state, word, second, third)
-    if fault == Fault.NONE:
+    reason, taken, x, p, bits = read_event_word(state, word, second, third)
+    if reason == StopReason.NONE:
         if (t | y | x) < 0:
-            state[S.UNPLACED] += ones(bits)
+            state[S.UNPLACED] += popcount(bits)
             bits = 0
         if mode == Mode.STORE:
-            store(events, n, t, y, x, p, bits)
+            store_bits(events, n, t, y, x, p, bits)
         elif mode == Mode.COUNT and bits:
-            count(image, y, x, p, bits)
-    found = ones(bits)
-    return fault, taken, found, p * found
+            count_bits(image, y, x, p, bits)
+    found = popcount(bits)
+    return reason, taken, found, p * found
 
 
 @njit(**JIT, inline="always")
@@ -94,63 +118,76 @@ def _take_control(
     gaps: Any,
     edges: Any,
     high_before: int,
-) -> Fault:
-    """Take word i, which stands for no event; clock and row are then those of the state."""
+) -> StopReason:
+    """Take word i, which holds no event. Clock and row are passed in, and come back in the state."""
     word: Any = np.int64(words[i])
     state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
-    carried = state[S.SILENT_US]
+    carried = state[S.IDLE_US]
     if word == 0xE000 | RATE_OUT:
-        state[S.SILENT_US] = silent_us(words, start, i, state, high_before)
-    fault = take_control_word(state, word >> 12, word & 0xFFF, gaps, edges)
-    state[S.SILENT_US] = carried
-    return fault
+        state[S.IDLE_US] = idle_us(words, start, i, state, high_before)
+    reason = take_control_word(state, word >> 12, word & 0xFFF, gaps, edges)
+    state[S.IDLE_US] = carried
+    return reason
 
 
 @njit(**JIT)
 def run(  # noqa: PLR0915 - one loop that keeps its state in registers
     words: Any, start: int, mode: int, state: Any, gaps: Any, events: Any, image: Any, edges: Any, packed: Any
 ) -> int:
-    """Take words from ``start`` on; returns where it stopped: ``state[S.FAULT]`` says why.
+    """Take words from ``start`` on; return where it stopped. ``state[S.STOP_REASON]`` holds the reason.
 
-    Stretches of single events, rows and clock words are ``evt3_plain``'s. Between vectors these follow each other in
-    no predictable order either, so they are taken without a branch: all that any of them may change is computed,
-    and kept if the word is of its type. Vectors and the rarer words, and these where they need a look, go the
-    longer way. Stretches are tried again less and less often where there are none.
+    ``evt3_plain`` takes runs of single events, rows and clock words. Between vectors these words follow each other in
+    no predictable order either, so they are taken without a branch: everything that any of them may change is computed,
+    and kept if the word is of its type. Vectors, the rarer words, and words that need a check take the slower way.
+    Runs are tried less and less often where there are none.
 
     Parameters
     ----------
     words
-        (N,) uint16.
+        (N,) uint16, EVT3 words.
+    start
+        Index of the first word to take.
     mode
         A ``Mode``: events are only tallied, stored in ``events``, or counted in ``image``.
-    state, gaps
-        As of ``new_state``; (G, 2) int64, clock before and after the first G gaps.
-    events, image
-        ``Events`` of arrays to fill; (2, height, width) of any integer type.
+    state
+        (30,) int64 as of ``new_state``; changed.
+    gaps
+        (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
+    events
+        ``Events`` of arrays to fill.
+    image
+        (2, height, width) of any integer type, to add counts to.
     edges
-        (E, 3) int64 to fill: time, value and channel of trigger edges.
+        (E, 3) int64 to fill: time (us), value and channel of trigger edges.
     packed
-        Scratch, as ``take_plain`` has it.
+        (PACKED_EVENTS,) uint32, scratch of ``decode_plain_words``.
+
+    Returns
+    -------
+    int
+        Index of the first word not taken.
     """
     room = len(events[0]) - MARGIN if mode == Mode.STORE else 1 << 62
     width, height = state[S.WIDTH], state[S.HEIGHT]
     t, y = state[S.T], state[S.Y]
     n = on = 0
     state[S.TAKEN_EDGES] = 0
-    fault = Fault.NONE
+    reason = StopReason.NONE
     repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
     high_before = state[S.HIGH]
     i = tried = start
-    wait = SHORTEST_WAIT
+    wait = MIN_WAIT_WORDS
     while i < len(words):
         if i >= tried:
             before = i
             if (y | begun) >= 0:
                 limits = (repeated, width, height, room)
-                i, here, on_here, t, y = take_plain(words, i, mode, limits, t, y, n, events, image, packed)
+                i, here, on_here, t, y = decode_plain_words(
+                    words, i, mode, limits, t, y, n, events, image, packed
+                )
                 n += here
                 on += on_here
-            wait = SHORTEST_WAIT if i - before >= STRETCH else min(2 * wait, LONGEST_WAIT)
+            wait = MIN_WAIT_WORDS if i - before >= BLOCK_WORDS else min(2 * wait, MAX_WAIT_WORDS)
             tried = i + wait
         if i == len(words):
             break
@@ -169,24 +206,24 @@ def run(  # noqa: PLR0915 - one loop that keeps its state in registers
             state[S.BASE], state[S.POLARITY] = address, p
         elif kind in (0x2, 0x4, 0x5):
             if n > room:
-                fault = Fault.ROOM
+                reason = StopReason.ROOM
                 break
-            fault, taken, here, on_here = _take_events(words, i, mode, state, t, y, n, events, image)
-            if fault != Fault.NONE:
+            reason, taken, here, on_here = _take_events(words, i, mode, state, t, y, n, events, image)
+            if reason != StopReason.NONE:
                 break
             n += here
             on += on_here
             i += taken - 1
         else:
-            fault = _take_control(words, start, i, state, t, y, n, gaps, edges, high_before)
+            reason = _take_control(words, start, i, state, t, y, n, gaps, edges, high_before)
             t, y = state[S.T], state[S.Y]
             repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
-            if fault != Fault.NONE:
+            if reason != StopReason.NONE:
                 break
         i += 1
-    state[S.SILENT_US] = silent_us(words, start, i, state, high_before)
+    state[S.IDLE_US] = idle_us(words, start, i, state, high_before)
     state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
     state[S.EVENTS] += n
     state[S.ON_EVENTS] += on
-    state[S.FAULT] = fault
+    state[S.STOP_REASON] = reason
     return i

@@ -1,6 +1,11 @@
-"""EVT3 words that stand for events, compiled: single ones and vectors, read, stored and counted.
+"""Read, store and count the EVT3 words that hold events: single events and vectors. Compiled.
 
-Knows no clock, no files and no devices; ``evt3_kernel`` says which words there are.
+``evt3_kernel`` lists the words.
+
+References
+----------
+Leiserson, Prokop and Randall (1998), "Using de Bruijn sequences to index a 1 in a computer word": the place of the
+lowest set bit.
 """
 
 from __future__ import annotations
@@ -11,29 +16,43 @@ import numpy as np
 from numba import njit
 
 from drivers.camera.evt3_plain import JIT
-from drivers.camera.evt3_state import Fault, S
+from drivers.camera.evt3_state import S, StopReason
 
 MARGIN: Final = 32
-"""Events that three vectors in a row can hold: room that output arrays need to take them."""
+"""Room that output arrays need for three vectors in a row, events."""
 _DE_BRUIJN: Final = 0x077CB531
-"""Shifted left by k and cut to 32 bits, its upper five bits differ for every k."""
+"""A de Bruijn sequence: shifted left by k and cut to 32 bits, its upper five bits differ for every k."""
 _PLACE: Final = np.array(
     [k for _, k in sorted(((_DE_BRUIJN << k) >> 27 & 31, k) for k in range(32))], np.uint8
 )
-"""The k of those five bits."""
+"""The k that belongs to those five bits."""
 
 
 @njit(**JIT)
-def events_of(state: Any, word: int, second: int, third: int) -> tuple[Fault, int, int, int, int]:
-    """Read a single event or a vector: fault, words taken, first column, polarity, one bit a column from there.
+def read_event_word(state: Any, word: int, second: int, third: int) -> tuple[StopReason, int, int, int, int]:
+    """Read a single event or a vector.
 
-    Sensors send vectors as triples of 12 + 12 + 8 columns: these are taken at once, with the two words that
-    follow. (They are passed as numbers: an array would have its references counted.)
+    Sensors send vectors as triples of 12 + 12 + 8 columns. A triple is taken at once, with the two words that follow.
+    (Words are passed as numbers: references to an array would be counted.)
+
+    Parameters
+    ----------
+    state
+        (30,) int64 as of ``new_state``; the vector base moves on.
+    word
+        The word.
+    second, third
+        The two words that follow it; 0 if there are none.
+
+    Returns
+    -------
+    tuple of StopReason and int
+        Stop reason, number of words taken, first column (px), polarity, and one bit a column from there.
     """
     kind = word >> 12
     if kind == 0x2:
         x = word & 0x7FF
-        return Fault.COLUMN if x >= state[S.WIDTH] else Fault.NONE, 1, x, (word >> 11) & 1, 1
+        return StopReason.COLUMN if x >= state[S.WIDTH] else StopReason.NONE, 1, x, (word >> 11) & 1, 1
     x = state[S.BASE]
     room = state[S.WIDTH] - x
     if (kind == 0x4) & (second >> 12 == 0x4) & (third >> 12 == 0x5) & (room >= 32):
@@ -43,15 +62,33 @@ def events_of(state: Any, word: int, second: int, third: int) -> tuple[Fault, in
         taken, columns = 1, 12 if kind == 0x4 else 8
         bits = word & ((1 << columns) - 1)
         if room < columns and bits >> max(room, 0):
-            return Fault.VECTOR, taken, x, 0, 0
+            return StopReason.VECTOR, taken, x, 0, 0
     if x >= 0:
         state[S.BASE] = x + columns
-    return Fault.NONE, taken, x, state[S.POLARITY], bits
+    return StopReason.NONE, taken, x, state[S.POLARITY], bits
 
 
 @njit(**JIT)
-def store(events: Any, n: int, t: int, y: int, x: int, p: int, bits: int) -> None:
-    """Write the events of the bits set, lowest first, from place n on."""
+def store_bits(events: Any, n: int, t: int, y: int, x: int, p: int, bits: int) -> None:
+    """Write one event for each bit set, lowest first.
+
+    Parameters
+    ----------
+    events
+        ``Events`` of arrays to fill.
+    n
+        Index of the first event to write.
+    t
+        Time of the events, us.
+    y
+        Row, px.
+    x
+        Column of the lowest bit, px.
+    p
+        Polarity.
+    bits
+        One bit a column, 32 at most.
+    """
     t_out, x_out, y_out, p_out = events
     while bits:
         t_out[n] = t
@@ -63,8 +100,22 @@ def store(events: Any, n: int, t: int, y: int, x: int, p: int, bits: int) -> Non
 
 
 @njit(**JIT)
-def count(image: Any, y: int, x: int, p: int, bits: int) -> None:
-    """Add the events of the bits set to the image; all columns at once where there are as many."""
+def count_bits(image: Any, y: int, x: int, p: int, bits: int) -> None:
+    """Add one event for each bit set to an image; all 32 columns at once if the image has as many.
+
+    Parameters
+    ----------
+    image
+        (2, height, width) of any integer type.
+    y
+        Row, px.
+    x
+        Column of the lowest bit, px.
+    p
+        Polarity: the first index of the image.
+    bits
+        One bit a column, 32 at most.
+    """
     if x + 32 <= image.shape[2]:
         row = image[p, y, x : x + 32]
         for k in range(32):

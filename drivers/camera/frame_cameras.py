@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 
 from drivers.camera import CameraIdentity
-from drivers.camera.frames import Frame, FrameFacts, FrameSettings, capture_frames, grey, read_frames
-from drivers.camera.hold import CameraHold
+from drivers.camera.camera_lock import CameraLock
+from drivers.camera.frames import Frame, FrameFacts, FrameSettings, capture_frames, read_frames, to_grey
 from drivers.camera.video_devices import SYSTEM, device_path, usb_serial
 from drivers.clock import Clock
 from drivers.errors import CameraLost, CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
 
-PICTURES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
+IMAGE_SUFFIXES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 
 STALE_FRAMES: Final = 5
 """Pictures of the past that a video device may hand out: four in its buffers, one being exposed as it is asked."""
@@ -63,12 +63,12 @@ class FolderFrameCamera:
     def open(cls, folder: Path | str, *, serial: str = "", clock: Clock) -> FolderFrameCamera:
         """Find the pictures. Raises CameraNotFound when there are none, NotARecording for one that is none."""
         folder = Path(folder)
-        files = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURES)
+        files = sorted(path for path in folder.glob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
         if not files:
             raise CameraNotFound(
                 "No pictures are in this folder.",
                 where=str(folder),
-                remedy=f"Name a folder with {', '.join(PICTURES)}.",
+                remedy=f"Name a folder with {', '.join(IMAGE_SUFFIXES)}.",
             )
         return cls(files, serial=serial, clock=clock)
 
@@ -142,11 +142,11 @@ class OpenCvFrameCamera:
         self._stop_asked = threading.Event()
         self._source: Any = None
         self._last: Frame | None = None
-        self._hold: CameraHold | None = None
+        self._lock: CameraLock | None = None
         if self._is_live:
-            self._hold = CameraHold(str(self._device.resolve() if self._device else name))
+            self._lock = CameraLock(str(self._device.resolve() if self._device else name))
         try:
-            self._see_serial()
+            self._check_serial()
             self._source = self._opened(START_S)
         except BaseException:
             self.close()
@@ -169,7 +169,7 @@ class OpenCvFrameCamera:
 
     def identify(self) -> CameraIdentity:
         """Tell the source's name and size. Raises CameraLost, and WrongDevice when it is another one by now."""
-        serial = self._see_serial()
+        serial = self._check_serial()
         width = int(self._source.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = int(self._source.get(cv2.CAP_PROP_FRAME_HEIGHT))
         return CameraIdentity("", f"OpenCV {self._name}", "", serial, "", width, height)
@@ -212,7 +212,7 @@ class OpenCvFrameCamera:
             self._clock.sleep(0.0)
             if not self._source.grab():
                 raise self._silent()
-        seen = _Seen(self._last, frames, where=self._where)
+        seen = _FrozenCheck(self._last, frames, where=self._where)
         facts = capture_frames(
             path,
             frames,
@@ -232,8 +232,8 @@ class OpenCvFrameCamera:
         """Let the source go."""
         if self._source is not None:
             self._source.release()
-        if self._hold is not None:
-            self._hold.release()
+        if self._lock is not None:
+            self._lock.release()
 
     # ------------------------------------------------------------- inside
 
@@ -247,7 +247,7 @@ class OpenCvFrameCamera:
 
     def _opened(self, within_s: float) -> Any:
         """Open the source anew. Raises CameraNotFound."""
-        with _quietly():
+        with _opencv_silenced():
             opened = self._capture(within_s)
         if not opened.isOpened():
             opened.release()
@@ -268,7 +268,7 @@ class OpenCvFrameCamera:
             return cv2.VideoCapture(str(self._device), cv2.CAP_V4L2)
         return cv2.VideoCapture(int(self._name))
 
-    def _see_serial(self) -> str:
+    def _check_serial(self) -> str:
         found = ""
         if self._device is not None:
             if self._system.is_dir() and not (self._system / self._device.name).exists():
@@ -300,7 +300,7 @@ class OpenCvFrameCamera:
         got, picture = self._source.read()
         if not got:
             raise self._silent()
-        return grey(picture, where=self._where)
+        return to_grey(picture, where=self._where)
 
     def _silent(self) -> CameraLost:
         return CameraLost(
@@ -310,7 +310,7 @@ class OpenCvFrameCamera:
         )
 
 
-class _Seen:
+class _FrozenCheck:
     """Sees that a live camera does not repeat itself: no two pictures of a sensor are the same, noise sees to that.
 
     Parameters
@@ -349,7 +349,7 @@ class _Seen:
 
 
 @contextmanager
-def _quietly() -> Iterator[None]:
+def _opencv_silenced() -> Iterator[None]:
     """Keep OpenCV and FFmpeg from writing to the terminal what the error says anyway."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when it first uses FFmpeg
     logging = cv2.utils.logging

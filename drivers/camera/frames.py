@@ -81,7 +81,7 @@ class FrameCamera(Protocol):
         ...
 
 
-def grey(picture: NDArray[Any], *, where: str) -> Frame:
+def to_grey(picture: NDArray[Any], *, where: str) -> Frame:
     """Give the grey values of a picture of one, three (BGR) or four channels.
 
     Raises RecordingFileError when its pixels are neither 8 nor 16 bit.
@@ -182,7 +182,7 @@ def read_frames(path: Path) -> NDArray[Any]:
     if not path.is_file():
         raise RecordingFileError("There is no such file.", where=str(path), remedy="Check the path.")
     found, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED)
-    frames = [grey(page, where=str(path)) for page in pages] if found else []
+    frames = [to_grey(page, where=str(path)) for page in pages] if found else []
     if not frames or len({(frame.shape, frame.dtype) for frame in frames}) != 1:
         raise NotARecording(
             "It holds no pictures of one size and depth.", where=str(path), remedy="Give a picture or a TIFF."

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
-from drivers.camera.hold import CameraHold, event_camera
+from drivers.camera.camera_lock import CameraLock, event_camera_name
 from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
 from drivers.camera.raw_file import RawFile, RecordingStatistics
 from drivers.camera.raw_writer import check_new, check_space, sync_file
-from drivers.camera.recording import Recorded, check_duration, recording_facts
+from drivers.camera.recording import RecordingOutcome, check_duration, recording_facts
 from drivers.clock import Clock
 from drivers.errors import (
     CameraError,
@@ -82,13 +82,13 @@ class MetavisionEvk4:
     """
 
     def __init__(
-        self, device: Any, hal: Any, *, serial: str | None, clock: Clock, hold: CameraHold | None = None
+        self, device: Any, hal: Any, *, serial: str | None, clock: Clock, lock: CameraLock | None = None
     ) -> None:
         self._device = device
         self._hal = hal
         self._serial = serial
         self._clock = clock
-        self._hold = hold
+        self._lock = lock
         self._stop_asked = threading.Event()
 
     @classmethod
@@ -107,14 +107,14 @@ class MetavisionEvk4:
             When another camera answers, or it does not send EVT3.
         """
         hal = _vendor_software()
-        hold = CameraHold(event_camera(serial)) if serial else None
-        camera = cls(None, hal, serial=serial, clock=clock, hold=hold)
+        lock = CameraLock(event_camera_name(serial)) if serial else None
+        camera = cls(None, hal, serial=serial, clock=clock, lock=lock)
         try:
             camera._device = cls._opened(hal, serial)
             identity = camera.identify()
-            camera._see_encoding()
-            if hold is None:
-                camera._hold = CameraHold(event_camera(identity.serial))
+            camera._check_encoding()
+            if lock is None:
+                camera._lock = CameraLock(event_camera_name(identity.serial))
         except BaseException:
             camera.close()
             raise
@@ -207,7 +207,7 @@ class MetavisionEvk4:
             )
         return recording_facts(
             identity,
-            Recorded(scan, scan.bytes, complete),
+            RecordingOutcome(scan, scan.bytes, complete),
             biases=biases,
             filters=filters,
             temperature_c=self.temperature_c(),
@@ -221,8 +221,8 @@ class MetavisionEvk4:
     def close(self) -> None:
         """Let the camera go."""
         self._device = None
-        if self._hold is not None:
-            self._hold.release()
+        if self._lock is not None:
+            self._lock.release()
 
     # ------------------------------------------------------------- streaming
 
@@ -305,7 +305,7 @@ class MetavisionEvk4:
             )
         return facility
 
-    def _see_encoding(self) -> None:
+    def _check_encoding(self) -> None:
         encoding = str(
             self._facility("get_i_hw_identification", "identification").get_current_data_encoding_format()
         )

@@ -19,10 +19,10 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
+from drivers.camera.camera_lock import CameraLock, event_camera_name
 from drivers.camera.evt3 import first_time_high
-from drivers.camera.hold import CameraHold, event_camera
 from drivers.camera.raw_header import render_header
-from drivers.camera.recording import Watch, check_duration, record_words, recording_facts, refuse_roi
+from drivers.camera.recording import StopConditions, check_duration, record_words, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import (
     CameraError,
@@ -87,9 +87,9 @@ class NeuromorphicEvk4:
         serial: str | None,
         clock: Clock,
         utc_now: Callable[[], datetime],
-        hold: CameraHold | None = None,
+        lock: CameraLock | None = None,
     ) -> None:
-        self._hold = hold
+        self._lock = lock
         self._device = device
         self._package = package
         self._serial = serial
@@ -115,18 +115,18 @@ class NeuromorphicEvk4:
             When another camera answers.
         """
         package = _package()
-        hold = CameraHold(event_camera(serial)) if serial else None
+        lock = CameraLock(event_camera_name(serial)) if serial else None
         try:
             device = cls._opened(package, serial)
         except BaseException:
-            if hold is not None:
-                hold.release()
+            if lock is not None:
+                lock.release()
             raise
-        camera = cls(device, package, serial=serial, clock=clock, utc_now=utc_now, hold=hold)
+        camera = cls(device, package, serial=serial, clock=clock, utc_now=utc_now, lock=lock)
         try:
             identity = camera.identify()
-            if hold is None:
-                camera._hold = CameraHold(event_camera(identity.serial))
+            if lock is None:
+                camera._lock = CameraLock(event_camera_name(identity.serial))
         except BaseException:
             camera.close()
             raise
@@ -230,7 +230,7 @@ class NeuromorphicEvk4:
             render_header(camera, self._utc_now()),
             (camera.width, camera.height),
             duration_s,
-            Watch(self._clock, self._stop_asked, SILENCE_S, self._where),
+            StopConditions(self._clock, self._stop_asked, SILENCE_S, self._where),
         )
         return recording_facts(
             camera,
@@ -251,8 +251,8 @@ class NeuromorphicEvk4:
         try:
             self._device.close()
         finally:
-            if self._hold is not None:
-                self._hold.release()
+            if self._lock is not None:
+                self._lock.release()
 
     @property
     def _where(self) -> str:

@@ -1,7 +1,7 @@
-"""A RAW recording on disk: reads its header and streams its events, with bounded memory; never writes.
+"""Read a RAW recording on disk: its header, and its events as a stream, with bounded memory. Nothing is written.
 
-A file that ends in the middle of a word is read up to its last whole word, and its scan says so. Malformed
-words end in ``RecordingCorrupt`` with their byte offset in the file.
+A file that ends in the middle of a word is read up to its last whole word, and ``truncated`` is then True. Malformed
+words raise ``RecordingCorrupt`` with their byte offset in the file.
 """
 
 from __future__ import annotations
@@ -13,16 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.evt3 import (
-    Events,
-    Evt3Decoder,
-    StreamStatistics,
-    Triggers,
-    Words,
-    empty_events,
-    join_triggers,
-)
-from drivers.camera.evt3_kernel import most_events
+from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
+from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
+from drivers.camera.evt3_kernel import max_event_count
 from drivers.camera.evt3_vectors import MARGIN
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.errors import NotARecording, RecordingFileError
@@ -30,14 +23,14 @@ from drivers.errors import NotARecording, RecordingFileError
 
 @dataclass(frozen=True)
 class RecordingStatistics(StreamStatistics):
-    """What one pass over a file told: its stream's counts, first and last time, rate controller and gaps.
+    """Statistics of a file from one pass over it.
 
     Attributes
     ----------
     bytes
         Length of the file, header included.
     truncated
-        The file ends in the middle of a word: it was cut off while being written or copied.
+        Whether the file ends in the middle of a word: it was cut off while it was written or copied.
     """
 
     bytes: int
@@ -47,6 +40,13 @@ class RecordingStatistics(StreamStatistics):
 @dataclass(frozen=True)
 class RawFile:
     r"""A RAW file of EVT3 words.
+
+    Parameters
+    ----------
+    path
+        The file.
+    raw_header
+        Its header.
 
     Examples
     --------
@@ -66,18 +66,30 @@ class RawFile:
 
     @classmethod
     def open(cls, path: Path | str) -> RawFile:
-        """Read the header of a file; no handle stays open.
+        """Read the header of a file. The file does not stay open.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        RawFile
+            The file with its header.
 
         Raises
         ------
         NotARecording
-            When it is no RAW file of EVT3.
+            If it is no RAW file of EVT3.
         RecordingFileError
-            When it cannot be read.
+            If it cannot be read.
         """
         path = Path(path)
         if path.is_dir():
-            raise NotARecording("This is a folder.", where=str(path), remedy="Give the RAW file in it.")
+            raise NotARecording(
+                "This is a folder.", where=str(path), remedy="Give a RAW file in this folder."
+            )
         try:
             with path.open("rb") as file:
                 start = file.read(MAX_HEADER_BYTES)
@@ -97,7 +109,7 @@ class RawFile:
 
     @property
     def truncated(self) -> bool:
-        """Whether the file ends in the middle of a word, as one that was cut off does half of the time."""
+        """Whether the file ends in the middle of a word, as half of all files do that were cut off."""
         return (self._size() - self.raw_header.size_bytes) % 2 == 1
 
     @property
@@ -107,45 +119,95 @@ class RawFile:
 
     @property
     def serial(self) -> str:
-        """Serial number of the camera; empty when the header has none."""
+        """Serial number of the camera; empty if the header has none."""
         return self.raw_header.fields.get("serial_number", "")
 
-    def words(self, *, at_once: int = 1 << 19) -> Iterator[Words]:
-        """Return the words as they stand in the file, some at a time; an odd byte at its end is left out.
+    def words(self, *, piece_words: int = 1 << 19) -> Iterator[Words]:
+        """Read the words as they stand in the file. An odd byte at the end is left out.
 
-        Raises RecordingFileError when the file cannot be read on.
+        Parameters
+        ----------
+        piece_words
+            Number of words in a piece.
+
+        Yields
+        ------
+        ndarray
+            (N,) uint16, the next words.
+
+        Raises
+        ------
+        RecordingFileError
+            If the file cannot be read.
         """
         try:
             with self.path.open("rb") as file:
                 file.seek(self.raw_header.size_bytes)
-                while block := file.read(2 * at_once):
+                while block := file.read(2 * piece_words):
                     yield np.frombuffer(block, "<u2", count=len(block) // 2)
         except OSError as error:
             raise _unreadable(self.path, error) from error
 
     def pieces(self, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
-        """Events and triggers as sent, in pieces of at most ``max_events`` events.
+        """Decode events and triggers in the order of the file.
+
+        Parameters
+        ----------
+        max_events
+            Largest number of events in a piece.
+
+        Yields
+        ------
+        tuple of Events and Triggers
+            The next events, and the triggers among them.
 
         Raises
         ------
         RecordingCorrupt
             At a malformed word, after the pieces before it.
         RecordingFileError
-            When the file cannot be read on.
+            If the file cannot be read.
         """
         decoder = self._decoder()
         for words in self.words():
             yield from decoder.decode(words, max_events=max_events)
 
     def chunks(self, *, max_events: int = 1_000_000) -> Iterator[Events]:
-        """Events as sent, in pieces of at most ``max_events``. Raises as ``pieces``."""
+        """Decode events in the order of the file.
+
+        Parameters
+        ----------
+        max_events
+            Largest number of events in a piece.
+
+        Yields
+        ------
+        Events
+            The next events, at least one.
+
+        Raises
+        ------
+        RecordingCorrupt, RecordingFileError
+            As ``pieces``.
+        """
         for events, _ in self.pieces(max_events=max_events):
             if len(events.t):
                 yield events
 
     def read(self) -> tuple[Events, Triggers]:
-        """All events and triggers: 13 bytes of memory an event. Raises as ``pieces``."""
-        events = empty_events(sum(most_events(words) for words in self.words()) + MARGIN)
+        """Decode all events and triggers, which takes 13 bytes of memory an event.
+
+        Returns
+        -------
+        tuple of Events and Triggers
+            In the order of the file.
+
+        Raises
+        ------
+        RecordingCorrupt, RecordingFileError
+            As ``pieces``.
+        """
+        events = empty_events(sum(max_event_count(words) for words in self.words()) + MARGIN)
         decoder = self._decoder()
         triggers = []
         done = 0
@@ -155,14 +217,33 @@ class RawFile:
         return events.part(0, done), join_triggers(triggers)
 
     def triggers(self) -> Triggers:
-        """All trigger edges. Raises as ``pieces``."""
+        """Decode all trigger edges.
+
+        Returns
+        -------
+        Triggers
+            In the order of the file.
+
+        Raises
+        ------
+        RecordingCorrupt, RecordingFileError
+            As ``pieces``.
+        """
         decoder = self._decoder()
         return join_triggers([decoder.tally(words) for words in self.words()])
 
     def counts(self) -> NDArray[np.uint16]:
-        """Events of each pixel: (2, height, width), OFF then ON; counts wrap above 65535.
+        """Count the events of each pixel in one loop, without a list of events.
 
-        Decoding and counting are one loop: no list of events is made. Raises as ``pieces``.
+        Returns
+        -------
+        ndarray
+            (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
+
+        Raises
+        ------
+        RecordingCorrupt, RecordingFileError
+            As ``pieces``.
         """
         image = np.zeros((2, self.height, self.width), np.uint16)
         decoder = self._decoder()
@@ -171,7 +252,18 @@ class RawFile:
         return image
 
     def scan(self) -> RecordingStatistics:
-        """Read all words once and sum up what they tell. Raises as ``pieces``."""
+        """Read all words once and sum them up.
+
+        Returns
+        -------
+        RecordingStatistics
+            Counts, times and losses.
+
+        Raises
+        ------
+        RecordingCorrupt, RecordingFileError
+            As ``pieces``.
+        """
         decoder = self._decoder()
         for words in self.words():
             decoder.tally(words)
@@ -189,15 +281,17 @@ class RawFile:
 
 
 def _unreadable(path: Path, error: OSError) -> RecordingFileError:
-    """Say why a file cannot be read."""
+    """Build the error of a file that cannot be read."""
     if isinstance(error, FileNotFoundError):
         return RecordingFileError("There is no such file.", where=str(path), remedy="Check the path.")
     if isinstance(error, PermissionError):
         return RecordingFileError(
-            "It may not be read by this user.", where=str(path), remedy="Give yourself read permission on it."
+            "This user has no permission to read the file.",
+            where=str(path),
+            remedy="Give yourself read permission on the file.",
         )
     return RecordingFileError(
-        f"It cannot be read ({error.strerror or error}).",
+        f"The file cannot be read ({error.strerror or error}).",
         where=str(path),
-        remedy="Check the disk it lies on, or copy it again.",
+        remedy="Check the disk, or copy the file again.",
     )

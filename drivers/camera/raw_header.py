@@ -1,7 +1,11 @@
-"""The text header of a RAW file: reads and writes its ``% key value`` lines, knows nothing of words.
+"""Read and write the text header of a RAW file: lines of ``% key value``.
 
-A reader of any maker takes the sensor's size from ``format EVT3;height=720;width=1280``, else from
+Every maker's reader takes the sensor's size from ``format EVT3;height=720;width=1280``, else from
 ``geometry 1280x720``, else from the sensor that ``system_ID`` stands for.
+
+References
+----------
+Prophesee, "RAW File Format", https://docs.prophesee.ai/stable/data/file_formats/raw.html.
 """
 
 from __future__ import annotations
@@ -16,37 +20,37 @@ from drivers.camera import CameraIdentity
 from drivers.errors import NotARecording
 
 MAX_HEADER_BYTES: Final = 65536
-"""A header that has not ended by then is none."""
+"""Longest header that is read."""
 
 MAX_SIDE_PX: Final = 2048
-"""EVT3 addresses have 11 bits."""
+"""Largest width and height of a sensor: EVT3 addresses have 11 bits."""
 
-_COPY_AGAIN: Final = "Copy the file again from where it was recorded, or record it again."
+_COPY_AGAIN: Final = "Copy the file again from the computer that recorded it, or record it again."
 
 _SIZE_OF_SYSTEM: Final = {"49": (1280, 720)}  # an IMX636 behind an EVK3 or EVK4
 
 _MAGIC: Final = (
     (b"\x89HDF", "an HDF5 file"),
-    (b"\x89PNG", "a PNG picture"),
-    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"\x89PNG", "a PNG image"),
+    (b"\xff\xd8\xff", "a JPEG image"),
     (b"\x1f\x8b", "a gzip archive"),
     (b"PK\x03\x04", "a zip archive"),
     (b"#!AER-DAT", "an AEDAT file"),
     (b"\x93NUMPY", "a NumPy array"),
-    (b"II*\x00", "a TIFF picture"),
-    (b"MM\x00*", "a TIFF picture"),
+    (b"II*\x00", "a TIFF image"),
+    (b"MM\x00*", "a TIFF image"),
     (b"%PDF", "a PDF document"),
 )
 
 
 @dataclass(frozen=True)
 class RawHeader:
-    """What the header says.
+    """The contents of a header.
 
     Attributes
     ----------
     fields
-        Every key and its text, runs of white space as one blank; of a repeated key the last.
+        Every key and its text, white space as single blanks; of a repeated key the last text.
     width, height
         Size of the sensor, px.
     text
@@ -60,7 +64,7 @@ class RawHeader:
 
     @property
     def size_bytes(self) -> int:
-        """Length of the header: the offset of the first word."""
+        """Length of the header, which is the offset of the first word."""
         return len(self.text)
 
 
@@ -74,16 +78,21 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
     where
         The file, for messages.
 
+    Returns
+    -------
+    RawHeader
+        Its contents.
+
     Raises
     ------
     NotARecording
-        When it is no RAW header, ends nowhere, holds another encoding than EVT3 or does not tell the size.
+        If this is no RAW header, it does not end, it names another encoding than EVT3, or it does not state the size.
     """
     if not start.startswith(b"% ") or start.startswith(b"% Data file containing"):
         raise NotARecording(
             f"This is not a RAW recording: it is {_looks_like(start)}.",
             where=where,
-            remedy='Give a file that an event camera recorded (it starts with "% ").',
+            remedy='Give a file that an event camera recorded; it starts with "% ".',
         )
     fields: dict[str, str] = {}
     at = 0
@@ -91,7 +100,7 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
         end = start.find(b"\n", at)
         if end < 0 or end == MAX_HEADER_BYTES - 1:
             raise NotARecording(
-                f"Its header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
+                f"The header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
             )
         key, _, value = " ".join(start[at + 2 : end].decode("utf-8", "replace").split()).partition(" ")
         at = end + 1
@@ -103,7 +112,7 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
 
 
 def _looks_like(start: bytes) -> str:
-    """Say in words what a file is that is no RAW."""
+    """Describe a file that is no RAW file."""
     if not start:
         return "empty"
     if start.startswith(b"% Data file containing"):
@@ -120,15 +129,15 @@ def _looks_like(start: bytes) -> str:
 
 
 def _size(fields: Mapping[str, str], where: str) -> tuple[int, int]:
-    """Width and height by the header's fields; sees that they agree and that the encoding is EVT3."""
+    """Return width and height; check that all fields agree and that the encoding is EVT3."""
     encoding, *options = fields.get("format", "").split(";")
     version = fields.get("evt", "")
     if encoding not in ("", "EVT3") or version not in ("", "3.0") or not encoding + version:
         held = encoding or (f"EVT {version}" if version else "an encoding that its header does not name")
         raise NotARecording(
-            f"It holds {held}; only EVT3 is read here.",
+            f"The file holds {held}; Starbench reads only EVT3.",
             where=where,
-            remedy="Record in the format EVT3, or convert the file with the maker's tools.",
+            remedy="Record in the format EVT3, or convert the file with the camera maker's tools.",
         )
     by_format = dict(option.partition("=")[::2] for option in options)
     sizes = {}
@@ -140,40 +149,42 @@ def _size(fields: Mapping[str, str], where: str) -> tuple[int, int]:
         sizes["system_ID"] = _SIZE_OF_SYSTEM[fields["system_ID"]]
     if not sizes:
         raise NotARecording(
-            "Its header does not tell the sensor's size.",
+            "The header does not state the sensor's size.",
             where=where,
-            remedy='Add a line such as "% geometry 1280x720" to a copy of it.',
+            remedy='Add a line such as "% geometry 1280x720" to a copy of the file.',
         )
     if len(set(sizes.values())) > 1:
-        said = ", ".join(f"{key} says {width} x {height}" for key, (width, height) in sizes.items())
-        raise NotARecording(f"Its header contradicts itself: {said}.", where=where, remedy=_COPY_AGAIN)
+        stated = ", ".join(f"{key} says {width} x {height}" for key, (width, height) in sizes.items())
+        raise NotARecording(f"The header contradicts itself: {stated}.", where=where, remedy=_COPY_AGAIN)
     return next(iter(sizes.values()))
 
 
 def _pixels(width: str, height: str, where: str) -> tuple[int, int]:
-    """Both as numbers, within what EVT3 can address."""
+    """Return both sides as numbers, within what EVT3 can address."""
     sides = [int(side) if re.fullmatch(r"[0-9]{1,4}", side) else 0 for side in (width, height)]
     if not all(0 < side <= MAX_SIDE_PX for side in sides):
         raise NotARecording(
-            f"Its header gives {width!r} x {height!r} as the sensor's size.", where=where, remedy=_COPY_AGAIN
+            f"The header states an invalid size of the sensor: {width!r} x {height!r}.",
+            where=where,
+            remedy=_COPY_AGAIN,
         )
     return sides[0], sides[1]
 
 
 def render_header(camera: CameraIdentity, recorded_at: datetime) -> bytes:
-    """Header of a new recording of an EVK4-like camera.
+    """Write the header of a new recording of an EVK4 or a camera like it.
 
     Parameters
     ----------
     camera
-        Whose words will follow.
+        The camera that records.
     recorded_at
         Time of the recording, UTC.
 
     Returns
     -------
     bytes
-        The lines, the last one ``% end``.
+        The lines; the last is ``% end``.
     """
     fields = {
         "camera_integrator_name": camera.maker,

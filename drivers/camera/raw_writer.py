@@ -1,4 +1,4 @@
-"""A new RAW file on disk: never over another one, written once, synced; knows no camera."""
+"""Write a new RAW file to disk: never over another file, written once, synced."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from typing import Final, Self
 from drivers.errors import RecordingFailed
 
 FULL_BYTES: Final = 1 << 20
-"""A disk with less free space than this is taken for full."""
+"""A disk with less free space than this counts as full."""
 
 _BINARY: Final = getattr(os, "O_BINARY", 0)  # only Windows knows other files
 _FOLDERS_OPEN: Final = hasattr(os, "O_DIRECTORY")
 _TO_SYNC: Final = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR  # Windows syncs no file open for reading alone
 
 _REMEDIES: Final = {
-    errno.EEXIST: ("There is such a file already", "Recordings are never overwritten: choose another name."),
+    errno.EEXIST: ("The file exists already", "Recordings are never overwritten: choose another name."),
     errno.ENOSPC: ("The disk is full", "Free space on that disk, then record again."),
     errno.EDQUOT: ("The disk quota is used up", "Free space within the quota, then record again."),
-    errno.EACCES: ("This user may not write there", "Give yourself write permission on the folder."),
-    errno.EPERM: ("This user may not write there", "Give yourself write permission on the folder."),
-    errno.EROFS: ("That disk is read-only", "Record to a disk that can be written."),
+    errno.EACCES: ("This user has no write permission", "Give yourself write permission on the folder."),
+    errno.EPERM: ("This user has no write permission", "Give yourself write permission on the folder."),
+    errno.EROFS: ("The disk is read-only", "Record to a disk that can be written."),
     errno.ENOENT: ("There is no such folder", "Make the folder first."),
-    errno.ENOTDIR: ("A part of its path is no folder", "Check the path."),
+    errno.ENOTDIR: ("A part of the path is no folder", "Check the path."),
 }
 
 
 class RawWriter:
-    """A file that did not exist before; used in a ``with`` statement, which syncs and closes it in any case.
+    """A new file. Used in a ``with`` statement, which syncs and closes it in any case.
 
     Parameters
     ----------
     path
-        Where to make it.
+        The file to make; it must not exist.
     header
         Its first bytes.
 
     Raises
     ------
     RecordingFailed
-        When it exists, cannot be made, or the disk does not take what it is given; what was written stays.
+        If the file exists, cannot be made, or the disk does not accept the data; what was written stays.
     """
 
     def __init__(self, path: Path, header: bytes) -> None:
@@ -52,7 +52,7 @@ class RawWriter:
         try:
             self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o644)
         except OSError as error:
-            raise disk_refused(path, error) from error
+            raise recording_write_error(path, error) from error
         try:
             self.write(header)
         except RecordingFailed:
@@ -60,7 +60,18 @@ class RawWriter:
             raise
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Append all of it."""
+        """Append all data.
+
+        Parameters
+        ----------
+        data
+            The bytes to write.
+
+        Raises
+        ------
+        RecordingFailed
+            If the disk does not accept all of them.
+        """
         rest = memoryview(data)
         try:
             while rest:
@@ -68,7 +79,7 @@ class RawWriter:
                 self.bytes_written += written
                 rest = rest[written:]
         except OSError as error:
-            raise disk_refused(self.path, error) from error
+            raise recording_write_error(self.path, error) from error
 
     def __enter__(self) -> Self:
         return self
@@ -83,14 +94,25 @@ class RawWriter:
             os.fsync(self._handle)
             sync_folder(self.path.parent)
         except OSError as failed:
-            if error is None:  # else the first failure is the one to tell
-                raise disk_refused(self.path, failed) from failed
+            if error is None:  # else the first failure is the one to report
+                raise recording_write_error(self.path, failed) from failed
         finally:
             os.close(self._handle)
 
 
 def check_new(path: Path) -> None:
-    """Raise RecordingFailed when there is such a file already, or its folder is missing or may not be written."""
+    """Check that a file can be made.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    RecordingFailed
+        If the file exists, or its folder is missing or may not be written.
+    """
     code = 0
     try:
         if path.exists():
@@ -100,19 +122,41 @@ def check_new(path: Path) -> None:
         elif not os.access(path.parent, os.W_OK):
             code = errno.EACCES
     except OSError as error:  # a folder above it that may not be looked into
-        raise disk_refused(path, error) from error
+        raise recording_write_error(path, error) from error
     if code:
-        raise disk_refused(path, OSError(code, os.strerror(code)))
+        raise recording_write_error(path, OSError(code, os.strerror(code)))
 
 
 def check_space(path: Path) -> None:
-    """Raise RecordingFailed when the disk of a file is full."""
+    """Check that the disk of a file is not full.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    RecordingFailed
+        If less than ``FULL_BYTES`` are free.
+    """
     if shutil.disk_usage(path.parent).free < FULL_BYTES:
-        raise disk_refused(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+        raise recording_write_error(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
 
 def sync_file(path: Path) -> None:
-    """Sync a file that another program wrote, and its name; a file that is not there needs none."""
+    """Sync a file that another program wrote, and its name. A file that does not exist is ignored.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    RecordingFailed
+        If the disk does not accept it.
+    """
     try:
         if not path.exists():
             return
@@ -123,11 +167,17 @@ def sync_file(path: Path) -> None:
             os.close(handle)
         sync_folder(path.parent)
     except OSError as error:
-        raise disk_refused(path, error) from error
+        raise recording_write_error(path, error) from error
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync a folder, so that a new file's name is on disk as well; Windows has no such thing."""
+    """Sync a folder, so that the name of a new file is on disk as well. Windows cannot do this.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    """
     if not _FOLDERS_OPEN:
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -137,9 +187,22 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def disk_refused(path: Path, error: OSError) -> RecordingFailed:
-    """Say in words why a recording could not be written."""
-    otherwise = (f"It cannot be written ({error.strerror or error})", "Check the disk it lies on.")
+def recording_write_error(path: Path, error: OSError) -> RecordingFailed:
+    """Build the error of a recording that cannot be written.
+
+    Parameters
+    ----------
+    path
+        The file.
+    error
+        What the system reports.
+
+    Returns
+    -------
+    RecordingFailed
+        With the remedy for the cause.
+    """
+    otherwise = (f"The file cannot be written ({error.strerror or error})", "Check the disk.")
     what, remedy = _REMEDIES.get(error.errno or 0, otherwise)
     kept = (
         " What was recorded before is kept." if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO) else ""

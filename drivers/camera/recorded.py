@@ -17,7 +17,7 @@ from typing import Final
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.evt3 import first_time_high
 from drivers.camera.raw_file import RawFile
-from drivers.camera.recording import Watch, check_duration, record_words, recording_facts, refuse_roi
+from drivers.camera.recording import StopConditions, check_duration, record_words, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
 
@@ -44,7 +44,7 @@ class RecordedCamera:
         self._clock = clock
         self._stop_asked = threading.Event()
         self._played = 0
-        self._tape = _Tape(files[0]) if len(files) == 1 else None
+        self._player = _Player(files[0]) if len(files) == 1 else None
 
     @classmethod
     def open(cls, path: Path | str, *, serial: str | None = None, clock: Clock) -> RecordedCamera:
@@ -128,8 +128,8 @@ class RecordedCamera:
             path,
             source.file.raw_header.text,
             (source.file.width, source.file.height),
-            math.inf if self._tape is None else duration_s,
-            Watch(self._clock, self._stop_asked, _SILENCE_S, self._where),
+            math.inf if self._player is None else duration_s,
+            StopConditions(self._clock, self._stop_asked, _SILENCE_S, self._where),
         )
         self._played += 1
         complete = recorded.statistics.duration_s >= duration_s and not self._stop_asked.is_set()
@@ -153,11 +153,11 @@ class RecordedCamera:
     def _where(self) -> str:
         return str(self._files[0].path if len(self._files) == 1 else self._files[0].path.parent)
 
-    def _next_source(self) -> _Tape:
-        if self._tape is not None and not self._tape.at_end():
-            return self._tape
-        if self._tape is None and self._played < len(self._files):
-            return _Tape(self._files[self._played])
+    def _next_source(self) -> _Player:
+        if self._player is not None and not self._player.at_end():
+            return self._player
+        if self._player is None and self._played < len(self._files):
+            return _Player(self._files[self._played])
         raise RecordingFailed(
             f"All that was recorded has been played ({self._played} recordings taken).",
             where=self._where,
@@ -165,12 +165,12 @@ class RecordedCamera:
         )
 
 
-class _Tape:
+class _Player:
     """The words of one file, taken piece by piece, from where they were left."""
 
     def __init__(self, file: RawFile) -> None:
         self.file = file
-        self._pieces = file.words(at_once=_PIECE_WORDS)
+        self._pieces = file.words(piece_words=_PIECE_WORDS)
         self._ahead = next(self._pieces, None)
         self._begun = False
 

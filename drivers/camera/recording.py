@@ -1,7 +1,7 @@
-"""One recording, as every driver that hands on the camera's own words makes it: words, file, facts.
+"""Record from a camera whose driver hands on the camera's own words: words, file, facts.
 
-Knows when a recording is long enough (by the sensor's clock, not the computer's), what is told of it, and that
-its file is whole and readable however it ends. Knows no camera.
+The recording ends when the sensor's clock (not the computer's) has covered the duration. However it ends, its file is
+complete up to that point and readable. No camera is known here: each driver provides a ``WordSource``.
 """
 
 from __future__ import annotations
@@ -23,37 +23,49 @@ from drivers.clock import Clock
 from drivers.errors import CameraError, CameraLost, CameraSettingRefused, DriverError, RecordingFailed
 
 _CLOCK_AT_ZERO: Final = b"\x00\x80\x00\x60"
-"""TIME_HIGH and TIME_LOW: the shortest stream there is."""
+"""TIME_HIGH and TIME_LOW: the shortest valid stream."""
 
 
 class WordSource(Protocol):
-    """A stream of EVT3 words, as a driver offers it."""
+    """A stream of EVT3 words, provided by a driver."""
 
     def start(self) -> None:
-        """Let the stream begin."""
+        """Start the stream."""
         ...
 
     def next_words(self) -> bytes | None:
-        """Return the next whole words, None when none come for some 10 ms, nothing (b"") when it has ended."""
+        """Wait for the next words, some 10 ms at most.
+
+        Returns
+        -------
+        bytes or None
+            Whole words; None if none came; empty if the stream has ended.
+        """
         ...
 
     def stop(self, *, hurry: bool) -> None:
-        """Let the stream end; in a hurry when something else has gone wrong. Does not pass the clock."""
+        """Stop the stream, without passing the clock.
+
+        Parameters
+        ----------
+        hurry
+            True if something else has failed already: then stopping must be short.
+        """
         ...
 
 
 @dataclass(frozen=True)
-class Watch:
+class StopConditions:
     """What may end a recording before its time.
 
     Attributes
     ----------
     clock
-        Each round of the recording passes through its ``sleep``.
+        Its ``sleep`` is called in every round of the recording, and may interrupt it.
     stop_asked
         Set by another thread to end the recording early.
     silence_s
-        How long the sensor's clock may stand still before the camera counts as lost.
+        How long the sensor's clock may stand still before the camera counts as lost, s.
     where
         The camera, for messages.
     """
@@ -65,98 +77,148 @@ class Watch:
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """How a recording went: what its words told, bytes of the file, and whether it lasted its time."""
+class RecordingOutcome:
+    """The result of a recording.
+
+    Attributes
+    ----------
+    statistics
+        Counts, times and losses of its words.
+    bytes
+        Length of the file.
+    complete
+        Whether the recording covers its whole duration.
+    """
 
     statistics: StreamStatistics
     bytes: int
     complete: bool
 
 
-def get_ready() -> None:
-    """Have what counts words along compiled, so that the first recording does not wait for it."""
+def compile_decoder() -> None:
+    """Compile the loop that counts words, so that the first recording does not wait for the compiler."""
     Evt3Decoder(1, 1).tally(np.frombuffer(_CLOCK_AT_ZERO, "<u2"))
 
 
 def check_duration(duration_s: float, *, where: str) -> None:
-    """Raise RecordingFailed when nobody can record that long."""
+    """Check that a duration can be recorded.
+
+    Parameters
+    ----------
+    duration_s
+        The duration, s.
+    where
+        The camera, for messages.
+
+    Raises
+    ------
+    RecordingFailed
+        If the duration is not positive and finite.
+    """
     if not (math.isfinite(duration_s) and duration_s > 0):
         raise RecordingFailed(
-            f"A recording of {duration_s} s was asked for.",
+            f"A recording of {duration_s} s is not possible.",
             where=where,
-            remedy="Ask for some milliseconds at least.",
+            remedy="Request a duration above 0 s, at least some milliseconds.",
         )
 
 
 def refuse_roi(settings: CameraSettings, where: str) -> None:
-    """Raise CameraSettingRefused for a region of interest, where a driver sets none."""
+    """Refuse a region of interest, for drivers that cannot set one.
+
+    Parameters
+    ----------
+    settings
+        The wanted settings.
+    where
+        The camera, for messages.
+
+    Raises
+    ------
+    CameraSettingRefused
+        If the settings hold a region of interest.
+    """
     if settings.roi is not None:
         raise CameraSettingRefused(
-            "Its driver sets no region of interest.", where=where, remedy="Leave roi out of the station file."
+            "This driver cannot set a region of interest.",
+            where=where,
+            remedy="Leave roi out of the station file.",
         )
 
 
 def record_words(
-    source: WordSource, path: Path, header: bytes, size: tuple[int, int], duration_s: float, watch: Watch
-) -> Recorded:
+    source: WordSource,
+    path: Path,
+    header: bytes,
+    size: tuple[int, int],
+    duration_s: float,
+    stop_on: StopConditions,
+) -> RecordingOutcome:
     """Write a source's words into a new file until the sensor's clock has covered the duration.
 
     Parameters
     ----------
     source
-        Where the words come from; it is stopped in any case.
-    path, header
-        The new file and how it begins.
+        The source of the words; it is stopped in any case.
+    path
+        The file to make; it must not exist.
+    header
+        The first bytes of the file.
     size
-        Columns and rows of the sensor.
+        Columns and rows of the sensor, px.
     duration_s
-        At least this long of the sensor's clock, s; infinite for all there is.
-    watch
-        What may end it before.
+        Time to cover on the sensor's clock, at least, s; infinite for all words of the source.
+    stop_on
+        What may end the recording before.
+
+    Returns
+    -------
+    RecordingOutcome
+        Statistics, length and completeness.
 
     Raises
     ------
     RecordingFailed
-        When the file cannot be made or written, or the words are malformed; what came before is kept.
+        If the file cannot be made or written, or the words are malformed; what was recorded before is kept.
     CameraLost
-        When the camera goes away or falls silent; what came before is kept.
+        If the camera goes away or falls silent; what was recorded before is kept.
     """
-    decoder = Evt3Decoder(*size, where=watch.where)
+    decoder = Evt3Decoder(*size, where=stop_on.where)
     with RawWriter(path, header) as file:
         try:
             source.start()
-            complete = _write_words(source, file, decoder, duration_s, watch)
+            complete = _write_words(source, file, decoder, duration_s, stop_on)
         except BaseException as error:
-            # The first trouble is the one to tell; the way out is not interrupted, and short.
+            # The first error is the one to report. Stopping is not interruptible here, and short.
             with suppress(DriverError):
                 source.stop(hurry=True)
             if isinstance(error, DriverError) and not isinstance(error, RecordingFailed):
-                raise broke_off(error, path) from error
+                raise incomplete_recording_error(error, path) from error
             raise
         source.stop(hurry=False)
-    return Recorded(decoder.statistics(), file.bytes_written, complete)
+    return RecordingOutcome(decoder.statistics(), file.bytes_written, complete)
 
 
 def _write_words(
-    source: WordSource, file: RawWriter, decoder: Evt3Decoder, duration_s: float, watch: Watch
+    source: WordSource, file: RawWriter, decoder: Evt3Decoder, duration_s: float, stop_on: StopConditions
 ) -> bool:
-    """Write until covered (True), or until stopped or at the stream's own end (False)."""
+    """Write until the duration is covered (True), or until stopped or at the end of the stream (False)."""
     wanted_us = duration_s * 1e6
     covered_us = -1
     deadline = 0.0
     while decoder.covered_us < wanted_us:
-        if watch.stop_asked.is_set():
+        if stop_on.stop_asked.is_set():
             return False
         if decoder.covered_us > covered_us:
             covered_us = decoder.covered_us
-            deadline = watch.clock.monotonic() + watch.silence_s
-        elif watch.clock.monotonic() > deadline:
+            deadline = stop_on.clock.monotonic() + stop_on.silence_s
+        elif stop_on.clock.monotonic() > deadline:
             raise CameraLost(
-                f"Its clock has not gone on for {watch.silence_s:g} s.",
-                where=watch.where,
+                f"The sensor's clock has stood still for {stop_on.silence_s:g} s.",
+                where=stop_on.where,
                 remedy="Check the camera's cable and power (or its simulator), then resume the run.",
             )
-        watch.clock.sleep(0.0)
+        stop_on.clock.sleep(0.0)
         words = source.next_words()
         if words == b"":
             return False
@@ -166,16 +228,29 @@ def _write_words(
     return True
 
 
-def broke_off(error: DriverError, path: Path) -> CameraError:
-    """Build the error of a recording that broke off: what happened, and which file holds what came before."""
+def incomplete_recording_error(error: DriverError, path: Path) -> CameraError:
+    """Build the error of an interrupted recording: what happened, and which file holds what was recorded before.
+
+    Parameters
+    ----------
+    error
+        What happened.
+    path
+        The file.
+
+    Returns
+    -------
+    CameraError
+        ``CameraLost`` if the error is one, else ``RecordingFailed``.
+    """
     kind = CameraLost if isinstance(error, CameraLost) else RecordingFailed
-    what = f"{error.what} The recording broke off; what came before is in {path}."
+    what = f"{error.what} The recording is incomplete; what was recorded before is in {path}."
     return kind(what, where=error.where, remedy=error.remedy)
 
 
 def recording_facts(
     camera: CameraIdentity,
-    recorded: Recorded,
+    recorded: RecordingOutcome,
     *,
     biases: Mapping[str, int],
     filters: Mapping[str, bool],
@@ -183,7 +258,30 @@ def recording_facts(
     illumination_lux: float | None,
     losses: Sequence[str] = (),
 ) -> RecordingFacts:
-    """Put together what is known of a recording; ``losses`` are those that the driver itself noticed."""
+    """Put together what is known of a recording.
+
+    Parameters
+    ----------
+    camera
+        The camera that recorded.
+    recorded
+        The result of the recording.
+    biases
+        Offsets from the factory value, read back from the camera.
+    filters
+        On-chip filters by name, and whether each is on.
+    temperature_c
+        Temperature of the sensor, deg C; None if it is not measured.
+    illumination_lux
+        Illumination of the sensor, lx; None if it is not measured.
+    losses
+        Losses that the driver itself noticed, in sentences.
+
+    Returns
+    -------
+    RecordingFacts
+        For the journal and the gates.
+    """
     statistics = recorded.statistics
     return RecordingFacts(
         serial=camera.serial,
@@ -200,6 +298,6 @@ def recording_facts(
         rate_controller_out=statistics.rate_controller_out,
         temperature_c=temperature_c,
         illumination_lux=illumination_lux,
-        gaps=(*losses, *statistics.losses_in_words()),
+        gaps=(*losses, *statistics.loss_messages()),
         complete=recorded.complete,
     )

@@ -16,7 +16,7 @@ from typing import Any, Final
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.evk4_line import COMPUTING_S, Evk4Line
 from drivers.camera.raw_header import render_header
-from drivers.camera.recording import Watch, check_duration, record_words, recording_facts, refuse_roi
+from drivers.camera.recording import StopConditions, check_duration, record_words, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import (
     CameraSettingRefused,
@@ -184,7 +184,7 @@ class SimulatedEvk4Camera:
                 render_header(identity, self._utc_now()),
                 (identity.width, identity.height),
                 duration_s,
-                Watch(self._clock, self._stop_asked, COMPUTING_S, self._where),
+                StopConditions(self._clock, self._stop_asked, COMPUTING_S, self._where),
             )
         return recording_facts(
             identity,
@@ -269,7 +269,7 @@ class _Stream:
     def next_words(self) -> bytes | None:
         frame = self._line.receive()
         if frame is None:
-            self._line.see_that_it_speaks()
+            self._line.check_alive()
         if frame is None or frame.kind != b"D":
             return None
         self._kept += 1

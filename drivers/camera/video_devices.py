@@ -42,7 +42,7 @@ def usb_serial(device: Path, system: Path = SYSTEM) -> str:
     return ""
 
 
-def takes_pictures(device: Path, system: Path = SYSTEM) -> bool:
+def is_capture_device(device: Path, system: Path = SYSTEM) -> bool:
     """Whether a device is a camera's first one; its further ones carry metadata, which OpenCV cannot read."""
     try:
         return (system / device.name / "index").read_text(encoding="ascii").strip() == "0"
@@ -54,7 +54,7 @@ def video_devices(dev: Path = DEV, system: Path = SYSTEM) -> list[FoundCamera]:
     """List them as frame cameras, each by the name that a station file should call it."""
     by_id = dev / "v4l" / "by-id"
     names = {link.resolve(): link for link in by_id.iterdir()} if by_id.is_dir() else {}
-    devices = [path for path in sorted(dev.glob("video[0-9]*")) if takes_pictures(path, system)]
+    devices = [path for path in sorted(dev.glob("video[0-9]*")) if is_capture_device(path, system)]
     return [
         FoundCamera(
             driver="opencv",

@@ -1,6 +1,7 @@
-"""ECF, the compression of events in Metavision's HDF5 files: a chunk of bytes to arrays and back, no files.
+"""Encode and decode ECF (Event Compression Format), the compression of events in Metavision's HDF5 files.
 
-A chunk of up to 65535 events, little-endian throughout:
+This module converts chunks of bytes to arrays and back; it opens no files. A chunk holds up to 65535 events,
+little-endian throughout:
 
 - uint32: number of events << 2 | style (2 = A, 1 = B, 0 = C);
 - int64: time of the first event, us;
@@ -12,7 +13,12 @@ A chunk of up to 65535 events, little-endian throughout:
 - style C: columns as uint16 of x << 5 | one bit each for x + 1 .. x + 5 (highest bit first), in rising order; then
   polarities as bytes of p << 7 | count, a count of 127 followed by the count as uint16.
 
-Times can only rise in it: an event before its predecessor gets the predecessor's time.
+Times cannot step back: an event that is earlier than its predecessor gets the predecessor's time.
+
+References
+----------
+Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html; the layout of a chunk
+is that of the maker's codec, https://github.com/prophesee-ai/hdf5_ecf.
 """
 
 from __future__ import annotations
@@ -22,32 +28,44 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from drivers.camera.evt3 import Events, empty_events
+from drivers.camera.event_arrays import Events, empty_events
 
 FILTER_ID: Final = 36559
-"""Under this number HDF5 knows the compression."""
+"""Number of the compression filter in HDF5 (0x8ECF)."""
 
 MAX_EVENTS: Final = 65535
+"""Largest number of events in a chunk."""
 MAX_ADDRESS: Final = 2047
+"""Largest column and row, px."""
 
 _HEAD_BYTES: Final = 12
 _WORST_BYTES: Final = 24
-"""Of an event: at most 17 for its time, 2 for its row, 2 for its column, 1 for its polarity."""
+"""Largest size of an event: 17 bytes for its time, 2 for its row, 2 for its column, 1 for its polarity, rounded up."""
 
 
 def encode(events: Events) -> bytes:
-    """Compress a chunk of at least one event.
+    """Compress a chunk of events.
+
+    Parameters
+    ----------
+    events
+        The events, 1 to 65535.
+
+    Returns
+    -------
+    bytes
+        The chunk.
 
     Raises
     ------
     ValueError
-        For none or too many events, or an address beyond 11 bits.
+        If there are no events or too many, or a column or row needs more than 11 bits.
     """
     n = len(events.t)
     if not 0 < n <= MAX_EVENTS:
         raise ValueError(f"a chunk holds 1 to {MAX_EVENTS} events, not {n}")
     if max(events.x.max(), events.y.max()) > MAX_ADDRESS:
-        raise ValueError(f"an address beyond {MAX_ADDRESS}")
+        raise ValueError(f"a column or row above {MAX_ADDRESS}")
     t = np.maximum.accumulate(events.t)
     out = np.zeros(_HEAD_BYTES + _WORST_BYTES * n + 64, np.uint8)
     out[4:12] = np.frombuffer(np.int64(t[0]).tobytes(), np.uint8)
@@ -65,19 +83,29 @@ def encode(events: Events) -> bytes:
 
 
 def decode(chunk: bytes) -> Events:
-    """Unpack a chunk.
+    """Decompress a chunk.
+
+    Parameters
+    ----------
+    chunk
+        The bytes of one chunk.
+
+    Returns
+    -------
+    Events
+        Its events.
 
     Raises
     ------
     ValueError
-        When it ends too early, or its runs do not add up to its number of events.
+        If the chunk ends too early, or its runs do not add up to its number of events.
     """
     if len(chunk) < _HEAD_BYTES:
-        raise ValueError(f"a chunk of {len(chunk)} bytes has no head")
+        raise ValueError(f"a chunk of {len(chunk)} bytes is shorter than its header")
     info = int.from_bytes(chunk[:4], "little")
     n, style = info >> 2, info & 3
     if not 0 < n <= MAX_EVENTS:
-        raise ValueError(f"a chunk of {n} events")
+        raise ValueError(f"a chunk states {n} events; 1 to {MAX_EVENTS} are possible")
     events = empty_events(n)
     data = np.frombuffer(chunk, np.uint8)
     at = _get_times(data, _HEAD_BYTES, int.from_bytes(chunk[4:12], "little", signed=True), events.t)
@@ -91,7 +119,7 @@ def decode(chunk: bytes) -> Events:
             at = _get_columns(data, at, events.x)
             at = _get_polarities(data, at, events.p)
     if at < 0:
-        raise ValueError(f"a chunk of {n} events whose {len(chunk)} bytes do not hold them")
+        raise ValueError(f"a chunk of {len(chunk)} bytes does not hold the {n} events that it states")
     return events
 
 
@@ -103,7 +131,7 @@ _BAD: Final = -1
 
 @njit(cache=True, nogil=True)
 def _best_style(x: Any, y: Any, p: Any) -> int:
-    """Find the style that takes the fewest bytes, by counting the runs."""
+    """Return the style that takes the fewest bytes, by counting the runs."""
     rows = columns = polarities = 1
     base = x[0]
     for i in range(1, len(x)):
@@ -130,7 +158,7 @@ def _put_16(out: Any, at: int, value: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _run_length(values: Any, i: int) -> int:
-    """How many values from place i on are equal."""
+    """Return how many values from index i on are equal."""
     end = i + 1
     while end < len(values) and values[end] == values[i]:
         end += 1
@@ -200,7 +228,7 @@ def _put_polarities(out: Any, at: int, p: Any) -> int:
 
 @njit(cache=True, nogil=True)
 def _put_packed(out: Any, at: int, x: Any, y: Any, p: Any, style: int) -> int:
-    """Four values of three parts into three units of four parts: each holds the rest of one value and the next."""
+    """Write four values of three parts as three units of four parts: each holds the rest of one value and the next."""
     unit_bytes = 4 if style == _STYLE_A else 2
     part = 2 * unit_bytes
     value = np.zeros(4, np.int64)
@@ -221,7 +249,7 @@ def _put_packed(out: Any, at: int, x: Any, y: Any, p: Any, style: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _get(data: Any, at: int, size: int) -> int:
-    """Read a number of some bytes, little-endian; the caller has seen that they are there."""
+    """Read a little-endian number of some bytes. The caller has checked that they exist."""
     value: Any = 0
     for k in range(size):
         value |= np.int64(data[at + k]) << (8 * k)

@@ -1,8 +1,8 @@
-"""One file of events to another: RAW, Metavision's HDF5, plain HDF5, NumPy; every way between them.
+"""Convert a file of events to another format: RAW, Metavision's HDF5, plain HDF5, NumPy; each to each.
 
-A RAW file made here is no camera's own bytes, and its header says so. What is read of other files is in memory whole
-(13 bytes an event), RAW files are streamed but for NumPy's. What a format cannot hold is lost on the way
-there: the sensor's counters outside RAW, its clock's back-steps in Metavision's HDF5.
+A RAW file made here does not hold a camera's own bytes, and its header says so. RAW files are streamed, except to
+NumPy; files of other formats are read into memory whole (13 bytes an event). What the new format cannot represent is
+lost: the sensor's counters outside RAW, back-steps of its clock in Metavision's HDF5.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from drivers.camera import CameraIdentity
-from drivers.camera.evt3 import Triggers, empty_events
-from drivers.camera.formats.event_files import Exported, export_hdf5, export_metavision, export_numpy
-from drivers.camera.formats.event_import import Imported, import_events
+from drivers.camera.event_arrays import Triggers, empty_events
+from drivers.camera.formats.event_files import ExportSummary, export_hdf5, export_metavision, export_numpy
+from drivers.camera.formats.event_import import ImportedEvents, import_events
 from drivers.camera.formats.evt3_encode import Evt3Encoder
-from drivers.camera.formats.new_file import cannot_write, new_file
+from drivers.camera.formats.new_file import new_file, write_error
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_header import MAX_SIDE_PX, render_header
 from drivers.errors import NotARecording, RecordingFileError
@@ -35,11 +35,21 @@ _BY_ENDING: Final[Mapping[str, Kind]] = {
     ".h5": "hdf5",
     ".npz": "numpy",
 }
-_AT_ONCE: Final = 1_000_000
+_PIECE_EVENTS: Final = 1_000_000
 
 
 def kind_of_name(path: Path) -> Kind | None:
-    """Say which kind a file's name stands for: Metavision writes ``.hdf5``, others ``.h5``; None for no such name.
+    """Return the kind of file that a name stands for: Metavision writes ``.hdf5``, others ``.h5``.
+
+    Parameters
+    ----------
+    path
+        The name.
+
+    Returns
+    -------
+    str or None
+        The kind; None if the ending is not known.
 
     Examples
     --------
@@ -49,27 +59,40 @@ def kind_of_name(path: Path) -> Kind | None:
     return _BY_ENDING.get(path.suffix.lower())
 
 
-def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], datetime]) -> Exported:
-    """Write the events and triggers of a file, told by what it holds, as a new file of that kind.
+def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], datetime]) -> ExportSummary:
+    """Write the events and triggers of a file as a new file of another kind.
 
     Parameters
     ----------
-    source, target
-        The files; ``target`` appears whole or not at all.
+    source
+        The file to read; its contents decide its kind, not its name.
+    target
+        The file to make; it must not exist, and appears complete or not at all.
     kind
-        Of the new file.
+        Kind of the new file.
     utc_now
-        Tells the time that the header of a new RAW file states, where the source has none.
+        Returns the time for the header of a new RAW file, if the source states none.
+
+    Returns
+    -------
+    ExportSummary
+        What was written.
 
     Raises
     ------
-    NotARecording, RecordingCorrupt, RecordingFileError
-        When the source cannot be read, the target exists or cannot be written, or EVT3 cannot hold what is in it.
+    NotARecording
+        If the source holds no events, or both files would be RAW.
+    RecordingCorrupt
+        If the source is damaged.
+    RecordingFileError
+        If the source cannot be read, the target exists or cannot be written, or EVT3 cannot represent the contents.
     """
     if _is_raw(source):
         if kind == "raw":
             raise NotARecording(
-                "It is a RAW recording already.", where=str(source), remedy="Name another kind of file."
+                "The file is a RAW recording already.",
+                where=str(source),
+                remedy="Choose another kind of file.",
             )
         return _EXPORTS[kind](RawFile.open(source), target)
     found = import_events(source)
@@ -82,19 +105,37 @@ def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], dat
         return replace(written, moved_events=written.moved_events + moved)
 
 
-def write_raw(found: Imported, path: Path, *, source: Path, utc_now: Callable[[], datetime]) -> Exported:
-    """Write events as a new RAW file of EVT3, whose header names where they come from.
+def write_raw(
+    found: ImportedEvents, path: Path, *, source: Path, utc_now: Callable[[], datetime]
+) -> ExportSummary:
+    """Write events as a new RAW file of EVT3. Its header names the source.
+
+    Parameters
+    ----------
+    found
+        The events to write.
+    path
+        The file to make; it must not exist.
+    source
+        The file that the events come from.
+    utc_now
+        Returns the time for the header, if the source states none.
+
+    Returns
+    -------
+    ExportSummary
+        What was written.
 
     Raises
     ------
     RecordingFileError
-        When the file exists or cannot be written, or EVT3 cannot hold the sensor's size, times or triggers.
+        If the file exists or cannot be written, or EVT3 cannot represent the sensor's size, times or triggers.
     """
     if not all(0 < side <= MAX_SIDE_PX for side in (found.width, found.height)):
         raise RecordingFileError(
-            f"EVT3 cannot hold it: a sensor of {found.width} x {found.height} px.",
+            f"EVT3 cannot represent a sensor of {found.width} x {found.height} px.",
             where=str(source),
-            remedy=f"Sides are 1 to {MAX_SIDE_PX} px.",
+            remedy=f"Convert files of sensors with sides of 1 to {MAX_SIDE_PX} px only.",
         )
     encoder = Evt3Encoder()
     events, triggers = found.events, found.triggers
@@ -102,8 +143,8 @@ def write_raw(found: Imported, path: Path, *, source: Path, utc_now: Callable[[]
         file.write(_header(found, source, utc_now))
         done, latest = 0, -1
         try:
-            for begin in range(0, len(events.t), _AT_ONCE):
-                piece = events.part(begin, begin + _AT_ONCE)
+            for begin in range(0, len(events.t), _PIECE_EVENTS):
+                piece = events.part(begin, begin + _PIECE_EVENTS)
                 latest = max(latest, int(piece.t.max()))
                 until = int(np.searchsorted(triggers.t, latest, "right"))
                 file.write(encoder.words(piece, _edges(triggers, done, until)).tobytes())
@@ -111,22 +152,22 @@ def write_raw(found: Imported, path: Path, *, source: Path, utc_now: Callable[[]
             file.write(encoder.words(empty_events(0), _edges(triggers, done, len(triggers.t))).tobytes())
         except ValueError as error:
             raise RecordingFileError(
-                f"EVT3 cannot hold it: {error}.",
+                f"EVT3 cannot represent the file: {error}.",
                 where=str(source),
-                remedy="Let its times begin near 0, and edges be 0 or 1.",
+                remedy="Change its values: times from 0 to one day, trigger values 0 or 1, trigger ids 0 to 15.",
             ) from error
-    return Exported(len(events.t), len(triggers.t), encoder.moved)
+    return ExportSummary(len(events.t), len(triggers.t), encoder.moved_events)
 
 
 _EXPORTS: Final = {"metavision": export_metavision, "hdf5": export_hdf5, "numpy": export_numpy}
 
 
 def _folder_beside(target: Path) -> TemporaryDirectory[str]:
-    """Make a folder on the target's own disk. Raises RecordingFileError."""
+    """Make a temporary folder on the target's own disk. Raises RecordingFileError."""
     try:
         return TemporaryDirectory(prefix=".starbench-", dir=target.parent)
     except OSError as error:
-        raise cannot_write(target, error) from error
+        raise write_error(target, error) from error
 
 
 def _is_raw(path: Path) -> bool:
@@ -134,28 +175,28 @@ def _is_raw(path: Path) -> bool:
         with path.open("rb") as file:
             return file.read(2) == b"% "
     except OSError:
-        return False  # whoever reads it next says why
+        return False  # import_events reports the reason
 
 
 def _edges(triggers: Triggers, begin: int, end: int) -> Triggers:
     return Triggers(triggers.t[begin:end], triggers.value[begin:end], triggers.id[begin:end])
 
 
-def _header(found: Imported, source: Path, utc_now: Callable[[], datetime]) -> bytes:
-    said = found.header
+def _header(found: ImportedEvents, source: Path, utc_now: Callable[[], datetime]) -> bytes:
+    header = found.header
     camera = CameraIdentity(
-        maker=said.get("integrator_name", ""),
+        maker=header.get("integrator_name", ""),
         model="",
-        sensor=said.get("sensor_name", ""),
-        serial=said.get("serial_number", ""),
+        sensor=header.get("sensor_name", ""),
+        serial=header.get("serial_number", ""),
         firmware="",
         width=found.width,
         height=found.height,
     )
     try:
-        recorded_at = datetime.strptime(said.get("date", ""), "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
+        recorded_at = datetime.strptime(header.get("date", ""), "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
     except ValueError:
         recorded_at = utc_now()
     origin = f"% converted_from {' '.join(source.name.split())}; not the bytes of a camera\n% end\n"
-    # at the end alone: a serial number may hold these words too
+    # only at the end: a serial number may hold these characters too
     return render_header(camera, recorded_at).removesuffix(b"% end\n") + origin.encode("ascii", "replace")

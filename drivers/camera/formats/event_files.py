@@ -1,14 +1,18 @@
-"""Events in files for analysis: Metavision's HDF5, plain HDF5 and NumPy; out of a RAW file.
+"""Export a RAW file to files for analysis: Metavision's HDF5, plain HDF5 and NumPy.
 
-The RAW file stays the evidence: all these are computed from it, hold less (no counters of the sensor, and in
-Metavision's HDF5 no time may step back), are never overwritten, and appear whole or not at all. Layouts:
+The RAW file stays the evidence. All other files are computed from it and hold less: no counters of the sensor, and in
+Metavision's HDF5 no time may step back. They appear complete or not at all, and are never overwritten. Layouts:
 
-- Metavision: ``/CD/events`` (x, y, p, t; ECF-compressed chunks of 16384), ``/EXT_TRIGGER/events`` (p, t, id), to
-  each ``indexes`` (id, ts): entry k tells the first event of the last 2 ms window before window k that has any,
-  with its time since the first event; the header's keys as attributes.
-- plain HDF5: ``/events/t, x, y, p`` and ``/triggers/t, value, id``, gzip; ``width``, ``height`` and the header's
-  keys as attributes of the root and of ``/header``.
+- Metavision: ``/CD/events`` (x, y, p, t; ECF-compressed chunks of 16384), ``/EXT_TRIGGER/events`` (p, t, id), each with
+  ``indexes`` (id, ts): entry k names the first event of the last 2 ms window before window k that has any event,
+  and its time since the first event; the header's keys as attributes.
+- plain HDF5: ``/events/t, x, y, p`` and ``/triggers/t, value, id``, gzip; ``width``, ``height`` as attributes of the
+  root, and the header's keys as attributes of ``/header``.
 - NumPy: an ``.npz`` of ``t, x, y, p, trigger_t, trigger_value, trigger_id, size`` (width, height).
+
+References
+----------
+Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html.
 """
 
 from __future__ import annotations
@@ -23,13 +27,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.evt3 import Events, Triggers, empty_events, join_triggers
+from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
 from drivers.camera.formats import ecf
 from drivers.camera.formats.new_file import new_file
 from drivers.camera.raw_file import RawFile
 
 CHUNK_EVENTS: Final = 16384
+"""Number of events in a chunk of Metavision's HDF5."""
 WINDOW_US: Final = 2000
+"""Length of a window of the table ``indexes``, us."""
 
 CD_TYPE: Final = np.dtype(
     {
@@ -49,10 +55,17 @@ _NOT_THERE: Final = ("evt", "plugin_name")  # keys that make no sense outside RA
 
 
 @dataclass(frozen=True)
-class Exported:
-    """What went into a file; ``moved_events`` got their predecessor's time, as the format demands.
+class ExportSummary:
+    """What was written to a file.
 
-    ``cut_off``: the recording ended in the middle of a word, as one that was cut off does half of the time.
+    Attributes
+    ----------
+    events, triggers
+        Number of events and of trigger edges.
+    moved_events
+        Number of events that got their predecessor's time, because the format demands rising times.
+    cut_off
+        Whether the recording ends in the middle of a word, as half of all recordings do that were cut off.
     """
 
     events: int
@@ -61,13 +74,25 @@ class Exported:
     cut_off: bool = False
 
 
-def export_metavision(recording: RawFile, path: Path) -> Exported:
+def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
     """Write a Metavision HDF5 file, with bounded memory.
+
+    Parameters
+    ----------
+    recording
+        The RAW file to export.
+    path
+        The file to make; it must not exist.
+
+    Returns
+    -------
+    ExportSummary
+        What was written.
 
     Raises
     ------
     RecordingFileError
-        When the file exists or cannot be written, or the recording cannot be read.
+        If the file exists or cannot be written, or the recording cannot be read.
     """
     triggers: list[Triggers] = []
     with _new_hdf5(path) as file:
@@ -86,11 +111,29 @@ def export_metavision(recording: RawFile, path: Path) -> Exported:
         index.write(file["CD"])
         edges = join_triggers(triggers)
         _write_triggers(file.create_group("EXT_TRIGGER"), edges)
-    return Exported(index.events, len(edges.t), moved, recording.truncated)
+    return ExportSummary(index.events, len(edges.t), moved, recording.truncated)
 
 
-def export_hdf5(recording: RawFile, path: Path) -> Exported:
-    """Write a plain HDF5 file, with bounded memory. Raises as ``export_metavision``."""
+def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
+    """Write a plain HDF5 file, with bounded memory.
+
+    Parameters
+    ----------
+    recording
+        The RAW file to export.
+    path
+        The file to make; it must not exist.
+
+    Returns
+    -------
+    ExportSummary
+        What was written.
+
+    Raises
+    ------
+    RecordingFileError
+        If the file exists or cannot be written, or the recording cannot be read.
+    """
     triggers: list[Triggers] = []
     n = 0
     with _new_hdf5(path) as file:
@@ -116,11 +159,29 @@ def export_hdf5(recording: RawFile, path: Path) -> Exported:
         edges = join_triggers(triggers)
         for name, values in edges._asdict().items():
             file.create_dataset(f"triggers/{name}", data=values)
-    return Exported(n, len(edges.t), cut_off=recording.truncated)
+    return ExportSummary(n, len(edges.t), cut_off=recording.truncated)
 
 
-def export_numpy(recording: RawFile, path: Path) -> Exported:
-    """Write an ``.npz`` file; all events are in memory meanwhile. Raises as ``export_metavision``."""
+def export_numpy(recording: RawFile, path: Path) -> ExportSummary:
+    """Write an ``.npz`` file. All events are in memory meanwhile.
+
+    Parameters
+    ----------
+    recording
+        The RAW file to export.
+    path
+        The file to make; it must not exist.
+
+    Returns
+    -------
+    ExportSummary
+        What was written.
+
+    Raises
+    ------
+    RecordingFileError
+        If the file exists or cannot be written, or the recording cannot be read.
+    """
     events, triggers = recording.read()
     with new_file(path) as part, part.open("xb") as file:
         np.savez_compressed(
@@ -129,18 +190,18 @@ def export_numpy(recording: RawFile, path: Path) -> Exported:
             **{f"trigger_{name}": values for name, values in triggers._asdict().items()},
             size=np.array([recording.width, recording.height]),
         )
-    return Exported(len(events.t), len(triggers.t), cut_off=recording.truncated)
+    return ExportSummary(len(events.t), len(triggers.t), cut_off=recording.truncated)
 
 
 def _attributes(recording: RawFile) -> Mapping[str, str]:
-    """Attributes of a Metavision file: the header's keys, in ASCII."""
+    """Return the attributes of a Metavision file: the header's keys, in ASCII."""
     kept = {key: value for key, value in recording.header.items() if key not in _NOT_THERE}
     given = {**kept, "version": "1.0", "geometry": f"{recording.width}x{recording.height}"}
     return {key: value.encode("ascii", "replace").decode() for key, value in given.items()}
 
 
 def _in_chunks(recording: RawFile, triggers: list[Triggers], *, size: int = CHUNK_EVENTS) -> Iterator[Events]:
-    """Events in pieces of exactly ``size``, but for the last; the triggers met go into the list.
+    """Yield events in pieces of exactly ``size`` (the last may be shorter); append the triggers met to the list.
 
     All pieces are views of the same arrays.
     """
@@ -163,7 +224,7 @@ def _in_chunks(recording: RawFile, triggers: list[Triggers], *, size: int = CHUN
 
 
 def _ecf_dataset(group: Any) -> Any:
-    """Create a dataset of events whose chunks are written compressed already: HDF5 itself need not know how."""
+    """Create a dataset whose chunks are written compressed, so that HDF5 itself needs no filter."""
     creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     creation.set_chunk((CHUNK_EVENTS,))
     creation.set_filter(ecf.FILTER_ID, h5py.h5z.FLAG_OPTIONAL, ())
@@ -182,7 +243,7 @@ def _write_triggers(group: Any, edges: Triggers) -> None:
 
 
 class _Index:
-    """The table by which readers find a time: gathers the first event of each 2 ms window."""
+    """The table by which readers find a time: the first event of each 2 ms window."""
 
     def __init__(self) -> None:
         self.events = 0
@@ -192,7 +253,7 @@ class _Index:
         self._times: list[NDArray[np.int64]] = []
 
     def add(self, t: NDArray[np.int64]) -> None:
-        """Take the next events' times, rising."""
+        """Add the next events' times, which rise."""
         if not len(t):
             return
         if not self.events:

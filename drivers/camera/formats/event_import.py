@@ -1,4 +1,4 @@
-"""Events from files for analysis back to arrays: Metavision's HDF5, plain HDF5 and NumPy (see ``event_files``)."""
+"""Import events from files for analysis: Metavision's HDF5, plain HDF5 and NumPy (layouts: see ``event_files``)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Final
 import h5py
 import numpy as np
 
-from drivers.camera.evt3 import Events, Triggers, empty_events
+from drivers.camera.event_arrays import Events, Triggers, empty_events
 from drivers.camera.formats import ecf
 from drivers.camera.formats.event_files import CD_TYPE
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
@@ -23,12 +23,22 @@ _UNREADABLE: Final = (
     *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError),
     *(zipfile.BadZipFile, zlib.error),
 )
-"""What HDF5 and NumPy raise for a file that is spoilt, or laid out otherwise."""
+"""What HDF5 and NumPy raise for a damaged file, or one with another layout."""
 
 
 @dataclass(frozen=True)
-class Imported:
-    """Events, triggers, the sensor's size and what else the file says of the recording."""
+class ImportedEvents:
+    """The contents of an imported file.
+
+    Attributes
+    ----------
+    events, triggers
+        In the order of the file.
+    width, height
+        Size of the sensor, px.
+    header
+        Other keys and texts that the file holds about the recording.
+    """
 
     events: Events
     triggers: Triggers
@@ -37,17 +47,27 @@ class Imported:
     header: Mapping[str, str]
 
 
-def import_events(path: Path | str) -> Imported:
-    """Read a file by what it holds, whatever its name.
+def import_events(path: Path | str) -> ImportedEvents:
+    """Read a file. Its contents decide the format, not its name.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    ImportedEvents
+        All of it, in memory.
 
     Raises
     ------
     NotARecording
-        When it is none of the three, or lacks a part.
+        If it has none of the three formats, lacks a part, or an event lies outside the sensor.
     RecordingCorrupt
-        When a chunk of events cannot be unpacked, or an event lies outside the sensor.
+        If a chunk of events cannot be decompressed.
     RecordingFileError
-        When it cannot be read.
+        If it cannot be read.
     """
     path = Path(path)
     try:
@@ -59,63 +79,64 @@ def import_events(path: Path | str) -> Imported:
         if start[:4] == b"PK\x03\x04":
             return _from_numpy(path)
     except _UNREADABLE as error:
-        raise _not_ours(path, str(error)) from error
+        raise _not_events(path, str(error)) from error
     except MemoryError as error:
         raise RecordingFileError(
-            f"It says that it holds more than the memory does ({error}).", where=str(path), remedy=_AGAIN
+            f"The file states more events than fit into memory ({error}).", where=str(path), remedy=_AGAIN
         ) from error
     except OSError as error:
         raise RecordingFileError(
-            f"It cannot be read ({error.strerror or error}).",
+            f"The file cannot be read ({error.strerror or error}).",
             where=str(path),
             remedy="Check the path and the file.",
         ) from error
-    raise _not_ours(path, "it is neither HDF5 nor .npz")
+    raise _not_events(path, "the file is neither HDF5 nor .npz")
 
 
-def _not_ours(path: Path, why: str) -> NotARecording:
+def _not_events(path: Path, why: str) -> NotARecording:
+    """Build the error of a file without readable events."""
     return NotARecording(
-        f"It holds no events that can be read: {why}.",
+        f"The file holds no readable events: {why}.",
         where=str(path),
         remedy="Give a Metavision HDF5, a plain HDF5 or an .npz file of events.",
     )
 
 
-def _from_numpy(path: Path) -> Imported:
+def _from_numpy(path: Path) -> ImportedEvents:
     with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
         width, height = (int(side) for side in _part(file, "size"))
         events = _as_events(*(_part(file, name) for name in ("t", "x", "y", "p")))
         triggers = _as_triggers(*(_part(file, f"trigger_{name}") for name in ("t", "value", "id")))
-    return _checked(Imported(events, triggers, width, height, {}), path)
+    return _checked(ImportedEvents(events, triggers, width, height, {}), path)
 
 
-def _from_hdf5(file: Any, path: Path) -> Imported:
+def _from_hdf5(file: Any, path: Path) -> ImportedEvents:
     events = _as_events(*(_part(file, f"events/{name}")[:] for name in ("t", "x", "y", "p")))
     triggers = _as_triggers(*(_part(file, f"triggers/{name}")[:] for name in ("t", "value", "id")))
     header = {key: _text(value) for key, value in _part(file, "header").attrs.items()}
     size = int(_part(file.attrs, "width")), int(_part(file.attrs, "height"))
-    return _checked(Imported(events, triggers, *size, header), path)
+    return _checked(ImportedEvents(events, triggers, *size, header), path)
 
 
-def _from_metavision(file: Any, path: Path) -> Imported:
+def _from_metavision(file: Any, path: Path) -> ImportedEvents:
     header = {key: _text(value) for key, value in file.attrs.items()}
     width, height = (int(side) for side in _part(header, "geometry").split("x"))
     rows = _part(file, "EXT_TRIGGER/events")[:]
     triggers = _as_triggers(rows["t"], rows["p"], rows["id"])
     events = _metavision_events(_part(file, "CD/events"), path)
-    return _checked(Imported(events, triggers, width, height, header), path)
+    return _checked(ImportedEvents(events, triggers, width, height, header), path)
 
 
 def _metavision_events(dataset: Any, path: Path) -> Events:
-    """Unpack the chunks here: few installations of HDF5 know the compression."""
+    """Decompress the chunks here, because few installations of HDF5 have the filter."""
     if not isinstance(dataset, h5py.Dataset):
-        raise ValueError("its CD/events is a group")  # noqa: TRY004 - of the file, not of the caller
+        raise ValueError("CD/events is a group, not a dataset")  # noqa: TRY004 - of the file, not of the caller
     creation = dataset.id.get_create_plist()
     filters = [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
     if filters != [ecf.FILTER_ID]:
         return _from_rows(dataset[:])
     events = empty_events(len(dataset))
-    told = 0
+    read = 0
     for k in range(dataset.id.get_num_chunks()):
         info = dataset.id.get_chunk_info(k)
         begin = info.chunk_offset[0]
@@ -124,24 +145,27 @@ def _metavision_events(dataset: Any, path: Path) -> Events:
         try:
             part = _from_rows(np.frombuffer(data, CD_TYPE)) if skipped else ecf.decode(data)
             if len(part.t) < n:
-                raise ValueError(f"a chunk of {len(part.t)} events where {n} are due")  # noqa: TRY301
+                raise ValueError(f"a chunk holds {len(part.t)} events instead of {n}")  # noqa: TRY301
         except ValueError as error:
             raise RecordingCorrupt(
-                f"It cannot be unpacked: {error}.", offset=info.byte_offset, where=str(path), remedy=_AGAIN
+                f"The events cannot be decompressed: {error}.",
+                offset=info.byte_offset,
+                where=str(path),
+                remedy=_AGAIN,
             ) from error
         place = slice(begin, begin + n)
         events.t[place], events.x[place] = part.t[:n], part.x[:n]
         events.y[place], events.p[place] = part.y[:n], part.p[:n]
-        told += n
-    if told != len(events.t):
-        raise _not_ours(path, f"{len(events.t) - told} of its {len(events.t)} events are missing")
+        read += n
+    if read != len(events.t):
+        raise _not_events(path, f"{len(events.t) - read} of its {len(events.t)} events are missing")
     return events
 
 
 def _part(of: Any, name: str) -> Any:
-    """Look up a part of a file. Raises ValueError when it is missing."""
+    """Return a part of a file. Raises ValueError if it is missing."""
     if name not in of:
-        raise ValueError(f"it lacks {name}")
+        raise ValueError(f"{name} is missing")
     return of[name]
 
 
@@ -158,13 +182,15 @@ def _as_triggers(t: Any, value: Any, channel: Any) -> Triggers:
 
 
 def _whole(values: Any, dtype: type[np.generic]) -> Any:
-    """Give the numbers in that type. Raises ValueError when they are not whole, or do not fit."""
+    """Convert numbers to a type. Raises ValueError if they are not whole, or do not fit."""
     values = np.asarray(values)
     if values.ndim != 1 or values.dtype.kind not in "iu":
-        raise ValueError(f"an array of {values.dtype} with {values.ndim} dimensions")
+        raise ValueError(
+            f"an array of {values.dtype} with {values.ndim} dimensions is not a list of whole numbers"
+        )
     cast = np.ascontiguousarray(values, dtype)  # as it is where it can stay so: there may be millions
     if cast is not values and not np.array_equal(cast, values):
-        raise ValueError(f"numbers that are no {np.dtype(dtype)}")
+        raise ValueError(f"some numbers do not fit into {np.dtype(dtype)}")
     return cast
 
 
@@ -172,14 +198,14 @@ def _text(value: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def _checked(found: Imported, path: Path) -> Imported:
-    """See that lengths agree and every event lies on the sensor."""
+def _checked(found: ImportedEvents, path: Path) -> ImportedEvents:
+    """Check that lengths agree and that every event lies on the sensor."""
     for arrays in (found.events, found.triggers):
         if len({len(values) for values in arrays}) != 1:
-            raise _not_ours(path, "its arrays have different lengths")
+            raise _not_events(path, "the arrays have different lengths")
     events = found.events
     if len(events.t) and (
         events.x.max() >= found.width or events.y.max() >= found.height or events.p.max() > 1
     ):
-        raise _not_ours(path, f"an event lies outside the sensor of {found.width} x {found.height} px")
+        raise _not_events(path, f"an event lies outside the sensor of {found.width} x {found.height} px")
     return found

@@ -1,7 +1,7 @@
-"""A new file that appears whole or not at all: written under another name beside its place, synced, then named.
+"""Write a new file so that it appears complete or not at all: under another name, synced, then renamed.
 
-Never over another file. Whatever interrupts the writing - an error, Ctrl-C - takes the part away with it; what a
-killed process leaves is called ``.part`` and is written anew by the next.
+Another file is never overwritten. If an error or Ctrl-C interrupts the writing, the partial file is removed. A killed
+process leaves it under the name ``.part``, and the next one writes it anew.
 """
 
 from __future__ import annotations
@@ -17,12 +17,22 @@ from drivers.errors import DriverError, RecordingFileError
 
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
-    """Give a path to write to; at the end of the block the file is at its place.
+    """Provide a path to write to; at the end of the block the file is renamed to its own name.
+
+    Parameters
+    ----------
+    path
+        The file to make; it must not exist.
+
+    Yields
+    ------
+    Path
+        The path to write to, in the same folder.
 
     Raises
     ------
     RecordingFileError
-        When there is such a file already, or it cannot be written.
+        If the file exists, or cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
     try:
@@ -37,20 +47,33 @@ def new_file(path: Path) -> Iterator[Path]:
             part.unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise cannot_write(path, error) from error
+        raise write_error(path, error) from error
 
 
-def cannot_write(path: Path, error: OSError) -> RecordingFileError:
-    """Say why a file cannot be written."""
+def write_error(path: Path, error: OSError) -> RecordingFileError:
+    """Build the error of a file that cannot be written.
+
+    Parameters
+    ----------
+    path
+        The file.
+    error
+        What the system reports.
+
+    Returns
+    -------
+    RecordingFileError
+        With the system's reason.
+    """
     return RecordingFileError(
-        f"It cannot be written ({error.strerror or error}).",
+        f"The file cannot be written ({error.strerror or error}).",
         where=str(path),
-        remedy="Check that its folder exists, may be written and has space.",
+        remedy="Check that its folder exists, that you may write to it, and that the disk has space.",
     )
 
 
 def _name(part: Path, path: Path) -> None:
-    """Give the file its name; refused when somebody else has taken it meanwhile."""
+    """Give the file its name. Raises RecordingFileError if another program has taken the name meanwhile."""
     try:
         os.link(part, path)
     except FileExistsError:
@@ -66,5 +89,5 @@ def _name(part: Path, path: Path) -> None:
 
 def _exists(path: Path) -> DriverError:
     return RecordingFileError(
-        "There is such a file already.", where=str(path), remedy="Choose another name, or remove it."
+        "The file exists already.", where=str(path), remedy="Choose another name, or remove the file."
     )

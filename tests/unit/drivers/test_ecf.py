@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.camera.evt3 import Events
+from drivers.camera.event_arrays import Events
 from drivers.camera.formats.ecf import MAX_EVENTS, decode, encode
 
 
@@ -127,5 +127,5 @@ def test_garbage_is_refused_or_gives_the_events_it_promises(data, info):
     ],
 )
 def test_what_a_chunk_cannot_hold_is_refused(events):
-    with pytest.raises(ValueError, match=r"chunk|address"):
+    with pytest.raises(ValueError, match=r"chunk|column or row"):
         encode(events)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from drivers.camera.evt3 import Events, Evt3Decoder, count_events, empty_events
+from drivers.camera.event_arrays import Events, empty_events
+from drivers.camera.evt3 import Evt3Decoder, count_events
 from drivers.errors import RecordingCorrupt
 from tests.unit.drivers.evt3_words import (
     HEIGHT,
@@ -111,15 +112,15 @@ def test_triples_of_vectors_are_the_same_wherever_they_stand(x, counting):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((row(0), event(1), row(HEIGHT)), "row 720 on a sensor of 1280 x 720"),
-        ((row(0), event(1), event(WIDTH)), "column 1280 on a sensor of 1280 x 720"),
-        ((row(HEIGHT),), "row 720 on a sensor of 1280 x 720"),
-        ((row(0), event(WIDTH)), "column 1280 on a sensor of 1280 x 720"),
-        ((row(0), base(WIDTH - 4), vector12(0b10000)), "vector from column 1276 on with events beyond"),
-        ((row(0), base(WIDTH - 4), vector8(0b10000)), "vector from column 1276 on"),
-        ((row(0), base(2047), vector12(1)), "vector from column 2047 on"),
-        ((row(0), base(WIDTH - 20), vector12(1), vector12(1 << 8)), "vector from column 1272 on"),
-        ((0x9000,), "0x9000 of a type that EVT3 does not have"),
+        ((row(0), event(1), row(HEIGHT)), "Row 720 lies outside the sensor of 1280 x 720"),
+        ((row(0), event(1), event(WIDTH)), "column 1280 lies outside the sensor of 1280 x 720"),
+        ((row(HEIGHT),), "Row 720 lies outside the sensor of 1280 x 720"),
+        ((row(0), event(WIDTH)), "column 1280 lies outside the sensor of 1280 x 720"),
+        ((row(0), base(WIDTH - 4), vector12(0b10000)), "vector that begins at column 1276 holds events beyond"),
+        ((row(0), base(WIDTH - 4), vector8(0b10000)), "vector that begins at column 1276 "),
+        ((row(0), base(2047), vector12(1)), "vector that begins at column 2047 "),
+        ((row(0), base(WIDTH - 20), vector12(1), vector12(1 << 8)), "vector that begins at column 1272 "),
+        ((0x9000,), "type of word 0x9000 does not exist in EVT3"),
         ((0xB123,), "0xB123"),
         ((0xCFFF,), "0xCFFF"),
     ],
@@ -170,7 +171,7 @@ def test_events_of_one_pixel_add_up(x):
 
 
 def test_an_image_of_another_size_is_refused():
-    with pytest.raises(ValueError, match="another sensor"):
+    with pytest.raises(ValueError, match="does not fit the sensor"):
         Evt3Decoder(WIDTH, HEIGHT).count(np.array([high(0)], np.uint16), np.zeros((2, 10, 10), np.uint16))
 
 

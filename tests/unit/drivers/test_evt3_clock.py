@@ -81,14 +81,14 @@ def test_time_high_stepping_back_is_refused():
 def test_time_high_leaping_forward_is_a_gap():
     told = decode(high(10), low(100), high(12), low(0))[2]
     assert told.gaps == ((10 * 4096 + 100, 12 * 4096),)
-    assert told.losses_in_words() == ("Words are missing from 41060 to 49152 us of the sensor's clock.",)
+    assert told.loss_messages() == ("Words are missing from 41060 to 49152 us of the sensor's clock.",)
 
 
 def test_gaps_beyond_the_kept_ones_are_counted():
     words = [word for k in range(100) for word in (high(2 * k), low(0))]
     told = decode(*words)[2]
     assert (told.gap_count, len(told.gaps)) == (99, 64)
-    assert told.losses_in_words()[-1] == "35 more gaps follow."
+    assert told.loss_messages()[-1] == "35 more gaps follow."
 
 
 def test_a_leap_over_the_wrap_is_a_gap_and_one_turn():

@@ -34,13 +34,13 @@ def reported(*windows, parts=3):
 @pytest.mark.parametrize("parts", [2, 3])
 def test_a_stream_that_has_what_the_sensor_counted_has_lost_nothing(parts):
     told = reported((3, 3), (0, 0), (7, 7), parts=parts)
-    assert (told.lost_events, told.odd_windows, told.losses_in_words()) == (0, 0, ())
+    assert (told.lost_events, told.mismatched_windows, told.loss_messages()) == (0, 0, ())
 
 
 def test_events_that_the_sensor_counted_and_that_did_not_arrive_are_lost():
     told = reported((2, 6), (3, 3), (7, 7), (0, 1))
-    assert (told.lost_events, told.odd_windows) == (5, 2)
-    assert "5 are missing" in told.losses_in_words()[0]
+    assert (told.lost_events, told.mismatched_windows) == (5, 2)
+    assert "5 events are missing" in told.loss_messages()[0]
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_parts_of_a_payload_out_of_their_order_count_nowhere(stray):
 
 def test_a_report_that_did_not_arrive_leaves_an_odd_window():
     told = reported((3, 3), (9, 4))
-    assert (told.lost_events, told.odd_windows) == (0, 1)
+    assert (told.lost_events, told.mismatched_windows) == (0, 1)
 
 
 def test_windows_over_several_pieces_are_counted_whole():
@@ -60,7 +60,7 @@ def test_windows_over_several_pieces_are_counted_whole():
     words = [high(0), low(0), row(0), *others(0x016, 0), event(1), event(2), *others(0x016, 2)]
     for k in range(0, len(words), 2):
         decoder.tally(np.array(words[k : k + 2], np.uint16))
-    assert decoder.statistics().odd_windows == 0
+    assert decoder.statistics().mismatched_windows == 0
 
 
 def test_rate_controller_counts_use_28_bits():

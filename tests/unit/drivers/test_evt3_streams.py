@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.camera.evt3 import Events, Evt3Decoder, Triggers, count_events, empty_events
-from drivers.camera.evt3_kernel import most_events
+from drivers.camera.event_arrays import Events, Triggers, empty_events
+from drivers.camera.evt3 import Evt3Decoder, count_events
+from drivers.camera.evt3_kernel import max_event_count
 from drivers.errors import RecordingCorrupt
 from tests.unit.drivers.evt3_words import (
     HEIGHT,
@@ -232,4 +233,4 @@ def test_decoding_into_given_arrays_gives_the_same(stream, at):
 
 @given(streams())
 def test_events_can_be_counted_without_decoding(stream):
-    assert most_events(np.array(stream[0], np.uint16)) == len(stream[1])
+    assert max_event_count(np.array(stream[0], np.uint16)) == len(stream[1])

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import STALE_FRAMES, FolderFrameCamera, OpenCvFrameCamera
-from drivers.camera.frames import FrameSettings, grey, mean_frame, read_frames, write_frames
+from drivers.camera.frames import FrameSettings, mean_frame, read_frames, to_grey, write_frames
 from drivers.clock import SystemClock
 from drivers.errors import (
     CameraBusy,
@@ -45,7 +45,7 @@ def test_the_mean_is_that_of_the_grey_values(tmp_path):
 
 def test_pictures_are_never_overwritten(tmp_path):
     (tmp_path / "pose.tiff").write_bytes(b"precious")
-    with pytest.raises(RecordingFailed, match="such a file already"):
+    with pytest.raises(RecordingFailed, match="file exists already"):
         write_frames(tmp_path / "pose.tiff", pictures(1))
     assert (tmp_path / "pose.tiff").read_bytes() == b"precious"
 
@@ -58,13 +58,13 @@ def test_a_missing_folder_is_told(tmp_path):
 def test_colours_become_grey():
     red = np.zeros((2, 2, 3), np.uint8)
     red[..., 2] = 255
-    assert grey(red, where="x").tolist() == [[76, 76], [76, 76]]
-    assert grey(np.full((2, 2, 1), 7, np.uint16), where="x").tolist() == [[7, 7], [7, 7]]
+    assert to_grey(red, where="x").tolist() == [[76, 76], [76, 76]]
+    assert to_grey(np.full((2, 2, 1), 7, np.uint16), where="x").tolist() == [[7, 7], [7, 7]]
 
 
 def test_pixels_of_another_kind_are_refused():
     with pytest.raises(RecordingFileError, match="float64"):
-        grey(np.zeros((2, 2)), where="x")
+        to_grey(np.zeros((2, 2)), where="x")
 
 
 def test_what_is_no_picture_is_told(tmp_path):

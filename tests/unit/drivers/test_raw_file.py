@@ -103,7 +103,7 @@ def test_a_file_cut_anywhere_is_readable_up_to_there(raw, kept):
 
 def test_malformed_words_are_named_by_file_and_byte(raw):
     path = raw([*WORDS, 0x9999])
-    with pytest.raises(RecordingCorrupt, match=r"some\.raw: A word 0x9999") as caught:
+    with pytest.raises(RecordingCorrupt, match=r"some\.raw: The type of word 0x9999") as caught:
         RawFile.open(path).read()
     assert caught.value.offset == len(HEADER) + 2 * len(WORDS)
 
@@ -153,21 +153,21 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
     [
         (b"", "it is empty"),
         (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
-        (b"\x89PNG\r\n", "a PNG picture"),
+        (b"\x89PNG\r\n", "a PNG image"),
         (b"% Data file containing CD events.\n% Version 2\n", "a DAT file"),
         (b"name: three poses\nsteps: []\n", "a text file"),
         (b"\0" * 100, "nothing but zeros"),
         (b"\x01\x80\x02\x60", "binary data without a RAW header"),
-        (b"% format EVT21;height=720;width=1280\n% end\n", "It holds EVT21"),
-        (b"% evt 2.0\n% geometry 640x480\n% end\n", "It holds EVT 2.0"),
-        (b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n", "It holds EVT2;"),
+        (b"% format EVT21;height=720;width=1280\n% end\n", "The file holds EVT21"),
+        (b"% evt 2.0\n% geometry 640x480\n% end\n", "The file holds EVT 2.0"),
+        (b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n", "The file holds EVT2;"),
         (b"% geometry 640x480\n% end\n", "an encoding that its header does not name"),
-        (b"% evt 3.0\n% end\n", "does not tell the sensor's size"),
+        (b"% evt 3.0\n% end\n", "does not state the sensor's size"),
         (
             b"% format EVT3;height=720;width=1280\n% geometry 640x480\n",
             "format says 1280 x 720, geometry says 640 x 480",
         ),
-        (b"% format EVT3;height=0;width=1280\n", "'1280' x '0' as the sensor's size"),
+        (b"% format EVT3;height=0;width=1280\n", "invalid size of the sensor: '1280' x '0'"),
         (b"% format EVT3;height=4000;width=1280\n", "'4000'"),
         (b"% evt 3.0\n% geometry wide\n", "'wide' x ''"),
         (b"% format EVT3;height=720;width=1280", "does not end"),
@@ -204,7 +204,7 @@ def test_a_file_without_permission_says_so(raw, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("pathlib.Path.open", refuse)  # a mode would not keep root out
-    with pytest.raises(RecordingFileError, match="may not be read"):
+    with pytest.raises(RecordingFileError, match="no permission to read"):
         RawFile.open(path)
 
 

@@ -39,7 +39,7 @@ def test_an_error_inside_leaves_what_was_written_and_is_passed_on(tmp_path):
     [
         (errno.ENOSPC, r"disk is full.*recorded before is kept.*Free space"),
         (errno.EDQUOT, "quota is used up"),
-        (errno.EACCES, "may not write there"),
+        (errno.EACCES, "no write permission"),
         (errno.EROFS, "read-only"),
         (errno.ENOTDIR, "no folder"),
         (errno.EIO, "cannot be written"),
@@ -90,7 +90,7 @@ def test_places_that_cannot_be_written_are_told_before(tmp_path, monkeypatch):
     with pytest.raises(RecordingFailed, match="no such folder"):
         check_new(tmp_path / "none" / "a.raw")
     monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(RecordingFailed, match="may not write"):
+    with pytest.raises(RecordingFailed, match="no write permission"):
         check_new(tmp_path / "a.raw")
 
 
@@ -111,9 +111,9 @@ def test_a_folder_that_may_not_even_be_looked_into_is_told(tmp_path, monkeypatch
         raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr(Path, "exists", refuse)
-    with pytest.raises(RecordingFailed, match="may not write there"):
+    with pytest.raises(RecordingFailed, match="no write permission"):
         check_new(tmp_path / "a.raw")
-    with pytest.raises(RecordingFailed, match="may not write there"):
+    with pytest.raises(RecordingFailed, match="no write permission"):
         sync_file(tmp_path / "a.raw")
     with pytest.raises(RecordingFileError, match="cannot be written"), new_file(tmp_path / "a.npz"):
         pytest.fail("it was begun")

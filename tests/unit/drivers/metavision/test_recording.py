@@ -73,7 +73,7 @@ def test_a_clock_that_has_gone_on_between_recordings_does_not_end_one_early(devi
 def test_an_existing_file_is_never_overwritten(camera, tmp_path):
     path = tmp_path / "pose.raw"
     path.write_bytes(b"precious")
-    with pytest.raises(RecordingFailed, match="such a file already"):
+    with pytest.raises(RecordingFailed, match="file exists already"):
         camera.record(path, 0.01)
     assert path.read_bytes() == b"precious"
 

@@ -11,12 +11,12 @@ from drivers.device_hold import DeviceHold
 from drivers.errors import CameraBusy, CameraError, DriverError
 
 
-def event_camera(serial: str) -> str:
+def event_camera_name(serial: str) -> str:
     """Name an event camera, so that all drivers that reach it by USB keep each other out."""
     return f"event camera {serial}"
 
 
-class CameraHold(DeviceHold):
+class CameraLock(DeviceHold):
     """A camera held by this process, until ``release`` or the end of the process.
 
     Raises
