@@ -1,1 +1,1 @@
-"""Lines at which devices answer: pseudo-terminals, sockets."""
+"""Ports on which simulated devices answer: pseudo-terminals and TCP sockets."""

@@ -1,7 +1,8 @@
 """A pseudo-terminal that a program opens as its serial port.
 
-Knows ptys: raw mode before anyone sees it, a symlink with a lasting name (the number behind it changes with
-every replug), the baud rate the client has set, and unplugging. Knows no device and no thread.
+The terminal is in raw mode before clients see it. A symlink gives it a lasting name, because the number of the
+pseudo-terminal changes with each replug. The module reads the baud rate that the client has set, and simulates a
+pulled cable. It starts no thread and depends on no device.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from pathlib import Path
 
 from simulators.errors import SimulatorError
 
-#: Bytes taken in one read.
+#: Largest number of bytes in one read.
 _CHUNK = 4096
 
-#: Baud rates by their termios constants, as far as this platform names them.
+#: Baud rates by termios constant, for the constants that this platform defines.
 _BAUD_BY_CODE = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
 }
@@ -28,12 +29,12 @@ class PseudoTerminal:
     Parameters
     ----------
     link
-        Where the client's end is published as a symlink, as in ``/dev/serial/by-id``.
+        Path of the symlink to the client's end, as in ``/dev/serial/by-id``.
 
     Raises
     ------
     SimulatorError
-        When the link cannot be made.
+        If the symlink cannot be created.
     """
 
     def __init__(self, link: Path) -> None:
@@ -44,22 +45,28 @@ class PseudoTerminal:
 
     @property
     def name(self) -> str:
-        """Name of its link."""
+        """Name of the symlink."""
         return self.link.name
 
     @property
     def address(self) -> str:
-        """What a client opens."""
+        """Path that a client opens."""
         return str(self.link)
 
     def fileno(self) -> int:
-        """Descriptor to wait on, -1 while unplugged."""
+        """See `Port.fileno`."""
         return self._master
 
     def plug(self) -> None:
-        """Make the terminal and publish it; a link left over by a dead process is replaced."""
+        """Create the terminal and its symlink; replace a symlink that a dead process left behind.
+
+        Raises
+        ------
+        SimulatorError
+            If the symlink cannot be created.
+        """
         self._master, self._slave = os.openpty()
-        # Raw first: a cooked terminal would echo the client's first bytes back as if we had sent them.
+        # Raw mode first: a cooked terminal would echo the client's first bytes as if the device had sent them.
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         fresh = self.link.with_name(f".{self.link.name}.{os.getpid()}")
@@ -70,13 +77,13 @@ class PseudoTerminal:
         except OSError as error:
             self._close_both()
             raise SimulatorError(
-                f"The port cannot be published: {error.strerror}.",
+                f"Cannot create the link of the port: {error.strerror}.",
                 where=str(self.link),
-                remedy="Choose a folder that can be written to.",
+                remedy="Choose a folder with write permission.",
             ) from error
 
     def unplug(self) -> None:
-        """Take the device off: the client's next read or write fails, and the name is gone."""
+        """Remove the device: the symlink disappears, and the client's next read or write fails."""
         if self._master < 0:
             return
         if self.link.is_symlink() and self.link.readlink() == Path(os.ttyname(self._slave)):
@@ -84,25 +91,25 @@ class PseudoTerminal:
         self._close_both()
 
     def read(self) -> bytes:
-        """Whatever the client has sent, without waiting."""
+        """See `Port.read`."""
         try:
             return os.read(self._master, _CHUNK)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send; what a client that does not read leaves no room for is lost, as on a wire."""
+        """See `Port.write`. Bytes that do not fit into the terminal's buffer are lost, as on a real line."""
         try:
             os.write(self._master, data)
         except BlockingIOError:
             return
 
     def client_baud(self) -> int | None:
-        """Baud rate the client has set; None for one without a termios name."""
+        """See `Port.client_baud`. It is None for a baud rate without a termios constant."""
         return _BAUD_BY_CODE.get(termios.tcgetattr(self._master)[5])
 
     def close(self) -> None:
-        """Unplug for good."""
+        """See `Port.close`."""
         self.unplug()
 
     def _close_both(self) -> None:

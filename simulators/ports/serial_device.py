@@ -1,7 +1,7 @@
-"""A simulated device on a serial line: bytes in, bytes out, at the speed of the line.
+"""A simulated device on a serial line: it reads bytes from a port and writes the answers at the speed of the line.
 
-Knows threads, pacing by baud rate, and that a wrong baud rate is garbage; knows nothing of any protocol. What
-the device says is up to a `Dialect`, what carries the bytes to a `Port`.
+A `Dialect` decides what the device answers, a `Port` carries the bytes. This module provides the thread, the
+pacing by baud rate, and the garbage that a wrong baud rate causes. It depends on no protocol.
 """
 
 from __future__ import annotations
@@ -15,72 +15,113 @@ from concurrent.futures import Future
 from types import TracebackType
 from typing import Protocol, Self
 
-#: Bits on the wire a byte: start, eight data, stop.
+#: Bits on the wire for one byte (8N1): one start bit, eight data bits, one stop bit.
 _BITS_PER_BYTE = 10
 
-#: A USB adapter hands bytes on in packets; a reader sees a long reply in parts.
+#: Size of a packet, bytes. A USB adapter delivers bytes in packets, so a client receives a long reply in parts.
 _PACKET_BYTES = 32
 
-#: How often a device with something to say of its own accord is asked.
+#: Interval at which the device is asked for unsolicited messages, s.
 _POLL_S = 0.02
 
 
 class Dialect(Protocol):
-    """What a device says. Called from one thread only."""
+    """Protocol of a simulated device. All methods are called from one thread."""
 
     @property
     def baud(self) -> int:
-        """Baud rate it listens at."""
+        """Baud rate at which the device listens."""
         ...
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive, in pieces of any size, and give what it answers."""
+        """Take bytes as they arrive and return the answers.
+
+        Parameters
+        ----------
+        data
+            Bytes from the host, in pieces of any size.
+
+        Returns
+        -------
+        bytes
+            Answers that are ready now; may be empty.
+        """
         ...
 
     def unsolicited(self) -> bytes:
-        """Give what it says of its own accord by now."""
+        """Return messages that the device sends without a request, and late answers.
+
+        Returns
+        -------
+        bytes
+            Messages since the last call; may be empty.
+        """
         ...
 
 
 class Port(Protocol):
-    """The device's end of a line. Nothing here waits."""
+    """The device's end of a line. No method blocks."""
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the port in messages."""
         ...
 
     @property
     def address(self) -> str:
-        """What a client opens."""
+        """Address that a client opens, as pyserial takes it."""
         ...
 
     def fileno(self) -> int:
-        """Descriptor to wait on, -1 while unplugged."""
+        """Return the file descriptor to wait on.
+
+        Returns
+        -------
+        int
+            The descriptor; -1 while unplugged.
+        """
         ...
 
     def plug(self) -> None:
-        """Have clients find it."""
+        """Make the port available to clients."""
         ...
 
     def unplug(self) -> None:
-        """Take it away from them."""
+        """Make the port disappear, as a pulled cable does."""
         ...
 
     def read(self) -> bytes:
-        """Whatever the client has sent."""
+        """Return what the client has sent.
+
+        Returns
+        -------
+        bytes
+            Bytes since the last read; may be empty.
+        """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send to the client; what it leaves no room for is lost."""
+        """Send bytes to the client; bytes that the client leaves no room for are lost.
+
+        Parameters
+        ----------
+        data
+            Bytes to send.
+        """
         ...
 
     def client_baud(self) -> int | None:
-        """Baud rate of the client; None where there is none to be known."""
+        """Return the baud rate that the client has set.
+
+        Returns
+        -------
+        int or None
+            Baud rate; None if it is unknown.
+        """
         ...
 
     def close(self) -> None:
-        """Take it away for good."""
+        """Remove the port for good."""
         ...
 
 
@@ -90,11 +131,11 @@ class SerialDevice:
     Parameters
     ----------
     port
-        Its end of the line.
+        The device's end of the line.
     dialect
-        What it says.
+        Protocol of the device.
     paced
-        Whether bytes take the time they need at the baud rate.
+        Whether bytes take the time that they need at the baud rate.
     """
 
     def __init__(self, port: Port, dialect: Dialect, *, paced: bool = True) -> None:
@@ -108,16 +149,16 @@ class SerialDevice:
 
     @property
     def address(self) -> str:
-        """What a client opens."""
+        """Address that a client opens."""
         return self._port.address
 
     def start(self) -> Self:
-        """Begin to answer."""
+        """Start the thread that answers."""
         self._thread.start()
         return self
 
     def unplug(self) -> None:
-        """Pull the cable; the device itself goes on."""
+        """Pull the cable; the device itself stays powered."""
         self.between_exchanges(self._port.unplug)
 
     def replug(self) -> None:
@@ -125,7 +166,7 @@ class SerialDevice:
         self.between_exchanges(self._port.plug)
 
     def close(self) -> None:
-        """Stop answering, and remove the port."""
+        """Stop answering and remove the port."""
         self._closing.set()
         self._wake.send(b".")
         self._thread.join()
@@ -142,9 +183,14 @@ class SerialDevice:
         self.close()
 
     def between_exchanges(self, act: Callable[[], None]) -> None:
-        """Have the serving thread do something between two exchanges, and wait until it has.
+        """Run a function in the serving thread, between two exchanges, and wait until it has returned.
 
-        What ``act`` raises is raised here. Asked for by that thread itself, it is done at once.
+        If the serving thread itself calls this method, the function runs at once.
+
+        Parameters
+        ----------
+        act
+            Function to run; this method raises again what the function raises.
         """
         if threading.current_thread() is self._thread:
             act()
@@ -154,7 +200,7 @@ class SerialDevice:
         def carry_out() -> None:
             try:
                 act()
-            except Exception as error:  # noqa: BLE001 - handed to whom it concerns
+            except Exception as error:  # noqa: BLE001 - raised again in the calling thread
                 done.set_exception(error)
             else:
                 done.set_result(None)
@@ -182,7 +228,7 @@ class SerialDevice:
             self._wait_for_line(len(received))
         answer = self._dialect.receive(received) if received and understood else _garbage(received)
         answer += self._dialect.unsolicited() if understood else b""
-        if self._port.fileno() < 0:  # pulled out meanwhile
+        if self._port.fileno() < 0:  # unplugged while the device answered
             return
         for start in range(0, len(answer), _PACKET_BYTES):
             packet = answer[start : start + _PACKET_BYTES]
@@ -195,5 +241,5 @@ class SerialDevice:
 
 
 def _garbage(received: bytes) -> bytes:
-    """Make what a line at the wrong speed carries: as many bytes, none of them right."""
+    """Return what a line at the wrong baud rate carries: as many bytes, none of them right."""
     return bytes((0x80 | (byte * 29 + 7 * index)) & 0xFF for index, byte in enumerate(received))

@@ -1,7 +1,7 @@
-"""A serial device server: a device's line on a TCP port of this machine, as pyserial's ``socket://`` opens it.
+"""A serial device server: a device's line on a TCP port of this computer, which pyserial opens as ``socket://``.
 
-For machines without pseudo-terminals. Knows one client at a time; there is no baud rate on such a line. Knows no
-device and no thread.
+It serves computers without pseudo-terminals. One client at a time is connected, and the line has no baud rate. The
+module starts no thread and depends on no device.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ _CHUNK = 4096
 
 
 class TcpPort:
-    """The device's end of a line that runs over TCP.
+    """The device's end of a line over TCP.
 
     Parameters
     ----------
     name
-        What it is called in messages.
+        Name of the port in messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -29,30 +29,30 @@ class TcpPort:
 
     @property
     def address(self) -> str:
-        """What a client opens."""
+        """URL that a client opens."""
         return f"socket://127.0.0.1:{self._port}"
 
     def fileno(self) -> int:
-        """Descriptor to wait on: the client's, or the listener's while there is none; -1 while unplugged."""
+        """See `Port.fileno`. It is the client's descriptor, or the listener's while no client is connected."""
         if self._client is not None:
             return self._client.fileno()
         return self._listener.fileno() if self._listener is not None else -1
 
     def plug(self) -> None:
-        """Listen, on the port of before if there was one."""
+        """Listen for clients; a replug listens on the same TCP port as before."""
         self._listener = socket.create_server(("127.0.0.1", self._port))
         self._listener.setblocking(False)
         self._port = self._listener.getsockname()[1]
 
     def unplug(self) -> None:
-        """Hang up and stop listening."""
+        """Close the connection and stop listening."""
         for one in (self._client, self._listener):
             if one is not None:
                 one.close()
         self._client = self._listener = None
 
     def read(self) -> bytes:
-        """Whatever the client has sent, without waiting; takes up a client that is there."""
+        """See `Port.read`. It also accepts a waiting client."""
         try:
             if self._client is None:
                 if self._listener is not None:
@@ -69,7 +69,7 @@ class TcpPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send; without a client, or to one that does not read, it is lost, as on a wire."""
+        """See `Port.write`. Without a client the bytes are lost, as on a real line."""
         if self._client is None:
             return
         try:
@@ -80,11 +80,11 @@ class TcpPort:
             self._hang_up()
 
     def client_baud(self) -> int | None:
-        """Not known on such a line."""
+        """See `Port.client_baud`. A TCP connection has no baud rate: always None."""
         return None
 
     def close(self) -> None:
-        """Stop for good."""
+        """See `Port.close`."""
         self.unplug()
 
     def _hang_up(self) -> None:

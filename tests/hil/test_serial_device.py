@@ -52,7 +52,7 @@ def test_a_client_that_does_not_read_loses_bytes_and_holds_nobody_up(tmp_path):
 
 
 def test_a_port_in_a_folder_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(SimulatorError, match="cannot be published"):
+    with pytest.raises(SimulatorError, match="Cannot create the link"):
         PseudoTerminal(tmp_path / "nowhere" / "port")
 
 
