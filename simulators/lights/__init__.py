@@ -1,1 +1,1 @@
-"""Generators and controllers that drive the lamp, the lamp, its sync line."""
+"""Simulated light drivers (function generators and a strobe controller), and the lamp behind them."""

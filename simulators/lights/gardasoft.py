@@ -1,12 +1,14 @@
-"""A Gardasoft RT strobe controller, as it drives the light of a bench.
+"""A simulated Gardasoft RT strobe controller that drives the bench's light.
 
-    CCn,a,b CR      commands of two letters and their parameters, several apart by semicolons
-    text CR LF >    what they answer; the last character is always ``>``
+    CCn,a,b CR      two-letter commands with parameters; semicolons separate several commands on a line
+    text CR LF >    answers; each line of commands is answered by a final ``>``
 
-Errors are answered as ``Err n``; number 5 warns that a value was held within its range. Events come unasked once
-``GT1`` has been said, as ``Evtc,e;``. Times are milliseconds unless their unit is said. With the internal
-trigger on, an output in pulse mode flickers; in continuous mode it shines steadily. Reading of the RT's manual;
-the layout of what ``STc`` answers is from memory.
+A refused command is answered by ``Err n``; ``Err 5`` warns that a value was clipped to its range. After ``GT1``
+the controller sends events unasked, as ``Evtc,e;``. A time without a unit is in milliseconds. With the internal
+trigger on, an output in pulse mode flickers; in continuous mode it shines steadily.
+
+Source: manual of the Gardasoft RT series, section 12. The layout of the answer to ``STc`` was written from memory
+of the manual.
 """
 
 from __future__ import annotations
@@ -29,17 +31,17 @@ _WIDTH_MS: Final = (0.001, 999.0)
 _DELAY_MS: Final = (0.005, 999.0)
 _PERIOD_MS: Final = (0.1, 10_000.0)
 
-#: Highest brightness of a pulse, percent of the lamp's rating.
+#: Largest brightness of a pulse, percent of the lamp's rating.
 _MAX_PERCENT: Final = 999.0
 
 CONTINUOUS, SWITCHED, PULSE = 0, 1, 2
 
-#: Events that a light's fault leads to.
+#: Numbers of the events that a fault of the light causes.
 OVER_TEMPERATURE, OVER_CURRENT = 130, 131
 
 
 class _RtError(Exception):
-    """A command that is refused, by its error number; 5 only warns."""
+    """A refused command, with its error number; number 5 is only a warning."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -48,7 +50,17 @@ class _RtError(Exception):
 
 @dataclass(frozen=True)
 class Output:
-    """Settings of one output."""
+    """Settings of one output.
+
+    Attributes
+    ----------
+    mode
+        ``CONTINUOUS``, ``SWITCHED`` or ``PULSE``.
+    percent
+        Brightness, percent of the lamp's rating.
+    width_ms, delay_ms
+        Width of a pulse, and its delay after the trigger, ms.
+    """
 
     mode: int = CONTINUOUS
     percent: float = 0.0
@@ -62,11 +74,16 @@ class GardasoftRt:
     Parameters
     ----------
     clock
-        Time in seconds.
+        Returns the time in seconds.
     drive
-        Called with what the light on the first output does from now on, whenever that changes.
+        Called with the new state of the light on output 1 whenever it changes.
     version
-        What it says it is.
+        Answer to ``VR``.
+
+    Attributes
+    ----------
+    outputs
+        Settings of the outputs, by channel number.
     """
 
     def __init__(
@@ -104,11 +121,11 @@ class GardasoftRt:
 
     @property
     def baud(self) -> int:
-        """Baud rate of its serial port."""
+        """Baud rate of the serial port."""
         return 115_200
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive and give all answers."""
+        """See `Dialect.receive`."""
         *lines, self._buffer = (self._buffer + data).replace(b"\n", b"").split(b"\r")
         self._buffer = self._buffer[-_MAX_MESSAGE:]
         said = ""
@@ -119,16 +136,30 @@ class GardasoftRt:
         return said.encode("ascii")
 
     def unsolicited(self) -> bytes:
-        """Events, once they are wanted."""
+        """See `Dialect.unsolicited`. These are events, if the host has enabled them."""
         said, self._pending_events = self._pending_events, ""
         return said.encode("ascii")
 
     def clip(self, most_v: float | None) -> None:
-        """Hold brightness to come within a share of the full drive, or no more."""
+        """Limit brightness values that are set from now on.
+
+        Parameters
+        ----------
+        most_v
+            Limit as a drive voltage, V, of `FULL_DRIVE_V`; None restores the normal limit.
+        """
         self._max_percent = _MAX_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 
     def trip(self, event: int = OVER_TEMPERATURE) -> None:
-        """Have a protection switch the light off; the event is told, or kept for ``GR``."""
+        """Let a protection switch the light off.
+
+        The controller sends the event if events are enabled; in any case it keeps the event for ``GR``.
+
+        Parameters
+        ----------
+        event
+            Number of the event.
+        """
         self._tripped = True
         self._event = f"Evt1,{event};"
         if self._events_enabled:
@@ -136,7 +167,13 @@ class GardasoftRt:
         self._publish()
 
     def exchange(self, serial: str) -> None:
-        """Be another controller from now on, fresh from power-up; it has no serial number to tell."""
+        """Replace the controller by another one, fresh from power-up.
+
+        Parameters
+        ----------
+        serial
+            Ignored: this controller does not report a serial number.
+        """
         del serial
         self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
         self._trigger = self._events_enabled = self._tripped = False
@@ -218,7 +255,7 @@ class GardasoftRt:
         return ""
 
     def _publish(self) -> None:
-        """Let the world know what the light does now: pulses begin with the internal trigger's edge."""
+        """Publish the state of the light; a period begins with the edge of the internal trigger."""
         now, one = self._clock(), self.outputs[1]
         frequency = 1000.0 / self._period_ms
         level = one.percent / 100.0 * FULL_DRIVE_V
@@ -242,7 +279,7 @@ def _unknown(_words: list[str]) -> str:
 
 
 def _clipped(value: float, bounds: tuple[float, float]) -> tuple[float, bool]:
-    """Hold a value within bounds, and say whether it had to be."""
+    """Clip a value to its bounds; return the value and whether it changed."""
     held = min(max(value, bounds[0]), bounds[1])
     return held, held != value
 
@@ -270,7 +307,7 @@ def _channel(text: str) -> int:
 
 
 def _expect_at_most(words: list[str], most: int) -> str:
-    """See that there are not too many parameters; answers nothing."""
+    """Check the number of parameters; return an empty answer."""
     if len(words) > most:
         raise _RtError(4)
     return ""

@@ -1,7 +1,11 @@
-"""A function generator without its language: settings, how they bound each other, and what the light makes of them.
+"""A function generator without its command language: settings, their limits, and the light that results.
 
-Knows one output of square, sine or a level; a value that cannot be is held at the nearest that can, and the caller is
-told why. What it drives is told as a `LightState`; the phase goes on through every change, as in a synthesiser.
+The generator has one output with a square wave, a sine wave or a constant level. A value out of range is clipped
+to the nearest possible one, and the caller gets the reason. The generator publishes its output as a `LightState`.
+The phase continues through each change, as in a synthesiser.
+
+Ranges follow the Keysight 33250A: at most 80 MHz, duty cycle 20 to 80 %, 10 V into an open circuit, 50 ohm source
+(its user's guide).
 """
 
 from __future__ import annotations
@@ -14,26 +18,42 @@ from typing import Final, Literal
 from simulators.world.world import LightState
 
 Shape = Literal["square", "sine", "dc"]
-"""``dc`` puts out the offset alone."""
+"""Waveforms; ``dc`` is a constant level at the offset."""
 Setting = Literal["frequency", "duty", "amplitude", "offset", "high", "low"]
 
-#: Why a value was not taken as it was given.
+#: Reason why a value was clipped; empty if it was not.
 ClipReason = Literal["", "lower limit", "upper limit", "conflict"]
 
-#: Output resistance: into an open input the voltage is twice that into 50 ohm.
+#: Output resistance, ohm: the voltage into an open circuit is twice the voltage into 50 ohm.
 SOURCE_OHM: Final = 50.0
 
 _FREQUENCY_HZ: Final = (1e-6, 80e6)
 _DUTY_PERCENT: Final = (20.0, 80.0)
 
-#: Range of the output into an open input, and the least amplitude there.
+#: Largest level and smallest amplitude into an open circuit, V.
 _MAX_V: Final = 10.0
 _MIN_AMPLITUDE_V: Final = 0.002
 
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings, as after a reset; voltages are those into the load that is set."""
+    """All settings; the defaults are those after a reset.
+
+    Attributes
+    ----------
+    shape
+        Waveform.
+    frequency_hz
+        Frequency, Hz.
+    duty_percent
+        Duty cycle of the square wave, percent.
+    low_v, high_v
+        Levels at the load that is set, V.
+    load_ohm
+        Load for which voltages are shown, ohm; infinite for an open circuit.
+    output, sync
+        Whether the output and the sync output are on.
+    """
 
     shape: Shape = "sine"
     frequency_hz: float = 1000.0
@@ -46,31 +66,31 @@ class Settings:
 
     @property
     def amplitude_v(self) -> float:
-        """Peak to peak."""
+        """Peak-to-peak amplitude, V."""
         return self.high_v - self.low_v
 
     @property
     def offset_v(self) -> float:
-        """Middle of the two levels."""
+        """Mean of the two levels, V."""
         return (self.high_v + self.low_v) / 2.0
 
 
 class Generator:
-    """A generator.
+    """A function generator with one output.
 
     Parameters
     ----------
     clock
-        Time in seconds.
+        Returns the time in seconds.
     drive
-        Called with what the light does from now on, whenever that changes.
+        Called with the new state of the light whenever it changes.
 
     Attributes
     ----------
     most_v
-        Highest level into an open input; values to come are held within it.
+        Largest level into an open circuit, V, for values that are set from now on.
     settings
-        What is set.
+        The present settings.
     """
 
     def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None]) -> None:
@@ -83,15 +103,27 @@ class Generator:
 
     # ------------------------------------------------------------------ settings
     def reset(self) -> None:
-        """Set everything back."""
+        """Restore the settings of a reset."""
         self._apply(Settings())
 
     def set_shape(self, shape: Shape) -> None:
-        """Take another waveform."""
+        """Set the waveform.
+
+        Parameters
+        ----------
+        shape
+            The waveform.
+        """
         self._apply(replace(self.settings, shape=shape))
 
     def switch(self, *, output: bool | None = None, sync: bool | None = None) -> None:
-        """Switch the output, or the sync output."""
+        """Switch the output or the sync output.
+
+        Parameters
+        ----------
+        output, sync
+            New states; None leaves a state as it is.
+        """
         now = self.settings
         self._apply(
             replace(
@@ -100,13 +132,32 @@ class Generator:
         )
 
     def set_load(self, ohm: float) -> None:
-        """Take another load: the output stays as it is, the voltages shown for it change."""
+        """Set the load for which voltages are shown; the output itself stays as it is.
+
+        Parameters
+        ----------
+        ohm
+            Load, ohm; infinite for an open circuit.
+        """
         scale = _voltage_share(ohm) / _voltage_share(self.settings.load_ohm)
         low_v, high_v = self.settings.low_v * scale, self.settings.high_v * scale
         self._apply(replace(self.settings, load_ohm=ohm, low_v=low_v, high_v=high_v))
 
     def set(self, name: Setting, value: float) -> ClipReason:
-        """Set a value, or the nearest that can be, and say which bound held it."""
+        """Set a value, clipped to its range.
+
+        Parameters
+        ----------
+        name
+            Name of the setting.
+        value
+            New value: Hz, percent or V.
+
+        Returns
+        -------
+        ClipReason
+            Why the value was clipped; empty if it was not.
+        """
         lowest, highest = self.bounds(name)
         held: ClipReason = "lower limit" if value < lowest else "upper limit" if value > highest else ""
         value = min(max(value, lowest), highest)
@@ -121,7 +172,18 @@ class Generator:
         return held
 
     def bounds(self, name: Setting) -> tuple[float, float]:
-        """Values that a setting takes at present."""
+        """Return the range of a setting, which depends on the other settings.
+
+        Parameters
+        ----------
+        name
+            Name of the setting.
+
+        Returns
+        -------
+        tuple of float
+            Lowest and highest value: Hz, percent or V.
+        """
         share = _voltage_share(self.settings.load_ohm)
         most, least = self.most_v * share, _MIN_AMPLITUDE_V * share
         half = self.settings.amplitude_v / 2.0
@@ -136,20 +198,26 @@ class Generator:
         return ranges[name]
 
     def clip(self, most_v: float | None) -> None:
-        """Hold levels to come within less than usual, or no more."""
+        """Limit levels that are set from now on.
+
+        Parameters
+        ----------
+        most_v
+            Largest level into an open circuit, V; None restores the normal limit.
+        """
         self.most_v = _MAX_V if most_v is None else most_v
 
     def trip(self) -> None:
-        """Have the overload protection switch the output off, without a word."""
+        """Let the overload protection switch the output off, without a message."""
         self.switch(output=False)
 
     # ------------------------------------------------------------------ inside
     def _set_level(self, name: Setting, value: float) -> ClipReason:
-        """Set both levels from one of the four ways to say them; the other level yields where it must."""
+        """Set both levels from amplitude, offset, high or low level; the other level gives way if necessary."""
         now, share = self.settings, _voltage_share(self.settings.load_ohm)
         least = _MIN_AMPLITUDE_V * share
         if name == "offset" and now.shape == "dc":
-            # The amplitude puts nothing out, and yields so that offset and amplitude fit the range later.
+            # The amplitude has no effect on DC; it shrinks so that offset and amplitude fit the range later.
             half = min(now.amplitude_v / 2.0, max(self.most_v * share - abs(value), least / 2.0))
             self._apply(replace(now, low_v=value - half, high_v=value + half))
             return ""
@@ -170,10 +238,10 @@ class Generator:
         self._publish()
 
     def _publish(self) -> None:
-        """Let the world know what the light does now."""
+        """Publish the state of the light."""
         now, settings = self._clock(), self.settings
         levels = (settings.offset_v,) * 2 if settings.shape == "dc" else (settings.low_v, settings.high_v)
-        # The lamp's input is open: it sees the source's own voltage, whatever load the display is set for.
+        # The lamp's input is an open circuit: it gets the source voltage, whatever load is set.
         open_circuit = 1.0 / _voltage_share(settings.load_ohm)
         self._light = LightState(
             waveform="sine" if settings.shape == "sine" else "square",
@@ -189,5 +257,5 @@ class Generator:
 
 
 def _voltage_share(load_ohm: float) -> float:
-    """Share of the source's own voltage that stands at a load."""
+    """Return the voltage at a load as a share of the source voltage (voltage divider)."""
     return 1.0 if math.isinf(load_ohm) else load_ohm / (load_ohm + SOURCE_OHM)

@@ -1,7 +1,7 @@
-"""A function generator on a serial line: what every make does there, whatever its commands.
+"""A function generator on a serial line: the part that all makes share.
 
-Knows that messages end in a line feed and are bounded, and what befalls the instrument from outside; the
-commands are the makes', the instrument itself is `generator`'s.
+Messages end in a line feed and have a limited length. Subclasses execute the commands of a make; `generator` holds
+the instrument itself.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from typing import Final
 from simulators.lights.generator import Generator
 from simulators.world.world import LightState
 
-#: Longest message the input buffer takes.
+#: Size of the input buffer, bytes.
 _MAX_MESSAGE: Final = 2048
 
 
 class GeneratorLine(ABC):
-    """A generator as a dialect of a serial line; a make gives its commands.
+    """Base class of the generators: a dialect of a serial line.
 
     Parameters
     ----------
     clock
-        Time in seconds.
+        Returns the time in seconds.
     drive
-        Called with what the light does from now on, whenever that changes.
+        Called with the new state of the light whenever it changes.
     """
 
     def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None]) -> None:
@@ -35,18 +35,24 @@ class GeneratorLine(ABC):
     @property
     @abstractmethod
     def baud(self) -> int:
-        """Baud rate of its serial port."""
+        """Baud rate of the serial port."""
 
     @abstractmethod
     def exchange(self, serial: str) -> None:
-        """Be another instrument of this model from now on, fresh from power-up."""
+        """Replace the instrument by another one of this model, fresh from power-up.
+
+        Parameters
+        ----------
+        serial
+            Serial number of the new instrument.
+        """
 
     @abstractmethod
     def _execute(self, message: str) -> list[str]:
-        """Obey a message and give its answers, a line each."""
+        """Execute a message and return its answers, one a line."""
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive and give what they ask for."""
+        """See `Dialect.receive`."""
         *messages, self._buffer = (self._buffer + data).split(b"\n")
         self._buffer = self._buffer[-_MAX_MESSAGE:]
         answers = [
@@ -55,13 +61,13 @@ class GeneratorLine(ABC):
         return b"".join(f"{answer}\n".encode("ascii") for answer in answers)
 
     def unsolicited(self) -> bytes:
-        """Say nothing unasked."""
+        """See `Dialect.unsolicited`. A generator sends nothing unasked."""
         return b""
 
     def clip(self, most_v: float | None) -> None:
-        """Hold levels to come within less than usual, or no more."""
+        """See `Generator.clip`."""
         self._generator.clip(most_v)
 
     def trip(self) -> None:
-        """Have the overload protection switch the output off."""
+        """See `Generator.trip`."""
         self._generator.trip()

@@ -1,7 +1,7 @@
-"""The lamp between its driver and the bench: what can go wrong with light while the driver says all is well.
+"""The lamp between its driver and the bench, with faults that the driver does not notice.
 
-Knows light states only. A driver (generator, strobe controller) tells it what it puts out; the world is told
-what comes of it.
+The driver (a generator or a strobe controller) sets the light that it believes to produce. The lamp applies its
+faults and publishes the light that results. Both are a `LightState`.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from simulators.errors import SimulatorError
 from simulators.world.sync_line import SyncLine
 from simulators.world.world import LightState
 
-#: What can go wrong with the light, by name.
+#: Faults of the light, by name.
 LAMP_FAULTS: Final = {
-    "lamp_open": "the lamp no longer lights; its driver does not notice",
-    "dim": "the lamp gives only a share of its light",
-    "wrong_frequency": "the flicker runs at another frequency than the driver says, by a factor",
-    "wrong_duty": "the high part of a period has another share than the driver says, by a factor",
+    "lamp_open": "the lamp stays dark; its driver does not notice",
+    "dim": "the brightness is multiplied by factor",
+    "wrong_frequency": "the flicker frequency is multiplied by factor; the driver does not notice",
+    "wrong_duty": "the duty cycle is multiplied by factor; the driver does not notice",
     "no_sync": "sync edges no longer reach the camera",
-    "sync_inverted": "the sync line carries high for low",
-    "sync_missing": "both sync edges are lost every so many periods, by the factor",
-    "sync_extra": "a stray sync pulse comes every so many periods, by the factor",
-    "sync_jitter": "sync edges come early or late by up to a share of a period, by the factor",
+    "sync_inverted": "the sync line is inverted",
+    "sync_missing": "both sync edges of every factor-th period are lost",
+    "sync_extra": "an extra sync pulse arrives in every factor-th period",
+    "sync_jitter": "sync edges arrive up to factor (a share of the period) early or late",
 }
 
 
 @dataclass(frozen=True)
 class _Effect:
-    """What the faults so far make of the driver's light."""
+    """Combined effect of the injected faults on the driver's light."""
 
     brightness: float = 1.0
     frequency: float = 1.0
@@ -63,7 +63,7 @@ class Lamp:
     Parameters
     ----------
     show
-        Called with the light that there is, whenever it changes.
+        Called with the light that results, whenever it changes.
     """
 
     def __init__(self, show: Callable[[LightState], None]) -> None:
@@ -72,7 +72,13 @@ class Lamp:
         self._effect = _Effect()
 
     def drive(self, state: LightState) -> None:
-        """Be driven so from now on."""
+        """Set the light that the driver produces from now on.
+
+        Parameters
+        ----------
+        state
+            The driver's light.
+        """
         self._driven = state
         effect = self._effect
         self._show(
@@ -88,28 +94,33 @@ class Lamp:
         )
 
     def inject_fault(self, kind: str, factor: float = 0.5) -> None:
-        """Let something go wrong from now on.
+        """Inject a fault that lasts until `clear_faults`.
 
         Parameters
         ----------
         kind
             One of `LAMP_FAULTS`.
         factor
-            Of brightness, frequency or duty, number of periods, or share of a period, where the fault has one.
+            Factor of brightness, frequency or duty cycle; number of periods; or share of a period. Faults without
+            a factor ignore it.
 
         Raises
         ------
         SimulatorError
-            When there is no such fault, or the factor is not positive.
+            If the kind is unknown or the factor is not positive.
         """
         if kind not in LAMP_FAULTS:
-            raise SimulatorError(f"No lamp fault {kind!r}.", remedy=f"Known are: {', '.join(LAMP_FAULTS)}.")
+            raise SimulatorError(
+                f"Unknown lamp fault {kind!r}.", remedy=f"Use one of: {', '.join(LAMP_FAULTS)}."
+            )
         if factor <= 0.0:
-            raise SimulatorError(f"A factor of {factor}.", remedy="Give a positive one.")
+            raise SimulatorError(
+                f"The factor {factor} is not positive.", remedy="Give a factor greater than 0."
+            )
         self._effect = _EFFECTS[kind](self._effect, factor)
         self.drive(self._driven)
 
     def clear_faults(self) -> None:
-        """Have all well again."""
+        """Remove all faults."""
         self._effect = _Effect()
         self.drive(self._driven)

@@ -1,7 +1,7 @@
 """SCPI as text: headers in short and long form, messages of several units, numbers with units, errors.
 
-Knows IEEE 488.2 and SCPI-99 syntax; knows no instrument. An instrument registers what it understands in a
-`CommandTree` and is given arguments as words.
+Syntax and error numbers are those of IEEE 488.2 and SCPI-99. The module depends on no instrument: an instrument
+registers its commands in a `CommandTree`, which calls them with their arguments as words.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-#: What a command does with its arguments.
+#: Executes a command with these arguments.
 Setter = Callable[[list[str]], None]
 
-#: What a query answers, given its arguments.
+#: Returns the answer to a query with these arguments.
 Getter = Callable[[list[str]], str]
 
 _NODE = re.compile(r"(\[)?:?(\*?[A-Z]+)([a-z]*)(#)?\]?")
@@ -35,14 +35,14 @@ _ERRORS = {
 
 
 class ScpiError(Exception):
-    """A fault of a command: a number of SCPI's table and, where there is one, a detail.
+    """An error of a command.
 
     Parameters
     ----------
     code
-        Error number, -113 for an undefined header.
+        Error number of SCPI-99, e.g. -113 for an undefined header.
     detail
-        What the instrument adds to the standard text.
+        Text that the instrument appends to the standard text.
     """
 
     def __init__(self, code: int, detail: str = "") -> None:
@@ -52,31 +52,61 @@ class ScpiError(Exception):
 
 
 class ErrorQueue:
-    """First in, first out, of bounded length; a full queue ends in the word that it is full."""
+    """Error queue of limited length, first in, first out.
+
+    When the queue is full, its last entry becomes "Queue overflow" (SCPI-99, volume 2, chapter 21).
+
+    Parameters
+    ----------
+    length
+        Largest number of errors.
+    """
 
     def __init__(self, length: int = 20) -> None:
         self._length = length
         self._errors: list[ScpiError] = []
 
     def add(self, error: ScpiError) -> None:
-        """Keep an error, or note that there was no room."""
+        """Append an error; when the queue is full, replace its last entry by -350.
+
+        Parameters
+        ----------
+        error
+            The error.
+        """
         if len(self._errors) < self._length:
             self._errors.append(error)
         else:
             self._errors[-1] = ScpiError(-350)
 
     def next(self) -> str:
-        """Take the oldest out and give it as an instrument prints it."""
+        """Remove the oldest error.
+
+        Returns
+        -------
+        str
+            Number and text, as an instrument prints them; ``+0,"No error"`` if the queue is empty.
+        """
         error = self._errors.pop(0) if self._errors else ScpiError(0)
         return f'{error.code:+d},"{error.text}"'
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all errors."""
         self._errors.clear()
 
 
 class Unit(NamedTuple):
-    """One command or query of a message, its header made absolute."""
+    """One command or query of a message.
+
+    Attributes
+    ----------
+    header
+        Absolute header, in capitals, without a question mark.
+    query
+        Whether it is a query.
+    arguments
+        Its arguments.
+    """
 
     header: str
     query: bool
@@ -84,7 +114,17 @@ class Unit(NamedTuple):
 
 
 def units(message: str) -> Iterator[Unit]:
-    """Take a message apart at its semicolons; a header without a leading colon goes on from the last one.
+    """Split a message at its semicolons; a header without a leading colon continues the path of the one before.
+
+    Parameters
+    ----------
+    message
+        Message without its line end.
+
+    Yields
+    ------
+    Unit
+        Each command or query in turn.
 
     Examples
     --------
@@ -105,9 +145,18 @@ def units(message: str) -> Iterator[Unit]:
 
 
 def header_pattern(specification: str) -> re.Pattern[str]:
-    """Compile a header as manuals print it.
+    """Compile a header from the notation of instrument manuals.
 
-    Capitals are the short form, brackets hold what may be left out, # stands for channel 1.
+    Parameters
+    ----------
+    specification
+        Header: capitals are the short form, brackets enclose optional nodes, # stands for an optional channel
+        number 1.
+
+    Returns
+    -------
+    re.Pattern
+        Pattern that matches absolute headers in capitals.
 
     Examples
     --------
@@ -131,12 +180,12 @@ class _Entry:
 
 
 class CommandTree:
-    """What an instrument understands.
+    """The commands of an instrument.
 
     Parameters
     ----------
     errors
-        Where faults of commands are kept.
+        Queue for errors of commands.
     """
 
     def __init__(self, errors: ErrorQueue) -> None:
@@ -144,13 +193,34 @@ class CommandTree:
         self._entries: list[_Entry] = []
 
     def add(self, specification: str, setter: Setter | None, getter: Getter | None) -> None:
-        """Understand a header, as a command, as a query, or as both."""
+        """Register a header as a command, a query, or both.
+
+        Parameters
+        ----------
+        specification
+            Header, as `header_pattern` takes it.
+        setter
+            Executes the command; None if there is no command.
+        getter
+            Answers the query; None if there is no query.
+        """
         self._entries.append(_Entry(header_pattern(specification), setter, getter))
 
     def answer(self, message: str) -> str | None:
-        """Carry out a message and give what it answers, None when it asks nothing.
+        """Execute a message and return its answer.
 
-        A unit that is not understood ends the message; one that cannot be carried out does not.
+        Errors go to the queue. A command error (-1xx) ends the message; an
+        execution error (-2xx) does not.
+
+        Parameters
+        ----------
+        message
+            Message without its line end.
+
+        Returns
+        -------
+        str or None
+            Answers of all queries, separated by semicolons; None if there are none.
         """
         answers: list[str] = []
         for unit in units(message):
@@ -176,7 +246,23 @@ class CommandTree:
 
 
 def only_argument(arguments: Sequence[str]) -> str:
-    """Take the only argument."""
+    """Return the only argument.
+
+    Parameters
+    ----------
+    arguments
+        Arguments of a command.
+
+    Returns
+    -------
+    str
+        The argument.
+
+    Raises
+    ------
+    ScpiError
+        -109 without an argument, -108 with several.
+    """
     if not arguments:
         raise ScpiError(-109)
     if len(arguments) > 1:
@@ -185,13 +271,41 @@ def only_argument(arguments: Sequence[str]) -> str:
 
 
 def expect_no_arguments(arguments: Sequence[str]) -> None:
-    """See that there are none."""
+    """Check that a command has no arguments.
+
+    Parameters
+    ----------
+    arguments
+        Arguments of a command.
+
+    Raises
+    ------
+    ScpiError
+        -108 if there are any.
+    """
     if arguments:
         raise ScpiError(-108)
 
 
 def number(word: str, unit_factors: dict[str, float]) -> float:
     """Read a number with an optional unit.
+
+    Parameters
+    ----------
+    word
+        The argument.
+    unit_factors
+        Factor of each unit, by its name in capitals.
+
+    Returns
+    -------
+    float
+        The number in base units.
+
+    Raises
+    ------
+    ScpiError
+        -104 for no number, -131 for an unknown unit.
 
     Examples
     --------
@@ -208,14 +322,42 @@ def number(word: str, unit_factors: dict[str, float]) -> float:
 
 
 def boolean(word: str) -> bool:
-    """Read ON, OFF, or a number, of which only 0 is off."""
+    """Read ON, OFF or a number; only 0 is off.
+
+    Parameters
+    ----------
+    word
+        The argument.
+
+    Returns
+    -------
+    bool
+        Whether it is on.
+    """
     if word.upper() in {"ON", "OFF"}:
         return word.upper() == "ON"
     return number(word, {}) != 0.0
 
 
 def choice(word: str, choices: Sequence[str]) -> str:
-    """Read one of several words, each in short or long form, and give its short form.
+    """Read one of several words, in short or long form.
+
+    Parameters
+    ----------
+    word
+        The argument.
+    choices
+        Words; their capitals are the short form.
+
+    Returns
+    -------
+    str
+        Short form of the word.
+
+    Raises
+    ------
+    ScpiError
+        -224 if the word is none of them.
 
     Examples
     --------

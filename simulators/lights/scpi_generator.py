@@ -1,7 +1,7 @@
-"""A function generator that speaks SCPI, in the way of the Keysight 33250A or of makes that number their channels.
+"""A function generator that speaks SCPI: the Keysight 33250A, or a Rigol DG4000, which numbers its channels.
 
-Knows the headers, and that the instrument holds what it cannot do within its range and says so only when asked
-for errors. SCPI's syntax is `scpi`'s, the instrument itself `generator`'s.
+A value out of range is clipped, and only the error queue says so. `scpi` holds the syntax, `generator` the
+instrument. References: Keysight 33250A user's guide, remote interface reference; Rigol DG4000 programming guide.
 """
 
 from __future__ import annotations
@@ -42,17 +42,19 @@ _CLIP_ERRORS: Final = {
 
 @dataclass(frozen=True)
 class GeneratorModel:
-    """What a generator says it is, and how it speaks.
+    """Identity of a generator, and its variant of the language.
 
     Attributes
     ----------
+    serial, maker, name, firmware
+        Fields of the answer to ``*IDN?``.
     error_queue
-        Whether it answers ``SYST:ERR?``; some do not.
+        Whether it answers ``SYST:ERR?``; some generators do not.
     numbered_channels
-        Whether headers carry a channel's number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is
-        told as ON or OFF instead of 1 or 0.
+        Whether headers carry a channel number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is read
+        as ON or OFF instead of 1 or 0.
     baud
-        Baud rate of its serial port.
+        Baud rate of the serial port.
     """
 
     serial: str = "SG0042"
@@ -70,11 +72,11 @@ class ScpiGenerator(GeneratorLine):
     Parameters
     ----------
     model
-        What it is.
+        Identity of the generator and its variant of the language.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     drive
-        Called with what the light does from now on, whenever that changes.
+        Called with the new state of the light whenever it changes.
     """
 
     def __init__(
@@ -90,16 +92,16 @@ class ScpiGenerator(GeneratorLine):
 
     @property
     def baud(self) -> int:
-        """Baud rate of its serial port."""
+        """Baud rate of the serial port."""
         return self.model.baud
 
     def exchange(self, serial: str) -> None:
-        """Be another instrument of this model from now on, fresh from power-up."""
+        """See `GeneratorLine.exchange`."""
         self.model = replace(self.model, serial=serial)
         self._tree.errors.clear()
         self._generator.reset()
 
-    # ------------------------------------------------------------------ what it understands
+    # ------------------------------------------------------------------ commands
     def _execute(self, message: str) -> list[str]:
         answer = self._tree.answer(message)
         return [] if answer is None else [answer]
@@ -148,7 +150,7 @@ class ScpiGenerator(GeneratorLine):
     def _register_value(
         self, header: str, name: Setting, unit_factors: dict[str, float], read: Callable[[], float]
     ) -> None:
-        """Understand a number: set it, read it, and tell its bounds, as in ``FREQ? MAX``."""
+        """Register a number: command, query, and query of a bound, as in ``FREQ? MAX``."""
 
         def set_value(arguments: list[str]) -> None:
             word = only_argument(arguments)
@@ -200,18 +202,18 @@ class ScpiGenerator(GeneratorLine):
 
 
 def _bound(word: str) -> int | None:
-    """Whether a word stands for the lower (0) or upper (1) bound; None for neither."""
+    """Return 0 for the word that means the lower bound, 1 for the upper bound, None for any other word."""
     if word.upper() in {"MIN", "MINIMUM"}:
         return 0
     return 1 if word.upper() in {"MAX", "MAXIMUM"} else None
 
 
 def _raise_if_clipped(held: ClipReason) -> None:
-    """Queue the error of a value that was held."""
+    """Raise the SCPI error that reports a clipped value; the command tree queues it."""
     if held:
         raise ScpiError(*_CLIP_ERRORS[held])
 
 
 def _format_number(value: float) -> str:
-    """Print a number as the instrument does."""
+    """Format a number as the 33250A does."""
     return f"{value:+.13E}"

@@ -1,11 +1,11 @@
-"""A function generator in the way of Siglent's SDG series, whose commands set many values at once.
+"""A function generator of Siglent's SDG series, whose commands set several values at once.
 
-    C1:BSWV WVTP,SQUARE,FRQ,60HZ,...       the waveform of channel 1, a pair of name and value for each setting
-    C1:BSWV?                               answered by the same header and all pairs
+    C1:BSWV WVTP,SQUARE,FRQ,60HZ,...       waveform of channel 1: a name and a value for each setting
+    C1:BSWV?                               answered by the same header and all settings
     C1:OUTP ON,LOAD,HZ                     output and load
 
-It has no error queue: what it does not understand it passes over, what it cannot do it holds within its range,
-and says nothing of either. The instrument itself is `generator`'s.
+It has no error queue: it ignores unknown commands and clips values out of range, and reports neither. `generator`
+holds the instrument. Reference: programming guide of Siglent's SDG series.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class SiglentGenerator(GeneratorLine):
     Parameters
     ----------
     serial
-        Its serial number.
+        Serial number.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     drive
-        Called with what the light does from now on, whenever that changes.
+        Called with the new state of the light whenever it changes.
     """
 
     def __init__(
@@ -58,11 +58,11 @@ class SiglentGenerator(GeneratorLine):
 
     @property
     def baud(self) -> int:
-        """Baud rate of the serial line to it."""
+        """Baud rate of the serial port."""
         return 9600
 
     def exchange(self, serial: str) -> None:
-        """Be another instrument of this model from now on, fresh from power-up."""
+        """See `GeneratorLine.exchange`."""
         self._serial = serial
         self._generator.reset()
 
@@ -134,7 +134,7 @@ class SiglentGenerator(GeneratorLine):
 
 
 def _number(text: str) -> float | None:
-    """Read a number with an optional unit; None for what is none."""
+    """Read a number with an optional unit; None if the text is no number."""
     match = _NUMBER.fullmatch(text)
     if match is None:
         return None
