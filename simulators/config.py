@@ -1,7 +1,7 @@
-"""The simulated bench's configuration: which devices stand on it, and in which world.
+"""Configuration of the simulated bench: its devices, and the world they stand in.
 
-Knows every key a configuration may have, its default and its range; a fault is one sentence that names the
-key. The sections camera, collimator, optics, noise, thermal, mount and screen are `truth`'s.
+This module defines every key, its default and its range; an error is one sentence that names the key. `truth_config`
+reads the sections camera, collimator, optics, noise, thermal, mount and screen.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from simulators.world.truth import Truth
 from simulators.world.truth_config import truth_from_config
 from simulators.world.world import AxisName
 
-#: Stages by kind, with the counts a degree that are usual for them.
+#: Kinds of stages, with the usual number of counts per degree.
 STAGE_KINDS: Final[Mapping[str, int]] = {"zaber": 6400, "ximc": 25_600, "grbl": 640, "esp301": 10_000}
 
-#: Drivers of the light by kind: makes of function generators, and a strobe controller.
+#: Kinds of light drivers: makes of function generators, and a strobe controller.
 LIGHT_KINDS: Final = ("keysight", "rigol", "siglent", "gardasoft")
 
 _PORTS: Final = ("pty", "tcp")
@@ -41,9 +41,9 @@ class AxisConfig:
     serial
         Serial number of its controller.
     limit_deg
-        Soft limit to either side, as the controller comes with; the end stops are 2 degrees further out.
+        Soft limit in both directions, as the controller is delivered; the end stops are 2 degrees further out.
     start_deg
-        Where it stands at power-up, unknown to its controller.
+        Angle at power-up, unknown to its controller.
     microsteps_per_deg, speed_deg_s, acceleration_deg_s2
         Scale, and ramp settings at power-up.
     settle_s
@@ -74,9 +74,9 @@ class LightConfig:
     kind
         One of `LIGHT_KINDS`.
     serial
-        Its serial number, where it has one.
+        Its serial number, if it has one.
     error_queue
-        Whether it answers ``SYST:ERR?``, where that is up to the instrument.
+        Whether it answers ``SYST:ERR?``, for instruments that may or may not.
     """
 
     kind: str = "keysight"
@@ -91,20 +91,21 @@ class BenchConfig:
     Attributes
     ----------
     truth
-        The world, but for what is left to the seed.
+        Parameters of the world, before the mounting is drawn from the seed.
     stage_kind, axes, light, camera_serial
         The devices.
     ports
-        What the lines run over: "pty" or "tcp".
+        Transport of the serial lines: "pty" or "tcp".
     paced
-        Whether bytes take their time on the line.
+        Whether bytes are delayed as by the line's baud rate.
     faults
-        What goes wrong from the start.
+        Faults that are present from the start.
     camera_seed
-        Tells one camera's fixed pattern (thresholds, hot pixels) from another's; None: the bench's seed does.
+        Seed of the camera's fixed pattern (thresholds, hot pixels); None: drawn from the bench's seed.
     mounting_from_seed
-        Whether the camera sits on the gimbal as the bench's seed will have it, within about half a degree of a roll by
-        10, instead of as ``truth`` says: benches of different seeds then differ in where stars fall on pixels.
+        Whether the camera's mounting on the gimbal is drawn from the bench's seed, about half a degree around a roll of
+        10 degrees, instead of taken from ``truth``. Stars of benches with different seeds then fall differently on
+        pixels.
     """
 
     truth: Truth = field(default_factory=Truth)
@@ -124,7 +125,18 @@ class BenchConfig:
     paced: bool = True
 
     def truth_for(self, seed: int) -> Truth:
-        """Give the world of a seed."""
+        """Return the truth of a bench.
+
+        Parameters
+        ----------
+        seed
+            Seed of the bench.
+
+        Returns
+        -------
+        Truth
+            With the mounting drawn from the seed, if the configuration asks for that.
+        """
         if not self.mounting_from_seed:
             return self.truth
         drawn = np.random.default_rng((seed, _MOUNTING_STREAM)).normal(_MOUNTING_DEG, _MOUNTING_SPREAD_DEG)
@@ -134,7 +146,7 @@ class BenchConfig:
 _MOUNTING_STREAM = 1
 _MOUNTING_SPREAD_DEG = 0.25
 _MOUNTING_DEG = (0.0, 0.0, 10.0)
-"""Rolled, as on a real bench: edges of the print then cross the rows of pixels at all places between two of them."""
+"""With a roll, as on a real bench: the print's edges are then not parallel to the rows of pixels."""
 
 _Section = TypeVar("_Section", AxisConfig, LightConfig)
 _Value = TypeVar("_Value", bool, int, float, str)
@@ -146,17 +158,21 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     Parameters
     ----------
     given
-        Sections ``camera``, ``collimator``, ``optics``, ``noise``, ``thermal``, ``mount`` and ``screen`` (see
-        `truth`); ``stage``, a mapping of the axes pan, tilt and roll, in the order of their addresses, and perhaps
-        its ``kind``; ``light``;
-        ``faults``, a list of orders (see `faults`) that are carried out from the start; and the values
-        ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes take their
-        time on the line). All are optional. ``rehearsal`` is for `rehearsed_world`, and not looked at here.
+        Sections ``camera``, ``collimator``, ``optics``, ``noise``, ``thermal``, ``mount`` and ``screen`` (see `truth`);
+        ``stage``, a mapping of the axes pan, tilt and roll in the order of their addresses, with an optional ``kind``;
+        ``light``; ``faults``, a list of fault orders (see `faults`) that are carried out from the start; and the values
+        ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by
+        the line's baud rate). All are optional. ``rehearsal`` is read by `rehearsed_world` and ignored here.
+
+    Returns
+    -------
+    BenchConfig
+        Defaults, with the given keys replaced.
 
     Raises
     ------
     ConfigError
-        Naming the key that is unknown or whose value cannot be.
+        If a key is unknown or its value is not valid; the error names the key.
 
     Examples
     --------
@@ -174,7 +190,9 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
         raise ConfigError(f"A mapping is expected, not {optics!r}.", where="optics")
     orders = given.get("faults", [])
     if not isinstance(orders, list) or not all(isinstance(one, Mapping) for one in orders):
-        raise ConfigError("A list of orders is expected.", where="faults")
+        raise ConfigError(
+            "A list of mappings is expected.", where="faults", remedy="Give one mapping per fault."
+        )
     stage_kind, axes = _stage(given["stage"], default.axes) if "stage" in given else ("zaber", default.axes)
     light = _section("light", default.light, given.get("light", {}))
     return BenchConfig(
@@ -192,7 +210,7 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
 
 
 def _order(index: int, given: Mapping[str, Any]) -> FaultOrder:
-    """Read one order of the list of faults."""
+    """Read one fault order of the list."""
     try:
         return fault_order(given)
     except ConfigError as error:
@@ -200,18 +218,16 @@ def _order(index: int, given: Mapping[str, Any]) -> FaultOrder:
 
 
 def _one_of(known: Collection[str], value: object, where: str) -> str:
-    """See that a value is one of a few words."""
+    """Check that a value is one of a few words, and return it."""
     if value not in known:
-        raise ConfigError(
-            f"No such thing: {value!r}.", where=where, remedy=f"Use one of: {', '.join(known)}."
-        )
+        raise ConfigError(f"Unknown value {value!r}.", where=where, remedy=f"Use one of: {', '.join(known)}.")
     return str(value)
 
 
 def _stage(
     given: object, default: Mapping[AxisName, AxisConfig]
 ) -> tuple[str, Mapping[AxisName, AxisConfig]]:
-    """Read the stage's kind and the axes that are named, in their order; those not named are not there."""
+    """Read the stage's kind and the named axes, in their order; axes that are not named do not exist."""
     if not isinstance(given, Mapping):
         raise ConfigError(f"A mapping is expected, not {given!r}.", where="stage")
     kind = _one_of(STAGE_KINDS, given.get("kind", "zaber"), "stage.kind")
@@ -221,7 +237,7 @@ def _stage(
         return kind, usual
     if not named:
         raise ConfigError(
-            "At least one axis is expected.", where="stage", remedy=f"Name some of {', '.join(_AXES)}."
+            "The stage has no axis.", where="stage", remedy=f"Give at least one of: {', '.join(_AXES)}."
         )
     axes: dict[AxisName, AxisConfig] = {}
     for name, section in named.items():
@@ -232,12 +248,14 @@ def _stage(
         fresh = AxisConfig(f"1001{len(axes) + 1:02d}", 180.0, microsteps_per_deg=STAGE_KINDS[kind])
         axes[name] = _checked(f"stage.{name}", _section(f"stage.{name}", usual.get(name, fresh), section))
         if kind == "ximc" and not axes[name].serial.isdigit():
-            raise ConfigError("A XIMC controller's serial number is digits.", where=f"stage.{name}.serial")
+            raise ConfigError(
+                "The serial number of a XIMC controller must have digits only.", where=f"stage.{name}.serial"
+            )
     return kind, axes
 
 
 def _checked(where: str, axis: AxisConfig) -> AxisConfig:
-    """See that an axis can be built."""
+    """Check that an axis's numbers are in range, and return the axis."""
     for name in ("limit_deg", "microsteps_per_deg", "speed_deg_s", "acceleration_deg_s2"):
         if getattr(axis, name) <= 0:
             raise ConfigError(f"{getattr(axis, name)!r} is not positive.", where=f"{where}.{name}")
@@ -245,12 +263,15 @@ def _checked(where: str, axis: AxisConfig) -> AxisConfig:
         if getattr(axis, name) < 0:
             raise ConfigError(f"{getattr(axis, name)!r} is negative.", where=f"{where}.{name}")
     if abs(axis.start_deg) > axis.limit_deg:
-        raise ConfigError(f"{axis.start_deg} lies outside the axis's limits.", where=f"{where}.start_deg")
+        raise ConfigError(
+            f"{axis.start_deg} lies outside the limits of the axis, +-{axis.limit_deg}.",
+            where=f"{where}.start_deg",
+        )
     return axis
 
 
 def _section(where: str, default: _Section, given: object) -> _Section:
-    """Take over the keys that are given, each checked against the type of its default."""
+    """Return ``default`` with the given keys replaced, each checked against the type of its default."""
     if not isinstance(given, Mapping):
         raise ConfigError(f"A mapping is expected, not {given!r}.", where=where)
     known = [one.name for one in fields(default)]
@@ -265,7 +286,7 @@ def _section(where: str, default: _Section, given: object) -> _Section:
 
 
 def _like(default: _Value, value: object, where: str) -> _Value:
-    """See that a value is of its default's kind."""
+    """Check that a value has its default's type, and return it converted."""
     if isinstance(default, (bool, str)):
         if type(value) is not type(default):
             kind = "true or false" if isinstance(default, bool) else "text"

@@ -1,8 +1,8 @@
-"""A world to rehearse in: where stars lie in a pose, at an hour of the night, and what goes wrong there.
+"""A world without devices: which stars a recording would show in a pose at a time, and what goes wrong.
 
-For rehearsals on a virtual clock, in which a night passes in seconds: no pixels, no events, no devices. Star
-centres come from the same optics as the simulated bench's, a little off as noise will have it; the camera warms
-up and follows its room, and the lens with it. The same seed, pose and moment give the same stars.
+It serves rehearsals on a virtual clock, in which a night passes in seconds: no pixels, no events, no devices. Star
+centres come from the optics of the simulated bench, with noise added. The camera warms up and follows its room, and
+the lens follows the camera. The same seed, pose and moment give the same stars.
 """
 
 from __future__ import annotations
@@ -25,27 +25,29 @@ Mishap = Literal["", "covered", "lost"]
 _CLEARANCE_SQUARES = 1.0
 _BORDER_PX = 6.0
 _COVERED_STARS = 20
-"""Stars that are left where something stands before the camera."""
+"""Stars that remain visible if something covers the camera's view."""
 _REFERENCE_C = 40.0
-"""Camera temperature at which the lens is as ``camera`` says."""
+"""Camera temperature at which the focal lengths are those of section ``camera``."""
 
 
 @dataclass(frozen=True)
 class Night:
-    """How a night goes: section ``rehearsal`` of the simulation's configuration.
+    """Conditions of a night: section ``rehearsal`` of the simulation's configuration.
 
     Attributes
     ----------
     star_sigma_px
-        Noise of a star's centre, each way, 1 sigma.
+        Noise of a star's centre, in x and in y, 1 sigma.
     room_c, room_c_per_h
-        Temperature of the room at the begin, and how it changes.
+        Temperature of the room at the start, and its rate of change.
     self_heating_c, warm_up_min
-        How much warmer than the room the camera's sensor gets, and with which time constant after switching on.
+        Final temperature of the camera above the room, and the time constant of its rise after switching on.
     focal_ppm_per_c
-        How the focal length follows the camera's temperature.
-    covered_share, lost_share
-        Share of the recordings in which something stands before the camera; that the camera does not complete.
+        Relative change of the focal length with the camera's temperature, 1e-6 per degree.
+    covered_share
+        Share of the recordings in which something covers the camera's view.
+    lost_share
+        Share of the recordings that the camera does not complete.
     """
 
     star_sigma_px: float = 0.03
@@ -60,20 +62,20 @@ class Night:
 
 @dataclass(frozen=True)
 class RehearsedView:
-    """What a recording would show.
+    """Content of one recording.
 
     Attributes
     ----------
     ids
-        (N,) int64, stars.
+        (N,) int64, identities of the visible stars.
     points_px
-        (N, 2) float64, their centres, noise included.
+        (N, 2) float64, star centres with noise.
     sigma_px
-        1 sigma of that noise, each way.
+        Noise of the centres in x and in y, 1 sigma.
     temperature_c
-        Of the camera.
+        Temperature of the camera.
     mishap
-        What went wrong: "covered", "lost" (there are no stars then), or nothing.
+        "covered", "lost" (there are no stars then), or empty.
     """
 
     ids: NDArray[np.int64]
@@ -89,14 +91,14 @@ class RehearsedWorld:
     Parameters
     ----------
     config
-        The simulation's configuration; what it says of devices and pixels plays no part, but for serial numbers.
+        The simulation's configuration; of devices and pixels, only serial numbers are used.
     seed
-        Of everything random.
+        Seed of all random numbers.
 
     Raises
     ------
     ConfigError
-        Naming the key that is unknown or whose value cannot be.
+        If a key is unknown or its value is not valid; the error names the key.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
@@ -106,28 +108,55 @@ class RehearsedWorld:
         self._seed = seed
 
     def temperature_c(self, on_s: float) -> float:
-        """Temperature of the camera, so long after it was switched on."""
+        """Return the temperature of the camera.
+
+        Parameters
+        ----------
+        on_s
+            Time since the camera was switched on.
+
+        Returns
+        -------
+        float
+            Degrees Celsius.
+        """
         night = self.night
         warm = -math.expm1(-max(0.0, on_s) / (60.0 * night.warm_up_min)) if night.warm_up_min else 1.0
         return night.room_c + night.room_c_per_h * on_s / 3600.0 + night.self_heating_c * warm
 
     def truth(self, on_s: float) -> Truth:
-        """Give the world as it is at that time: the lens follows the camera's temperature."""
+        """Return the truth at a time: the lens follows the camera's temperature.
+
+        Parameters
+        ----------
+        on_s
+            Time since the camera was switched on.
+
+        Returns
+        -------
+        Truth
+            With focal lengths of that temperature.
+        """
         stretch = 1.0 + 1e-6 * self.night.focal_ppm_per_c * (self.temperature_c(on_s) - _REFERENCE_C)
         camera = self._truth.camera
         return replace(self._truth, camera=replace(camera, fx=camera.fx * stretch, fy=camera.fy * stretch))
 
     def record(self, angles_deg: Mapping[str, float], on_s: float, before: int) -> RehearsedView:
-        """Look at the target.
+        """Simulate one recording of the target.
 
         Parameters
         ----------
         angles_deg
-            Of the axes.
+            Angles of the axes by name.
         on_s
-            Time since the camera was switched on, s.
+            Time since the camera was switched on.
         before
-            Recordings made before by this bench: tells one from another at the same pose.
+            Number of earlier recordings of this bench; recordings at the same pose then differ in noise.
+
+        Returns
+        -------
+        RehearsedView
+            Stars, temperature, and what went wrong.
         """
         drawn = np.random.default_rng((self._seed, before, *_words(angles_deg), round(on_s * 1000)))
         mishap = self._mishap(float(drawn.random()))
@@ -148,12 +177,12 @@ class RehearsedWorld:
 
 
 def _words(angles_deg: Mapping[str, float]) -> list[int]:
-    """Turn angles into whole numbers that are not negative, as seeds must be."""
+    """Convert angles to non-negative whole numbers, as seeds must be."""
     return [round((angles_deg[name] + 360.0) * 1e6) for name in sorted(angles_deg)]
 
 
 def _night(given: object) -> Night:
-    """Read the section, each key checked."""
+    """Read the section, and check each key."""
     if not isinstance(given, Mapping):
         raise ConfigError(f"A mapping is expected, not {given!r}.", where="rehearsal")
     known = {one.name for one in fields(Night)}
@@ -167,5 +196,7 @@ def _night(given: object) -> Night:
             raise ConfigError(f"{value!r} is negative.", where=where)
     night = Night(**{key: float(value) for key, value in given.items()})
     if night.covered_share + night.lost_share > 1:
-        raise ConfigError("The shares exceed 1.", where="rehearsal.covered_share")
+        raise ConfigError(
+            "covered_share and lost_share add up to more than 1.", where="rehearsal.covered_share"
+        )
     return night

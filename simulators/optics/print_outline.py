@@ -39,9 +39,12 @@ def black_polygons(target: StarTarget) -> FloatArray:
 
 
 def _black_segments(segments: int) -> FloatArray:
-    """Return the black segments of a star, (segments / 2, 4, 2), in squares from its centre, cut to a cell of side 1."""
+    """Return the black segments of a star, (segments / 2, 4, 2), in squares from its centre, cut to a cell of side 1.
+
+    The star's first segment, counted from +Y towards -X, is white.
+    """
     polygons = []
-    for number in range(1, segments, 2):  # counted from +Y towards -X, the first is white
+    for number in range(1, segments, 2):
         start, end = (2.0 * math.pi * (n / segments + 0.25) for n in (number, number + 1))
         corner = (
             math.floor((start - 0.25 * math.pi) / (0.5 * math.pi) + 1e-9) + 1.0

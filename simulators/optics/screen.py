@@ -86,7 +86,7 @@ def _sight(board: Checkerboard, camera: CameraTruth, rotation: FloatArray, posit
     outline = board.bright_mm.reshape(-1, 2)
     depth = outline @ rotation[2, :2] + position[2]
     if not (depth > 0.0).all():
-        raise SimulationMisuse("The board is not in front of the camera.", where="position")
+        raise SimulationMisuse("The board is not wholly in front of the camera.", where="position")
     turn = np.ascontiguousarray(rotation, np.float64)
     return Sight(lens_of(camera), turn, -turn.T @ np.asarray(position, np.float64), NO_BENDING)
 

@@ -1,1 +1,1 @@
-"""What is true at any time: where axes point, what the light does, how warm it is."""
+"""State of the simulated world over time: angles of the axes, light, temperature."""

@@ -1,9 +1,9 @@
-"""How the camera's mount moves on its own: it shakes, and it creeps away from where the axes point it.
+"""Motion of the camera's mount: it vibrates, and it drifts away from the angles of the axes.
 
     pan(t) = rate (t_on + t) + amplitude sin(2 pi (f t + phase)), tilt alike
 
-with t since the start of a recording and t_on between switching on and that start. What has crept until then is taken
-in steps of 0.05 arc seconds, and the phases are the recording's own: it is the same whenever it is taken at one step.
+with t since the start of a recording and t_on between switching on and that start. The drift until that start is
+rounded to steps of 0.05 arc seconds, and the phases belong to the recording: recordings at the same step are the same.
 """
 
 from __future__ import annotations
@@ -19,17 +19,52 @@ STEP_ARCSEC: Final = 0.05
 
 
 def moves(mount: MountTruth) -> bool:
-    """Whether it does not stand still."""
+    """Return whether the mount moves at all.
+
+    Parameters
+    ----------
+    mount
+        True motion of the mount.
+
+    Returns
+    -------
+    bool
+        True if it vibrates or drifts.
+    """
     return shakes(mount) or mount.drift_arcsec_per_min != (0.0, 0.0)
 
 
 def shakes(mount: MountTruth) -> bool:
-    """Whether it vibrates."""
+    """Return whether the mount vibrates.
+
+    Parameters
+    ----------
+    mount
+        True motion of the mount.
+
+    Returns
+    -------
+    bool
+        True if amplitude and frequency are positive.
+    """
     return mount.vibration_arcsec > 0.0 and mount.vibration_hz > 0.0
 
 
 def crept_arcsec(mount: MountTruth, on_s: float) -> tuple[float, float]:
-    """How far pan and tilt have crept since the bench was switched on, in whole steps."""
+    """Return the drift since the bench was switched on, in whole steps of `STEP_ARCSEC`.
+
+    Parameters
+    ----------
+    mount
+        True motion of the mount.
+    on_s
+        Time since the bench was switched on.
+
+    Returns
+    -------
+    tuple of float
+        Drift of pan and of tilt.
+    """
     pan, tilt = (
         round(round(rate * on_s / 60.0 / STEP_ARCSEC) * STEP_ARCSEC, 2) for rate in mount.drift_arcsec_per_min
     )
@@ -43,18 +78,25 @@ def disturbed(
     phases: tuple[float, float],
     t_s: float,
 ) -> dict[AxisName, float]:
-    """Angles at which the camera really stands.
+    """Return the angles at which the camera really points.
 
     Parameters
     ----------
     angles_deg
-        Of the axes.
+        Angles of the axes by name.
+    mount
+        True motion of the mount.
     crept
-        Of ``crept_arcsec`` at the recording's start.
+        Drift of pan and tilt at the recording's start, arc seconds, from ``crept_arcsec``.
     phases
-        Of the vibration about pan and tilt then, in periods.
+        Phases of the vibration about pan and tilt at the recording's start, in periods.
     t_s
         Time since the recording's start.
+
+    Returns
+    -------
+    dict
+        Angles by name, degrees, with drift and vibration added.
     """
     angles = dict(angles_deg)
     names: tuple[AxisName, AxisName] = ("pan", "tilt")

@@ -1,7 +1,7 @@
-"""The cable from the light's sync output to the camera's trigger input, and what it can do to the edges on it.
+"""The cable from the light's sync output to the camera's trigger input, and its faults.
 
-Knows edges, two a period: rising at its start, falling at the end of its high part. What goes wrong is a pure
-function of the period's number, so that a recording stays the same however it is cut into frames.
+A period has two edges: rising at its start, falling at the end of its high part. The faults are a pure function of the
+period's number, so that a recording does not depend on how it is cut into frames.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SyncLine:
-    """A cable, good unless said otherwise.
+    """A cable; by default without faults.
 
     Attributes
     ----------
     inverted
-        Whether it carries high for low.
+        Whether it swaps high and low.
     missing_every
-        Every so many periods both edges are lost; 0 for never.
+        Both edges of every n-th period are lost; 0 for never.
     extra_every
-        Every so many periods a short pulse stands in the low part that is not the light's; 0 for never.
+        Every n-th period has a short false pulse in its low part; 0 for never.
     jitter_us
-        Edges come up to this early or late.
+        Largest time by which edges come early or late.
     """
 
     inverted: bool = False
@@ -79,7 +79,10 @@ class SyncLine:
 
 
 def _noise(numbers: IntArray) -> NDArray[np.float64]:
-    """Give each number a value of its own, even over -1 to 1 (the finaliser of splitmix64)."""
+    """Return a fixed pseudo-random value for each number, uniform in -1 to 1.
+
+    The finaliser of SplitMix64 (Steele, Lea and Flood 2014).
+    """
     z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -1,7 +1,7 @@
-"""How warm the camera is at any time, and what of the truth follows it.
+"""Temperature of the camera over time, and the parts of the truth that follow it.
 
-The law is `truth.LAW`. A sensor tells its temperature in steps of 0.01 degrees, and the world follows those: whatever
-is recorded at one step is the same.
+The law is `truth.LAW`. A sensor reports its temperature in steps of 0.01 degrees, and the world follows those steps:
+all recordings at one step are the same.
 """
 
 from __future__ import annotations
@@ -16,7 +16,19 @@ STEP_C: Final = 0.01
 
 
 def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
-    """Temperature of the camera, so long after it was switched on.
+    """Return the temperature of the camera at a time after it was switched on.
+
+    Parameters
+    ----------
+    thermal
+        Temperature of the room, and self-heating.
+    on_s
+        Time since the bench was switched on.
+
+    Returns
+    -------
+    float
+        Temperature in steps of `STEP_C`, degrees Celsius.
 
     Examples
     --------
@@ -31,7 +43,20 @@ def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
 
 
 def warmed(truth: Truth, at_c: float) -> Truth:
-    """Give the truth at a temperature; the same object if nothing follows it."""
+    """Return the truth at a temperature.
+
+    Parameters
+    ----------
+    truth
+        Truth at the reference temperature.
+    at_c
+        Temperature of the camera.
+
+    Returns
+    -------
+    Truth
+        With focal lengths of that temperature; the same object if they are unchanged.
+    """
     stretch = 1.0 + 1e-6 * truth.thermal.focal_ppm_per_c * (at_c - REFERENCE_C)
     if stretch == 1.0:
         return truth
@@ -40,10 +65,34 @@ def warmed(truth: Truth, at_c: float) -> Truth:
 
 
 def brightness(thermal: ThermalTruth, at_c: float) -> float:
-    """Light of the lamp at a temperature, in that at the reference."""
+    """Return the lamp's light at a temperature, relative to that at the reference temperature.
+
+    Parameters
+    ----------
+    thermal
+        Temperature coefficient of the lamp.
+    at_c
+        Temperature of the camera; the lamp has the same.
+
+    Returns
+    -------
+    float
+        At least 0; 1 at the reference temperature.
+    """
     return max(0.0, 1.0 + 1e-2 * thermal.lamp_percent_per_c * (at_c - REFERENCE_C))
 
 
 def matters(thermal: ThermalTruth) -> bool:
-    """Whether anything follows the temperature."""
+    """Return whether anything depends on the temperature.
+
+    Parameters
+    ----------
+    thermal
+        Temperature coefficients.
+
+    Returns
+    -------
+    bool
+        True if the focal lengths or the lamp's light do.
+    """
     return thermal.focal_ppm_per_c != 0.0 or thermal.lamp_percent_per_c != 0.0

@@ -1,8 +1,8 @@
-"""Courses: where a motor is at any time between two commands, and where the load on it points.
+"""Trajectories: the position of a motor between two commands, and the angle of the load on it.
 
-Knows trapezoidal ramps and a load that follows with a first-order lag behind the play of a gear. Everything is
-immutable, so that any thread may ask. Positions are motor counts from the true zero of the load, times are
-whatever clock the caller has.
+A motor follows trapezoidal ramps. The load follows with a first-order lag, behind the play of a gear. All objects are
+immutable, so that any thread may read them. Positions are motor counts from the true zero of the load; times are those
+of the caller's clock.
 """
 
 from __future__ import annotations
@@ -18,30 +18,38 @@ SETTLED_DEG = 0.05 / 3600.0
 
 
 class Leg(NamedTuple):
-    """A part of a ramp: how long, and with which acceleration."""
+    """A part of a ramp.
+
+    Attributes
+    ----------
+    duration_s
+        How long it lasts.
+    acceleration
+        Constant acceleration, counts/s^2.
+    """
 
     duration_s: float
     acceleration: float
 
 
 def ramp(position: float, velocity: float, target: float, speed: float, acceleration: float) -> list[Leg]:
-    """Plan a trapezoid from a position and velocity to rest at a target.
+    """Plan a trapezoidal velocity profile from a position and velocity to rest at a target.
 
     An axis that runs the wrong way, or too fast to stop in time, brakes to a halt first.
 
     Parameters
     ----------
     position, velocity
-        Where the axis is, and how fast, in counts and counts/s.
+        State of the axis at the start, counts and counts/s.
     target
-        Where it shall rest.
+        Position at which it comes to rest, counts.
     speed, acceleration
-        Bounds of the ramp, positive, counts/s and counts/s^2.
+        Limits of the ramp, positive, counts/s and counts/s^2.
 
     Returns
     -------
     list of Leg
-        At most four; empty when it already rests there.
+        At most four; empty if the axis already rests at the target.
 
     Examples
     --------
@@ -61,7 +69,7 @@ def ramp(position: float, velocity: float, target: float, speed: float, accelera
 
 
 def _trapezoid(distance: float, entry: float, speed: float, acceleration: float) -> list[Leg]:
-    """Change to the highest speed, keep it, and brake; enters with a speed towards the target."""
+    """Change to the highest speed, keep it, and brake; ``entry`` is the speed towards the target at the start."""
     side = math.copysign(1.0, distance)
     peak = min(speed, math.sqrt(acceleration * abs(distance) + entry * entry / 2.0))
     change = peak - entry
@@ -74,7 +82,17 @@ def _trapezoid(distance: float, entry: float, speed: float, acceleration: float)
 
 
 class Piece(NamedTuple):
-    """A time of constant acceleration; the last one of a course lasts until the next command."""
+    """An interval of constant acceleration; the last one of a course lasts until the next command.
+
+    Attributes
+    ----------
+    start_s
+        Time at which it begins.
+    position, velocity
+        Those of the motor at that time, counts and counts/s.
+    acceleration
+        Constant acceleration, counts/s^2.
+    """
 
     start_s: float
     position: float
@@ -82,30 +100,60 @@ class Piece(NamedTuple):
     acceleration: float
 
     def position_at(self, t_s: float) -> float:
-        """Position, counts; before the start it is that of the start."""
+        """Return the position at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time; before the start, the position is that of the start.
+
+        Returns
+        -------
+        float
+            Position, counts.
+        """
         s = max(0.0, t_s - self.start_s)
         return self.position + self.velocity * s + self.acceleration * s * s / 2.0
 
     def velocity_at(self, t_s: float) -> float:
-        """Velocity, counts/s."""
+        """Return the velocity at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time; before the start, the velocity is that of the start.
+
+        Returns
+        -------
+        float
+            Velocity, counts/s.
+        """
         return self.velocity + self.acceleration * max(0.0, t_s - self.start_s)
 
 
 @dataclass(frozen=True)
 class Course:
-    """Where a motor is from one command until the next.
+    """Position of a motor over time, from one command to the next.
 
     Attributes
     ----------
     pieces
-        In order of time; in the last one it rests, or creeps.
+        Intervals in order of time; in the last one the motor rests, or drifts slowly.
     """
 
     pieces: tuple[Piece, ...]
 
     @classmethod
     def resting(cls, t_s: float, position: float) -> Self:
-        """Make a course that stands still."""
+        """Return the course of a motor that stands still.
+
+        Parameters
+        ----------
+        t_s
+            Time of the command.
+        position
+            Where it stands, counts.
+        """
         return cls((Piece(t_s, position, 0.0, 0.0),))
 
     @classmethod
@@ -117,7 +165,19 @@ class Course:
         stations: list[tuple[float, float]],
         acceleration: float,
     ) -> Self:
-        """Plan ramps through stations (position, speed), resting at each, from a position and velocity."""
+        """Plan ramps through several positions, with a stop at each.
+
+        Parameters
+        ----------
+        t_s
+            Time of the command.
+        position, velocity
+            State of the motor at that time, counts and counts/s.
+        stations
+            Positions in counts, each with the speed limit of the ramp to it, counts/s.
+        acceleration
+            Acceleration of all ramps, counts/s^2.
+        """
         pieces: list[Piece] = []
         for station, speed in stations:
             for leg in ramp(position, velocity, station, speed, acceleration):
@@ -135,39 +195,102 @@ class Course:
 
     @property
     def end_s(self) -> float:
-        """Time from which on the motor rests."""
+        """Time at which the motor comes to rest."""
         return self.pieces[-1].start_s
 
     @property
     def rest(self) -> float:
-        """Where it comes to rest."""
+        """Position at which the motor comes to rest, counts."""
         return self.pieces[-1].position
 
     def index(self, t_s: float) -> int:
-        """Find the number of the piece of a time, from 0."""
+        """Return the index of the piece at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time.
+
+        Returns
+        -------
+        int
+            Index into ``pieces``.
+        """
         return max(0, bisect_right(self.pieces, t_s, key=lambda piece: piece.start_s) - 1)
 
     def at(self, t_s: float) -> Piece:
-        """Find the piece of a time."""
+        """Return the piece at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time.
+
+        Returns
+        -------
+        Piece
+            The first one if the time lies before the command.
+        """
         return self.pieces[self.index(t_s)]
 
     def position(self, t_s: float) -> float:
-        """Position at a time, counts."""
+        """Return the motor's position at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time.
+
+        Returns
+        -------
+        float
+            Position, counts.
+        """
         return self.at(t_s).position_at(t_s)
 
     def velocity(self, t_s: float) -> float:
-        """Velocity at a time, counts/s."""
+        """Return the motor's velocity at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time.
+
+        Returns
+        -------
+        float
+            Velocity, counts/s.
+        """
         return self.at(t_s).velocity_at(t_s)
 
     def until(self, t_s: float, creep: float = 0.0) -> Self:
-        """Make the course that ends at once at a time, on a whole count; it may creep from there, counts/s."""
+        """Return the course that stops abruptly at a time, on a whole count.
+
+        Parameters
+        ----------
+        t_s
+            Time of the stop.
+        creep
+            Velocity of a slow drift from there on, counts/s.
+        """
         if t_s >= self.end_s and creep == 0.0:
             return self
         kept = [piece for piece in self.pieces if piece.start_s < t_s]
         return type(self)((*kept, Piece(t_s, float(round(self.position(t_s))), creep, 0.0)))
 
     def first_beyond(self, lowest: float, highest: float) -> float | None:
-        """Time at which the course first leaves a range, None if it stays inside."""
+        """Return the time at which the course first leaves a range.
+
+        Parameters
+        ----------
+        lowest, highest
+            Limits of the range, counts.
+
+        Returns
+        -------
+        float or None
+            Time; None if the course stays inside.
+        """
         for index, piece in enumerate(self.pieces):
             ends_s = self.pieces[index + 1].start_s if index + 1 < len(self.pieces) else piece.start_s
             for bound, outwards in ((highest, 1.0), (lowest, -1.0)):
@@ -177,7 +300,10 @@ class Course:
 
 
 def _time_to(position: float, piece: Piece) -> float:
-    """Earliest time after a piece's start at which it passes a position that it does pass; 0 if it is past."""
+    """Return the earliest time after a piece's start at which it passes a position; 0 if it starts beyond it.
+
+    The piece must pass that position.
+    """
     distance, v, a = position - piece.position, piece.velocity, piece.acceleration
     side = math.copysign(1.0, v if v != 0.0 else a)
     root = math.sqrt(max(0.0, v * v + 2.0 * a * distance))
@@ -187,19 +313,20 @@ def _time_to(position: float, piece: Piece) -> float:
 
 @dataclass(frozen=True)
 class Pointing:
-    """Where the load on a motor points while the motor follows a course.
+    """Angle of the load while its motor follows a course.
 
-    The load x follows the motor q with a first-order lag, ``settle_s dx/dt = q - x``, which has a closed form
-    for each piece: a parabola behind the motor's, and an exponential that forgets where the load began.
+    The load x follows the motor q with a first-order lag, ``settle_s dx/dt = q - x``. For each piece this has a closed
+    form: a parabola behind the motor's, and an exponential decay of the load's initial distance from it.
 
     Attributes
     ----------
     course
-        The motor's.
+        Course of the motor.
     offsets
-        Load minus motor at rest, for each piece: half the play of the gear, by the side it came from.
+        Load minus motor at rest, counts, for each piece: half the play of the gear, with the sign of the side that
+        the load came from.
     loads
-        Where the load is at the start of each piece.
+        Position of the load at the start of each piece, counts.
     counts_per_deg, settle_s
         Scale, and time constant of the lag.
     """
@@ -220,7 +347,23 @@ class Pointing:
         counts_per_deg: float,
         settle_s: float,
     ) -> Self:
-        """Let a load follow a course, from where it is and with the play of the gear on the side it is."""
+        """Return the motion of a load whose motor follows a course.
+
+        Parameters
+        ----------
+        course
+            Course of the motor.
+        load
+            Position of the load at the start, counts.
+        offset
+            Load minus motor at the start, counts, from the play of the gear.
+        backlash
+            Play of the gear, counts.
+        counts_per_deg
+            Scale, motor counts per degree of the load.
+        settle_s
+            Time constant of the lag; 0 for none.
+        """
         offsets: list[float] = []
         loads: list[float] = [load]
         ends = [piece.start_s for piece in course.pieces[1:]]
@@ -234,12 +377,12 @@ class Pointing:
 
     @property
     def rest(self) -> float:
-        """Where the load comes to rest, counts."""
+        """Position at which the load comes to rest, counts."""
         return self.course.rest + self.offsets[-1]
 
     @cached_property
     def settled_from_s(self) -> float:
-        """Time from which on the load stands at its final angle to within `SETTLED_DEG`; infinite if it creeps."""
+        """Time from which on the load is within `SETTLED_DEG` of its final angle; infinite if the motor drifts."""
         if self.course.pieces[-1].velocity != 0.0:
             return math.inf
         residual = abs(self.loads[-1] - self.rest) / self.counts_per_deg
@@ -248,12 +391,34 @@ class Pointing:
         return self.course.end_s + self.settle_s * math.log(residual / SETTLED_DEG)
 
     def load(self, t_s: float) -> float:
-        """Where the load is, counts."""
+        """Return the position of the load at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time.
+
+        Returns
+        -------
+        float
+            Position, counts.
+        """
         index = self.course.index(t_s)
         return _follow(self.course.pieces[index], self.offsets[index], self.loads[index], t_s, self.settle_s)
 
     def angle_deg(self, t_s: float) -> float:
-        """Where the load points; exactly its final angle once it has settled."""
+        """Return the angle of the load at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time.
+
+        Returns
+        -------
+        float
+            Angle; exactly the final one once the load has settled.
+        """
         load = self.rest if t_s >= self.settled_from_s else self.load(t_s)
         return load / self.counts_per_deg
 

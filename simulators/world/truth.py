@@ -1,8 +1,7 @@
-"""What is true in the simulated world: the numbers a calibration is to find, and those that disturb it.
+"""True parameters of the simulated world: those that a calibration shall find, and those that disturb it.
 
-Knows the parameters of camera, collimator, optics, sensor noise, warmth and mount, their defaults and
-profiles. Computes nothing with them: that is for ``optics``, ``pixels``, ``temperature`` and
-``mount``.
+This module holds the parameters of camera, collimator, optics, sensor noise, temperature, mount and screen, with their
+defaults and profiles. It computes nothing with them; ``optics``, ``pixels``, ``temperature`` and ``mount`` do.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ class CameraTruth:
     fx, fy, cx, cy
         Focal lengths and principal point, px.
     k1, k2, p1, p2, k3
-        Radial and tangential distortion on normalised coordinates (Brown).
+        Radial and tangential distortion on normalised coordinates (Brown 1966, 1971).
     k4
-        With k1, k2 and k3 the polynomial of a fisheye's angle (Kannala and Brandt); 0 for a pinhole.
+        With k1, k2 and k3 the polynomial of a fisheye's angle (Kannala and Brandt 2006); 0 for a pinhole.
     projection
         "pinhole" or "fisheye".
     width, height
@@ -51,7 +50,7 @@ class CameraTruth:
 
 @dataclass(frozen=True)
 class CollimatorTruth:
-    """Where the camera's centre lies in the target's frame, and the disc of light it sees.
+    """Position of the camera's centre in the target's frame, the disc of light, and the collimator's errors.
 
     Attributes
     ----------
@@ -62,27 +61,27 @@ class CollimatorTruth:
     disc_x, disc_y
         Centre of the disc on the target, mm, from (x, y).
     rim
-        Width of the vignetted rim, as a share of the disc's radius: brightness falls smoothly from one to
-        nothing over it.
+        Width of the vignetted rim, as a share of the disc's radius; brightness falls smoothly from 1 to 0 over it.
     disc_walk
-        How far the disc moves on the target along x and y, mm, for each unit of the tangent of the camera's turn.
+        Displacement of the disc on the target along x and y, mm, per unit of the tangent of the camera's turn.
     defocus, spherical, coma, astigmatism, field_curvature, distortion
-        The collimator's third-order errors, without dimension: see ``collimator_errors``.
+        Third-order errors of the collimator, dimensionless; see ``collimator_errors``.
     rim_roll_mm
-        Outward displacement of points at the disc's very edge, where the camera's pupil is partly filled; it grows
-        with the fourth power of the distance from the disc's centre.
-    disc_wander_mm, disc_breathing
-        How far, 1 sigma each way, the disc stands off from where the turn alone would have it; by what share of it
-        its radius changes.
+        Outward displacement of points at the disc's edge, where the camera's pupil is partly filled; it grows with
+        the fourth power of the distance from the disc's centre.
+    disc_wander_mm
+        Random displacement of the disc, in addition to that by the turn, 1 sigma in x and in y.
+    disc_breathing
+        Random change of the disc's radius, as a share of it, 1 sigma.
     disc_unevenness
-        Root mean square by which the disc's edge departs from a circle, as a share of its radius; in other poses it
-        does so in other ways.
+        Root mean square deviation of the disc's edge from a circle, as a share of its radius; it differs between
+        poses.
     irregularity_mm
-        Root mean square of the displacements that follow no law; see ``irregularity``.
+        Root mean square of the random displacements; see ``irregularity``.
     rim_irregularity_mm
-        The same, each way, that is added at the disc's edge.
+        Root mean square, in x and in y, of the random displacements that are added at the disc's edge.
     glass_seed
-        Tells one collimator's irregularities from another's.
+        Identifies the collimator: seed of its random errors.
     """
 
     x: float = 24.0 * PITCH_MM + 0.7
@@ -110,17 +109,17 @@ class CollimatorTruth:
 
 @dataclass(frozen=True)
 class OpticsTruth:
-    """Blur and unevenness of the picture, and how the camera sits on the gimbal.
+    """Blur and illumination of the image, and the mounting of the camera on the gimbal.
 
     Attributes
     ----------
     psf_px
-        Standard deviation of the Gaussian point spread, px.
+        Standard deviation of the Gaussian point spread.
     gradient_x, gradient_y
         Relative change of illumination over the disc's radius, along the target's axes.
     psf_rim_px
-        The same at the disc's rim, where the collimator's own blur is added; it grows with the square of the
-        distance from the disc's centre. Zero: as in the middle.
+        Standard deviation of the point spread at the disc's rim, where the collimator's own blur is added. It
+        changes with the square of the distance from the disc's centre. Zero: as at the centre.
     black
         Light that passes the reticle's black segments, as a share of the white ones'.
     stray
@@ -140,7 +139,9 @@ class OpticsTruth:
 
 @dataclass(frozen=True)
 class NoiseTruth:
-    """How uneven and noisy the sensor's pixels are.
+    """Fixed pattern and temporal noise of the sensor's pixels.
+
+    Hu, Liu and Delbruck (2021), v2e, describe the origin of mismatch and background events in real sensors.
 
     Attributes
     ----------
@@ -165,7 +166,7 @@ class NoiseTruth:
 
 
 REFERENCE_C: Final = 41.5
-"""Temperature of the camera at which its focal lengths and the lamp's light are as the truth says."""
+"""Temperature of the camera at which its focal lengths and the lamp's light have the values of the truth."""
 
 LAW: Final[Mapping[str, str]] = {
     "temperature_c": "room_c + room_c_per_h t / 3600 s + self_heating_c (1 - exp(-t / (60 s warm_up_min)))",
@@ -173,23 +174,23 @@ LAW: Final[Mapping[str, str]] = {
     "fx, fy": f"times 1 + 1e-6 focal_ppm_per_c (temperature_c - {REFERENCE_C})",
     "light": f"times 1 + 1e-2 lamp_percent_per_c (temperature_c - {REFERENCE_C})",
 }
-"""What follows from `ThermalTruth`."""
+"""Equations of the quantities that depend on `ThermalTruth`."""
 
 
 @dataclass(frozen=True)
 class ThermalTruth:
-    """How warm the camera is, and what follows it by the `LAW`.
+    """Temperature of the camera, and what depends on it by the `LAW`.
 
     Attributes
     ----------
     room_c, room_c_per_h
-        Temperature of the room when the bench is switched on, and how it changes.
+        Temperature of the room when the bench is switched on, and its rate of change.
     self_heating_c, warm_up_min
-        How much warmer than the room the camera gets, and with which time constant; 0: it is warm at once.
+        Final temperature of the camera above the room, and the time constant of its rise; 0: it is warm at once.
     focal_ppm_per_c
-        Relative change of the focal lengths.
+        Relative change of the focal lengths, 1e-6 per degree.
     lamp_percent_per_c
-        Relative change of the lamp's light, the lamp as warm as the camera.
+        Relative change of the lamp's light, percent per degree; the lamp is as warm as the camera.
     """
 
     room_c: float = 23.5
@@ -202,16 +203,16 @@ class ThermalTruth:
 
 @dataclass(frozen=True)
 class ScreenTruth:
-    """A flickering checkerboard on a screen, which may stand before the camera instead of the collimator.
+    """A flickering checkerboard on a screen, which may replace the collimator.
 
     Attributes
     ----------
     columns, rows, square_mm
-        Inner corners of the board, and the side of its squares; there is no board with 0 columns.
+        Inner corners of the board, and the side of its squares; 0 columns: no board.
     position_mm
-        Where the middle of the board stands, from the camera's centre, in the camera's axes at zero angles.
+        Middle of the board, from the camera's centre, in the camera's axes at zero angles.
     turn_deg
-        Rotation vector of the screen, X right and Y down on it, from facing the camera at zero angles.
+        Rotation vector of the screen (X right and Y down on it), from facing the camera at zero angles.
     """
 
     columns: int = 0
@@ -223,14 +224,14 @@ class ScreenTruth:
 
 @dataclass(frozen=True)
 class MountTruth:
-    """How the camera's mount moves on its own; see ``mount``.
+    """Motion of the camera's mount; see ``mount``.
 
     Attributes
     ----------
     vibration_arcsec, vibration_hz
         Amplitude of the vibration about the pan and the tilt axis, and its frequency.
     drift_arcsec_per_min
-        Rates at which pan and tilt creep away.
+        Drift rates of pan and tilt.
     """
 
     vibration_arcsec: float = 0.0
@@ -265,8 +266,8 @@ COLLIMATORS: Final[Mapping[str, CollimatorTruth]] = {
 }
 """Collimators by the name of their profile.
 
-"like-real" errs as the published recordings of a real one do (camera of f = 2412 px, 20 views, 9000 stars), through
-the same discs, the camera turned alike:
+"like-real" has errors of the same size as the published recordings of a real collimator (camera of f = 2412 px,
+20 views, 9000 stars), with the same discs and the same turns of the camera:
 
 ======================================  ===========  ============================
                                         recordings   profile (mean, 8 drawn)
@@ -285,7 +286,7 @@ f by free centres, by spherical model,  -2.0 %,      -2.0 +- 0.3,
 against the field model's               +0.4 %       +0.1 +- 0.1
 ======================================  ===========  ============================
 
-``docs/simulated-bench.md`` says what each parameter answers for.
+``docs/simulated-bench.md`` explains the effect of each parameter.
 """
 
 NOISE_LEVELS: Final[Mapping[str, NoiseTruth]] = {
@@ -299,7 +300,25 @@ NOISE_LEVELS: Final[Mapping[str, NoiseTruth]] = {
 
 @dataclass(frozen=True)
 class Truth:
-    """All that is true, in one place."""
+    """All true parameters of the simulated world.
+
+    Attributes
+    ----------
+    camera
+        Lens and sensor size.
+    collimator
+        Geometry, disc of light and errors of the collimator.
+    optics
+        Blur, illumination and mounting.
+    noise
+        Fixed pattern and noise of the pixels.
+    thermal
+        Temperature and its effects.
+    mount
+        Vibration and drift.
+    screen
+        Checkerboard in place of the collimator.
+    """
 
     camera: CameraTruth = field(default_factory=CameraTruth)
     collimator: CollimatorTruth = field(default_factory=CollimatorTruth)
@@ -310,9 +329,14 @@ class Truth:
     screen: ScreenTruth = field(default_factory=ScreenTruth)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as plain numbers, by section: what ``truth.json`` holds.
+        """Return all parameters as plain numbers, by section: the content of ``truth.json``.
 
-        A fisheye's coefficients are called kb1 to kb4 there, as by those who estimate them.
+        The coefficients of a fisheye are named kb1 to kb4 there, as estimators name them.
+
+        Returns
+        -------
+        dict
+            Sections, each a dict by parameter.
         """
         values = dataclasses.asdict(self)
         values["thermal"]["law"] = dict(LAW)

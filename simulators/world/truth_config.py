@@ -1,6 +1,6 @@
-"""The truth as a configuration has it: sections of keys, each checked, over the defaults and profiles of `truth`.
+"""Reader of the truth's sections in a configuration: each key is checked, then replaces a default of `truth`.
 
-Knows names, types and ranges; a fault is one sentence that names the key.
+It checks names, types and ranges; an error is one sentence that names the key.
 """
 
 from __future__ import annotations
@@ -31,16 +31,24 @@ _Section = TypeVar(
 
 
 def truth_from_config(config: Mapping[str, Any]) -> Truth:
-    """Truth from the sections of a configuration that are named as the attributes of `Truth`.
+    """Read the truth from the sections of a configuration that are named as the attributes of `Truth`.
 
-    Every section and every key in it is optional; other sections are not looked at. ``noise`` is the name
-    of a level or a mapping, which starts from the typical level; ``collimator`` may be the name of a profile, or
-    name it as ``profile`` beside the keys that differ from it.
+    Parameters
+    ----------
+    config
+        Every section and every key in it is optional; other sections are ignored. ``noise`` is the name of a level, or
+        a mapping over the typical level. ``collimator`` may be the name of a profile, or a mapping that names it as
+        ``profile`` beside the keys that differ from it.
+
+    Returns
+    -------
+    Truth
+        Defaults, with the given keys replaced.
 
     Raises
     ------
     ConfigError
-        Naming the key that is unknown or whose value is no finite number in its range.
+        If a key is unknown, or its value is not a finite number in its range; the error names the key.
 
     Examples
     --------
@@ -51,7 +59,9 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
     if isinstance(noise, str):
         if noise not in NOISE_LEVELS:
             names = ", ".join(NOISE_LEVELS)
-            raise ConfigError(f"No noise level {noise!r}.", where="noise", remedy=f"Use one of: {names}.")
+            raise ConfigError(
+                f"Unknown noise level {noise!r}.", where="noise", remedy=f"Use one of: {names}."
+            )
         level = NOISE_LEVELS[noise]
     else:
         level = _section("noise", NoiseTruth(), noise)
@@ -67,38 +77,48 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
 
 
 def _screen(given: object) -> ScreenTruth:
-    """Read the screen's section."""
+    """Read the section of the screen."""
     screen = _section("screen", ScreenTruth(), given)
     if screen.columns == 0:
         if given:
             raise ConfigError(
-                "A board needs columns.", where="screen.columns", remedy="Say how many inner corners."
+                "The board has no columns.",
+                where="screen.columns",
+                remedy="Give the number of inner corners.",
             )
         return screen
     if screen.position_mm[2] <= 0.0:
-        raise ConfigError("The screen stands behind the camera.", where="screen.position_mm")
+        raise ConfigError(
+            "The screen is not in front of the camera.",
+            where="screen.position_mm",
+            remedy="Give a positive third number.",
+        )
     for name in ("columns", "rows"):
         if getattr(screen, name) < 2:
-            raise ConfigError("A board has at least 2 inner corners each way.", where=f"screen.{name}")
+            raise ConfigError(
+                "A board needs at least 2 inner corners along each side.", where=f"screen.{name}"
+            )
     return screen
 
 
 def _camera(given: object) -> CameraTruth:
-    """Read the camera's section: what is not said depends on the kind of lens."""
+    """Read the section of the camera; the defaults depend on the lens's projection."""
     kind = given.get("projection", "pinhole") if isinstance(given, Mapping) else "pinhole"
     if not isinstance(kind, str) or kind not in CAMERAS:
         names = ", ".join(CAMERAS)
-        raise ConfigError(f"No lens {kind!r}.", where="camera.projection", remedy=f"Use one of: {names}.")
+        raise ConfigError(
+            f"Unknown lens projection {kind!r}.", where="camera.projection", remedy=f"Use one of: {names}."
+        )
     camera = _section("camera", CAMERAS[kind], given)
     foreign = ("p1", "p2") if kind == "fisheye" else ("k4",)
     for name in foreign:
         if getattr(camera, name) != 0.0:
-            raise ConfigError(f"A {kind} lens has no {name}.", where=f"camera.{name}", remedy="Leave it out.")
+            raise ConfigError(f"A {kind} lens has no {name}.", where=f"camera.{name}", remedy="Remove it.")
     return camera
 
 
 def _collimator(given: object) -> CollimatorTruth:
-    """Read the collimator's section: a profile and what differs from it."""
+    """Read the section of the collimator: a profile, and keys that differ from it."""
     if isinstance(given, str):
         given = {"profile": given}
     name, rest = "ideal", given
@@ -106,12 +126,16 @@ def _collimator(given: object) -> CollimatorTruth:
         name, rest = given.get("profile", name), {k: v for k, v in given.items() if k != "profile"}
     if not isinstance(name, str) or name not in COLLIMATORS:
         names = ", ".join(COLLIMATORS)
-        raise ConfigError(f"No profile {name!r}.", where="collimator.profile", remedy=f"Use one of: {names}.")
+        raise ConfigError(
+            f"Unknown collimator profile {name!r}.",
+            where="collimator.profile",
+            remedy=f"Use one of: {names}.",
+        )
     return _section("collimator", COLLIMATORS[name], rest)
 
 
 def _section(name: str, default: _Section, given: object) -> _Section:
-    """``default`` with the given keys replaced, each checked against the type of its default."""
+    """Return ``default`` with the given keys replaced, each checked against the type of its default."""
     if not isinstance(given, Mapping):
         raise ConfigError(f"A mapping is expected, not {given!r}.", where=name)
     known = {f.name: getattr(default, f.name) for f in dataclasses.fields(default)}
@@ -125,20 +149,22 @@ def _section(name: str, default: _Section, given: object) -> _Section:
 
 
 def _like(default: object, value: object, where: str) -> object:
-    """Check the value and give it its default's type (float, int or a tuple of floats)."""
+    """Check a value, and convert it to its default's type (float, int or a tuple of floats)."""
     if isinstance(default, tuple):
         if not isinstance(value, (list, tuple)) or len(value) != len(default):
             raise ConfigError(f"{len(default)} numbers are expected, not {value!r}.", where=where)
         return tuple(_number(v, where) for v in value)
     if isinstance(default, str):
-        return value  # the projection: looked at before
+        return value  # the projection, already checked
     number = _number(value, where)
     if isinstance(default, int):
         if number != int(number) or number < 1:
             raise ConfigError(f"A whole number of at least 1 is expected, not {value!r}.", where=where)
         return int(number)
-    if (where in _POSITIVE and number <= 0) or (where in _NOT_NEGATIVE and number < 0):
-        raise ConfigError(f"{value!r} is outside its range.", where=where, remedy="Give a positive number.")
+    if where in _POSITIVE and number <= 0:
+        raise ConfigError(f"{value!r} is not positive.", where=where, remedy="Give a positive number.")
+    if where in _NOT_NEGATIVE and number < 0:
+        raise ConfigError(f"{value!r} is negative.", where=where, remedy="Give a number of at least 0.")
     return number
 
 

@@ -1,8 +1,8 @@
-"""The simulated world: where the axes point and what the light does, at every moment.
+"""The simulated world: angles of the axes and state of the light at every moment.
 
-Simulated stages and lights write into it, the simulated camera reads from it; none knows the others. The
-past is kept, so that a camera that computes a recording a little late still sees what happened then. Knows
-no protocol and no optics. Thread-safe.
+Simulated stages and lights write into it, and the simulated camera reads from it; they do not use each other. The past
+is kept, so that a camera that computes a recording a little late still gets the past state. This module uses no
+protocol and no optics. Thread-safe.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ AxisName = Literal["pan", "tilt", "roll"]
 Waveform = Literal["square", "sine"]
 
 FULL_DRIVE_V = 5.0
-"""Drive voltage at which the light gives its nominal brightness; below, it is proportional."""
+"""Drive voltage at which the light has its nominal brightness; brightness is proportional to the voltage."""
 
 
 @dataclass(frozen=True)
 class AxisMotion:
-    """How an axis moves from some moment on, until its next motion is set.
+    """Motion of an axis from some moment on, until its next motion is set.
 
     Attributes
     ----------
     angle_at
-        Angle in degrees at a world time in seconds. Must be pure: the same time gives the same angle.
+        Returns the angle in degrees at a world time in seconds. Must be pure: the same time gives the same angle.
     settled_from_s
         World time from which on the angle no longer changes; ``math.inf`` for a motion without end.
     microsteps
-        Where the axis rests after ``settled_from_s``: the position a recording's noise is keyed to.
+        Position after ``settled_from_s``, one of the numbers that seed a recording's noise.
     """
 
     angle_at: Callable[[float], float]
@@ -47,26 +47,47 @@ class AxisMotion:
 
     @classmethod
     def resting(cls, angle_deg: float, microsteps: int) -> AxisMotion:
-        """Make an axis that stands still."""
+        """Return the motion of an axis that stands still.
+
+        Parameters
+        ----------
+        angle_deg
+            Where it stands.
+        microsteps
+            The same position in microsteps.
+
+        Returns
+        -------
+        AxisMotion
+            Settled at all times.
+        """
         return cls(angle_at=lambda _t_s: angle_deg, settled_from_s=-math.inf, microsteps=microsteps)
 
 
 @dataclass(frozen=True)
 class LightState:
-    """What the light's driver gives from some moment on.
+    """Output of the light's driver from some moment on.
 
     Attributes
     ----------
-    origin_s
-        World time at which a period begins. A period begins with the rising sync edge: the start of a
-        square's high part, the upward crossing of a sine's middle.
+    waveform
+        "square" or "sine".
+    frequency_hz
+        Flicker frequency.
+    duty_percent
+        Length of a square's high part, as a percentage of the period.
+    low_v, high_v
+        Lower and upper drive voltage.
     output
         Whether the light is driven at all; if not, it is dark.
     sync
-        Whether sync edges reach the camera's trigger input (rising at the start of a period, falling at the
-        end of a square's high part or at half of a sine's period).
+        Whether sync edges reach the camera's trigger input (rising at the start of a period, falling at the end of a
+        square's high part or at half of a sine's period).
+    origin_s
+        World time at which a period begins. A period begins with the rising sync edge: the start of a square's high
+        part, or the upward crossing of a sine's middle.
     sync_line
-        The cable they take.
+        The cable that carries the sync edges.
     """
 
     waveform: Waveform = "square"
@@ -81,17 +102,17 @@ class LightState:
 
     @property
     def low(self) -> float:
-        """Lower brightness, nominal brightness = 1 (zero when the output is off)."""
+        """Lower brightness, nominal brightness = 1 (zero if the output is off)."""
         return max(0.0, self.low_v) / FULL_DRIVE_V if self.output else 0.0
 
     @property
     def high(self) -> float:
-        """Upper brightness, nominal brightness = 1 (zero when the output is off)."""
+        """Upper brightness, nominal brightness = 1 (zero if the output is off)."""
         return max(0.0, self.high_v) / FULL_DRIVE_V if self.output else 0.0
 
     @property
     def period_us(self) -> float:
-        """Length of a period."""
+        """Length of a period, us."""
         return 1e6 / self.frequency_hz
 
     @property
@@ -100,12 +121,29 @@ class LightState:
         return self.duty_percent / 100.0 if self.waveform == "square" else 0.5
 
     def phase_at(self, t_s: float) -> float:
-        """Phase in periods, 0 <= phase < 1, at a world time."""
+        """Return the light's phase at a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        float
+            Phase in periods, 0 <= phase < 1.
+        """
         phase = ((t_s - self.origin_s) * self.frequency_hz) % 1.0
         return phase if phase < 1.0 else 0.0  # just below a whole period, the remainder rounds up to 1
 
     def settings(self) -> tuple[object, ...]:
-        """All but the origin: what a recording's noise is keyed to."""
+        """Return everything but the origin and the cable, from which a recording's noise is seeded.
+
+        Returns
+        -------
+        tuple
+            Waveform, frequency, duty, brightness levels, output and sync.
+        """
         return (
             self.waveform,
             self.frequency_hz,
@@ -121,47 +159,50 @@ _State = TypeVar("_State")
 
 
 class _History(Generic[_State]):
-    """A state over time: the one that was valid at a moment can be asked for later."""
+    """A state over time: the state at a past moment can be looked up."""
 
     def __init__(self, first: _State) -> None:
         self._since: list[float] = [-math.inf]
         self._states: list[_State] = [first]
 
     def append(self, since_s: float, state: _State) -> None:
-        """Take the state from a moment on, not earlier than the last one's."""
+        """Set the state from a moment on, which is not earlier than the previous one's."""
         if since_s < self._since[-1]:
-            raise SimulationMisuse(f"A state at {since_s} s after one at {self._since[-1]} s.")
+            raise SimulationMisuse(
+                f"A state at {since_s} s cannot follow one at {self._since[-1]} s.",
+                remedy="Set states in order of time.",
+            )
         self._since.append(since_s)
         self._states.append(state)
 
     def at(self, t_s: float) -> _State:
-        """Look up the state that was, or is, valid at that moment."""
+        """Return the state at a moment."""
         return self._states[bisect_right(self._since, t_s) - 1]
 
     def forget_before(self, t_s: float) -> None:
-        """Drop what ended before that moment."""
+        """Drop states that ended before a moment."""
         first = bisect_right(self._since, t_s) - 1
         del self._since[:first]
         del self._states[:first]
 
 
 class World:
-    """The simulated bench's physical state.
+    """Physical state of the simulated bench.
 
     Parameters
     ----------
     truth
-        The numbers a calibration is to find.
+        Parameters that a calibration shall find, and those that disturb it.
     seed
-        Seed of everything random over time.
+        Seed of all noise over time.
     camera_seed
-        Seed of the sensor's fixed pattern: the same camera has the same one over all seeds of runs.
+        Seed of the sensor's fixed pattern: a camera keeps its pattern over runs with different seeds.
     clock
-        World time in seconds; the machine's monotonic clock unless a test gives its own.
+        Returns world time in seconds; by default the machine's monotonic clock.
     """
 
     HISTORY_S = 120.0
-    """How long the past is kept."""
+    """How long past states are kept, s."""
 
     def __init__(
         self,
@@ -181,13 +222,30 @@ class World:
         self._light = _History(LightState())
 
     def now_s(self) -> float:
-        """World time, seconds."""
+        """Return the world time.
+
+        Returns
+        -------
+        float
+            Seconds of the world's clock.
+        """
         return self._clock()
 
     # ------------------------------------------------------------- written by stages and lights
 
     def set_axis(self, name: AxisName, motion: AxisMotion, *, since_s: float | None = None) -> None:
-        """Let an axis move that way from now (or ``since_s``) on; an axis never set stands at zero."""
+        """Set the motion of an axis; an axis that was never set stands at zero.
+
+        Parameters
+        ----------
+        name
+            Axis.
+        motion
+            Its motion until the next one is set.
+        since_s
+            World time at which the motion begins; None: now. A time before the previous motion's is refused with
+            `SimulationMisuse`.
+        """
         with self._lock:
             since = self.now_s() if since_s is None else since_s
             if name not in self._axes:
@@ -197,7 +255,16 @@ class World:
             self._axes[name].forget_before(since - self.HISTORY_S)
 
     def set_light(self, state: LightState, *, since_s: float | None = None) -> None:
-        """Let the light behave that way from now (or ``since_s``) on."""
+        """Set the state of the light.
+
+        Parameters
+        ----------
+        state
+            Its state until the next one is set.
+        since_s
+            World time at which the state begins; None: now. A time before the previous state's is refused with
+            `SimulationMisuse`.
+        """
         with self._lock:
             since = self.now_s() if since_s is None else since_s
             self._light.append(since, state)
@@ -206,7 +273,18 @@ class World:
     # ------------------------------------------------------------- read by the camera
 
     def angles_deg(self, t_s: float) -> Mapping[AxisName, float]:
-        """Angles of all axes at a world time, degrees; axes that are not there stand at zero."""
+        """Return the angles of all axes at a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        mapping
+            Angles by axis, degrees; 0 for an axis that does not exist.
+        """
         with self._lock:
             motions = {name: history.at(t_s) for name, history in self._axes.items()}
         angles: dict[AxisName, float] = {"pan": 0.0, "tilt": 0.0, "roll": 0.0}
@@ -214,17 +292,50 @@ class World:
         return angles
 
     def is_settled(self, t_s: float) -> bool:
-        """Whether no axis moves at that time."""
+        """Return whether no axis moves at a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        bool
+            True if all axes have settled.
+        """
         with self._lock:
             return all(h.at(t_s).settled_from_s <= t_s for h in self._axes.values())
 
     def resting_microsteps(self, t_s: float) -> Mapping[AxisName, int]:
-        """Where each axis rests, or will rest, as of that time."""
+        """Return where each axis rests, or will rest, by the motion of a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        mapping
+            Microsteps by axis, in alphabetical order; only axes that were set.
+        """
         with self._lock:
             return {name: h.at(t_s).microsteps for name, h in sorted(self._axes.items())}
 
     def light(self, t_s: float) -> LightState:
-        """Look up what the light did, or does, at that time."""
+        """Return the state of the light at a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        LightState
+            With voltages scaled to the lamp's light at the temperature of that time.
+        """
         with self._lock:
             state = self._light.at(t_s)
         share = temperature.brightness(self.truth.thermal, self.temperature_c(t_s))
@@ -233,13 +344,46 @@ class World:
         )
 
     def on_s(self, t_s: float) -> float:
-        """Seconds from when the bench was switched on."""
+        """Return the time since the bench was switched on.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        float
+            Seconds.
+        """
         return t_s - self._on_since_s
 
     def temperature_c(self, t_s: float) -> float:
-        """Temperature of the camera at that time."""
+        """Return the temperature of the camera at a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        float
+            Degrees Celsius, in steps of 0.01.
+        """
         return temperature.temperature_c(self.truth.thermal, self.on_s(t_s))
 
     def truth_at(self, t_s: float) -> Truth:
-        """Give the truth as it is at that time: what follows the temperature has followed it."""
+        """Return the truth at the temperature of a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        Truth
+            With focal lengths of that temperature.
+        """
         return temperature.warmed(self.truth, self.temperature_c(t_s))

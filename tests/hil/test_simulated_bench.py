@@ -97,7 +97,7 @@ def test_ports_left_behind_by_a_killed_bench_are_taken_over(tmp_path):
     ("config", "said"),
     [
         ('{"stage": {"pan": {"serial": 5}}}', "stage.pan.serial: Text is expected, not 5."),
-        ('{"noise": "loud"}', "noise: No noise level 'loud'."),
+        ('{"noise": "loud"}', "noise: Unknown noise level 'loud'."),
         ("{", "It is not JSON"),
         ("[1]", "A mapping of sections is expected."),
     ],
