@@ -10,7 +10,7 @@ _BROKEN_OFF = 128 + 2
 def main() -> None:
     """Run the command line and exit. Imports it here, where breaking that off is no traceback."""
     try:
-        from bench.cli import main as run_command_line
+        from bench.commands.cli import main as run_command_line
 
         run_command_line()
     except KeyboardInterrupt:

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from bench.errors import SimulationError
+from bench.base.errors import SimulationError
 
 if TYPE_CHECKING:
     from simulators.rehearsed_world import RehearsedWorld as RehearsedWorld  # noqa: PLC0414 - handed on, as a type

@@ -12,10 +12,10 @@ from typing import cast
 
 import click
 
-from bench.clock import BenchClock
-from bench.run.measure import measure
+from bench.base.clock import BenchClock
 from bench.stations.devices import Devices
 from bench.stations.station import load_station
+from bench.views.measure import measure
 from drivers.camera import CameraSettings, EventCamera
 from drivers.errors import RecordingFailed
 from drivers.light import LightSettings

@@ -12,7 +12,7 @@ import binascii
 import os
 import re
 import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -22,14 +22,13 @@ from pathlib import Path
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from bench.errors import EvidenceError
+from bench.base.errors import EvidenceError
 from bench.evidence.sshsig import KEY_TYPE, encode_public_key, fingerprint
 from bench.records.storage import make_folder, open_to_lock, storing, write_whole
 from drivers import file_lock
 
 NAMESPACE = "starbench-report@v1"
 """What signatures of run folders are for."""
-HOME_VARIABLE = "STARBENCH_HOME"
 KEY_FILE = "bench_key"
 SIGNERS_FILE = "allowed_signers"
 
@@ -95,23 +94,6 @@ class Signer:
         if self.valid_before is not None and when > self.valid_before:
             return f"the key expired {self.valid_before:%Y-%m-%d %H:%M} UTC"
         return None
-
-
-def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """Where keys lie: ``$STARBENCH_HOME``, else ``starbench`` in the user's configuration folder.
-
-    Examples
-    --------
-    >>> home_folder({"HOME": "/home/ada"}).as_posix()
-    '/home/ada/.config/starbench'
-    >>> home_folder({"STARBENCH_HOME": "/etc/starbench"}).as_posix()
-    '/etc/starbench'
-    """
-    if own := environ.get(HOME_VARIABLE):
-        return Path(own)
-    if configuration := environ.get("XDG_CONFIG_HOME"):
-        return Path(configuration) / "starbench"
-    return Path(environ.get("HOME") or Path.home()) / ".config" / "starbench"
 
 
 def ensure_key(

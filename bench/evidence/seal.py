@@ -14,14 +14,13 @@ import re
 import stat
 from pathlib import Path
 
-from bench.errors import EvidenceError
+from bench.base.errors import EvidenceError
 from bench.evidence.keys import NAMESPACE, BenchKey
 from bench.evidence.sshsig import sign
 from bench.records.captures import CAPTURES
-from bench.records.run_folder import JOURNAL, SIGNATURE, RunFolder
+from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder
 from bench.records.storage import sha256_of, storing, sync_file
 
-MANIFEST = "SHA256SUMS"
 INSTRUCTIONS = "VERIFY.txt"
 NOT_LISTED = frozenset({MANIFEST, SIGNATURE})
 """Files of a sealed folder that the list does not name."""

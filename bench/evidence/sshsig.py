@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-from bench.errors import EvidenceError
+from bench.base.errors import EvidenceError
 
 KEY_TYPE = b"ssh-ed25519"
 

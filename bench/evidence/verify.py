@@ -7,7 +7,7 @@ come from outside the folder.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from itertools import zip_longest
@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from bench import __version__
-from bench.errors import EvidenceError, RunFolderError
+from bench.base.errors import EvidenceError, RunFolderError
 from bench.evidence.keys import NAMESPACE, Signer
-from bench.evidence.seal import MANIFEST, NOT_LISTED, listing, read_manifest
+from bench.evidence.seal import NOT_LISTED, listing, read_manifest
 from bench.evidence.sshsig import fingerprint, holds, read_signature
 from bench.records.captures import stored_captures
 from bench.records.journal import read_journal
-from bench.records.run_folder import JOURNAL, REPORT, RESULTS, SIGNATURE
+from bench.records.run_folder import JOURNAL, MANIFEST, REPORT, RESULTS, SIGNATURE
 from bench.records.storage import sha256_of, storing
 
 _LARGEST_SEAL_BYTES = 64 << 20
@@ -104,7 +104,7 @@ def verify_run(
     *,
     when: datetime | None = None,
     camera_serial: str | None = None,
-    again: bool = False,
+    recalculate: Callable[[Path], Sequence[str]] | None = None,
 ) -> Verification:
     """Check a sealed run folder.
 
@@ -118,8 +118,10 @@ def verify_run(
         Moment at which the signer's key must be valid; the default is now.
     camera_serial
         Serial number that the calibrated camera must have, against a report passed off for another.
-    again
-        Also calibrate again from the recordings, and compare; takes as long as the calibration did.
+    recalculate
+        Calibrates again from the recordings and returns a sentence for each value that differs
+        (`bench.results.reproduce.differences`); None: this is not checked. It is passed in, so that the verifier itself
+        needs no engine.
 
     Raises
     ------
@@ -140,8 +142,8 @@ def verify_run(
         facts = check.results(told, manifest, camera_serial)
         if not check.faults and facts is not _NO_RESULTS:
             check.report()
-        if again and not check.faults and facts is not _NO_RESULTS:
-            check.calibration()
+        if recalculate is not None and not check.faults and facts is not _NO_RESULTS:
+            check.calibration(recalculate)
     return Verification(
         folder=str(folder),
         faults=tuple(check.faults),
@@ -290,12 +292,10 @@ class _Check:
                 self.fault("report", REPORT, f"it prints {had!r} where {RESULTS} gives {due!r}")
                 return
 
-    def calibration(self) -> None:
+    def calibration(self, recalculate: Callable[[Path], Sequence[str]]) -> None:
         """Check that the results follow from the recordings."""
-        from bench.evidence.reproduce import differences
-
         try:
-            found = differences(self.folder)
+            found = list(recalculate(self.folder))
         except _NOT_RESULTS as error:
             found = [f"it holds no calibration to compare ({error!r})"]
         for difference in found:

@@ -23,10 +23,9 @@ from email.utils import format_datetime
 from pathlib import Path
 from typing import Any
 
-from bench.clock import BenchClock
-from bench.errors import BenchError
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError
 from bench.messaging.outbox import DeliveryFailed, Message, Outbox
-from bench.run.status import read_status, status_text
 from bench.stations.station_messages import Mail, Messages, Service, Webhook
 
 TIMEOUT_S = 10.0
@@ -149,33 +148,23 @@ class Courier:
         if self._channels:
             self._thread.start()
 
-    def tell(self, occasion: str, what: str, folder: Path, key: str) -> None:
-        """Tell of a run, where the station file wants that told; returns at once.
+    def write(self, occasion: str, subject: str, text: str, *, run: str, folder: Path, key: str) -> None:
+        """Put a message into the outbox, if the station file asks for messages on this occasion. Returns at once.
 
         Parameters
         ----------
         occasion
             ``failure``, ``hold`` or ``end``.
-        what
-            A few words, for the subject.
+        subject, text
+            What the message says.
+        run
+            Name of the run or batch.
         folder
-            The run folder; how it stands is the text.
+            Its folder.
         key
-            Stands for this message for ever: the hash of the journal's line that gave occasion to it.
+            Identifies this message for ever: the hash of the journal's line that gave occasion to it.
         """
-        if self._is_wanted(occasion):
-            try:
-                status = read_status(folder)
-            except BenchError as error:
-                self._say(f"A message could not be written: {error}")
-                return
-            simulated = " (SIMULATED)" if status.simulated else ""
-            subject = f"Starbench: run {status.run_id}{simulated} {what}"
-            self.write(occasion, subject, status_text(status), run=status.run_id, folder=folder, key=key)
-
-    def write(self, occasion: str, subject: str, text: str, *, run: str, folder: Path, key: str) -> None:
-        """Put a message into the outbox, where the station file wants that told; returns at once. As ``tell``."""
-        if not self._is_wanted(occasion):
+        if not self.is_wanted(occasion):
             return
         utc = self._clock.utc_now().isoformat()
         try:
@@ -187,7 +176,19 @@ class Courier:
             self._say(f"A message could not be kept: {error}")
         self._wake.set()
 
-    def _is_wanted(self, occasion: str) -> bool:
+    def is_wanted(self, occasion: str) -> bool:
+        """Return whether the station file asks for messages on this occasion, and names a channel.
+
+        Parameters
+        ----------
+        occasion
+            ``failure``, ``hold`` or ``end``.
+
+        Returns
+        -------
+        bool
+            True where a message is to be written.
+        """
         return occasion in self._occasions and bool(self._channels)
 
     def close(self, patience_s: float = 2 * TIMEOUT_S) -> None:

@@ -17,7 +17,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from bench.errors import StorageError
+from bench.base.errors import StorageError
 from bench.records.storage import make_folder, storing
 from drivers import file_lock
 
@@ -103,7 +103,7 @@ class Outbox:
     Parameters
     ----------
     home
-        The configuration folder, as ``keys.home_folder`` gives it.
+        The configuration folder, as ``home_folder`` gives it.
     """
 
     def __init__(self, home: Path) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bench.errors import RunFolderError
+from bench.base.errors import RunFolderError
 from bench.records.journal import Entry
 
 CAPTURES = "captures"

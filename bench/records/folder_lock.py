@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from bench.errors import RunFolderError, StorageError
+from bench.base.errors import RunFolderError, StorageError
 from bench.records.storage import open_to_lock, storing
 from drivers import file_lock
 

@@ -13,7 +13,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Any
 
-from bench.errors import JournalBroken
+from bench.base.errors import JournalBroken
 from bench.records.captures import CAPTURE_STORED
 from bench.records.journal import Entry, Journal
 

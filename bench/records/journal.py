@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
-from bench.errors import JournalBroken, RunFolderError, StorageError
+from bench.base.errors import JournalBroken, RunFolderError, StorageError
 from bench.records.storage import BYTES, storing, sync_folder, write_all
 
 FIRST_PREV = "0" * 64

@@ -16,10 +16,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.errors import JournalBroken
-from bench.evidence.seal import MANIFEST
+from bench.base.errors import JournalBroken
 from bench.records.journal import Entry, Journal, read_journal
-from bench.records.run_folder import is_sealed
+from bench.records.run_folder import MANIFEST, is_sealed
 from bench.records.storage import make_folder, open_to_lock, sha256_of, storing
 from drivers import file_lock
 
@@ -68,7 +67,7 @@ class Ledger:
     Parameters
     ----------
     home
-        The configuration folder, as ``keys.home_folder`` gives it.
+        The configuration folder, as ``home_folder`` gives it.
     utc_now, monotonic
         As for a journal.
     """

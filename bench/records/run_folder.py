@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Self
 
-from bench.errors import RunFolderError, StorageError
+from bench.base.errors import RunFolderError, StorageError
 from bench.records.captures import CAPTURES, Capture, capture_name, stored_captures
 from bench.records.folder_lock import hold_folder
 from bench.records.journal import Journal
@@ -38,6 +38,7 @@ PLAN = "plan.json"
 RESULTS = "results.json"
 REPORT = "report.html"
 QUARANTINE = "quarantine"
+MANIFEST = "SHA256SUMS"
 SIGNATURE = "SHA256SUMS.sig"
 _RESERVE = ".reserve"
 _RESERVE_BYTES = 256 * 1024

@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.errors import BenchError, StorageError
+from bench.base.errors import BenchError, StorageError
 from bench.records.folder_lock import is_worked_on
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
@@ -110,7 +110,7 @@ class RunIndex:
     Parameters
     ----------
     home
-        The configuration folder, as ``keys.home_folder`` gives it.
+        The configuration folder, as ``home_folder`` gives it.
     """
 
     def __init__(self, home: Path) -> None:

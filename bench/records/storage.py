@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from bench.errors import StorageError
+from bench.base.errors import StorageError
 
 HASH_CHUNK_BYTES = 1 << 20
 TEMPORARY = ".tmp"

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bench.errors import UsageError
+from bench.base.errors import UsageError
 from bench.records.run_index import IndexedRun
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.run.expectation import best_readings
+from bench.views.expected_grid import best_readings
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
 from calib.studies.hand_eye import witness

@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 import yaml
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from calib.calibration import Calibration
 from calib.model.camera import BROWN, CameraModel
 from calib.target import StarTarget

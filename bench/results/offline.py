@@ -12,7 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self, cast, get_args
 
-from bench.errors import BenchError, StorageError, UsageError
+from bench.base.errors import BenchError, StorageError, UsageError
+from bench.plan.job import Job
 from bench.records.captures import stored_captures
 from bench.records.history import replay
 from bench.records.journal import read_journal
@@ -20,10 +21,9 @@ from bench.records.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
 from bench.results.comparison import planar_beside
 from bench.results.passports import read_passport
 from bench.results.point_files import Origin, read_point_file
-from bench.run.expectation import as_before
-from bench.run.job import Job
-from bench.run.measure import Expect, Measurement, measure
 from bench.stations.station import load_station
+from bench.views.expected_grid import as_before
+from bench.views.measure import Expect, Measurement, measure
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError, TooFewStars
 from calib.stars.detect import detect

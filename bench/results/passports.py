@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.errors import UsageError
+from bench.base.errors import UsageError
 from bench.records.storage import storing, write_whole
 from calib.engine import Calibration
 from calib.errors import InputMismatch

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.errors import BenchError, StorageError
+from bench.base.errors import BenchError, StorageError
 from calib.errors import InputMismatch
 from calib.view import View
 

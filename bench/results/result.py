@@ -15,19 +15,19 @@ from pathlib import Path
 from typing import Any
 
 from bench import __version__
-from bench.errors import BenchError
+from bench.base.errors import BenchError
+from bench.plan.job import Job, calibration_options
 from bench.records.history import Attempt, History, RunLog
 from bench.records.run_folder import REPORT, RESULTS, RunFolder
-from bench.records.views_file import views_file
 from bench.report import ReportData, ViewPicture, pictured_poses, render_report
 from bench.results.comparison import compare, planar_beside
 from bench.results.cross_checks import gimbal, halves
 from bench.results.exports import exports
-from bench.run.expectation import as_before
-from bench.run.gates import Gate, solution_gates
-from bench.run.job import Job, calibration_options
-from bench.run.measure import Measurement, aligned_poses
-from bench.stations.camera_kinds import CameraKind
+from bench.views.camera_kinds import CameraKind
+from bench.views.expected_grid import as_before
+from bench.views.gates import Gate, solution_gates
+from bench.views.measure import Measurement, aligned_poses
+from bench.views.views_file import views_file
 from calib.engine import Calibration, calibrate
 from sequences.script import SolveStep
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
-from bench.errors import UsageError
-from bench.plans.plan import Plan, load, plan
+from bench.base.errors import UsageError
+from bench.plan.plan import Plan, load, plan
 from bench.records.storage import storing
 from bench.stations.station import Station
 from calib.engine import CalibrationOptions

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from bench.errors import PoseFailed
+from bench.base.errors import PoseFailed
 from bench.records.history import Event, RunLog
 from bench.records.run_folder import RunFolder
 from drivers.errors import RecordingFailed

@@ -23,8 +23,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from bench.clock import BenchClock
-from bench.errors import RunFolderError, StorageError
+from bench.base.clock import BenchClock
+from bench.base.errors import RunFolderError, StorageError
 from bench.records.folder_lock import is_worked_on
 from bench.records.history import Event, History, RunLog
 from bench.records.journal import lines_since

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.clock import BenchClock
+from bench.base.clock import BenchClock
 from bench.records.storage import storing
 
 CONTROL = "control"

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from bench.clock import Aborted, BenchClock
-from bench.console.prompt import Reply, ask
+from bench.base.clock import Aborted, BenchClock
 from bench.records.history import Event, RunLog
 from bench.run.interlocks import Interlocks, Trip, words
+from bench.terminal.prompt import Reply, ask
 from sequences.script import PromptStep
 
 MOST_HOLD_S = 8 * 3600.0

@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from bench.clock import BenchClock, Interrupted
-from bench.errors import InterlockHeld
+from bench.base.clock import BenchClock, Interrupted
+from bench.base.errors import InterlockHeld
 from bench.records.storage import storing
 from bench.stations.station_interlocks import (
     CameraTemperatureWords,

@@ -16,15 +16,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-from bench.clock import BenchClock
-from bench.console.progress import Progress
-from bench.console.signals import stop_on_signals
-from bench.errors import BenchError, RunFolderError
-from bench.evidence.keys import ensure_key, home_folder
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError, RunFolderError
+from bench.base.home import home_folder
+from bench.evidence.keys import ensure_key
 from bench.evidence.seal import seal
 from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
-from bench.plans.plan import Plan
+from bench.plan.job import Job
+from bench.plan.plan import Plan
 from bench.records.history import Event, History, replay
 from bench.records.journal import Entry, Journal, read_journal
 from bench.records.ledger import Ledger
@@ -41,10 +41,12 @@ from bench.records.run_folder import (
 from bench.results.result import Outcome, software
 from bench.run.control import remove_inbox
 from bench.run.crash_log import crash_log, put_away, read_crash
-from bench.run.job import Job
 from bench.run.resumption import intentions
+from bench.run.run_messages import RunMessages
 from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
+from bench.terminal.progress import Progress
+from bench.terminal.signals import stop_on_signals
 from drivers.wire_log import WireLogFile
 
 WIRE_LOG = "wire.jsonl"
@@ -261,21 +263,19 @@ def _run_and_seal(
         for line in say_first:
             progress.say(line)
         courier = Courier(job.station.messages, Outbox(home_folder()), clock, progress.say)
-
-        def notify(occasion: str, what: str, line: str) -> None:
-            courier.tell(occasion, what, folder.path, line)
+        messages = RunMessages(courier, folder.path, progress.say)
 
         try:
             with crash_log(folder.path):
-                end = Runner(job, folder, journal, open_devices, clock, progress, notify).run()
+                end = Runner(job, folder, journal, open_devices, clock, progress, messages.write).run()
             wire_log.close()
             if end.how == "finished":
                 journal.close()
                 seal(folder, key)
             what = f"{end.how}{': ' if end.why else ''}{end.why}"
-            courier.tell("failure" if end.how == "failed" else "end", what, folder.path, journal.head)
+            messages.write("failure" if end.how == "failed" else "end", what, journal.head)
         except BaseException as error:
-            courier.tell("failure", f"failed: {type(error).__name__}: {error}", folder.path, journal.head)
+            messages.write("failure", f"failed: {type(error).__name__}: {error}", journal.head)
             raise
         finally:
             courier.close()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from bench.errors import PreflightFailed
-from bench.run.job import Job
+from bench.base.errors import PreflightFailed
+from bench.plan.job import Job
 from bench.stations.devices import Devices
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from bench.plan.job import Job, ScriptStep
 from bench.records.history import History, count_crash
-from bench.run.job import Job, ScriptStep
 from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
 
 CRASHES_ALLOWED = 1

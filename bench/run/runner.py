@@ -12,9 +12,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.clock import Aborted, BenchClock, Interrupted
-from bench.console.progress import Progress
-from bench.errors import BenchError, StorageError
+from bench.base.clock import Aborted, BenchClock, Interrupted
+from bench.base.errors import BenchError, StorageError
+from bench.plan.job import DEVICE_STEPS, Job, ParkStep, ScriptStep
 from bench.records.history import Event, RunLog
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
@@ -24,11 +24,11 @@ from bench.run.control import Inbox
 from bench.run.heartbeat import Pulse
 from bench.run.holding import HoldNews
 from bench.run.interlocks import Trip
-from bench.run.job import DEVICE_STEPS, Job, ParkStep, ScriptStep
 from bench.run.machine import RunMachine
 from bench.run.resumption import crash_looped, ground, remaining, steps_of_pose
 from bench.run.state_work import StateWork
 from bench.stations.devices import Devices
+from bench.terminal.progress import Progress
 from calib.errors import CalibrationError
 from drivers.errors import CameraLost, DriverError, PortLost, ReplyTimeout
 from sequences.script import (

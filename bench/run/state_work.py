@@ -1,7 +1,7 @@
 """What is done in each state of a run: the hardware actions and their journal lines.
 
 Reaches devices through their protocols only. When what is done, and what follows a failure, is the runner's
-business; what is computed from recordings stands in `bench.run.measure` and `bench.results.result`.
+business; what is computed from recordings stands in `bench.views.measure` and `bench.results.result`.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any, cast
 
-from bench.clock import BenchClock
+from bench.base.clock import BenchClock
+from bench.plan.job import Job, ScriptStep
 from bench.records.history import Event, RunLog
 from bench.records.run_folder import RunFolder
 from bench.records.storage import storing
 from bench.results.result import ResultWriter
-from bench.run.expectation import by_earlier_poses
-from bench.run.gates import failures
 from bench.run.holding import Holding
 from bench.run.interlocks import Interlocks, interlocks_of
-from bench.run.job import Job, ScriptStep
-from bench.run.measure import Measurement
 from bench.run.preflight import preflight, refuse, stage_faults
 from bench.stations.devices import Devices
+from bench.views.expected_grid import by_earlier_poses
+from bench.views.gates import failures
+from bench.views.measure import Measurement
 from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice
 from sequences.script import (

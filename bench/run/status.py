@@ -14,8 +14,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from bench.console.progress import clock_text
-from bench.errors import RunFolderError, StorageError
+from bench.base.errors import RunFolderError, StorageError
 from bench.records.folder_lock import is_worked_on
 from bench.records.history import Event, History, replay
 from bench.records.journal import Entry, read_journal
@@ -23,6 +22,7 @@ from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storing
 from bench.run.interlocks import words
 from bench.run.machine import END_STATES
+from bench.terminal.progress import clock_text
 
 LAST_LINES = 5
 FOLLOW_S = 0.5

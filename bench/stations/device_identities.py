@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 
 from bench.stations import station_lights, station_stages
 from bench.stations.station import Station
-from bench.stations.station_words import SIMULATED
+from bench.stations.station_fields import SIMULATED
 from drivers.device_hold import DeviceHold
 
 

@@ -10,15 +10,16 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
-from bench.clock import BenchClock
-from bench.errors import SimulationError
+from bench.base.clock import BenchClock
+from bench.base.errors import SimulationError
 from bench.simulated import SimulatedBench
 from bench.stations import station_cameras, station_lights, station_stages
-from bench.stations.camera_kinds import Camera
 from bench.stations.device_identities import held
 from bench.stations.station import Station
-from bench.stations.station_words import SIMULATED
+from bench.stations.station_fields import SIMULATED
+from drivers.camera import EventCamera
 from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
+from drivers.camera.frames import FrameCamera
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
@@ -34,6 +35,8 @@ from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberStage
 from drivers.stage.zaber_axis import ZaberAxis
 from drivers.wire_log import WireLog
+
+Camera = EventCamera | FrameCamera
 
 
 class Devices:

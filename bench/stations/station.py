@@ -17,11 +17,11 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_cameras import Camera, PictureFolder, RecordedCamera
+from bench.stations.station_fields import SIMULATED, Positive, Serial, Text
 from bench.stations.station_interlocks import InterlockWords
 from bench.stations.station_lights import Light
 from bench.stations.station_messages import Messages
 from bench.stations.station_stages import AxisWords, Stage
-from bench.stations.station_words import SIMULATED, Positive, Serial, Text
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from sequences.reader import Located, find_document, read_document

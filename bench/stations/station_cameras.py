@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from bench.stations.station_words import Port, Serial, Text
+from bench.stations.station_fields import Port, Serial, Text
 from drivers.camera.frames import FrameSettings
 from sequences.schema import StrictModel
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_words import Positive, Text
+from bench.stations.station_fields import Positive, Text
 from sequences.schema import StrictModel
 
 Hold = Annotated[float, Field(gt=0, le=86_400, description="Longest hold in a run, all its holds together.")]

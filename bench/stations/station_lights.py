@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_words import Port, Positive, Serial, Text
+from bench.stations.station_fields import Port, Positive, Serial, Text
 from drivers.light import LightSettings
 from drivers.light.scpi_dialects import DialectName, Load
 from sequences.schema import StrictModel

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_words import Text
+from bench.stations.station_fields import Text
 from sequences.schema import StrictModel
 
 Occasion = Literal["failure", "hold", "end"]

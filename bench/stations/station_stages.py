@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_words import Port, Serial
+from bench.stations.station_fields import Port, Serial
 from drivers.stage import AxisLimits
 from sequences.schema import Angle, Axis, StrictModel
 

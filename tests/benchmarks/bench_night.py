@@ -8,8 +8,8 @@ from datetime import datetime
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
-from bench.batches.batch_plan import read_queue
-from bench.rehearsals.rehearsed_night import rehearse_batch
+from bench.batch.batch_plan import read_queue
+from bench.batch.rehearsed_night import rehearse_batch
 
 QUEUE = Path(__file__).parents[2] / "sequences" / "night" / "queue.yaml"
 BEGIN = datetime(2026, 3, 1, 19, 30, tzinfo=ZoneInfo("Europe/Berlin"))

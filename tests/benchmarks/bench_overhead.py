@@ -13,12 +13,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from bench.clock import BenchClock
-from bench.plans.plan import load, plan
+from bench.base.clock import BenchClock
+from bench.plan.job import Job
+from bench.plan.plan import load, plan
 from bench.records.journal import Journal, read_journal
-from bench.rehearsals.rehearsal import RehearsedJob, rehearse_job
-from bench.rehearsals.virtual_devices import VirtualDevices
-from bench.run.job import Job
+from bench.rehearsal.rehearsal import RehearsedJob, rehearse_job
+from bench.rehearsal.virtual_devices import VirtualDevices
 
 POSES = 120
 BUDGET_MS = 50.0

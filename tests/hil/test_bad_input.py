@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.cli import main
+from bench.commands.cli import main
 from bench.stations.station import SHIPPED
 
 SEQUENCE = (Path(__file__).parents[2] / "sequences" / "three_pose.yaml").read_text()

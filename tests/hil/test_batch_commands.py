@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.cli import main
+from bench.commands.cli import main
 
 ROOT = Path(__file__).parents[2]
 QUEUE = """\

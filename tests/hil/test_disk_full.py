@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.errors import StorageError
+from bench.base.errors import StorageError
 from bench.records.captures import CAPTURE_STORED, stored_captures
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from running import end_when, entering, journal, numbers, results, starbench, start
 
-from bench.batches.batch_plan import read_queue
-from bench.rehearsals.rehearsed_night import rehearse_batch
-from bench.run.pictures import measure_pictures, picture_gates
+from bench.batch.batch_plan import read_queue
+from bench.batch.rehearsed_night import rehearse_batch
 from bench.stations.station import SHIPPED
+from bench.views.pictures import measure_pictures, picture_gates
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera

@@ -9,7 +9,7 @@ import pytest
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, end_when, entering, journal, numbers, results, starbench, start
 
-from bench.plans.plan import SHIPPED_SEQUENCES
+from bench.plan.plan import SHIPPED_SEQUENCES
 from bench.run.control import Command, send
 
 SEED = 7

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from own_disk import Disk
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.records.captures import stored_captures
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from bench.batches.batch import Batch
-from bench.batches.batch_plan import plan_night, read_queue
-from bench.batches.supervisor import WorkerEnd
-from bench.clock import BenchClock, VirtualClock
-from bench.errors import RunFolderError
+from bench.base.clock import BenchClock, VirtualClock
+from bench.base.errors import RunFolderError
+from bench.batch.batch import Batch
+from bench.batch.batch_plan import plan_night, read_queue
+from bench.batch.rehearsed_night import rehearse_batch
+from bench.batch.supervisor import WorkerEnd
 from bench.records.journal import read_journal
 from bench.records.run_index import read_run
-from bench.rehearsals.rehearsal import rehearse_run
-from bench.rehearsals.rehearsed_night import rehearse_batch
+from bench.rehearsal.rehearsal import rehearse_run
 from bench.run.launch import Launch, read_intentions, resume_run
 
 EVENING = datetime(2026, 3, 1, 18, 30, tzinfo=UTC)

@@ -6,8 +6,8 @@ import shutil
 import pytest
 from running import starbench
 
-from bench.evidence.reproduce import differences
 from bench.records.run_folder import RunFolder
+from bench.results.reproduce import differences
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +67,6 @@ def test_a_bundle_resealed_over_edited_results_is_found(copied, home):
         seal(folder, load_key(home))
     signers = read_signers(home / "allowed_signers")
     assert verify_run(copied, signers).ok
-    (fault,) = verify_run(copied, signers, again=True).faults
+    (fault,) = verify_run(copied, signers, recalculate=differences).faults
     assert (fault.kind, fault.where) == ("results", "results.json")
     assert "the recordings give fx" in fault.what

@@ -143,7 +143,7 @@ def test_a_closed_port_can_be_opened_again(plug, port) -> None:
 
 def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:
     with pytest.raises(
-        PortNotFound, match=r"nowhere: there is no such port\. See that the device is plugged in"
+        PortNotFound, match=r"nowhere: there is no such port\. Check that the device is plugged in"
     ):
         SerialPort(str(tmp_path / "nowhere"), baudrate=9600)
 

@@ -14,7 +14,7 @@ import pytest
 from quick_runs import SIMULATION, write_sequence, write_station
 from running import PATIENCE_S, end_when, entering, journal, starbench, start
 
-from bench.clock import BenchClock
+from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
 from bench.stations.devices import _open_light, _open_stage
 from bench.stations.station import load_station
@@ -204,7 +204,7 @@ from bench.run.state_work import StateWork
 def broken(self, **facts):
     raise RuntimeError("a mistake of ours")
 setattr(StateWork, sys.argv[1], broken)
-from bench.cli import main
+from bench.commands.cli import main
 sys.exit(main(sys.argv[2:]))
 """
 

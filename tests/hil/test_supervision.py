@@ -13,8 +13,8 @@ from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, entering, journal, results, start
 from servers import WebServer, serving
 
-from bench.batches.supervisor import OUT_OF_MEMORY, adopt, out_of_memory_kills, supervise
-from bench.clock import Aborted, BenchClock
+from bench.base.clock import Aborted, BenchClock
+from bench.batch.supervisor import OUT_OF_MEMORY, adopt, out_of_memory_kills, supervise
 from bench.run.crash_log import read_crash
 from bench.simulated import SimulatedBench
 from bench.stations.devices import _open_light, make_orphans_safe
@@ -112,7 +112,7 @@ WORKER = """
 import os, sys
 from datetime import UTC, datetime
 from pathlib import Path
-from bench.clock import BenchClock
+from bench.base.clock import BenchClock
 from bench.run.control import Inbox
 from bench.run.heartbeat import Pulse
 from bench.records.history import Event, RunLog
@@ -165,7 +165,7 @@ def test_a_stop_asked_of_the_next_supervisor_reaches_the_worker_it_found(tmp_pat
 
 def test_what_the_system_ended_for_want_of_memory_counts_as_a_crash(tmp_path, monkeypatch):
     kills = iter([3, 4])
-    monkeypatch.setattr("bench.batches.supervisor.out_of_memory_kills", lambda: next(kills))
+    monkeypatch.setattr("bench.batch.supervisor.out_of_memory_kills", lambda: next(kills))
     folder = tmp_path / "run"
     folder.mkdir()
     command = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"]

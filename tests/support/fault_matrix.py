@@ -18,9 +18,9 @@ import pytest
 from rehearsed import TWO, Journal, Scene, with_runner
 from run_faults import FAULTS, FINISHED, Died, Fault, command, raising
 
-import bench.rehearsals.rehearsal
-from bench.clock import VirtualClock
-from bench.errors import StorageError
+import bench.rehearsal.rehearsal
+from bench.base.clock import VirtualClock
+from bench.base.errors import StorageError
 from bench.records.captures import stored_captures
 from bench.records.history import Event, replay
 from bench.records.journal import read_journal
@@ -212,7 +212,8 @@ def matrix(folder: Path):
 HEAD = """\
 # Faults, and what each one leads to
 
-Made by `python tests/support/fault_matrix.py > docs/faults.md`; the test `tests/unit/bench/test_fault_matrix.py` makes it anew.
+Made by `python tests/support/fault_matrix.py > docs/faults.md`; the test `tests/unit/bench/test_fault_matrix.py` makes
+it anew.
 
 Each row is a fault. Each column is the state of the run in which the fault occurs. The letter says how the run ended:
 
@@ -224,9 +225,9 @@ Each row is a fault. Each column is the state of the run in which the fault occu
 | **K** | the process ended at once |
 | **-** | the fault cannot occur in this state, because the run does not use that device then |
 
-After a run that did not finish, the cause was removed and the run was resumed. In every such cell, the run then ended with each pose recorded
-once, and every recording named in the journal was on the disk, byte for byte. The number is the time to the end of the run on the run's own
-clock, in seconds. An undisturbed run takes %(whole).0f s.
+After a run that did not finish, the cause was removed and the run was resumed. In every such cell, the run then ended
+with each pose recorded once, and every recording named in the journal was on the disk, byte for byte. The number is the
+time to the end of the run on the run's own clock, in seconds. An undisturbed run takes %(whole).0f s.
 """
 SIGNS = {"failed": "F", "aborted": "A", "finished": "f", "died": "K", "": "-"}
 

@@ -2,8 +2,8 @@
 
 from datetime import UTC, datetime, timedelta
 
-from bench.batches.batch import Batch, command_of
-from bench.batches.supervisor import WorkerEnd
+from bench.batch.batch import Batch, command_of
+from bench.batch.supervisor import WorkerEnd
 from bench.records.history import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder

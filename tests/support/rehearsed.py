@@ -5,15 +5,15 @@ from functools import partial
 
 from quick_runs import write_sequence, write_station
 
-import bench.rehearsals.rehearsal
-from bench.clock import VirtualClock
-from bench.plans.plan import load, plan
+import bench.rehearsal.rehearsal
+from bench.base.clock import VirtualClock
+from bench.plan.job import Job
+from bench.plan.plan import load, plan
 from bench.records.history import Event
 from bench.records.journal import Journal, read_journal
 from bench.records.unsynced_journal import UnsyncedJournal
-from bench.rehearsals.rehearsal import RehearsedJob, rehearse_job
-from bench.rehearsals.virtual_devices import VirtualDevices
-from bench.run.job import Job
+from bench.rehearsal.rehearsal import RehearsedJob, rehearse_job
+from bench.rehearsal.virtual_devices import VirtualDevices
 from bench.run.runner import Runner
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)

@@ -37,7 +37,7 @@ def test_nobody_listening_is_told_with_the_address():
 
 @pytest.mark.parametrize("address", ["", "localhost", "127.0.0.1:", "127.0.0.1:x", "127.0.0.1:99999"])
 def test_an_address_without_host_and_port_is_told(address):
-    with pytest.raises(CameraNotFound, match="no address of a camera"):
+    with pytest.raises(CameraNotFound, match="not a camera address"):
         SimulatedEvk4Camera.open(address, clock=SystemClock(), utc_now=lambda: NOW)
 
 
@@ -80,5 +80,5 @@ def test_a_bias_that_does_not_stick_is_noticed(peer, connect):
 
 def test_a_filter_that_stays_on_is_noticed(peer, connect):
     peer.do_set_filter = lambda number, _: peer.answer(number)
-    with pytest.raises(CameraSettingRefused, match="afk, erc stays on"):
+    with pytest.raises(CameraSettingRefused, match="filters afk, erc could not be switched off"):
         connect().apply(CameraSettings())

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from nights import JOB, NightClock, Workers, begun, hows, night, queue
 
-from bench.batches.batch import Batch, command_of
-from bench.batches.batch_plan import plan_of, read_queue
-from bench.batches.schedule import in_order, items_of
-from bench.clock import Aborted
-from bench.errors import RunFolderError, ScriptError
+from bench.base.clock import Aborted
+from bench.base.errors import RunFolderError, ScriptError
+from bench.batch.batch import Batch, command_of
+from bench.batch.batch_plan import plan_of, read_queue
+from bench.batch.schedule import in_order, items_of
 from bench.records.history import Event
 from bench.records.journal import Journal, read_journal
 from sequences.errors import DocumentFaults
@@ -220,10 +220,10 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     clock, seen = NightClock(), []
     clock.now_s = 900.0  # 20:15: the other one is due, and comes first
     monkeypatch.setattr(
-        "bench.batches.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}") or 0.0
+        "bench.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}") or 0.0
     )
     monkeypatch.setattr(
-        "bench.batches.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
+        "bench.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
     )
     batch, workers = night(tmp_path, top, clock=clock)
     monkeypatch.setattr(batch, "_work", lambda *words: seen.append(words[0].key) or workers(*words))
@@ -237,7 +237,7 @@ def test_the_bench_is_made_safe_after_a_later_try_too(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         night(tmp_path, jobs, "failed", KeyboardInterrupt())[0].run()
     safe = []
-    monkeypatch.setattr("bench.batches.batch.make_safe_after", lambda run, *_: safe.append(run.name) or [])
+    monkeypatch.setattr("bench.batch.batch.make_safe_after", lambda run, *_: safe.append(run.name) or [])
     assert night(tmp_path, jobs)[0].run()["how"] == "finished"
     assert safe == ["a-001"]
 

@@ -4,9 +4,9 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.batches.batch_messages import BatchMessages
-from bench.batches.supervisor import WorkerEnd
-from bench.clock import VirtualClock
+from bench.base.clock import VirtualClock
+from bench.batch.batch_messages import BatchMessages
+from bench.batch.supervisor import WorkerEnd
 from bench.messaging.outbox import Message, Outbox
 from bench.records.journal import Journal
 from bench.stations.station import SHIPPED

@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 import pytest
 from nights import NightClock, Workers, begun, hows, job_words, queue
 
-from bench.batches.batch import Batch
-from bench.batches.batch_requests import REQUESTS, Request, answer_text, send_request
-from bench.batches.batch_status import batch_status_text, read_batch_status
-from bench.console.batch_output import ask_batch
-from bench.errors import RunFolderError, ScriptError
+from bench.base.errors import RunFolderError, ScriptError
+from bench.batch.batch import Batch
+from bench.batch.batch_requests import REQUESTS, Request, answer_text, send_request
+from bench.batch.batch_status import batch_status_text, read_batch_status
+from bench.commands.batch_output import ask_batch
 from bench.records.journal import read_journal
 
 
@@ -214,7 +214,7 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
     def broken(_job):
         raise ZeroDivisionError("nobody foresaw this")
 
-    monkeypatch.setattr("bench.batches.batch_requests.job_faults", broken)
+    monkeypatch.setattr("bench.batch.batch_requests.job_faults", broken)
     leave(tmp_path, add("b"))
     clock = NightClock()
     assert Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()["how"] == "finished"

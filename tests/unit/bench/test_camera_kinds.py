@@ -6,14 +6,14 @@ from unittest.mock import create_autospec
 import numpy as np
 import pytest
 
-from bench.clock import BenchClock
-from bench.plans.plan import load, plan
-from bench.run.job import Job
-from bench.run.measure import Measurement
-from bench.run.pictures import measure_pictures, picture_gates, picture_refusals
+from bench.base.clock import BenchClock
+from bench.plan.job import Job
+from bench.plan.plan import load, plan
 from bench.stations import devices
-from bench.stations.camera_kinds import EventKind, FrameKind, camera_kind
 from bench.stations.station import SHIPPED, Station
+from bench.views.camera_kinds import EventKind, FrameKind, camera_kind
+from bench.views.measure import Measurement
+from bench.views.pictures import measure_pictures, picture_gates, picture_refusals
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
 from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera

@@ -13,11 +13,11 @@ from pathlib import Path
 import click
 import pytest
 
-from bench.batches.batch_plan import plan_night
-from bench.cli import cli, main
-from bench.cli_help import EXAMPLES
-from bench.console.output import tell_error
-from bench.errors import StorageError
+from bench.base.errors import StorageError
+from bench.batch.batch_plan import plan_night
+from bench.commands.cli import cli, main
+from bench.commands.help_text import EXAMPLES
+from bench.commands.output import tell_error
 from sequences.queue import Queue
 from sequences.reader import check_document
 
@@ -276,7 +276,7 @@ def test_a_reader_that_has_gone_is_no_error():
 
 
 def test_signs_that_a_stream_cannot_show_are_told_in_others():
-    program = "from bench.console.encoding import say_what_can_be_said as s; import sys; s(sys.stdout);"
+    program = "from bench.terminal.encoding import say_what_can_be_said as s; import sys; s(sys.stdout);"
     program += "print('3345.3 \u00b1 1.2, \u22120.9, \u674e')"
     said = subprocess.run(
         [sys.executable, "-c", program],

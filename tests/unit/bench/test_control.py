@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from bench.clock import Aborted, BenchClock
-from bench.errors import RunFolderError, StorageError
+from bench.base.clock import Aborted, BenchClock
+from bench.base.errors import RunFolderError, StorageError
 from bench.records.folder_lock import is_worked_on
 from bench.records.history import Attempt, Event, History, RunLog, replay
 from bench.records.journal import Journal, read_journal

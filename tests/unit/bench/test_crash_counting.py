@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.clock import BenchClock
+from bench.base.clock import BenchClock
 from bench.records.history import Event, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder

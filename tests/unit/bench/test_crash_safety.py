@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.errors import BenchError, StorageError
+from bench.base.errors import BenchError, StorageError
 from bench.evidence.seal import seal
 from bench.evidence.verify import verify_run
 from bench.records.captures import CAPTURE_STORED, stored_captures

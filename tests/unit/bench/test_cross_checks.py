@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bench.plans.plan import load
-from bench.plans.plan import plan as make_plan
+from bench.plan.plan import load
+from bench.plan.plan import plan as make_plan
 from bench.results.cross_checks import gimbal, halves
 from bench.results.studies import expectation
 from calib.engine import CalibrationOptions, calibrate

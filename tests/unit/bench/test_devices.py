@@ -5,7 +5,7 @@ from unittest.mock import create_autospec
 
 import pytest
 
-from bench.clock import BenchClock
+from bench.base.clock import BenchClock
 from bench.stations import devices
 from bench.stations.station import SHIPPED, Station
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4

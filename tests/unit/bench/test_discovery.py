@@ -5,9 +5,9 @@ from typing import get_args
 
 import pytest
 
-from bench.cli import station_new
-from bench.console.output import show_devices
-from bench.plans.plan import load, plan
+from bench.commands.bench_output import show_devices
+from bench.commands.cli import station_new
+from bench.plan.plan import load, plan
 from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
 from bench.stations.placeholders import ASK

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.plans.plan import load, plan
-from bench.plans.script_check import check_script
+from bench.plan.plan import load, plan
+from bench.plan.script_check import check_script
 from bench.stations.station import Station, load_station
 from sequences.flatten import flatten
 from sequences.reader import check_document, read_document

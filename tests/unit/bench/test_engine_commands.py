@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from bench.cli import main
-from bench.plans.plan import load
-from bench.plans.plan import plan as make_plan
+from bench.commands.cli import main
+from bench.plan.plan import load
+from bench.plan.plan import plan as make_plan
 from bench.results.studies import expectation, expected_worth, suggested_poses
 from calib.studies.predicted_views import predicted_view
 

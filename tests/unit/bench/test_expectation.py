@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.records.history import Attempt, History
-from bench.run.expectation import as_before, best_readings, by_earlier_poses
+from bench.views.expected_grid import as_before, best_readings, by_earlier_poses
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.run.gates import recording_gates, refusals
+from bench.views.gates import recording_gates, refusals
 from drivers.camera import RecordingFacts
 from sequences.script import Gates
 

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from bench.clock import BenchClock
+from bench.base.clock import BenchClock
 from bench.run import heartbeat
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SUPERVISOR, Pulse, Sign, open_process, read_sign
 

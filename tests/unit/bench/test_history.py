@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.errors import JournalBroken
+from bench.base.errors import JournalBroken
 from bench.records.history import Attempt, Event, History, replay
 from bench.records.journal import Journal
 

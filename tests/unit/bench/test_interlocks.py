@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.clock import Interrupted, VirtualClock
+from bench.base.clock import Interrupted, VirtualClock
 from bench.run.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks, interlocks_of
 from bench.stations.station import Station
 from bench.stations.station_interlocks import (

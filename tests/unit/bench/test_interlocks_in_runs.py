@@ -3,7 +3,7 @@
 import pytest
 from rehearsed import Scene, with_runner
 
-from bench.clock import VirtualClock
+from bench.base.clock import VirtualClock
 from bench.records.history import Event, replay
 from bench.records.journal import read_journal
 from bench.run.interlocks import Interlocks
@@ -182,7 +182,7 @@ def test_a_warm_camera_is_let_cool_and_the_run_goes_on(tmp_path):
         return 60.0 - 0.1 * max(0.0, now_s - 3.0) if now_s > 3.0 else 30.0
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.rehearsals.virtual_devices.VirtualCamera.temperature_c", celsius)
+        patch.setattr("bench.rehearsal.virtual_devices.VirtualCamera.temperature_c", celsius)
         end = scene.run()
     assert end.how == "finished", end.why
     (released,) = scene.told(Event.INTERLOCK_RELEASED)
@@ -193,7 +193,7 @@ def test_a_warm_camera_is_let_cool_and_the_run_goes_on(tmp_path):
 def test_light_from_elsewhere_holds_until_the_dark_is_dark(tmp_path, monkeypatch):
     words = "\ninterlocks: {event_rate: {max_mev_s: 50, release_mev_s: 5, max_hold_s: 900}}\n"
     scene = Scene(tmp_path, station=words)
-    from bench.rehearsals.virtual_devices import VirtualCamera
+    from bench.rehearsal.virtual_devices import VirtualCamera
 
     record = VirtualCamera.record
 

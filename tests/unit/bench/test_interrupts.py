@@ -8,7 +8,7 @@ import weakref
 
 import pytest
 
-from bench.console.signals import interrupts_that_hold
+from bench.terminal.signals import interrupts_that_hold
 
 
 class _Cleared:

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bench.errors import JournalBroken, RunFolderError, StorageError
+from bench.base.errors import JournalBroken, RunFolderError, StorageError
 from bench.records.journal import CLOCK_JUMPED, FIRST_PREV, Journal, lines_since, read_journal
 
 START = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=UTC)

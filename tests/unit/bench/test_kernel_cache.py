@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.kernel_cache import VARIABLE, keep_kernels_somewhere
+from bench.base.kernel_cache import VARIABLE, keep_kernels_somewhere
 
 ROOT = Path(__file__).parents[3]
 
@@ -64,8 +64,8 @@ def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_p
 
 
 def test_the_command_line_asks_before_numba_is_imported():
-    program = "import sys, bench.kernel_cache as k; k.keep_kernels_somewhere = lambda e: print('numba' in sys.modules);"
-    program += "from bench.cli import main; main(['--version'])"
+    program = "import sys, bench.base.kernel_cache as k; k.keep_kernels_somewhere = lambda e: print('numba' in sys.modules);"
+    program += "from bench.commands.cli import main; main(['--version'])"
     said = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )

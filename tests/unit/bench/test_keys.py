@@ -13,8 +13,9 @@ import pytest
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from bench.errors import EvidenceError, StorageError
-from bench.evidence.keys import create_key, ensure_key, home_folder, load_key, read_signers, trust
+from bench.base.errors import EvidenceError, StorageError
+from bench.base.home import home_folder
+from bench.evidence.keys import create_key, ensure_key, load_key, read_signers, trust
 from bench.evidence.sshsig import fingerprint
 
 needs_ssh_keygen = pytest.mark.skipif(

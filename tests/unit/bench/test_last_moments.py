@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 from rehearsed import Scene, with_runner
 
-from bench.console.prompt import Reply
 from bench.records.history import Event
+from bench.terminal.prompt import Reply
 
 PROMPT = '  - prompt: {text: "Cap off?", default: abort, timeout_s: 5}\n'
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.errors import JournalBroken
+from bench.base.errors import JournalBroken
 from bench.evidence.seal import seal
 from bench.records.journal import Journal, read_journal
 from bench.records.ledger import Ledger

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.run.measure import Picture, aligned_poses
+from bench.views.measure import Picture, aligned_poses
 from calib.events.grey_image import to_uint8
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.errors import BenchError, UsageError
+from bench.base.errors import BenchError, UsageError
 from bench.results.offline import Choices, _one_size, _refuse_cut_off_jpeg, _size
 from calib.view import View
 from drivers.errors import RecordingCorrupt

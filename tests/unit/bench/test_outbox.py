@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.errors import StorageError
+from bench.base.errors import StorageError
 from bench.messaging.outbox import LONGEST_PAUSE_S, DeliveryFailed, Message, Outbox
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from bench.errors import ScriptError
-from bench.plans.plan import (
+from bench.base.errors import ScriptError
+from bench.plan.plan import (
     POSE_BYTES,
     REPORT_BYTES,
     load,
@@ -19,7 +19,7 @@ from bench.plans.plan import (
     travel_s,
     whole_periods,
 )
-from bench.plans.plan_text import duration_text, render_plan
+from bench.plan.plan_text import duration_text, render_plan
 from bench.stations.station import SHIPPED, Station
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document

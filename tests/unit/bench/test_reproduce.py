@@ -5,7 +5,7 @@ import copy
 import pytest
 from report_sample import sample
 
-from bench.evidence.reproduce import _differing
+from bench.results.reproduce import _differing
 
 
 @pytest.fixture(scope="module")

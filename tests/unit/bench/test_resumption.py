@@ -4,9 +4,9 @@ from datetime import UTC, datetime
 
 import pytest
 
+from bench.plan.job import Job
 from bench.records.history import Event, History, replay
 from bench.records.journal import Journal
-from bench.run.job import Job
 from bench.run.resumption import crash_looped, ground, intentions, remaining, steps_of_pose
 from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
 

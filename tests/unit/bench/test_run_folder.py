@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.errors import RunFolderError, StorageError
+from bench.base.errors import RunFolderError, StorageError
 from bench.records import run_folder as run_folder_module
 from bench.records.captures import CAPTURE_STORED, capture_name, stored_captures
 from bench.records.journal import Journal

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.errors import StorageError, UsageError
+from bench.base.errors import StorageError, UsageError
 from bench.records.history import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 from rehearsed import Scene, with_runner
 
-from bench.clock import VirtualClock
+from bench.base.clock import VirtualClock
 from bench.records.captures import stored_captures
 from bench.records.history import Event, replay
 from bench.records.journal import read_journal

@@ -8,8 +8,8 @@ from datetime import timedelta
 import pytest
 from rehearsed import Journal, Scene
 
-from bench.clock import VirtualClock
-from bench.errors import BenchError, RunFolderError, StorageError
+from bench.base.clock import VirtualClock
+from bench.base.errors import BenchError, RunFolderError, StorageError
 from bench.records.history import Event, replay
 from bench.records.journal import CLOCK_JUMPED, read_journal
 from bench.run.launch import read_intentions

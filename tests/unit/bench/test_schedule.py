@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.batches.schedule import Bounds, Item, bounds_of, choose, items_of, look_ahead, next_time
+from bench.batch.schedule import Bounds, Item, bounds_of, choose, items_of, look_ahead, next_time
 from sequences.queue import JobConfig, Queue
 
 EVENING = datetime(2026, 3, 1, 18, 0, tzinfo=UTC)

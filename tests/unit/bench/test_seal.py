@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.clock import BenchClock
-from bench.errors import EvidenceError, RunFolderError, StorageError
+from bench.base.clock import BenchClock
+from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.seal import listing, manifest_of, read_manifest, seal
 from bench.evidence.sshsig import encode_public_key, holds, read_signature, sign
 from bench.records.journal import Journal

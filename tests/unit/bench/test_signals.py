@@ -7,12 +7,12 @@ import threading
 
 import pytest
 
-from bench.clock import Aborted, BenchClock, Interrupted
-from bench.console.signals import stop_on_signals
+from bench.base.clock import Aborted, BenchClock, Interrupted
+from bench.terminal.signals import stop_on_signals
 
 MANY_SIGNALS = """
 import signal
-from bench.clock import Aborted, BenchClock, Interrupted
+from bench.base.clock import Aborted, BenchClock, Interrupted
 stopped = 0
 for number in range(400):
     clock = BenchClock()

@@ -5,8 +5,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from bench.errors import RunFolderError
-from bench.plans.plan import load, plan
+from bench.base.errors import RunFolderError
+from bench.plan.plan import load, plan
 from bench.records.history import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder

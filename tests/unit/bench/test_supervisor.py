@@ -4,8 +4,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.batches.supervisor import QUIET_S, SILENCE_S, _waits_for_disk, _watch, supervise
-from bench.clock import BenchClock, VirtualClock
+from bench.base.clock import BenchClock, VirtualClock
+from bench.batch.supervisor import QUIET_S, SILENCE_S, _waits_for_disk, _watch, supervise
 from bench.run.heartbeat import Sign
 
 
@@ -32,9 +32,9 @@ def test_silence_is_borne_for_longer_where_the_disk_may_be_its_cause(
     tmp_path, monkeypatch, on_disk, how_long_s
 ):
     clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
-    monkeypatch.setattr("bench.batches.supervisor._waits_for_disk", lambda _sign: on_disk)
+    monkeypatch.setattr("bench.batch.supervisor._waits_for_disk", lambda _sign: on_disk)
     signs = [Sign(1, 1, 0)]
-    monkeypatch.setattr("bench.batches.supervisor.read_sign", lambda _folder: signs[-1])
+    monkeypatch.setattr("bench.batch.supervisor.read_sign", lambda _folder: signs[-1])
 
     class Silent:
         def gone(self):

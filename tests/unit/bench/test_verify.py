@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bench.errors import RunFolderError
+from bench.base.errors import RunFolderError
 from bench.evidence.keys import NAMESPACE, Signer, create_key, read_signers
 from bench.evidence.seal import manifest_of, seal
 from bench.evidence.sshsig import read_signature, sign

@@ -95,9 +95,8 @@ def test_a_report_that_is_no_text_is_found(reported, key, signers):
     assert kinds(sealed_and_verified(reported, key, signers)) == [("report", "report.html")]
 
 
-def test_results_without_a_calibration_cannot_follow_from_recordings(sealed, signers, monkeypatch):
-    monkeypatch.setattr("bench.evidence.reproduce.differences", lambda folder: {}["calibration"])
-    found = verify_run(sealed, signers, again=True)
+def test_results_without_a_calibration_cannot_follow_from_recordings(sealed, signers):
+    found = verify_run(sealed, signers, recalculate=lambda folder: {}["calibration"])
     assert "no calibration to compare" in found.faults[0].what
 
 

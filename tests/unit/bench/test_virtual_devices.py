@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from bench.clock import Aborted, VirtualClock
-from bench.plans.plan import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
-from bench.rehearsals.virtual_devices import FIRST_LINE, VirtualDevices, read_view
+from bench.base.clock import Aborted, VirtualClock
+from bench.plan.plan import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
+from bench.rehearsal.virtual_devices import FIRST_LINE, VirtualDevices, read_view
 from bench.stations.station import Station, load_station
 from calib.target import StarTarget
 from drivers.camera import CameraSettings

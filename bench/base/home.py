@@ -1,0 +1,38 @@
+"""The folder of this bench's own files: keys, ledger, index of runs, outbox. Reads the environment only."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+HOME_VARIABLE = "STARBENCH_HOME"
+
+
+def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """Return the folder of this bench's own files.
+
+    It is ``$STARBENCH_HOME``, else ``starbench`` in the user's configuration folder.
+
+    Parameters
+    ----------
+    environ
+        The process's environment.
+
+    Returns
+    -------
+    Path
+        The folder; it may not exist yet.
+
+    Examples
+    --------
+    >>> home_folder({"HOME": "/home/ada"}).as_posix()
+    '/home/ada/.config/starbench'
+    >>> home_folder({"STARBENCH_HOME": "/etc/starbench"}).as_posix()
+    '/etc/starbench'
+    """
+    if own := environ.get(HOME_VARIABLE):
+        return Path(own)
+    if configuration := environ.get("XDG_CONFIG_HOME"):
+        return Path(configuration) / "starbench"
+    return Path(environ.get("HOME") or Path.home()) / ".config" / "starbench"

@@ -1,0 +1,199 @@
+"""Requests to a batch from another terminal: a job added, a job withdrawn.
+
+A request is one file, written whole into ``requests/`` of the batch's folder; it stays until it is answered, also while
+no process works on the batch. The batch decides, journals what it decided and removes the file; so the journal is
+the answer, and no request is taken twice. Knows no devices.
+"""
+
+from __future__ import annotations
+
+import stat
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError, RunFolderError
+from bench.batch.batch_plan import job_faults
+from bench.batch.batch_record import BatchEvent, BatchRecord
+from bench.records.folder_lock import is_worked_on
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL
+from bench.records.run_index import QUEUE_COPY
+from bench.records.storage import is_temporary, make_folder, remove, storing, write_whole
+from sequences.queue import JobConfig, Key
+
+REQUESTS = "requests"
+POLL_S = 0.2
+_PATIENCE_S = 15.0
+_MOST_BYTES = 16_384
+
+Word = Literal["add", "withdraw"]
+
+
+class Request(BaseModel):
+    """What an operator wants of a batch.
+
+    Attributes
+    ----------
+    id
+        Its own; the journal answers by it.
+    word, by
+        What is wanted, and by whom.
+    job
+        The job to add.
+    name
+        The job to withdraw.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["starbench/request/1"] = "starbench/request/1"
+    id: str = Field(default_factory=lambda: uuid.uuid4().hex, min_length=1, max_length=64)
+    word: Word
+    by: str = Field(min_length=1, max_length=200)
+    job: JobConfig | None = None
+    name: Key | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Request:
+        if (self.job is None) is (self.word == "add") or (self.name is None) is (self.word == "withdraw"):
+            raise ValueError("add takes a job, withdraw a name")
+        return self
+
+
+def refusal(request: Request, record: BatchRecord) -> str:
+    """Say why a request is not taken; empty when it is."""
+    if request.word == "withdraw":
+        assert request.name is not None
+        if request.name not in record.jobs():
+            return f"there is no job {request.name}"
+        return "" if record.withdrawable(request.name) else f"no run of {request.name} is left to begin"
+    assert request.job is not None
+    if request.job.name.lower() in map(str.lower, record.jobs()):
+        return f"the batch has a job {request.job.name}, or had one"
+    return "; ".join(job_faults(request.job)[:3])
+
+
+class Desk:
+    """Where a batch answers requests.
+
+    Parameters
+    ----------
+    folder
+        The batch's, held by this process.
+    answer
+        Decides on a request and journals it; None stands for a file that is none.
+    clock
+        Asked to stop when answers cannot be journaled any more.
+    """
+
+    def __init__(
+        self, folder: Path, answer: Callable[[Request | None, str], None], clock: BenchClock
+    ) -> None:
+        self._path = folder / REQUESTS
+        self._answer = answer
+        self._clock = clock
+        self._closing = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, name="requests", daemon=True)
+
+    def drain(self) -> None:
+        """Answer every request that lies there, oldest first. Raises StorageError."""
+        with storing(self._path):
+            if not self._path.is_dir():
+                return
+            for path in sorted(p for p in self._path.iterdir() if not is_temporary(p)):
+                with suppress(FileNotFoundError):  # taken back at this moment
+                    self._answer(_read(path), path.name)
+                    remove(path)
+
+    def watch(self) -> None:
+        """Begin to answer while the batch is busy with a run."""
+        self._watcher.start()
+
+    def close(self) -> None:
+        """Answer no more; what lies there waits for the next process."""
+        self._closing.set()
+        if self._watcher.is_alive():
+            self._watcher.join()
+
+    def _watch(self) -> None:
+        try:
+            while not self._closing.wait(POLL_S):
+                self.drain()
+        except BenchError as error:
+            self._clock.request_stop(f"requests cannot be answered any more: {error}")
+
+
+def _read(path: Path) -> Request | None:
+    """Read a request; None for anything else that may lie there."""
+    found = path.lstat()
+    if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
+        return None
+    try:
+        return Request.model_validate_json(path.read_bytes())
+    except ValidationError:
+        return None
+
+
+def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> dict[str, Any] | None:
+    """Leave a request with a batch, and wait for the answer where a process works on it.
+
+    Returns
+    -------
+    dict or None
+        The journal's answer: ``word by taken why`` and ``job`` or ``name``; None while there is none: the request
+        then lies there until the batch goes on.
+
+    Raises
+    ------
+    RunFolderError
+        When there is no batch.
+    StorageError
+        When it cannot be written.
+    """
+    if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
+        raise RunFolderError(
+            "There is no batch in this folder.",
+            where=str(folder),
+            remedy="Name the folder that `starbench batch` was given.",
+        )
+    make_folder(folder / REQUESTS)
+    path = folder / REQUESTS / f"{time.time_ns():020d}-{request.id}.json"
+    write_whole(path, request.model_dump_json().encode() + b"\n")
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline and (path.exists() is False or is_worked_on(folder)):
+        if not path.exists():
+            return _answer_in(folder, request.id)
+        time.sleep(POLL_S / 2)
+    return None
+
+
+def _answer_in(folder: Path, request_id: str) -> dict[str, Any] | None:
+    entries, _ = read_journal(folder / JOURNAL)
+    found = (e for e in reversed(entries) if e.event == BatchEvent.REQUESTED and e.data["id"] == request_id)
+    entry = next(found, None)
+    return dict(entry.data) if entry is not None else None
+
+
+def answer_text(answer: dict[str, Any] | None) -> str:
+    """Say what became of a request.
+
+    Examples
+    --------
+    >>> answer_text({"word": "withdraw", "name": "cam7", "taken": True, "why": ""})
+    'Taken: cam7 is withdrawn; a run of it that is under way goes on.'
+    """
+    if answer is None:
+        return "Noted: no process works on the batch; it is taken up as soon as the batch goes on."
+    if not answer["taken"]:
+        return f"Not taken: {answer['why']}."
+    if answer["word"] == "add":
+        return f"Taken: {answer['job']['name']} is in the batch."
+    return f"Taken: {answer['name']} is withdrawn; a run of it that is under way goes on."

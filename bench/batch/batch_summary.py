@@ -1,0 +1,198 @@
+"""What a batch came to: every run, why those failed that did, and how each camera's parameters went over it.
+
+Read from the batch's record and from the journals of its runs; written as ``summary.json`` and ``summary.html``, and
+can be written again at any time.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError, RunFolderError
+from bench.batch.batch_record import BatchRecord, replay_batch
+from bench.batch.schedule import Item, in_order
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL, PLAN, REPORT
+from bench.records.run_index import QUEUE_COPY, IndexedRun, read_run
+from bench.records.storage import storing, write_whole
+from bench.report.batch_page import render_batch
+from bench.results.trends import by_camera, hours_after, trends_of
+from sequences.errors import DocumentFaults
+from sequences.queue import Queue
+from sequences.reader import read_document
+
+RUNS = "runs"
+SUMMARY, PAGE = "summary.json", "summary.html"
+SCHEMA = "starbench/batch/1"
+
+
+def read_batch(folder: Path) -> BatchRecord:
+    """Read a batch's folder; nothing is changed, and no process of it is disturbed.
+
+    Raises
+    ------
+    RunFolderError
+        When there is no batch.
+    JournalBroken
+        When its journal does not hold.
+    """
+    if not is_batch(folder):
+        raise RunFolderError(
+            "There is no batch in this folder.",
+            where=str(folder),
+            remedy="Name the folder that `starbench batch` was given.",
+        )
+    try:
+        queue = read_document(folder / QUEUE_COPY, Queue).value
+    except DocumentFaults as error:
+        raise RunFolderError(
+            f"{QUEUE_COPY} cannot be read: {error}",
+            where=str(folder),
+            remedy="It is not what was begun with.",
+        ) from error
+    return replay_batch(queue, read_journal(folder / JOURNAL)[0])
+
+
+def is_batch(folder: Path) -> bool:
+    """Whether a folder is a batch's."""
+    return (folder / QUEUE_COPY).is_file() and (folder / JOURNAL).is_file()
+
+
+def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
+    """Write ``summary.json`` and ``summary.html``; return what the first holds.
+
+    Raises
+    ------
+    StorageError
+        When the disk does not take them.
+    """
+    summary = summarise(folder, record)
+    write_whole(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
+    write_whole(folder / PAGE, render_batch(summary).encode())
+    return summary
+
+
+def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
+    """Sum a batch up, as far as it has come."""
+    runs: dict[str, IndexedRun] = {}
+    unread: dict[str, str] = {}
+    for key in record.tries:
+        if (folder / RUNS / key / JOURNAL).is_file():
+            try:
+                runs[key] = read_run(folder / RUNS / key)
+            except BenchError as error:
+                unread[key] = str(error)
+    solved = [runs[key] for key, end in record.ends.items() if end.how == "finished" and key in runs]
+    items = [_item(item, record, folder, runs.get(item.key), unread) for item in _by_begin(record)]
+    return {
+        "schema": SCHEMA,
+        "queue": record.queue.name,
+        "zone": record.queue.zone,
+        "how": record.ended,
+        "why": record.why,
+        "begun_utc": _iso(record.begun),
+        "ended_utc": _iso(max((end.ended for end in record.ends.values()), default=None)),
+        "simulated": any(run.simulated for run in runs.values()),
+        "rehearsal": record.rehearsal,
+        "totals": _totals(items),
+        "items": items,
+        "cameras": [
+            {
+                "camera": camera,
+                "model": model,
+                "runs": [_point(run) for run in of_camera],
+                "parameters": [trend.to_dict() for trend in trends_of(of_camera)],
+            }
+            for (camera, model), of_camera in by_camera(solved).items()
+        ],
+        "requests": [_request(data) for data in record.answered.values()],
+    }
+
+
+def _by_begin(record: BatchRecord) -> list[Item]:
+    """Runs in the order in which they began; those that did not come last, as they would have come."""
+    never = datetime.max.replace(tzinfo=record.begun.tzinfo if record.begun else None)
+    return sorted(in_order(list(record.items.values())), key=lambda i: record.begun_at.get(i.key, never))
+
+
+def _item(
+    item: Item, record: BatchRecord, folder: Path, run: IndexedRun | None, unread: Mapping[str, str]
+) -> dict[str, Any]:
+    end = record.ends.get(item.key)
+    how = end.how if end else "cut off" if item.key in record.tries else "not begun"
+    begun = record.begun_at.get(item.key)
+    tries = record.ended_tries.get(item.key, [])
+    return {
+        "item": item.key,
+        "job": item.job.name,
+        "folder": f"{RUNS}/{item.key}",
+        "how": "withdrawn" if item.key in record.withdrawn else how,
+        "why": unread.get(item.key) or (end.why if end else ""),
+        "attempts": record.tries.get(item.key, 0),
+        "begun_utc": _iso(begun),
+        "ended_utc": _iso(end.ended) if end else None,
+        "took_s": round(sum(one.took_s for one in tries), 1) if tries else None,
+        "tries": [
+            {"begun_utc": _iso(one.begun), "ended_utc": _iso(one.ended), "how": one.how} for one in tries
+        ],
+        "report": f"{RUNS}/{item.key}/{REPORT}" if (folder / RUNS / item.key / REPORT).is_file() else None,
+        "camera": run.camera if run else "",
+        "poses": _poses(folder / RUNS / item.key),
+        "accepted": run.accepted if run else 0,
+        "recordings": run.recordings if run else 0,
+        "deviations": run.deviations if run else 0,
+        "temperature_c": run.temperature_c if run else None,
+        "model": run.model if run else None,
+        "rms_px": run.rms_px if run else None,
+        "sealed": run.sealed if run else False,
+        "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in run.parameters.items()} if run else {},
+    }
+
+
+def _point(run: IndexedRun) -> dict[str, Any]:
+    return {
+        "item": run.id,
+        "begun_utc": run.begun_utc,
+        "temperature_c": run.temperature_c,
+        "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in run.parameters.items()},
+    }
+
+
+def _totals(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    counted: dict[str, int] = {}
+    for item in items:
+        counted[item["how"]] = counted.get(item["how"], 0) + 1
+    begun = [item for item in items if item["begun_utc"]]
+    ended = [item["ended_utc"] for item in begun if item["ended_utc"]]
+    return {
+        "runs": len(items),
+        "by_end": dict(sorted(counted.items())),
+        "attempts": sum(item["attempts"] for item in items),
+        "poses": sum(item["accepted"] for item in items),
+        "recordings": sum(item["recordings"] for item in items),
+        "deviations": sum(item["deviations"] for item in items),
+        "hours": round(hours_after(max(ended), begun[0]["begun_utc"]), 3) if ended else 0.0,
+        "working_hours": round(sum(item["took_s"] or 0.0 for item in begun) / 3600.0, 3),
+    }
+
+
+def _request(data: Mapping[str, Any]) -> dict[str, Any]:
+    what = data.get("name") or (data.get("job") or {}).get("name", "")
+    return {k: data.get(k, "") for k in ("word", "by", "taken", "why")} | {"job": what}
+
+
+def _poses(run: Path) -> int | None:
+    """How many poses a run was to record; None where its plan is not there."""
+    try:
+        with storing(run / PLAN):
+            return len(json.loads((run / PLAN).read_text(encoding="utf-8"))["poses"])
+    except (BenchError, ValueError, KeyError):
+        return None
+
+
+def _iso(moment: datetime | None) -> str | None:
+    return moment.isoformat() if moment else None

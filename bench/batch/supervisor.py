@@ -1,0 +1,297 @@
+"""Watches one worker process, and makes the bench safe where it cannot do that itself any more.
+
+A worker gives signs of life (`bench.run.heartbeat`). One that ends is noticed at once; one that stands still (stopped,
+stuck where not even its threads run, or in a driver that never returns) within ``SILENCE_S``: it is ended by SIGABRT,
+at which it writes down where it stood, or else by SIGKILL; the devices it had are opened anew and made safe. A worker
+whose supervisor was killed is watched in the same way by the next one. Knows no queue.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from bench.base.clock import Aborted, BenchClock
+from bench.records.folder_lock import is_worked_on
+from bench.records.run_folder import STATION_COPY
+from bench.run.crash_log import note_crash
+from bench.run.heartbeat import SUPERVISOR, Sign, open_process, read_sign
+from bench.stations.devices import make_orphans_safe
+from bench.stations.station import load_station
+from sequences.errors import DocumentFaults
+
+SILENCE_S = 4.0
+"""Longer without a sign of life is hung; it is looked at every ``POLL_S``, so that 5 s are not exceeded."""
+QUIET_S = 600.0
+"""So long may it begin, end or seal without a sign: what it does with devices then has deadlines of its own."""
+POLL_S = 0.2
+OUT_OF_MEMORY = "ended by the system for want of memory"
+_LAST_WORDS_S = 2.0
+_SAFE_END_S = 60.0
+_ENDS = {0: "finished", 3: "aborted"}
+
+
+@dataclass(frozen=True)
+class WorkerEnd:
+    """How a worker ended.
+
+    Attributes
+    ----------
+    how
+        ``finished``, ``aborted``, ``failed``; ``died`` by a signal; ``hung`` and was ended.
+    why
+        In words; the last line it said, where it failed.
+    noticed_s
+        How long it had been silent when it was ended as hung, s; 0 otherwise.
+    unsafe
+        Devices that a dead worker left and that did not confirm that they are safe.
+    """
+
+    how: str
+    why: str
+    noticed_s: float = 0.0
+    unsafe: Sequence[str] = ()
+
+
+def supervise(
+    command: Sequence[str],
+    folder: Path,
+    log: Path,
+    clock: BenchClock,
+    say: Callable[[str], None],
+    environ: Mapping[str, str] = os.environ,
+) -> WorkerEnd:
+    """Run a worker to its end.
+
+    Parameters
+    ----------
+    command
+        Its program and words.
+    folder
+        The run folder it works on, made by itself.
+    log
+        Where what it says is appended.
+    clock
+        A stop asked of it ends the worker, safely, and is raised again.
+    say
+        Told what the operator must know.
+    environ
+        The worker's environment, but for what it is told of its supervisor.
+
+    Raises
+    ------
+    Aborted
+        When a stop was asked for; the worker has ended by then.
+    """
+    killed_for_memory = out_of_memory_kills()
+    try:
+        with log.open("ab") as sink:
+            worker = _Child(
+                subprocess.Popen(
+                    list(command),
+                    stdin=subprocess.DEVNULL,
+                    stdout=sink,
+                    stderr=sink,
+                    start_new_session=True,
+                    env={**environ, SUPERVISOR: str(os.getpid())},
+                )
+            )
+    except OSError as error:  # no memory, no room, too many processes: the next one may begin
+        return WorkerEnd("failed", f"its process could not be started: {error}")
+    silent_s, unsafe = _watched(worker, folder, clock, say)
+    if silent_s:
+        return WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s, unsafe)
+    status = worker.process.returncode
+    if status < 0:
+        why = f"by {signal.Signals(-status).name}"
+        if status == -signal.SIGKILL and out_of_memory_kills() > killed_for_memory:
+            why = OUT_OF_MEMORY
+            note_crash(folder, OUT_OF_MEMORY)
+        return WorkerEnd("died", why, 0.0, unsafe)
+    how = _ENDS.get(status, "failed")
+    return WorkerEnd(how, "" if how == "finished" else _last_line(log))
+
+
+def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
+    """Watch a worker that outlived its supervisor, to its end; return how long it was silent where it hung, else 0.
+
+    How it ended stands in its run folder. Returns at once where nobody works there.
+
+    Raises
+    ------
+    Aborted
+        When a stop was asked for; the worker has ended by then.
+    """
+    if not is_worked_on(folder):
+        return 0.0
+    silent_s, _ = _watched(_Orphan(folder), folder, clock, say)
+    return silent_s
+
+
+def make_safe_after(folder: Path, clock: BenchClock) -> list[str]:
+    """Make the devices safe that a dead worker had; return what could not be, in words."""
+    if not (folder / STATION_COPY).is_file():  # it died before it could open any
+        return []
+    try:
+        return make_orphans_safe(load_station(str(folder / STATION_COPY)).value, clock)
+    except DocumentFaults as error:
+        return [f"the station file of {folder} cannot be read: {error}"]
+
+
+def out_of_memory_kills(path: Path = Path("/proc/vmstat")) -> int:
+    """How many processes the kernel has killed for want of memory since it started; 0 where it does not tell."""
+    with suppress(OSError):
+        for line in path.read_text(encoding="ascii").splitlines():
+            name, _, value = line.partition(" ")
+            if name == "oom_kill":
+                return int(value)
+    return 0
+
+
+# ---------------------------------------------------------------- a worker, our own or another's
+
+
+class _Worker(Protocol):
+    """A process that works on a run."""
+
+    def gone(self) -> bool:
+        """Whether it has ended."""
+        ...
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal, if it is still there."""
+        ...
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for its end; tell whether it came."""
+        ...
+
+    def killed(self) -> bool:
+        """Whether it ended by a signal, or may have: then nobody has made its devices safe."""
+        ...
+
+
+@dataclass
+class _Child:
+    process: subprocess.Popen[bytes]
+
+    def gone(self) -> bool:
+        return self.process.poll() is not None
+
+    def send(self, number: signal.Signals) -> None:
+        self.process.send_signal(number)
+
+    def wait(self, seconds: float) -> bool:
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(seconds)
+        return self.gone()
+
+    def killed(self) -> bool:
+        return self.process.returncode < 0
+
+
+@dataclass
+class _Orphan:
+    """A worker of a supervisor that is gone: known by its folder's lock, reached by its own sign of life."""
+
+    folder: Path
+    ended_by_us: bool = field(default=False, init=False)
+
+    def gone(self) -> bool:
+        return not is_worked_on(self.folder)
+
+    def send(self, number: signal.Signals) -> None:
+        sign = read_sign(self.folder)
+        process = open_process(sign) if sign is not None else None
+        if process is None:
+            return
+        self.ended_by_us |= number in {signal.SIGABRT, signal.SIGKILL}
+        try:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(process, number)
+        finally:
+            os.close(process)
+
+    def wait(self, seconds: float) -> bool:
+        waited_s = 0.0
+        while not self.gone() and waited_s < seconds:
+            select.select([], [], [], POLL_S)
+            waited_s += POLL_S
+        return self.gone()
+
+    def killed(self) -> bool:
+        return self.ended_by_us
+
+
+def _watched(
+    worker: _Worker, folder: Path, clock: BenchClock, say: Callable[[str], None]
+) -> tuple[float, list[str]]:
+    """Watch a worker to its end; return how long it was silent where it hung, and what could not be made safe."""
+    silent_s, unsafe = 0.0, []
+    try:
+        silent_s = _watch(worker, folder, clock)
+    except Aborted:
+        worker.send(signal.SIGTERM)
+        worker.wait(_SAFE_END_S)
+        raise
+    finally:
+        with clock.shielded():
+            if not worker.gone():
+                _end_now(worker)
+            unsafe = make_safe_after(folder, clock) if worker.killed() else []
+            for fault in unsafe:
+                say(f"CHECK THE BENCH: {fault}")
+    return silent_s, unsafe
+
+
+def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
+    """Wait for the worker's end; return how long it had been silent where it hangs, else 0."""
+    left_over = last = read_sign(folder)
+    if isinstance(worker, _Orphan):
+        left_over = None
+    since_s = clock.monotonic()
+    while not worker.gone():
+        clock.sleep(POLL_S)
+        sign, now_s = read_sign(folder), clock.monotonic()
+        silent_s = now_s - since_s
+        if sign != last:
+            last, since_s = sign, now_s
+        elif silent_s > (SILENCE_S if _is_due(sign, left_over) else QUIET_S):
+            return silent_s
+    return 0.0
+
+
+def _is_due(sign: Sign | None, left_over: Sign | None) -> bool:
+    """Whether the process should have given another sign soon after this one."""
+    return sign is not None and sign != left_over and not _waits_for_disk(sign)
+
+
+def _waits_for_disk(sign: Sign, proc: Path = Path("/proc")) -> bool:
+    """Whether the kernel has a thread of a process wait for the disk (state D): its sign of life may be what waits."""
+    for path in proc.glob(f"{sign.pid}/task/*/stat"):
+        with suppress(OSError, IndexError):
+            if path.read_text().rpartition(")")[2].split()[0] == "D":
+                return True
+    return False
+
+
+def _end_now(worker: _Worker) -> None:
+    """End a worker that does not answer; first let it write down where it stands."""
+    worker.send(signal.SIGABRT)
+    worker.send(signal.SIGCONT)
+    if not worker.wait(_LAST_WORDS_S):
+        worker.send(signal.SIGKILL)
+        worker.wait(_SAFE_END_S)
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    said = [line for line in lines if line.startswith(("The run ", "starbench: "))]
+    return (said or lines or [""])[-1][:500]

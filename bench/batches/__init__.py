@@ -1,1 +1,0 @@
-"""Many runs, one after another, each in a watched process."""

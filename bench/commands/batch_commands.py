@@ -1,0 +1,112 @@
+"""Commands about batches: begin or go on with one, add and withdraw jobs, sum up, rehearse a night.
+
+Knows words and exits, like `bench.commands.cli`; the work stands in the modules it calls.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+import click
+
+from bench.commands.options import JSON, ExistingFile, ExistingFolder, OutputFolder
+
+_BY = click.option("--operator", "by", metavar="NAME", help="Who you are; by default user@machine.")
+_FOLDER = click.argument("folder", metavar="FOLDER", type=ExistingFolder())
+_QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
+_OUTPUT = click.option(
+    "--output",
+    "-o",
+    required=True,
+    type=OutputFolder(),
+    help="Folder of the batch; with one that was begun it goes on.",
+)
+BEGIN = click.option(
+    "--begin",
+    type=click.DateTime(["%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
+    metavar="DATETHH:MM",
+    help="Moment at which the night begins, by the queue's clocks; by default now.",
+)
+
+
+class _OrQueue(click.Group):
+    """A group whose first word may also be a queue file: then that is run."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the word ``run`` before anything that is no command, and no request for help."""
+        if args and args[0] not in {*self.commands, "--help", "-h"}:
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group(cls=_OrQueue, subcommand_metavar="QUEUE -o FOLDER | COMMAND ...")
+def batch() -> None:
+    """Do the runs of a QUEUE file one after another, each watched; called again, go on where it was cut off.
+
+    While it runs: `starbench status FOLDER`, `batch add`, `batch withdraw`.
+    """
+
+
+@batch.command("run", hidden=True)
+@_QUEUE
+@_OUTPUT
+@JSON
+def run(queue: Path, output: Path, as_json: bool) -> int:
+    """Do the runs of a QUEUE file one after another, each watched; called again, go on where it was cut off."""
+    from bench.commands.batch_output import do_batch
+
+    return do_batch(queue, output, as_json=as_json)
+
+
+@batch.command()
+@_FOLDER
+@click.argument("job", type=ExistingFile())
+@_BY
+@JSON
+def add(folder: Path, job: Path, by: str | None, as_json: bool) -> int:
+    """Add a JOB (a file) to the batch in FOLDER, also while it runs."""
+    from bench.commands.batch_output import ask_batch
+
+    return ask_batch(folder, job=job, name=None, by=by, as_json=as_json)
+
+
+@batch.command()
+@_FOLDER
+@click.argument("name")
+@_BY
+@JSON
+def withdraw(folder: Path, name: str, by: str | None, as_json: bool) -> int:
+    """Withdraw the job NAME from the batch in FOLDER: of it, nothing more is begun."""
+    from bench.commands.batch_output import ask_batch
+
+    return ask_batch(folder, job=None, name=name, by=by, as_json=as_json)
+
+
+@batch.command()
+@_FOLDER
+@JSON
+def summary(folder: Path, as_json: bool) -> int:
+    """Write the summary of the batch in FOLDER, as it stands now."""
+    from bench.commands.batch_output import summarise_again
+
+    return summarise_again(folder, as_json=as_json)
+
+
+@click.command()
+@_QUEUE
+@click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder.")
+@BEGIN
+@click.option(
+    "--seed", type=click.IntRange(0, 2**62), metavar="N", default=1, show_default=True, help="Of its chance."
+)
+@click.option("--quiet", is_flag=True, help="Print only the summary.")
+@JSON
+def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet: bool, as_json: bool) -> int:
+    """Rehearse the night of a QUEUE file on a virtual clock: no device, no waiting, the same journals and summary."""
+    from bench.commands.batch_output import do_rehearsal
+
+    return do_rehearsal(queue, output, begin=begin, seed=seed, quiet=quiet, as_json=as_json)
+
+
+BATCH_COMMANDS = (batch, rehearse)

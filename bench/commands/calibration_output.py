@@ -1,0 +1,149 @@
+"""Print runs and calibrations: values with uncertainties first, reprojection error second, other methods beside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.commands.output import STOPPED, print_json
+
+if TYPE_CHECKING:
+    from bench.results.offline import OfflineResult
+    from bench.run.runner import RunEnd
+    from calib.studies.reference_methods import Baseline, NoAnswer
+
+
+def show_run(end: RunEnd, *, as_json: bool) -> int:
+    """Tell how a run ended; return the exit status."""
+    status = {"finished": 0, "aborted": STOPPED}.get(end.how, 1)
+    report = str(end.outcome.report) if end.outcome else None
+    if as_json:
+        facts = {
+            "ended": end.how,
+            "why": end.why,
+            "unsafe": list(end.unsafe),
+            "folder": str(end.folder),
+            "report": report,
+        }
+        results = end.outcome.results if end.outcome else {}
+        print_json({**facts, **dict(results.get("calibration", {})), "results": dict(results) or None})
+        return status
+    if end.outcome is None:
+        click.echo(f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}", err=True)
+        if not end.unsafe:
+            click.echo("The bench is safe: stage stopped, light off.", err=True)
+        click.echo(f"What was recorded is kept; go on with:\n  starbench resume {end.folder}", err=True)
+        return status
+    click.echo(_run_text(end.outcome.results))
+    click.echo(f"Report: {report}")
+    return status
+
+
+def print_calibration(
+    result: OfflineResult, baselines: list[Baseline | NoAnswer] | None, *, as_json: bool
+) -> None:
+    """Show a calibration made without devices, and other methods on the same points where asked for."""
+    if as_json:
+        told = result.to_dict()
+        if baselines is not None:
+            told["compared"] = [baseline_dict(row) for row in baselines]
+        print_json(told)
+        return
+    for line in result.skipped:
+        click.echo(f"left out: {line}", err=True)
+    click.echo(calibration_text(result.calibration.to_dict()))
+    if baselines is not None:
+        click.echo("\n" + comparison_text(baselines))
+    elif result.planar is not None:
+        click.echo("\nThe planar model (Zhang) on the same points, for comparison:")
+        click.echo(calibration_text(result.planar.to_dict()))
+
+
+def _run_text(results: Mapping[str, Any]) -> str:
+    lines = [calibration_text(results["calibration"])]
+    if results["comparison"]:
+        lines += ["", "SIMULATED devices. Distance from the simulated truth:"]
+        lines += [_distance_text(row) for row in results["comparison"]]
+    lines += [f"Deviation: {what}" for what in results["deviations"]]
+    return "\n".join([*lines, ""])
+
+
+def _distance_text(row: Mapping[str, Any]) -> str:
+    """Tell how far a value lies from the truth, to the digits of its uncertainty."""
+    from bench.report.text import fixed, with_uncertainty
+
+    error, _ = with_uncertainty(row["error"], 2 * row["sigma"])
+    sigmas = fixed(row["error_sigmas"], 2)
+    return f"  {row['name']:<3} {error:>12} {unit_text(row['name']):<3} = {sigmas:>5} sigma"
+
+
+def calibration_text(calibration: Mapping[str, Any]) -> str:
+    """Lay out a calibration: values with uncertainties first, reprojection error second."""
+    from bench.report.calibration_tables import coverage_factor
+    from bench.report.text import exact, with_uncertainty
+
+    values = {**calibration["camera"], **(calibration["collimator"] or {})}
+    views = calibration["views"]
+    stars = sum(view["n"] for view in views)
+    k = coverage_factor(calibration)
+    model = calibration["model"].capitalize()
+    counted = f"{len(views)} view{'' if len(views) == 1 else 's'}"
+    lines = [f"{model} model, {counted}, {stars} stars; U with k = {exact(round(k, 2))}:"]
+    for name, sigma in calibration["sigma"].items():
+        value, expanded = with_uncertainty(values[name], k * sigma)
+        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit_text(name)}".rstrip())
+    lines.append(
+        f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
+        " (how well the model follows the stars; not how accurate it is)."
+    )
+    if not calibration["converged"]:
+        lines.append("NOT CONVERGED: these numbers are no result.")
+    return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
+
+
+def unit_text(name: str) -> str:
+    """Give a parameter's unit as it is printed behind a number; nothing for a pure number."""
+    from bench.report.text import unit_of
+
+    unit = unit_of(name)
+    return "" if unit == "1" else unit
+
+
+def baseline_dict(row: Baseline | NoAnswer) -> dict[str, Any]:
+    """Give one method's answer as JSON holds it, or why it has none."""
+    from calib.studies.reference_methods import NoAnswer
+
+    if isinstance(row, NoAnswer):
+        return {"name": row.name, "failed": row.why}
+    return {
+        "name": row.name,
+        "camera": row.camera.to_dict(),
+        "sigma": dict(row.sigma),
+        "rms_px": row.rms_px,
+        "mean_px": row.mean_px,
+        "left_out_rms_px": row.left_out_rms_px,
+    }
+
+
+def comparison_text(baselines: list[Baseline | NoAnswer]) -> str:
+    """Lay out what several methods make of the same points."""
+    from calib.studies.reference_methods import NoAnswer
+
+    head = f"  {'':<34}{'fx':>10}{'stated':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
+    lines = ["On the same points:", head]
+    for row in baselines:
+        if isinstance(row, NoAnswer):
+            lines.append(f"  {row.name:<34}no answer: {row.why}")
+            continue
+        left_out = f"{row.left_out_rms_px:.4f}" if row.left_out_rms_px is not None else "-"
+        stated = f"{row.sigma['fx']:.2f}" if "fx" in row.sigma else "-"
+        lines.append(
+            f"  {row.name:<34}{row.camera.fx:>10.2f}{stated:>9}{row.camera.cx:>10.2f}"
+            f"{row.camera.cy:>10.2f}{row.rms_px:>9.4f}{left_out:>10}"
+        )
+    lines.append(
+        "stated: 1 sigma of fx by the method itself. left out: rms of unseen views, rotation alone solved."
+    )
+    return "\n".join(lines)

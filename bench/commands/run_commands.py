@@ -1,0 +1,142 @@
+"""Commands about runs, from another terminal: how one stands, hold and go on, abort, skip; and all there were.
+
+Knows words and exits, like `bench.commands.cli`; the work stands in the modules it calls.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+
+from bench.commands.options import JSON, RUN, ExistingFolder, RunFolder
+
+_BY = click.option("--operator", "by", metavar="NAME", help="Who you are; by default user@machine.")
+_MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
+_MOMENT_FORM = "DATE[THH:MM]"
+_TAKE_OVER = click.option("--take-over", is_flag=True, help="Even where somebody else holds the run.")
+
+
+@click.command()
+@click.argument("run_folder", metavar="RUN", type=RunFolder(batch=True))
+@click.option("--follow", is_flag=True, help="Go on until the run ends; exit as the run does.")
+@JSON
+def status(run_folder: Path, follow: bool, as_json: bool) -> int:
+    """Say how a RUN stands, or a batch; read-only, also while it runs."""
+    from bench.commands.run_output import show_status
+
+    return show_status(run_folder, follow=follow, as_json=as_json)
+
+
+@click.command()
+@RUN
+@_BY
+@_TAKE_OVER
+@JSON
+def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
+    """Hold a RUN at its next safe point, light off; you own it until `release`."""
+    from bench.commands.run_output import give_command
+
+    return give_command(run_folder, "hold", by=by, take_over=take_over, as_json=as_json)
+
+
+@click.command()
+@RUN
+@_BY
+@_TAKE_OVER
+@JSON
+def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
+    """Let a held RUN go on."""
+    from bench.commands.run_output import give_command
+
+    return give_command(run_folder, "release", by=by, take_over=take_over, as_json=as_json)
+
+
+@click.command()
+@RUN
+@_BY
+@JSON
+def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
+    """End a RUN now, safely; nobody is refused. It can be resumed."""
+    from bench.commands.run_output import give_command
+
+    return give_command(run_folder, "abort", by=by, as_json=as_json)
+
+
+@click.command()
+@RUN
+@click.option(
+    "--pose", type=click.IntRange(1), metavar="N", help="Number of the pose; by default the one at work."
+)
+@_BY
+@_TAKE_OVER
+@JSON
+def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as_json: bool) -> int:
+    """Skip a pose of a RUN; what was recorded there stays, and the report says so."""
+    from bench.commands.run_output import give_command
+
+    return give_command(run_folder, "skip", by=by, pose=pose, take_over=take_over, as_json=as_json)
+
+
+@click.command()
+@RUN
+@click.argument("word", type=click.Choice(["yes", "no", "continue", "abort"]))
+@_BY
+@JSON
+def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
+    """Answer the question a RUN asks: yes (continue) or no (abort)."""
+    from bench.commands.run_output import give_command
+
+    said = {"yes": "continue", "no": "abort"}.get(word, word)
+    return give_command(run_folder, "answer", by=by, answer=said, as_json=as_json)
+
+
+@click.command()
+@click.argument("folder", required=False, type=ExistingFolder())
+@click.option("--serial", metavar="NUMBER", help="Only runs of the camera with this serial number.")
+@click.option(
+    "--since", type=_MOMENT, metavar=_MOMENT_FORM, help="Only runs begun at or after this time (UTC)."
+)
+@click.option("--until", type=_MOMENT, metavar=_MOMENT_FORM, help="Only runs begun before this time (UTC).")
+@click.option("--sequence", help="Only runs of sequences with these words in their name.")
+@click.option(
+    "--how",
+    type=click.Choice(["finished", "aborted", "failed", "running", "cut off"]),
+    help="Only runs that ended so, or stand so.",
+)
+@click.option("--compare", is_flag=True, help="Compare the parameters of the runs that have a result.")
+@JSON
+def runs(
+    folder: Path | None,
+    serial: str | None,
+    since: datetime | None,
+    until: datetime | None,
+    sequence: str | None,
+    how: str | None,
+    compare: bool,
+    as_json: bool,
+) -> int:
+    """List, filter and compare runs: those in FOLDER, else all in the laboratory's ledger."""
+    from bench.commands.run_output import show_runs
+
+    begun = {
+        "since": since.replace(tzinfo=UTC) if since else None,
+        "until": until.replace(tzinfo=UTC) if until else None,
+    }
+    return show_runs(
+        folder, camera=serial, **begun, sequence=sequence, how=how, compare=compare, as_json=as_json
+    )
+
+
+@click.command()
+@click.option("--send", "send_now", is_flag=True, help="Try now to send what is waiting.")
+@JSON
+def messages(send_now: bool, as_json: bool) -> int:
+    """List the messages of this bench, sent and waiting."""
+    from bench.commands.run_output import show_messages
+
+    return show_messages(send_now=send_now, as_json=as_json)
+
+
+RUN_COMMANDS = (status, hold, release, abort, skip, answer, runs, messages)

@@ -1,0 +1,169 @@
+"""What commands about runs print: in words for people, or as JSON for programs (`bench.commands.run_commands`)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+from pydantic import ValidationError
+
+from bench.base.clock import BenchClock
+from bench.base.errors import UsageError
+from bench.base.home import home_folder
+from bench.commands.output import STOPPED, print_json
+from bench.records.ledger import Ledger
+from bench.records.run_folder import JOURNAL
+from bench.records.run_index import IndexedRun, RunIndex, run_folders
+from bench.report.text import with_uncertainty
+from bench.results.agreement import Agreement, agreements
+
+
+def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
+    """Say what resuming a run would do."""
+    if as_json:
+        print_json({"schema": "starbench/intentions/1", "intentions": list(lines)})
+    else:
+        click.echo("\n".join(lines))
+    return 0
+
+
+def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
+    """Say how a run stands; with ``follow`` again after every change, and with the run's own exit status."""
+    from bench.batch.batch_summary import is_batch
+    from bench.run.status import follow as look_again
+    from bench.run.status import read_status, status_text
+
+    if is_batch(folder):
+        from bench.commands.batch_output import show_batch_status
+
+        return show_batch_status(folder, follow=follow, as_json=as_json)
+    for status in look_again(folder) if follow else [read_status(folder)]:
+        if as_json:
+            click.echo(json.dumps(status.to_dict(), allow_nan=False, indent=None if follow else 1))
+        else:
+            click.echo(status_text(status) + ("\n" if follow else ""))
+    return {"finished": 0, "aborted": STOPPED}.get(status.ended, 1) if follow else 0
+
+
+def give_command(folder: Path, word: str, *, by: str | None, as_json: bool, **words: Any) -> int:
+    """Give a command to a run under way, and say what became of it."""
+    from bench.run.control import Command, command_text, send, who_is_there
+
+    try:
+        command = Command.model_validate({"word": word, "by": by or who_is_there(), **words})
+    except ValidationError as error:
+        raise UsageError(
+            f"--operator: {error.errors()[0]['msg']}.",
+            remedy="Give a name of at most 200 characters, in one line.",
+        ) from error
+    answer = send(folder, command)
+    if as_json:
+        print_json({"schema": "starbench/answer/1", **answer})
+    else:
+        click.echo(command_text(answer), err=not answer["taken"])
+    return 0 if answer["taken"] else 1
+
+
+# ---------------------------------------------------------------- all runs
+
+
+def show_runs(
+    folder: Path | None,
+    *,
+    camera: str | None,
+    since: datetime | None,
+    until: datetime | None,
+    sequence: str | None,
+    how: str | None,
+    compare: bool,
+    as_json: bool,
+) -> int:
+    """List runs, or compare their parameters; status 1 where the ledger and the folders do not agree."""
+    folders, missing = (run_folders(folder), []) if folder else _ledger_folders()
+    found, faults = RunIndex(home_folder()).runs(
+        folders, camera=camera, since=since, until=until, sequence=sequence, how=how
+    )
+    faults += missing
+    solved = [run for run in found if run.parameters]
+    compared = agreements(solved) if compare else None
+    if as_json:
+        told: dict[str, Any] = {"schema": "starbench/runs/1", "runs": [run.to_dict() for run in found]}
+        if compared is not None:
+            told |= {"compared": [a.to_dict() for a in compared], "of": [run.folder for run in solved]}
+        print_json({**told, "faults": faults})
+        return 1 if faults else 0
+    click.echo(_agreement_text(solved, compared) if compared is not None else _runs_text(found))
+    for fault in faults:
+        click.echo(f"FAULT: {fault}", err=True)
+    return 1 if faults else 0
+
+
+def _ledger_folders() -> tuple[list[Path], list[str]]:
+    """Folders of all runs in the ledger that are still where they were, and what is wrong with the others."""
+    clock = BenchClock()
+    ledger = Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
+    entered = ledger.runs()
+    there = [Path(run.folder) for run in entered if (Path(run.folder) / JOURNAL).is_file()]
+    gone = [
+        f"run {run.number} ({run.run_id}, {run.how}): its folder is gone from {run.folder}"
+        for run in entered
+        if run.seal is None and not (Path(run.folder) / JOURNAL).is_file()
+    ]
+    return there, [*ledger.faults(), *gone]
+
+
+def _runs_text(runs: Sequence[IndexedRun]) -> str:
+    if not runs:
+        return "No runs."
+    lines = [f"{'begun (UTC)':<17} {'camera':<10} {'how':<9} {'poses':>5}  {'rms px':>7}  run"]
+    for run in runs:
+        rms = "" if run.rms_px is None else f"{run.rms_px:.4f}"
+        marks = "  REHEARSAL" if run.rehearsal else "  SIMULATED" if run.simulated else ""
+        marks += "" if run.sealed else "  not sealed"
+        marks += f"  {run.deviations} deviations" if run.deviations else ""
+        begun = run.begun_utc[:16].replace("T", " ")
+        lines.append(
+            f"{begun:<17} {run.camera:<10} {run.how:<9} {run.accepted:>5}  {rms:>7}  {run.folder}{marks}"
+        )
+    return "\n".join(lines)
+
+
+def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> str:
+    lines = [f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model; ± is 1 sigma."]
+    for parameter in compared:
+        mean, sigma = with_uncertainty(parameter.mean, parameter.sigma)
+        lines.append(f"{parameter.name}: mean {mean} ± {sigma}, Birge ratio {parameter.birge:.2f}")
+        for run, deviation in zip(runs, parameter.deviations, strict=True):
+            value, own = with_uncertainty(*run.parameters[parameter.name])
+            lines.append(
+                f"  {run.begun_utc[:16].replace('T', ' ')}  {value:>12} ± {own:<8} {deviation:+6.2f} sigma  {run.id}"
+            )
+    return "\n".join(lines)
+
+
+def show_messages(*, send_now: bool, as_json: bool) -> int:
+    """List messages, after trying to send what is waiting where asked for; status 1 where some still wait then."""
+    from bench.messaging.messages import send
+    from bench.messaging.outbox import Outbox
+
+    outbox = Outbox(home_folder())
+    waiting = outbox.deliver(send, BenchClock().utc_now(), all_waiting=True) if send_now else 0
+    found = outbox.deliveries()
+    if as_json:
+        print_json({"schema": "starbench/messages/1", "messages": [asdict(delivery) for delivery in found]})
+        return 1 if waiting else 0
+    for delivery in found:
+        marks = f", {delivery.tries} tries" if delivery.tries > 1 else ""
+        marks += ", perhaps sent twice" if delivery.perhaps_twice else ""
+        marks += f"; {delivery.last_error}" if delivery.last_error else ""
+        kind = next(iter(json.loads(delivery.channel)))
+        written, subject = delivery.message.utc[:16].replace("T", " "), delivery.message.subject
+        click.echo(f"{written}  {kind:<7} {delivery.state:<7}  {subject}{marks}")
+    if not found:
+        click.echo("No messages.")
+    return 1 if waiting else 0

@@ -1,0 +1,111 @@
+"""A plan as the terminal shows it: plain text, narrow enough for 80 columns where names are short.
+
+Knows the wording and the columns; computes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bench.plan.plan import Plan, PlannedStep
+from sequences.script import (
+    Flicker,
+    LightStep,
+    MoveStep,
+    PromptStep,
+    RecordStep,
+    SolveStep,
+    Step,
+)
+
+MOST_LINES = 120
+"""Longer scripts are shown with their middle left out."""
+
+
+def render_plan(plan: Plan) -> str:
+    """Write a plan for people: what is wrong first, then what will happen."""
+    simulated = " (SIMULATED)" if plan.station.value.is_simulated else ""
+    lines = [f"{plan.sequence.value.name} on {plan.station.value.name}{simulated}", ""]
+    if plan.faults:
+        lines += [f"It cannot be run: {_count(len(plan.faults), 'fault')}.", *map(str, plan.faults), ""]
+    if plan.remarks:
+        lines += ["To know beforehand:", *map(str, plan.remarks), ""]
+    lines += [_steps(plan), "", _sums(plan)]
+    return "\n".join(lines)
+
+
+def duration_text(seconds: float) -> str:
+    """Write a duration as people say it.
+
+    Examples
+    --------
+    >>> duration_text(0.31), duration_text(75), duration_text(3 * 3600 + 120)
+    ('0.3 s', '1 min 15 s', '3 h 2 min')
+    """
+    if seconds < 59.5:
+        return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
+    whole = round(seconds)
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def size_text(size_bytes: float) -> str:
+    """Write a size as people say it.
+
+    Examples
+    --------
+    >>> size_text(17_650_000), size_text(2.5e9)
+    ('18 MB', '2.5 GB')
+    """
+    if size_bytes < 1e9:
+        return f"{size_bytes / 1e6:.0f} MB"
+    return f"{size_bytes / 1e9:.1f} GB"
+
+
+def _steps(plan: Plan) -> str:
+    rows = [_row(planned) for planned in plan.steps]
+    if len(rows) > MOST_LINES:
+        kept = MOST_LINES // 2
+        rows = [*rows[:kept], f"      ... {len(rows) - 2 * kept} steps ...", *rows[-kept:]]
+    return "\n".join([f"{'step':>5}  {'':<52}{'takes':>10}{'done after':>12}", *rows])
+
+
+def _row(planned: PlannedStep) -> str:
+    takes, after = duration_text(planned.duration_s), duration_text(planned.done_after_s)
+    return f"{planned.step.number:>5}  {_what(planned.step):<52}{takes:>10}{after:>12}"
+
+
+def _what(step: Step) -> str:
+    match step:
+        case LightStep(flicker=None):
+            what = "light off"
+        case LightStep(flicker=Flicker() as flicker):
+            duty = f", {flicker.duty_percent:g} % duty" if flicker.waveform == "square" else ""
+            what = f"light {flicker.waveform} {flicker.frequency_hz:g} Hz{duty}"
+        case MoveStep(pose=pose):
+            what = f"move to {_angles(pose.angles_deg)} ({pose.name})"
+        case RecordStep():
+            attempts = _count(step.attempts, "attempt")
+            what = f"record pose {step.pose.index}, {step.window_ms:g} ms, up to {attempts}"
+        case PromptStep():
+            what = f"ask: {step.text} [{step.default}]"
+        case SolveStep():
+            what = f"solve {step.model}, {' '.join(step.distortion) or 'no distortion'}, {step.loss}"
+        case _:
+            what = type(step).__name__.removesuffix("Step").lower()
+    return what
+
+
+def _angles(angles_deg: Mapping[str, float]) -> str:
+    return ", ".join(f"{axis} {angle:g}" for axis, angle in angles_deg.items()) + " deg"
+
+
+def _sums(plan: Plan) -> str:
+    poses = _count(len(plan.poses), "pose")
+    size, most = size_text(plan.size_bytes), size_text(plan.most_bytes)
+    return f"{poses}, about {duration_text(plan.duration_s)}, about {size} on disk ({most} at most)."
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

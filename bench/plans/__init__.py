@@ -1,1 +1,0 @@
-"""What a sequence would do on a station, told before anything moves."""

@@ -1,0 +1,231 @@
+"""Rehearses runs: the same steps, states and journal as a run, on a virtual clock and on devices that are not there.
+
+What differs from a run is what would make evidence of it: no recording holds events, nothing enters the
+laboratory's ledger, nothing is sealed, no message is sent. Results hold the calibration alone, without a report.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError
+from bench.plan.job import Job, calibration_options
+from bench.plan.plan import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load, plan
+from bench.records.history import Event, History, RunLog, replay
+from bench.records.journal import Journal
+from bench.records.run_folder import JOURNAL, PLAN, RESULTS, SEQUENCE_COPY, STATION_COPY, RunFolder
+from bench.records.unsynced_journal import UnsyncedJournal
+from bench.rehearsal.virtual_devices import VirtualDevices, read_view
+from bench.results.comparison import compare
+from bench.results.result import Outcome, ResultWriter, main_numbers, software
+from bench.run.runner import RunEnd, Runner
+from bench.stations.devices import Devices
+from bench.terminal.progress import Progress
+from bench.views.camera_kinds import CameraKind, EventKind
+from bench.views.measure import Expect, Measurement
+from calib.engine import Calibration, calibrate
+from calib.errors import CalibrationError
+from sequences.script import RecordStep, SolveStep
+
+SCHEMA = "starbench/rehearsal/1"
+
+OpenDevices = Callable[[], Devices]
+
+
+@dataclass(frozen=True)
+class RehearsedJob(Job):
+    """A run's task, whose recordings hold stars instead of events.
+
+    Attributes
+    ----------
+    clock
+        Where the time passes that looking at a recording takes.
+    """
+
+    clock: BenchClock
+
+    @property
+    def simulated(self) -> bool:
+        """Always: nothing is measured."""
+        return True
+
+    @property
+    def camera_kind(self) -> CameraKind:
+        """One kind for all: files of stars stand for recordings and for pictures."""
+        return EventKind({})
+
+    def measure(self, path: Path, step: RecordStep, expect: Expect | None = None) -> Measurement:  # noqa: ARG002
+        """Read the stars of a rehearsed recording."""
+        self.clock.sleep(CHECK_S)
+        try:
+            view, edges = read_view(path, step.pose.name, self.target)
+        except (OSError, ValueError, KeyError, CalibrationError) as error:
+            return Measurement(None, None, {}, f"it is no rehearsed recording: {error}")
+        facts = {
+            "rehearsed": True,
+            "flicker_hz": self.frequency_hz(step),
+            "flicker_source": "triggers",
+            "triggers_found": edges,
+            "triggers_expected": edges,
+        }
+        return Measurement(view, None, facts)
+
+
+class RehearsedResults(ResultWriter):
+    """Computes the calibration of a rehearsed run and writes it down; nothing else."""
+
+    def __init__(self, job: RehearsedJob, folder: RunFolder) -> None:
+        super().__init__(job, folder)
+        self._clock = job.clock
+        self._calibration: Calibration | None = None
+
+    def solve(
+        self,
+        step: SolveStep,
+        history: History,
+        measured: Mapping[int, Measurement],
+        check: Callable[[], None],
+    ) -> dict[str, Any]:
+        """Calibrate from the accepted recordings; as ``ResultWriter.solve``, without its comparisons."""
+        check()
+        self._clock.sleep(SOLVE_S)
+        found = [
+            measured.get(index) or self._measure_again(attempt)
+            for index, attempt in sorted(history.accepted().items())
+        ]
+        self._calibration = calibrate(
+            [m.view for m in found if m.view is not None], calibration_options(step)
+        )
+        return main_numbers(self._calibration)
+
+    def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
+        """Write results.json, which says that it is a rehearsal's."""
+        if self._calibration is None:
+            raise BenchError(
+                "There is nothing to report: no solve step came before.", remedy="Add one to the sequence."
+            )
+        self._clock.sleep(REPORT_S)
+        results = {
+            "schema": SCHEMA,
+            "rehearsal": True,
+            "run": {"id": log.history.started["id"], "started_utc": log.history.started_utc},
+            "calibration": self._calibration.to_dict(),
+            "comparison": compare(self._calibration, truth) if truth is not None else [],
+            "deviations": list(log.history.deviations),
+        }
+        data = (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()
+        self.outcome = Outcome(results, self._folder.write_atomic(RESULTS, data))
+
+
+def rehearse_run(
+    sequence: str,
+    station: str,
+    *,
+    seed: int,
+    operator: str | None,
+    folder: Path,
+    clock: BenchClock,
+    settings: Mapping[str, str] | None = None,
+) -> RunEnd:
+    """Rehearse a run, or go on with one that did not finish.
+
+    Parameters
+    ----------
+    sequence, station
+        Paths of the files, or names of shipped ones.
+    seed
+        Of what the camera sees.
+    operator
+        Who would run it.
+    folder
+        The run folder: new, or that of a rehearsed run that did not finish.
+    clock
+        Usually a ``VirtualClock``.
+    settings
+        What is set otherwise than the files say.
+
+    Raises
+    ------
+    ScriptError
+        With everything that is wrong with the files.
+    RunFolderError, StorageError
+        When the folder cannot be used.
+    """
+    planned = _without_this_room(plan(*load(sequence, station, settings)))
+    task = Job.from_plan(planned, seed=seed, operator=operator)
+    job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, clock)
+
+    def open_devices() -> Devices:
+        clock.sleep(PREFLIGHT_S)
+        return VirtualDevices(job.station, seed=seed, clock=clock)
+
+    return rehearse_job(job, folder, open_devices)
+
+
+def _without_this_room(planned: Plan) -> Plan:
+    """Leave out interlocks that look at this room and this machine's disk, and not at the bench."""
+    said = planned.station.value
+    kept = said.interlocks.model_copy(update={"door": None, "disk_space": None})
+    station = replace(planned.station, value=said.model_copy(update={"interlocks": kept}))
+    return replace(planned, station=station)
+
+
+def rehearse_job(
+    job: RehearsedJob,
+    folder: Path,
+    open_devices: OpenDevices,
+    journal_type: type[Journal] = UnsyncedJournal,
+) -> RunEnd:
+    """Rehearse a task on given devices; as ``rehearse_run``. With ``Journal`` it is stored as a run is."""
+    clock = job.clock
+    clocks: dict[str, Any] = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}
+    begun = (folder / JOURNAL).exists()
+    with RunFolder.open(folder) if begun else RunFolder.create(folder) as held:
+        if not begun:
+            _write_documents(held, job.plan)
+        opened = journal_type.open if begun else journal_type.create
+        with opened(held.journal_path, **clocks) as journal:
+            if begun and replay(journal.entries).ended == "finished":
+                return RunEnd("finished", "", held.path, None)
+            _tell_begin(journal, job, held, again=begun)
+            progress = Progress(
+                clock.monotonic, job.plan.duration_s, len(job.plan.poses), stream=io.StringIO()
+            )
+            results = RehearsedResults(job, held)
+            return Runner(job, held, journal, open_devices, clock, progress, results=results).run()
+
+
+def _documents(plan: Plan) -> dict[str, bytes]:
+    return {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
+
+
+def _write_documents(folder: RunFolder, plan: Plan) -> None:
+    for name, text in _documents(plan).items():
+        folder.write_atomic(name, text)
+    folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
+
+
+def _tell_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, again: bool) -> None:
+    if again:
+        journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), rehearsal=True)
+        return
+    plan = job.plan
+    journal.append(
+        Event.RUN_STARTED,
+        id=folder.path.name,
+        rehearsal=True,
+        sequence=plan.sequence.value.name,
+        station=plan.station.value.name,
+        sha256={name: hashlib.sha256(text).hexdigest() for name, text in _documents(plan).items()},
+        seed=job.seed,
+        operator=job.operator,
+        simulated=True,
+        software=software(),
+    )

@@ -1,0 +1,318 @@
+"""Devices that are not there, behind the protocols of those that are: for rehearsals on a virtual clock.
+
+A move takes its distance over its speed, a recording its duration, all on the clock they are given. What a camera
+would see comes from a rehearsed world (`bench.simulated`) as star centres, not as events: a recording is a small
+text file that says so in its first line. No process, no port, no thread.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench.base.clock import BenchClock
+from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
+from bench.simulated import rehearsed_world
+from bench.stations.devices import Devices
+from bench.stations.station import Station
+from bench.stations.station_cameras import FrameCameraWords
+from calib.target import StarTarget
+from calib.view import View
+from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
+from drivers.errors import NotHomed, OutsideLimits, RecordingFailed, WrongDevice
+from drivers.light import LightIdentity, LightSettings
+from drivers.stage import AxisIdentity, AxisLimits
+
+if TYPE_CHECKING:
+    from bench.simulated import RehearsedWorld
+
+MAKER = "Starbench"
+MODEL = "virtual, for rehearsals"
+FIRST_LINE = b"% REHEARSAL: stars as a rehearsed world gave them; no camera and no events\n"
+_FILTERS = ("afk", "stc", "trail", "erc")
+
+
+class VirtualDevices(Devices):
+    """A stage, a light and a camera that are not there.
+
+    Parameters
+    ----------
+    station
+        Whose axes, limits and speeds count. A station of real devices is rehearsed by what it expects of its bench.
+    seed
+        Seed of what the camera sees.
+    clock
+        Where the time passes that moves and recordings take.
+
+    Raises
+    ------
+    drivers.errors.WrongDevice
+        When the simulated camera has another serial number than the station names, as at opening a real one.
+    SimulationError
+        When the station's simulation cannot be used.
+    """
+
+    def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
+        self._simulation = None
+        self._clock = clock
+        self._world = rehearsed_world(_configuration(station), seed)
+        self.stage = VirtualStage({name: axis.limits for name, axis in station.axes.items()}, clock)
+        self.light = VirtualLight(clock)
+        simulated = station.needs_simulated_bench and not isinstance(station.camera, FrameCameraWords)
+        found = self._world.bench.camera_serial if simulated else station.camera.serial
+        if found != station.camera.serial:
+            raise WrongDevice(
+                f"The station file says serial {station.camera.serial}, and the camera says {found}.",
+                where="camera",
+                remedy="Connect the camera that the station file names.",
+            )
+        self.camera = VirtualCamera(found, self._world, self.stage, self.light, clock)
+        self._opened = ExitStack()
+
+    def truth(self) -> dict[str, Any]:
+        """What the rehearsed world is made of at this hour."""
+        return self._world.truth(self._clock.monotonic()).to_dict()
+
+
+class VirtualStage:
+    """Axes that are where they were sent, as soon as the time has passed. A ``drivers.stage.Stage``."""
+
+    def __init__(self, limits: Mapping[str, AxisLimits], clock: BenchClock) -> None:
+        self.limits = limits
+        self._clock = clock
+        self._at_deg: dict[str, float] | None = None
+
+    @property
+    def axes(self) -> Sequence[str]:
+        """Names of the axes."""
+        return tuple(self.limits)
+
+    def identify(self) -> Sequence[AxisIdentity]:
+        """Say who they are: nobody."""
+        return [AxisIdentity(name, MAKER, MODEL, "none", "") for name in self.limits]
+
+    def is_homed(self) -> bool:
+        """Whether they have been homed since they were opened."""
+        return self._at_deg is not None
+
+    def home(self) -> None:
+        """Let the time pass that finding a reference over the whole range takes."""
+        ranges = {name: limit.highest_deg - limit.lowest_deg for name, limit in self.limits.items()}
+        self._clock.sleep(self._travel_s(ranges) + HOMING_EXTRA_S)
+        self._at_deg = dict.fromkeys(self.limits, 0.0)
+
+    def move_to(self, target_deg: Mapping[str, float]) -> None:
+        """Be there, after the time a move takes. Raises OutsideLimits, NotHomed."""
+        at_deg = self.position_deg()
+        for name, angle in target_deg.items():
+            limit = self.limits[name]
+            if not limit.lowest_deg <= angle <= limit.highest_deg:
+                raise OutsideLimits(f"{angle:g} deg is outside its limits; nothing moved.", where=name)
+        self._clock.sleep(self.move_duration_s(at_deg, target_deg) + MOVE_EXTRA_S)
+        self._at_deg = {**at_deg, **target_deg}
+
+    def move_duration_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
+        """Time of a move: that of its slowest axis."""
+        return self._travel_s({name: angle - from_deg[name] for name, angle in to_deg.items()})
+
+    def position_deg(self) -> dict[str, float]:
+        """Where they are. Raises NotHomed."""
+        if self._at_deg is None:
+            raise NotHomed("The virtual stage has no reference.", where="stage", remedy="Home it first.")
+        return dict(self._at_deg)
+
+    def encoder_deg(self) -> Mapping[str, float]:
+        """There are no encoders."""
+        return {}
+
+    def faults(self) -> Sequence[str]:
+        """There are none."""
+        return ()
+
+    def stop(self) -> None:
+        """They stand still whenever somebody could ask."""
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+    def _travel_s(self, distances_deg: Mapping[str, float]) -> float:
+        limits = self.limits
+        return max(
+            (
+                travel_s(distance, limits[name].speed_deg_s, limits[name].acceleration_deg_s2)
+                for name, distance in distances_deg.items()
+            ),
+            default=0.0,
+        )
+
+
+class VirtualLight:
+    """A light that takes every setting. A ``drivers.light.Light``."""
+
+    def __init__(self, clock: BenchClock) -> None:
+        self._clock = clock
+        self._settings = LightSettings()
+        self._on = False
+
+    def identify(self) -> LightIdentity:
+        """Say who it is: nobody."""
+        return LightIdentity(MAKER, MODEL, "none", "")
+
+    def apply(self, settings: LightSettings) -> LightSettings:
+        """Take the settings."""
+        self._settings = settings
+        return settings
+
+    def read(self) -> LightSettings:
+        """Give the settings back."""
+        return self._settings
+
+    def on(self) -> None:
+        """Be on."""
+        self._clock.sleep(LIGHT_ON_S)
+        self._on = True
+
+    def off(self) -> None:
+        """Be off."""
+        self._clock.sleep(LIGHT_OFF_S)
+        self._on = False
+
+    def is_on(self) -> bool:
+        """Whether it is on."""
+        return self._on
+
+    def faults(self) -> Sequence[str]:
+        """There are none."""
+        return ()
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
+class VirtualCamera:
+    """A camera that writes down the stars of a rehearsed world. A ``drivers.camera.EventCamera``."""
+
+    def __init__(
+        self, serial: str, world: RehearsedWorld, stage: VirtualStage, light: VirtualLight, clock: BenchClock
+    ) -> None:
+        truth = world.truth(0.0).camera
+        self._size = (truth.width, truth.height)
+        self._serial = serial
+        self._world = world
+        self._stage = stage
+        self._light = light
+        self._clock = clock
+        self._settings = CameraSettings()
+        self._recordings = 0
+
+    def identify(self) -> CameraIdentity:
+        """Say who it would be."""
+        return CameraIdentity(MAKER, MODEL, "none", self._serial, "", *self._size)
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Take the settings."""
+        self._settings = settings
+        return settings
+
+    def filters(self) -> Mapping[str, bool]:
+        """All off."""
+        return dict.fromkeys(_FILTERS, False)
+
+    def temperature_c(self) -> float:
+        """Temperature at this hour of the rehearsed world."""
+        return self._world.temperature_c(self._clock.monotonic())
+
+    def record(self, path: Path, duration_s: float) -> RecordingFacts:
+        """Write down the stars of this pose. Raises RecordingFailed where the rehearsed world says so."""
+        seen = self._world.record(self._stage.position_deg(), self._clock.monotonic(), self._recordings)
+        self._recordings += 1
+        self._clock.sleep(duration_s + RECORD_EXTRA_S)
+        if seen.mishap == "lost":
+            raise RecordingFailed(
+                "The recording was not completed (a rehearsed mishap).",
+                where="camera",
+                remedy="Record again.",
+            )
+        edges = round(duration_s * self._light.read().frequency_hz) if self._light.is_on() else 0
+        told = {
+            "ids": seen.ids.tolist(),
+            "points_px": np.round(seen.points_px, 6).tolist(),
+            "sigma_px": seen.sigma_px,
+            "image_size": list(self._size),
+            "rising_edges": edges,
+        }
+        data = FIRST_LINE + json.dumps(told, separators=(",", ":")).encode() + b"\n"
+        path.write_bytes(data)
+        return RecordingFacts(
+            serial=self._serial,
+            model=MODEL,
+            width=self._size[0],
+            height=self._size[1],
+            bytes=len(data),
+            duration_s=duration_s,
+            events=0,
+            triggers=2 * edges,
+            biases=dict(self._settings.biases),
+            filters=self.filters(),
+            temperature_c=round(seen.temperature_c, 3),
+        )
+
+    def stop(self) -> None:
+        """It streams nothing."""
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
+def read_view(path: Path, name: str, target: StarTarget) -> tuple[View, int]:
+    """Read a rehearsed recording back.
+
+    Returns
+    -------
+    view
+        Its stars.
+    rising_edges
+        How many sync edges it would hold.
+
+    Raises
+    ------
+    OSError, ValueError, KeyError
+        When it is none.
+    """
+    told = json.loads(path.read_bytes().removeprefix(FIRST_LINE))
+    ids = np.array(told["ids"], dtype=np.int64)
+    points = np.array(told["points_px"], dtype=np.float64).reshape(-1, 2)
+    covariances = np.tile(np.eye(2) * max(told["sigma_px"], 1e-3) ** 2, (len(ids), 1, 1))
+    width, height = told["image_size"]
+    positions = np.asarray(target.positions_mm(ids), dtype=np.float64).reshape(-1, 2)
+    return View(name, (width, height), ids, points, positions, covariances), told["rising_edges"]
+
+
+def _configuration(station: Station) -> dict[str, Any]:
+    """Say what world a station stands in: its simulated one, else roughly what it expects of its bench."""
+    if station.simulation is not None:
+        return station.simulation
+    expected = station.expected
+    if expected is None:
+        return {}
+    width, height = expected.image_size
+    camera = {
+        "fx": expected.focal_px,
+        "fy": expected.focal_px,
+        "cx": 0.5 * (width - 1),
+        "cy": 0.5 * (height - 1),
+        "k1": expected.k1,
+        "k2": expected.k2,
+        "width": width,
+        "height": height,
+    }
+    return {
+        "camera": camera,
+        "collimator": {"r": expected.r_mm, "half_angle_deg": expected.half_angle_deg},
+        "rehearsal": {"star_sigma_px": expected.star_sigma_px},
+    }

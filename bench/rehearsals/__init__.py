@@ -1,1 +1,0 @@
-"""Runs and nights on a virtual clock."""
