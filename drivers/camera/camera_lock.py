@@ -1,6 +1,6 @@
-"""Keeps a camera to one process, and says how cameras are named for that (see `drivers.device_hold`).
+"""Lock a camera for this process, by a name that all drivers of the same camera use (see `drivers.device_hold`).
 
-The makers' software refuses a second program at best late, and OpenCV not at all.
+The makers' software refuses a second program late at best, and OpenCV does not refuse it at all.
 """
 
 from __future__ import annotations
@@ -12,19 +12,30 @@ from drivers.errors import CameraBusy, CameraError, DriverError
 
 
 def event_camera_name(serial: str) -> str:
-    """Name an event camera, so that all drivers that reach it by USB keep each other out."""
+    """Return the lock name of an event camera, so that all drivers that reach it by USB exclude each other.
+
+    Parameters
+    ----------
+    serial
+        Serial number of the camera.
+
+    Returns
+    -------
+    str
+        The name.
+    """
     return f"event camera {serial}"
 
 
 class CameraLock(DeviceHold):
-    """A camera held by this process, until ``release`` or the end of the process.
+    """A camera locked by this process, until ``release`` or the end of the process.
 
     Raises
     ------
     CameraBusy
-        When another process, or another opener in this one, holds the camera.
+        If another process, or another driver object in this one, holds the lock.
     CameraError
-        When the lock's file cannot be made.
+        If the lock file cannot be made.
     """
 
     BUSY: ClassVar[type[DriverError]] = CameraBusy

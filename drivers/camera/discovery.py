@@ -1,4 +1,4 @@
-"""Which cameras are connected, asked of every driver whose software is installed; opens none of them."""
+"""Find the cameras that are connected, by every driver whose software is installed. No camera is opened."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ from drivers.errors import DriverError
 
 
 def find_cameras() -> tuple[list[FoundCamera], list[str]]:
-    """List the cameras, and say in sentences what is missing to see others.
+    """List the connected cameras.
 
-    The same camera stands in it once for each driver that could use it.
+    A camera is listed once for each driver that could use it.
+
+    Returns
+    -------
+    tuple of list of FoundCamera and list of str
+        The cameras; and sentences about missing software, without which others cannot be seen.
     """
     found: list[FoundCamera] = []
     missing: list[str] = []

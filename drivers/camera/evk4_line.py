@@ -1,8 +1,8 @@
-"""The socket to a simulated EVK4: frames, requests and answers; knows nothing of biases or recordings.
+"""The connection to a simulated EVK4: frames, requests and answers over a socket.
 
 A frame is one ASCII byte of type, its payload's length as a little-endian uint32, and the payload:
 ``Q`` a request (JSON, host to camera), ``A`` its answer (JSON), ``D`` EVT3 words, ``N`` a notification
-(JSON).
+(JSON). The protocol is described in docs/protocols/simulated-evk4.md.
 """
 
 from __future__ import annotations
@@ -19,39 +19,47 @@ from drivers.clock import Clock
 from drivers.errors import CameraError, CameraLost, CameraNotFound, DeviceRefused, ReplyGarbled, ReplyTimeout
 
 MAX_FRAME_BYTES: Final = 1 << 26
-"""No frame of 2 ms comes near; a longer one is a peer that speaks another protocol."""
+"""Largest payload. No frame of 2 ms comes near it; a longer one comes from a peer that uses another protocol."""
 
 COMPUTING_S: Final = 600.0
-"""So long an answer or the next words may take while the camera says that it computes: its first start on a busy
-machine compiles its pixels."""
+"""Longest wait for an answer or the next words while the camera reports that it computes: at its first start on a busy
+computer it compiles its pixel model."""
 
 POLL_S: Final = 0.02
-"""Longest wait for bytes between two safe points of the clock."""
+"""Longest wait for bytes between two calls of the clock's ``sleep``, s."""
 
-_ONE_VERSION: Final = "See that a simulated EVK4 of this version listens at that address."
+_ONE_VERSION: Final = "Check that a simulated EVK4 of this version of Starbench listens at that address."
 
 _HEAD: Final = struct.Struct("<cI")
 
 
 class Frame(NamedTuple):
-    """Type and payload."""
+    """One frame.
+
+    Attributes
+    ----------
+    kind
+        Type, one byte.
+    payload
+        The bytes after the length.
+    """
 
     kind: bytes
     payload: bytes
 
 
 class Evk4Line:
-    """One connection.
+    """One connection to a simulated EVK4.
 
     Parameters
     ----------
     address
         ``host:port``.
     clock
-        Deadlines count on it; every round of waiting passes through its ``sleep``.
+        Deadlines count on it; its ``sleep`` is called in every round of waiting.
     silence_s
-        How long the camera may send nothing, while something is awaited of it, before it counts as lost. One that
-        computes for longer says so meanwhile.
+        How long the camera may send nothing while something is expected, s; after that it counts as lost. A camera that
+        computes for longer reports so meanwhile.
     """
 
     def __init__(self, address: str, *, clock: Clock, silence_s: float) -> None:
@@ -68,23 +76,34 @@ class Evk4Line:
     def request(
         self, command: str, *, interruptible: bool = True, within_s: float | None = None, **parameters: Any
     ) -> Mapping[str, Any]:
-        """Send a command and wait for its answer; words and late answers that come before it are dropped.
+        """Send a command and wait for its answer. Words and late answers that arrive before it are dropped.
 
         Parameters
         ----------
-        command, parameters
-            What to ask.
+        command
+            Name of the command.
         interruptible
             Whether the clock may end the wait.
         within_s
-            Deadline; the bounds on silence and on computing when None.
+            Deadline, s; None for the limits on silence and on computing.
+        parameters
+            Parameters of the command.
+
+        Returns
+        -------
+        Mapping of str to Any
+            The answer.
 
         Raises
         ------
         DeviceRefused
-            When the camera says no.
-        ReplyTimeout, ReplyGarbled, CameraLost
-            When it says nothing, nonsense, or has gone.
+            If the camera refuses the command.
+        ReplyTimeout
+            If no answer comes in time.
+        ReplyGarbled
+            If the camera sends something that is no frame or no JSON.
+        CameraLost
+            If the connection is lost.
         """
         number = self._send(command, parameters)
         deadline = self._clock.monotonic() + (COMPUTING_S if within_s is None else within_s)
@@ -99,29 +118,48 @@ class Evk4Line:
                     return self._checked_answer(command, answer)
             if self.silent_s() > silence_s or self._clock.monotonic() > deadline:
                 raise ReplyTimeout(
-                    f'It did not answer "{command}"; for {self.silent_s():.1f} s it has sent nothing.',
+                    f'The camera did not answer "{command}"; it has sent nothing for {self.silent_s():.1f} s.',
                     where=self._where,
                     remedy="Restart the simulated bench.",
                 )
 
     def silent_s(self) -> float:
-        """How long nothing has come, s, since something is awaited; polls count too, as a test's clock may stand."""
+        """Measure the silence while something is expected. Polls count too, as a test's clock may stand still.
+
+        Returns
+        -------
+        float
+            Time, s.
+        """
         return max(self._clock.monotonic() - self._heard_s, self._idle_s)
 
     def check_alive(self) -> None:
-        """Raise CameraLost when nothing has come for too long."""
+        """Check that the camera still sends.
+
+        Raises
+        ------
+        CameraLost
+            If nothing has come for ``silence_s``.
+        """
         if self.silent_s() > self.silence_s:
             raise self._lost(f"it has sent nothing for {self.silence_s:g} s")
 
     def receive(self) -> Frame | None:
-        """Next answer or words, or None when none is complete after a short wait.
+        """Wait a short time for the next frame.
+
+        Returns
+        -------
+        Frame or None
+            An answer or words; None if no frame is complete yet.
 
         Raises
         ------
         CameraError
-            When the camera reports a fault of its own.
-        CameraLost, ReplyGarbled
-            When it has gone, or sends something else than frames.
+            If the camera reports a fault of its own.
+        CameraLost
+            If the connection is lost.
+        ReplyGarbled
+            If the camera sends something that is no frame.
         """
         frame = self._take_frame()
         if frame is None:
@@ -137,7 +175,7 @@ class Evk4Line:
         return frame
 
     def close(self) -> None:
-        """Give the connection back."""
+        """Close the connection."""
         self._socket.close()
 
     @property
@@ -166,7 +204,7 @@ class Evk4Line:
         self._restart_silence()
 
     def _restart_silence(self) -> None:
-        """Note that something was heard, or is awaited, from now on."""
+        """Measure the silence from now on, because something was received or is expected."""
         self._heard_s, self._idle_s = self._clock.monotonic(), 0.0
 
     def _take_frame(self) -> Frame | None:
@@ -175,7 +213,7 @@ class Evk4Line:
         kind, length = _HEAD.unpack_from(self._received)
         if kind not in (b"A", b"D", b"N") or length > MAX_FRAME_BYTES or (kind == b"D" and length % 2):
             raise ReplyGarbled(
-                f"It sent something else than a frame: {bytes(self._received[:16])!r}.",
+                f"The camera sent bytes that are no frame: {bytes(self._received[:16])!r}.",
                 where=self._where,
                 remedy=_ONE_VERSION,
             )
@@ -191,11 +229,11 @@ class Evk4Line:
             value = json.loads(frame.payload)
         except (ValueError, RecursionError) as error:
             raise ReplyGarbled(
-                f"An answer that is no JSON: {frame.payload[:80]!r}.", where=self._where, remedy=_ONE_VERSION
+                f"The answer is no JSON: {frame.payload[:80]!r}.", where=self._where, remedy=_ONE_VERSION
             ) from error
         if not isinstance(value, dict):
             raise ReplyGarbled(
-                f"An answer that is no JSON object: {frame.payload[:80]!r}.",
+                f"The answer is no JSON object: {frame.payload[:80]!r}.",
                 where=self._where,
                 remedy=_ONE_VERSION,
             )
@@ -206,23 +244,25 @@ class Evk4Line:
             return answer
         reason = answer.get("message") or answer.get("error") or "it gives no reason"
         raise DeviceRefused(
-            f'It refused "{command}": {reason}',
+            f'The camera refused "{command}": {reason}',
             where=self._where,
             remedy="Correct that setting, or restart the simulated bench.",
         )
 
     def _handle_notification(self, notification: Mapping[str, Any]) -> None:
-        """Take a fault for what it is; that it computes is heard by its coming, and others are let pass."""
+        """Raise a reported fault. "Computing" needs no action beyond having arrived; others are ignored."""
         if notification.get("event") == "fault":
             raise CameraError(
-                f"It reports a fault: {notification.get('message', 'without saying which')}",
+                f"The camera reports a fault: {notification.get('message', 'no description')}",
                 where=self._where,
                 remedy="Remove the cause, then record again.",
             )
 
     def _lost(self, how: str) -> CameraLost:
         return CameraLost(
-            f"It has gone ({how}).", where=self._where, remedy="Start the simulated bench again, then resume."
+            f"The connection to the camera is lost ({how}).",
+            where=self._where,
+            remedy="Start the simulated bench again, then resume the run.",
         )
 
 
@@ -231,14 +271,14 @@ def _connect(address: str, timeout_s: float) -> socket.socket:
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise CameraNotFound(
-            f"{address!r} is no address of a camera.",
-            remedy='Write it as "host:port", e.g. "127.0.0.1:7000".',
+            f"{address!r} is not a camera address.",
+            remedy='Write the address as "host:port", e.g. "127.0.0.1:7000".',
         )
     try:
         connection = socket.create_connection((host, int(port)), timeout=min(timeout_s, 10.0))
     except OSError as error:
         raise CameraNotFound(
-            f"No camera listens there ({error.strerror or error}).",
+            f"No camera listens at this address ({error.strerror or error}).",
             where=f"camera at {address}",
             remedy="Start the simulated bench, or correct the address in the station file.",
         ) from error

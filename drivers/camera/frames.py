@@ -1,7 +1,6 @@
-"""What the bench expects of a frame camera, and the file its pictures go to: a TIFF of many pages, lossless.
+"""The interface of frame cameras, and the file that their frames go to: a lossless TIFF, one frame a page.
 
-The camera's own grey values are kept (8 or 16 bit, no gamma, no averaging); what is made of them is computed from
-the file.
+The file holds the camera's own grey values (8 or 16 bit, no gamma, no averaging). All results are computed from it.
 """
 
 from __future__ import annotations
@@ -22,11 +21,18 @@ from drivers.clock import Clock
 from drivers.errors import NotARecording, RecordingFailed, RecordingFileError
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
+"""Grey values of one frame, (height, width) uint8 or uint16."""
 
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """What is set before taking pictures, in the camera's own units; None leaves it as it is."""
+    """Settings made before a capture.
+
+    Attributes
+    ----------
+    exposure, gain
+        In the camera's own units; None leaves the value as it is.
+    """
 
     exposure: float | None = None
     gain: float | None = None
@@ -34,10 +40,24 @@ class FrameSettings:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """What is known of pictures besides their pixels.
+    """What is known of a capture besides its pixels.
 
-    ``bits`` is 8 or 16; ``saturated_share`` the share of pixels at the highest value; ``complete`` is False when
-    stopped before the last picture.
+    Attributes
+    ----------
+    serial, model
+        The camera that took the frames.
+    width, height
+        Size of a frame, px.
+    bits
+        Bit depth, 8 or 16.
+    frames
+        Number of frames.
+    bytes
+        Length of the file.
+    saturated_share
+        Share of the pixels at the highest value, 0 to 1.
+    complete
+        False if the capture was stopped before its last frame.
     """
 
     serial: str
@@ -52,53 +72,109 @@ class FrameFacts:
 
 
 class FrameCamera(Protocol):
-    """A frame camera. All methods raise ``drivers.errors.DriverError`` and nothing else."""
+    """A frame camera. Its methods raise ``drivers.errors.DriverError`` and nothing else."""
 
     def identify(self) -> CameraIdentity:
-        """Say who it is. Raises WrongDevice when the serial number differs from the given one."""
+        """Read the camera's identity.
+
+        Returns
+        -------
+        CameraIdentity
+            As far as the camera states it.
+
+        Raises
+        ------
+        WrongDevice
+            If the serial number differs from the one given when the camera was opened.
+        """
         ...
 
     def apply(self, settings: FrameSettings) -> FrameSettings:
-        """Set exposure and gain, hold the focus where it is; return what was read back.
+        """Set exposure and gain, and switch autofocus off.
 
-        Raises CameraSettingRefused when the camera does not take a setting, or goes on focusing by itself.
+        Parameters
+        ----------
+        settings
+            The wanted settings.
+
+        Returns
+        -------
+        FrameSettings
+            What the camera has now.
+
+        Raises
+        ------
+        CameraSettingRefused
+            If the camera does not accept a setting, or its autofocus stays on.
         """
         ...
 
     def capture(self, path: Path, frames: int) -> FrameFacts:
-        """Take that many pictures into a new TIFF, one a page, synced to disk.
+        """Take frames into a new TIFF, one a page, synced to disk.
 
-        Blocks; passes through the clock given at opening before each picture. Raises RecordingFailed, CameraLost.
+        The call blocks, and calls the ``sleep`` of the clock given at opening before each frame.
+
+        Parameters
+        ----------
+        path
+            The file to make; it must not exist.
+        frames
+            Number of frames.
+
+        Returns
+        -------
+        FrameFacts
+            What is known of the capture.
+
+        Raises
+        ------
+        RecordingFailed
+            If the frames cannot be used, or the file cannot be written.
+        CameraLost
+            If the camera sends no frame.
         """
         ...
 
     def stop(self) -> None:
-        """End a capture after the present picture; callable from any thread."""
+        """End a capture after the present frame. Callable from any thread."""
         ...
 
     def close(self) -> None:
-        """Let the camera go."""
+        """Release the camera."""
         ...
 
 
-def to_grey(picture: NDArray[Any], *, where: str) -> Frame:
-    """Give the grey values of a picture of one, three (BGR) or four channels.
+def to_grey(image: NDArray[Any], *, where: str) -> Frame:
+    """Return the grey values of an image of one, three (BGR) or four channels (BGRA).
 
-    Raises RecordingFileError when its pixels are neither 8 nor 16 bit.
+    Parameters
+    ----------
+    image
+        (height, width) or (height, width, channels), uint8 or uint16.
+    where
+        The file or camera, for messages.
+
+    Returns
+    -------
+    ndarray
+        (height, width), of the same type.
+
+    Raises
+    ------
+    RecordingFileError
+        If the pixels are neither 8 nor 16 bit.
     """
-    if picture.dtype not in (np.uint8, np.uint16) or picture.ndim not in (2, 3):
+    if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         raise RecordingFileError(
-            f"Its pixels are {picture.dtype}, in an array of {picture.ndim} dimensions.",
+            f"The image has pixels of {image.dtype}, in an array of {image.ndim} dimensions.",
             where=where,
-            remedy="Give pictures of 8 or 16 bit.",
+            remedy="Give images of 8 or 16 bit.",
         )
-    if picture.ndim == 2:
-        return picture
-    if picture.shape[2] == 1:
-        return picture[:, :, 0]
-    weighted: Any = cv2.cvtColor(
-        picture, cv2.COLOR_BGR2GRAY if picture.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
-    )
+    if image.ndim == 2:
+        return image
+    if image.shape[2] == 1:
+        return image[:, :, 0]
+    weighted: Any = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
     return weighted
 
 
@@ -111,14 +187,34 @@ def capture_frames(
     clock: Clock,
     stop_asked: threading.Event,
 ) -> FrameFacts:
-    """Take pictures one after the other and write them: what every ``FrameCamera.capture`` does.
+    """Take frames one after the other and write them: the common part of every ``FrameCamera.capture``.
 
-    Nothing is written when it is interrupted or the camera fails: pictures are quickly taken again.
+    Nothing is written if the capture is interrupted or the camera fails, because frames are quickly taken again.
+
+    Parameters
+    ----------
+    path
+        The file to make; it must not exist.
+    frames
+        Number of frames.
+    next_frame
+        Takes one frame.
+    camera
+        The camera, with the expected size of a frame.
+    clock
+        Its ``sleep`` is called before each frame.
+    stop_asked
+        Set by another thread to end the capture early.
+
+    Returns
+    -------
+    FrameFacts
+        What is known of the capture.
 
     Raises
     ------
     RecordingFailed
-        When there is no picture to write, one has another size or depth, or the file cannot be written.
+        If there is no frame, sizes or bit depths differ, or the file cannot be written.
     """
     check_new(path)
     taken: list[Frame] = []
@@ -128,9 +224,10 @@ def capture_frames(
     wanted = (camera.height, camera.width)
     if not taken or any(one.shape != wanted or one.dtype != taken[0].dtype for one in taken):
         raise RecordingFailed(
-            f"{len(taken)} of {frames} pictures, not all of {camera.width} x {camera.height} px and one depth.",
+            f"The camera delivered {len(taken)} of {frames} frames; at least one is needed, and all must have "
+            f"{camera.width} x {camera.height} px and one bit depth.",
             where=str(path),
-            remedy="Ask for one picture at least, of a camera whose format does not change.",
+            remedy="Request at least one frame, from a camera whose format does not change.",
         )
     highest = np.iinfo(taken[0].dtype).max
     return FrameFacts(
@@ -147,12 +244,24 @@ def capture_frames(
 
 
 def write_frames(path: Path, frames: Sequence[Frame]) -> int:
-    """Write pictures of one size and depth as a new TIFF; returns its length in bytes.
+    """Write frames of one size and bit depth as a new TIFF.
+
+    Parameters
+    ----------
+    path
+        The file to make; it must not exist.
+    frames
+        The frames, at least one, each (height, width) uint8 or uint16.
+
+    Returns
+    -------
+    int
+        Length of the file, bytes.
 
     Raises
     ------
     RecordingFailed
-        When there is such a file, or it cannot be written.
+        If the file exists, or cannot be written.
     """
     check_new(path)
     partial = path.with_name(f"{path.stem}.partial.tiff")
@@ -161,7 +270,7 @@ def write_frames(path: Path, frames: Sequence[Frame]) -> int:
         partial.unlink(missing_ok=True)
         check_space(path)
         raise RecordingFailed(
-            "The pictures cannot be written.", where=str(path), remedy="Check the folder and the disk."
+            "The frames cannot be written.", where=str(path), remedy="Check the folder and the disk."
         )
     sync_file(partial)
     partial.rename(path)
@@ -170,14 +279,24 @@ def write_frames(path: Path, frames: Sequence[Frame]) -> int:
 
 
 def read_frames(path: Path) -> NDArray[Any]:
-    """All pictures of a file: (n, height, width), uint8 or uint16.
+    """Read all images of a file.
+
+    Parameters
+    ----------
+    path
+        An image, or a TIFF of several pages.
+
+    Returns
+    -------
+    ndarray
+        (n, height, width), uint8 or uint16: grey values.
 
     Raises
     ------
     NotARecording
-        When it holds no pictures of one size.
+        If it holds no images of one size and bit depth.
     RecordingFileError
-        When it cannot be read.
+        If it cannot be read.
     """
     if not path.is_file():
         raise RecordingFileError("There is no such file.", where=str(path), remedy="Check the path.")
@@ -185,11 +304,29 @@ def read_frames(path: Path) -> NDArray[Any]:
     frames = [to_grey(page, where=str(path)) for page in pages] if found else []
     if not frames or len({(frame.shape, frame.dtype) for frame in frames}) != 1:
         raise NotARecording(
-            "It holds no pictures of one size and depth.", where=str(path), remedy="Give a picture or a TIFF."
+            "The file holds no images of one size and bit depth.",
+            where=str(path),
+            remedy="Give an image or a TIFF of several pages.",
         )
     return np.stack(frames)
 
 
 def mean_frame(path: Path) -> NDArray[np.float32]:
-    """Mean of all pictures of a file, (height, width), in units of their grey values. Raises as ``read_frames``."""
+    """Read all images of a file, and average them.
+
+    Parameters
+    ----------
+    path
+        An image, or a TIFF of several pages.
+
+    Returns
+    -------
+    ndarray
+        (height, width) float32, in units of the grey values.
+
+    Raises
+    ------
+    NotARecording, RecordingFileError
+        As ``read_frames``.
+    """
     return read_frames(path).mean(axis=0, dtype=np.float64).astype(np.float32)

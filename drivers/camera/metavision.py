@@ -1,8 +1,8 @@
-"""Prophesee cameras through the HAL of Metavision or OpenEB: knows its Python calls, opens no camera on import.
+"""Driver of Prophesee cameras by the HAL of Metavision or OpenEB.
 
-The vendor's software is looked for when a camera is opened, not before. Only calls that return at once are
-used, since its blocking ones keep every other Python thread from running. It logs the camera's bytes to the
-file itself; whether all of them arrived (it does not tell a full disk) is read from the file afterwards.
+The maker's software is imported when a camera is opened, not before. Only its calls that return at once are used,
+since its blocking calls keep every other Python thread from running. It writes the camera's bytes to the file itself.
+It does not report a full disk, so the driver reads the file afterwards to check that all bytes arrived.
 """
 
 from __future__ import annotations
@@ -34,18 +34,31 @@ from drivers.errors import (
 )
 
 SILENCE_S: Final = 5.0
-"""A sensor that streams sends its clock every 16 us."""
+"""Longest silence before the camera counts as lost, s. A sensor that streams sends its clock every 16 us."""
 
 _POLL_S: Final = 0.001
 
-_RECONNECT: Final = "Check its cable and power, then resume the run."
+_RECONNECT: Final = "Check the camera's cable and power, then resume the run."
 
 _LARGEST_STEP_US: Final = 1_000_000
-"""Between two buffers of one stream lie milliseconds; a longer step is the clock of another start."""
+"""Between two buffers of one stream lie milliseconds. A longer step means that the sensor's clock was restarted."""
 
 
 def discover() -> tuple[FoundCamera, ...]:
-    """List the cameras that the vendor's software sees. Raises CameraSoftwareMissing, CameraError."""
+    """List the cameras that the maker's software finds.
+
+    Returns
+    -------
+    tuple of FoundCamera
+        The cameras.
+
+    Raises
+    ------
+    CameraSoftwareMissing
+        If ``metavision_hal`` cannot be imported.
+    CameraError
+        If it cannot list cameras.
+    """
     hal = _vendor_software()
     try:
         return tuple(
@@ -58,9 +71,9 @@ def discover() -> tuple[FoundCamera, ...]:
         )
     except RuntimeError as error:
         raise CameraError(
-            f"Its software cannot list cameras ({_reason(error)}).",
+            f"The software cannot list cameras ({_reason(error)}).",
             where="metavision_hal",
-            remedy="See that its plugins are found (MV_HAL_PLUGIN_PATH), and that this user may use USB.",
+            remedy="Check that its plugins are found (MV_HAL_PLUGIN_PATH), and that this user may use USB.",
         ) from error
 
 
@@ -72,13 +85,13 @@ class MetavisionEvk4:
     device
         An open HAL device: a camera, or a RAW file opened as one.
     hal
-        The module it comes from.
+        The module ``metavision_hal``.
     serial
-        The serial number it must have; None takes any.
+        The serial number that the camera must have; None accepts any.
     clock
         All waits pass through it.
-    hold
-        What keeps it to this process; released by ``close``.
+    lock
+        The lock that reserves the camera for this process; ``close`` releases it.
     """
 
     def __init__(
@@ -93,18 +106,32 @@ class MetavisionEvk4:
 
     @classmethod
     def open(cls, *, serial: str | None = None, clock: Clock) -> MetavisionEvk4:
-        """Open a camera in the format EVT3; None takes the first one found.
+        """Open a camera in the format EVT3.
+
+        Parameters
+        ----------
+        serial
+            The serial number; None opens the first camera found.
+        clock
+            All waits pass through it.
+
+        Returns
+        -------
+        MetavisionEvk4
+            The open camera.
 
         Raises
         ------
         CameraSoftwareMissing
-            When ``metavision_hal`` cannot be imported.
+            If ``metavision_hal`` cannot be imported.
         CameraNotFound
-            When there is no such camera, or another program holds it.
+            If there is no such camera, or another program uses it.
         CameraBusy
-            When another process of this bench holds it; the camera has not been touched if its number was given.
-        WrongDevice, CameraSettingRefused
-            When another camera answers, or it does not send EVT3.
+            If another process of this bench has locked it; with a serial number given, the camera has not been touched.
+        WrongDevice
+            If another camera answers.
+        CameraSettingRefused
+            If the camera does not send EVT3.
         """
         hal = _vendor_software()
         lock = CameraLock(event_camera_name(serial)) if serial else None
@@ -134,14 +161,27 @@ class MetavisionEvk4:
         if device is None:
             seen = ", ".join(camera.serial for camera in discover()) or "none"
             raise CameraNotFound(
-                f"Camera {serial or 'of any number'} cannot be opened{reason}; connected cameras: {seen}.",
-                remedy="Check its cable and power, the serial number in the station file, the udev rules, and "
-                "that no other program uses it.",
+                f"Camera {serial or 'with any serial number'} cannot be opened{reason}; connected cameras: {seen}.",
+                remedy="Check the camera's cable and power, the serial number in the station file, the udev rules, "
+                "and that no other program uses the camera.",
             )
         return device
 
     def identify(self) -> CameraIdentity:
-        """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
+        """Read the camera's identity.
+
+        Returns
+        -------
+        CameraIdentity
+            As the HAL states it; the model and the firmware only if it names a release version.
+
+        Raises
+        ------
+        WrongDevice
+            If the serial number differs from the one given when the camera was opened.
+        CameraLost
+            If the camera goes away meanwhile.
+        """
         try:
             who = self._facility("get_i_hw_identification", "identification")
             geometry = self._facility("get_i_geometry", "geometry")
@@ -160,36 +200,45 @@ class MetavisionEvk4:
             raise self._lost(error) from error
         if self._serial is not None and identity.serial != self._serial:
             raise WrongDevice(
-                f"It is camera {identity.serial}, not {self._serial}.",
+                f"This is camera {identity.serial}, not {self._serial}.",
                 where=self._where,
                 remedy="Correct the serial number in the station file, or plug in the right camera.",
             )
         return identity
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set biases and trigger input, switch all filters off; return what was read back.
-
-        Biases that are not named go back to their factory value. Raises CameraSettingRefused.
-        """
+        """See `EventCamera.apply`."""
         return apply_settings(self._device, self._hal, settings, where=self._where)
 
     def filters(self) -> Mapping[str, bool]:
-        """On-chip filters that it has and whether each is on."""
+        """See `EventCamera.filters`."""
         return read_filters(self._device, self._hal, where=self._where)
 
     def temperature_c(self) -> float | None:
-        """Sensor temperature, or None where it cannot tell."""
+        """See `EventCamera.temperature_c`."""
         return read_monitoring(self._device, "get_temperature")
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Record at least that long of the sensor's clock into a new RAW file; see ``EventCamera.record``.
+        """Record into a new RAW file; see `EventCamera.record`.
+
+        Parameters
+        ----------
+        path
+            The file to make; it must not exist.
+        duration_s
+            The file covers at least this time on the sensor's clock, s.
+
+        Returns
+        -------
+        RecordingFacts
+            What is known of the recording.
 
         Raises
         ------
         RecordingFailed
-            When the file cannot be made, or turns out shorter than what was streamed; it is kept.
+            If the file cannot be made, or covers less time than was streamed; it is kept.
         CameraLost
-            When the camera goes away meanwhile; what came before is kept.
+            If the camera goes away meanwhile; what was recorded before is kept.
         """
         check_duration(duration_s, where=self._where)
         check_new(path)
@@ -201,7 +250,7 @@ class MetavisionEvk4:
         if complete and scan.duration_s < duration_s:
             check_space(path)
             raise RecordingFailed(
-                f"It covers only {scan.duration_s:.6f} s of the sensor's clock, not {duration_s} s.",
+                f"The recording covers only {scan.duration_s:.6f} s of the sensor's clock, not {duration_s} s.",
                 where=str(path),
                 remedy="Record it again.",
             )
@@ -215,11 +264,11 @@ class MetavisionEvk4:
         )
 
     def stop(self) -> None:
-        """End a recording at its next buffer; callable from any thread."""
+        """End a recording at its next buffer. Callable from any thread."""
         self._stop_asked.set()
 
     def close(self) -> None:
-        """Let the camera go."""
+        """See `EventCamera.close`."""
         self._device = None
         if self._lock is not None:
             self._lock.release()
@@ -227,7 +276,7 @@ class MetavisionEvk4:
     # ------------------------------------------------------------- streaming
 
     def _run(self, path: Path, duration_s: float) -> bool:
-        """Stream into the file until the time is covered; returns whether it was."""
+        """Stream into the file until the duration is covered; return whether it was."""
         stream = self._facility("get_i_events_stream", "event stream")
         # Logging starts before the stream does, or its first buffers would be missing.
         try:
@@ -236,9 +285,9 @@ class MetavisionEvk4:
             raise self._lost(error) from error
         if not logs:
             raise RecordingFailed(
-                "The camera's software cannot write it.",
+                "The camera's software cannot write this file.",
                 where=str(path),
-                remedy="Check that the folder exists and may be written.",
+                remedy="Check that the folder exists and that you may write to it.",
             )
         try:
             stream.start()
@@ -254,7 +303,7 @@ class MetavisionEvk4:
             sync_file(path)
 
     def _poll(self, stream: Any, duration_s: float) -> bool:
-        """Take buffers until the sensor's clock has covered the duration; False when stopped or ended."""
+        """Take buffers until the duration is covered; return False if stopped, or if the stream ended."""
         decoder = self._facility("get_i_events_stream_decoder", "decoder")
         wanted_us = math.ceil(duration_s * 1e6)
         covered_us, last_us = 0, -1
@@ -266,7 +315,9 @@ class MetavisionEvk4:
             if ready == 0:
                 if self._clock.monotonic() > deadline:
                     raise CameraLost(
-                        f"It has sent nothing for {SILENCE_S:g} s.", where=self._where, remedy=_RECONNECT
+                        f"The camera has sent nothing for {SILENCE_S:g} s.",
+                        where=self._where,
+                        remedy=_RECONNECT,
                     )
                 self._clock.sleep(_POLL_S)
                 continue
@@ -295,13 +346,13 @@ class MetavisionEvk4:
         return f"camera {self._serial or 'at Metavision'}"
 
     def _facility(self, getter: str, name: str) -> Any:
-        """Return a facility that every camera has. Raises CameraError when this one does not, or is closed."""
+        """Return a facility that every camera has. Raises CameraError if this camera lacks it, or is closed."""
         facility = getattr(self._device, getter)() if self._device is not None else None
         if facility is None:
             raise CameraError(
-                f"Its {name} cannot be reached.",
+                f"The camera's {name} cannot be reached.",
                 where=self._where,
-                remedy="Reconnect the camera, then resume.",
+                remedy="Reconnect the camera, then resume the run.",
             )
         return facility
 
@@ -311,15 +362,19 @@ class MetavisionEvk4:
         )
         if not encoding.startswith("EVT3"):
             raise CameraSettingRefused(
-                f"It sends {encoding or 'an unknown format'}, not EVT3.",
+                f"The camera sends {encoding or 'an unknown format'}, not EVT3.",
                 where=self._where,
-                remedy="Update the camera's firmware, or use one that sends EVT3.",
+                remedy="Update the camera's firmware, or use a camera that sends EVT3.",
             )
 
     def _lost(self, error: Exception, path: Path | None = None) -> CameraLost:
-        kept = f" What came before is in {path}." if path else ""
-        said = error.what if isinstance(error, CameraError) else f"It has gone ({_reason(error)})."
-        return CameraLost(said + kept, where=self._where, remedy=_RECONNECT)
+        kept = f" What was recorded before is in {path}." if path else ""
+        cause = (
+            error.what
+            if isinstance(error, CameraError)
+            else f"The camera is disconnected ({_reason(error)})."
+        )
+        return CameraLost(cause + kept, where=self._where, remedy=_RECONNECT)
 
 
 def _vendor_software() -> Any:
@@ -329,13 +384,13 @@ def _vendor_software() -> Any:
     except ImportError as error:
         raise CameraSoftwareMissing(
             f"The camera's software, metavision_hal, cannot be imported ({error}).",
-            remedy="Install OpenEB or the Metavision SDK 5 (docs.prophesee.ai; not from PyPI), for the same "
-            "version of Python as Starbench's, and make its Python folder known by PYTHONPATH.",
+            remedy="Install OpenEB or the Metavision SDK 5 (docs.prophesee.ai; not from PyPI) for the Python "
+            "version that runs Starbench, and add its Python folder to PYTHONPATH.",
         ) from error
 
 
 def _reason(error: Exception) -> str:
-    """Give the line of the vendor's message, often framed and titled, that says what happened."""
+    """Return the line of the maker's message, often framed and titled, that states the cause."""
     lines = [line.strip() for line in str(error).splitlines() if any(c.isalpha() for c in line)]
     return next(
         (line for line in lines if line.startswith("Error")), lines[0] if lines else "no reason given"

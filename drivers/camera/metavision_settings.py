@@ -1,6 +1,6 @@
-"""Settings of a camera behind the Metavision HAL: biases, filters, region, trigger input, monitoring.
+"""Settings of a camera behind the Metavision HAL: biases, filters, region of interest, trigger input, monitoring.
 
-A camera lacks some facilities: their getters then return None, and what they would tell is left out.
+A camera may lack some facilities of the HAL. Their getters then return None, and their values are left out.
 """
 
 from __future__ import annotations
@@ -13,11 +13,29 @@ from drivers.camera import CameraSettings
 from drivers.errors import CameraSettingRefused
 
 BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
-"""Those that CameraSettings may name; ``bias_diff`` is the reference of two others and stays."""
+"""The biases that CameraSettings may name. ``bias_diff`` is the reference of two of them and is never changed."""
 
 
 def read_biases(device: Any, *, where: str) -> dict[str, int]:
-    """Biases as offsets from the factory value; empty where the camera does not tell them."""
+    """Read the biases.
+
+    Parameters
+    ----------
+    device
+        An open HAL device.
+    where
+        The camera, for messages.
+
+    Returns
+    -------
+    dict of str to int
+        Offsets from the factory value; empty if the camera cannot be asked.
+
+    Raises
+    ------
+    CameraSettingRefused
+        If the camera fails to answer.
+    """
     facility = device.get_i_ll_biases()
     if facility is None:
         return {}
@@ -26,7 +44,27 @@ def read_biases(device: Any, *, where: str) -> dict[str, int]:
 
 
 def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
-    """Filters that the camera has, and whether each is on."""
+    """Read which on-chip filters are on.
+
+    Parameters
+    ----------
+    device
+        An open HAL device.
+    hal
+        The module ``metavision_hal``.
+    where
+        The camera, for messages.
+
+    Returns
+    -------
+    dict of str to bool
+        The filters that the camera has, and whether each is on.
+
+    Raises
+    ------
+    CameraSettingRefused
+        If the camera fails to answer.
+    """
     found = {}
     with _refusal("read its filters", where):
         if (antiflicker := device.get_i_antiflicker_module()) is not None:
@@ -43,7 +81,20 @@ def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
 
 
 def read_monitoring(device: Any, call: str) -> float | None:
-    """One number of the monitoring facility; None where the camera does not measure it."""
+    """Read one number of the monitoring facility.
+
+    Parameters
+    ----------
+    device
+        An open HAL device; None if it is closed.
+    call
+        Name of the facility's method.
+
+    Returns
+    -------
+    float or None
+        In the unit of that method; None if the camera does not measure it.
+    """
     monitoring = device.get_i_monitoring() if device is not None else None
     if monitoring is None:
         return None
@@ -54,7 +105,29 @@ def read_monitoring(device: Any, call: str) -> float | None:
 
 
 def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: str) -> CameraSettings:
-    """Set everything and return what was read back. Raises CameraSettingRefused."""
+    """Change all settings, switch the filters off, and read everything back.
+
+    Parameters
+    ----------
+    device
+        An open HAL device.
+    hal
+        The module ``metavision_hal``.
+    settings
+        The wanted settings.
+    where
+        The camera, for messages.
+
+    Returns
+    -------
+    CameraSettings
+        What was read back; the region of interest is the wanted one, as the HAL cannot read it back.
+
+    Raises
+    ------
+    CameraSettingRefused
+        If the camera does not accept a setting, or another value is read back.
+    """
     _set_biases(device, settings.biases, where)
     for getter in ("get_i_antiflicker_module", "get_i_event_trail_filter_module", "get_i_erc_module"):
         if (facility := getattr(device, getter)()) is not None:
@@ -63,9 +136,9 @@ def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: st
     _set_roi(device, hal, settings.roi, where)
     if left_on := [name for name, on in read_filters(device, hal, where=where).items() if on]:
         raise CameraSettingRefused(
-            f"Its filter {', '.join(left_on)} stays on.",
+            f"The on-chip filters {', '.join(left_on)} could not be switched off.",
             where=where,
-            remedy="A filter falsifies the recording: reconnect the camera.",
+            remedy="Reconnect the camera; a filter falsifies the recording.",
         )
     trigger_in = _set_trigger_in(device, hal, settings.trigger_in, where)
     return CameraSettings(read_biases(device, where=where), trigger_in, settings.roi)
@@ -76,25 +149,25 @@ def _set_biases(device: Any, wanted: Mapping[str, int], where: str) -> None:
     if facility is None:
         if any(wanted.values()):
             raise CameraSettingRefused(
-                "It has no biases to set.", where=where, remedy="Leave the biases out of the station file."
+                "The camera has no biases.", where=where, remedy="Leave the biases out of the station file."
             )
         return
-    with _refusal("tell its biases", where):
+    with _refusal("list its biases", where):
         present = facility.get_all_biases()
         known = [name for name in BIASES if name in present]
         ranges = {name: facility.get_bias_info(name).get_bias_range() for name in known}
     if unknown := sorted(set(wanted) - set(known)):
         raise CameraSettingRefused(
-            f"It has no bias {', '.join(unknown)}.",
+            f"The camera has no bias {', '.join(unknown)}.",
             where=where,
-            remedy=f"Biases of this camera: {', '.join(known)}.",
+            remedy=f"Use the biases of this camera: {', '.join(known)}.",
         )
     for name in known:
         value = wanted.get(name, 0)
         lowest, highest = ranges[name]
         if not lowest <= value <= highest:
             raise CameraSettingRefused(
-                f"It takes {name} from {lowest} to {highest}, not {value}.",
+                f"The camera accepts {name} from {lowest} to {highest}, not {value}.",
                 where=where,
                 remedy="Correct the bias in the station file.",
             )
@@ -103,19 +176,21 @@ def _set_biases(device: Any, wanted: Mapping[str, int], where: str) -> None:
             held = int(facility.get(name))
         if not taken or held != value:
             raise CameraSettingRefused(
-                f"{name} was set to {value}, but reads back {held}.",
+                f"The bias {name} was set to {value}, but reads back {held}.",
                 where=where,
                 remedy="Reconnect the camera, or use another value.",
             )
 
 
 def _set_roi(device: Any, hal: Any, roi: tuple[int, int, int, int] | None, where: str) -> None:
-    """Let only a window of the sensor send events, or all of it. The HAL cannot be asked for the window it has."""
+    """Let only a window of the sensor send events, or all of it. The HAL cannot read the window back."""
     facility = device.get_i_roi()
     if facility is None:
         if roi is not None:
             raise CameraSettingRefused(
-                "It has no region of interest.", where=where, remedy="Leave roi out of the station file."
+                "The camera has no region of interest.",
+                where=where,
+                remedy="Leave roi out of the station file.",
             )
         return
     with _refusal("set its region of interest", where):
@@ -125,7 +200,7 @@ def _set_roi(device: Any, hal: Any, roi: tuple[int, int, int, int] | None, where
             geometry = device.get_i_geometry()
             if x + width > geometry.get_width() or y + height > geometry.get_height():
                 raise CameraSettingRefused(
-                    f"The region of interest {roi} reaches beyond its {geometry.get_width()} x "
+                    f"The region of interest {roi} reaches beyond the sensor of {geometry.get_width()} x "
                     f"{geometry.get_height()} px.",
                     where=where,
                     remedy="Correct roi in the station file.",
@@ -135,21 +210,21 @@ def _set_roi(device: Any, hal: Any, roi: tuple[int, int, int, int] | None, where
         taken &= facility.enable(roi is not None) is not False
     if not taken:
         raise CameraSettingRefused(
-            f"It did not take the region of interest {roi or 'off'}.",
+            f"The camera did not accept the region of interest {roi or 'off'}.",
             where=where,
             remedy="Reconnect the camera.",
         )
 
 
 def _set_trigger_in(device: Any, hal: Any, on: bool, where: str) -> bool:
-    """Switch the main trigger input; returns what was read back."""
+    """Switch the main trigger input; return what was read back."""
     facility = device.get_i_trigger_in()
     if facility is None:
         if on:
             raise CameraSettingRefused(
-                "It has no trigger input, so the light's phase cannot be recorded.",
+                "The camera has no trigger input, so the light's phase cannot be recorded.",
                 where=where,
-                remedy="Use a camera with a trigger input, or switch trigger_in off.",
+                remedy="Use a camera with a trigger input, or switch trigger_in off in the station file.",
             )
         return False
     channel = hal.I_TriggerIn.Channel.MAIN
@@ -159,7 +234,7 @@ def _set_trigger_in(device: Any, hal: Any, on: bool, where: str) -> bool:
         found = bool(facility.is_enabled(channel))
     if found != on:
         raise CameraSettingRefused(
-            f"Its trigger input stays {'on' if found else 'off'}.",
+            f"The trigger input stays {'on' if found else 'off'}.",
             where=where,
             remedy="Reconnect the camera.",
         )
@@ -168,13 +243,13 @@ def _set_trigger_in(device: Any, hal: Any, on: bool, where: str) -> bool:
 
 @contextmanager
 def _refusal(doing: str, where: str) -> Iterator[None]:
-    """Turn the HAL's RuntimeError into ours."""
+    """Convert the HAL's RuntimeError to CameraSettingRefused."""
     try:
         yield
     except RuntimeError as error:
         reason = " ".join(str(error).split())
         raise CameraSettingRefused(
-            f"It would not {doing} ({reason}).",
+            f"The camera refused to {doing} ({reason}).",
             where=where,
-            remedy="Correct that setting, or reconnect the camera.",
+            remedy="Correct this setting, or reconnect the camera.",
         ) from error

@@ -1,9 +1,9 @@
-"""EVK4 through ``neuromorphic-drivers`` (extra ``evk4``): its USB bytes as they come, losses on the way noticed.
+"""Driver of the EVK4 by ``neuromorphic-drivers`` (extra ``evk4``): the camera's USB bytes, and losses on the way.
 
-That package needs no vendor software. It streams from opening on, so a recording drops what has piled up, and
-the packet that was being filled meanwhile (at a low rate it reaches back half a second); it begins at the next
-TIME_HIGH word, which gives every decoder a clock to start from. It has no anti-flicker, STC
-or trail filter, its rate limiter stays off, and it sets biases but cannot read them back.
+That package needs no software of the maker. It streams from opening on, so a recording drops what has queued up, and
+the packet that was being filled meanwhile (at a low event rate it reaches back half a second). The recording begins at
+the next TIME_HIGH word, from which every decoder has a clock. The package has no anti-flicker, STC or trail filter, its
+rate limiter stays off, and it sets biases but cannot read them back.
 """
 
 from __future__ import annotations
@@ -34,24 +34,37 @@ from drivers.errors import (
 )
 
 SILENCE_S: Final = 5.0
-"""A sensor that streams sends its clock every 16 us."""
+"""Longest silence before the camera counts as lost, s. A sensor that streams sends its clock every 16 us."""
 
 POLL_S: Final = 0.02
-"""Longest wait for bytes; other threads run meanwhile."""
+"""Longest wait for bytes, s; other threads run meanwhile."""
 
 BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
 
 
 def discover() -> tuple[FoundCamera, ...]:
-    """List the EVK4 that are connected. Raises CameraSoftwareMissing, and CameraError where there is no USB."""
+    """List the EVK4 that are connected.
+
+    Returns
+    -------
+    tuple of FoundCamera
+        The cameras.
+
+    Raises
+    ------
+    CameraSoftwareMissing
+        If ``neuromorphic-drivers`` is not installed.
+    CameraError
+        If the USB devices cannot be listed.
+    """
     package = _package()
     try:
         listed = package.list_devices()
     except RuntimeError as error:
         raise CameraError(
-            f"USB cannot be looked through for EVK4 ({error}).",
+            f"The USB devices cannot be listed ({error}).",
             where="neuromorphic-drivers",
-            remedy="A computer without USB has none; else see that this user may use it.",
+            remedy="Check that this computer has USB, and that this user may use it.",
         ) from error
     return tuple(
         FoundCamera("neuromorphic_evk4", device.serial or "", "Prophesee EVK4, USB", device.error or "")
@@ -66,17 +79,17 @@ class NeuromorphicEvk4:
     Parameters
     ----------
     device
-        An open device that hands out raw bytes.
+        An open device that provides raw bytes.
     package
-        The module it comes from.
+        The module ``neuromorphic_drivers``.
     serial
-        The serial number it must have; None takes any.
+        The serial number that the camera must have; None accepts any.
     clock
         All waits pass through it.
     utc_now
-        Tells the time that the header of a recording states.
-    hold
-        What keeps it to this process; released by ``close``.
+        Returns the time for the header of a recording.
+    lock
+        The lock that reserves the camera for this process; ``close`` releases it.
     """
 
     def __init__(
@@ -101,18 +114,32 @@ class NeuromorphicEvk4:
     def open(
         cls, *, serial: str | None = None, clock: Clock, utc_now: Callable[[], datetime]
     ) -> NeuromorphicEvk4:
-        """Open a camera; None takes the first one found.
+        """Open a camera.
+
+        Parameters
+        ----------
+        serial
+            The serial number; None opens the first camera found.
+        clock
+            All waits pass through it.
+        utc_now
+            Returns the time for the header of a recording.
+
+        Returns
+        -------
+        NeuromorphicEvk4
+            The open camera.
 
         Raises
         ------
         CameraSoftwareMissing
-            When ``neuromorphic-drivers`` is not installed.
+            If ``neuromorphic-drivers`` is not installed.
         CameraNotFound
-            When there is no such camera, or it may not be used.
+            If there is no such camera, or this user may not use it.
         CameraBusy
-            When another process of this bench holds it; the camera has not been touched if its number was given.
+            If another process of this bench has locked it; with a serial number given, the camera has not been touched.
         WrongDevice
-            When another camera answers.
+            If another camera answers.
         """
         package = _package()
         lock = CameraLock(event_camera_name(serial)) if serial else None
@@ -134,7 +161,7 @@ class NeuromorphicEvk4:
 
     @staticmethod
     def _opened(package: Any, serial: str | None) -> Any:
-        """Open the package's device, its trigger input off. Raises CameraNotFound."""
+        """Open the package's device with its trigger input off. Raises CameraNotFound."""
         configuration = package.prophesee_evk4.Configuration(enable_external_trigger=False)
         try:
             return package.open(configuration, iterator_timeout=POLL_S, raw=True, serial=serial)
@@ -142,40 +169,73 @@ class NeuromorphicEvk4:
             seen = ""
             with suppress(CameraError):
                 seen = ", ".join(
-                    f"{found.serial or 'without number'} {found.trouble}".strip() for found in discover()
+                    (found.serial or "without serial number")
+                    + (f" ({found.trouble})" if found.trouble else "")
+                    for found in discover()
                 )
             raise CameraNotFound(
-                f"Camera {serial or 'of any number'} cannot be opened ({error}); connected EVK4: {seen or 'none'}.",
-                remedy="Check its cable and power and the serial number in the station file; on Linux, run "
+                f"Camera {serial or 'with any serial number'} cannot be opened ({error}); "
+                f"connected EVK4: {seen or 'none'}.",
+                remedy="Check the camera's cable and power and the serial number in the station file; on Linux, run "
                 "neuromorphic-drivers-install-udev-rules once.",
             ) from error
 
     def identify(self) -> CameraIdentity:
-        """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
+        """Read the camera's identity.
+
+        Returns
+        -------
+        CameraIdentity
+            Serial number and size by the camera; the package does not read the firmware's version.
+
+        Raises
+        ------
+        WrongDevice
+            If the serial number differs from the one given when the camera was opened.
+        CameraLost
+            If the camera goes away meanwhile.
+        """
         try:
             serial, size = str(self._device.serial()), self._device.properties()
         except RuntimeError as error:
             raise self._lost(error) from error
         if self._serial is not None and serial != self._serial:
             raise WrongDevice(
-                f"It is camera {serial}, not {self._serial}.",
+                f"This is camera {serial}, not {self._serial}.",
                 where=self._where,
                 remedy="Correct the serial number in the station file, or plug in the right camera.",
             )
         return CameraIdentity("Prophesee", "EVK4", "IMX636", serial, "", int(size.width), int(size.height))
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set all biases (those not named to their factory value) and the trigger input; rate limiter off.
+        """Set all biases and the trigger input; the rate limiter stays off.
 
-        Returns what was sent: this camera's software cannot read it back. Raises CameraSettingRefused.
+        Biases that are not named are set to their factory value.
+
+        Parameters
+        ----------
+        settings
+            The wanted settings.
+
+        Returns
+        -------
+        CameraSettings
+            What was sent: the package cannot read it back.
+
+        Raises
+        ------
+        CameraSettingRefused
+            If a bias does not exist or is outside its range, or a region of interest is given.
+        CameraLost
+            If the camera goes away meanwhile.
         """
         refuse_roi(settings, self._where)
         biases = {name: settings.biases.get(name, 0) for name in BIASES}
         if unknown := sorted(set(settings.biases) - set(BIASES)):
             raise CameraSettingRefused(
-                f"It has no bias {', '.join(unknown)}.",
+                f"The camera has no bias {', '.join(unknown)}.",
                 where=self._where,
-                remedy=f"Biases of this camera: {', '.join(BIASES)}.",
+                remedy=f"Use the biases of this camera: {', '.join(BIASES)}.",
             )
         evk4 = self._package.prophesee_evk4
         try:
@@ -184,7 +244,7 @@ class NeuromorphicEvk4:
                 bound = getattr(bounds, name.removeprefix("bias_"))
                 if not bound.minimum <= value <= bound.maximum:
                     raise CameraSettingRefused(
-                        f"It takes {name} from {bound.minimum} to {bound.maximum}, not {value}.",
+                        f"The camera accepts {name} from {bound.minimum} to {bound.maximum}, not {value}.",
                         where=self._where,
                         remedy="Correct the bias in the station file.",
                     )
@@ -201,24 +261,41 @@ class NeuromorphicEvk4:
         return CameraSettings(biases, settings.trigger_in)
 
     def filters(self) -> Mapping[str, bool]:
-        """Only the rate controller exists in this software, and ``open`` and ``apply`` leave it off."""
+        """Return the state of the rate controller, the only filter of the package; ``open`` and ``apply`` leave it off.
+
+        Returns
+        -------
+        Mapping of str to bool
+            Only "erc", which is off.
+        """
         return {"erc": False}
 
     def temperature_c(self) -> float | None:
-        """Sensor temperature, or None where it cannot be read."""
+        """See `EventCamera.temperature_c`."""
         return self._measured("temperature_celsius")
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Record at least that long of the sensor's clock into a new RAW file; see ``EventCamera.record``.
+        """Record into a new RAW file; see `EventCamera.record`.
 
-        Packets that the computer lost are in the facts' gaps. Biases are not, as they cannot be read back.
+        Parameters
+        ----------
+        path
+            The file to make; it must not exist.
+        duration_s
+            The file covers at least this time on the sensor's clock, s.
+
+        Returns
+        -------
+        RecordingFacts
+            What is known of the recording. Packets that the computer lost are in ``gaps``. The ``biases`` are empty,
+            because the package cannot read them back.
 
         Raises
         ------
         RecordingFailed
-            When the file cannot be made or written, or the words are malformed; what came before is kept.
+            If the file cannot be made or written, or the words are malformed; what was recorded before is kept.
         CameraLost
-            When the camera goes away meanwhile; what came before is kept.
+            If the camera goes away meanwhile; what was recorded before is kept.
         """
         check_duration(duration_s, where=self._where)
         self._stop_asked.clear()
@@ -243,11 +320,11 @@ class NeuromorphicEvk4:
         )
 
     def stop(self) -> None:
-        """End a recording at its next packet; callable from any thread."""
+        """End a recording at its next packet. Callable from any thread."""
         self._stop_asked.set()
 
     def close(self) -> None:
-        """Let the camera go."""
+        """See `EventCamera.close`."""
         try:
             self._device.close()
         finally:
@@ -266,9 +343,9 @@ class NeuromorphicEvk4:
 
     def _lost(self, error: Exception) -> CameraLost:
         return CameraLost(
-            f"It has gone ({error}).",
+            f"The camera is disconnected ({error}).",
             where=self._where,
-            remedy="Check its cable and power, then resume the run.",
+            remedy="Check the camera's cable and power, then resume the run.",
         )
 
 
@@ -313,15 +390,13 @@ class _Stream:
         return data[2 * start : whole] or None
 
     def stop(self, *, hurry: bool) -> None:
-        """Leave it streaming: it has no other state, and the next ``start`` drops what piles up."""
+        """Do nothing: the device streams always, and the next ``start`` drops what has queued up."""
 
     def _note_losses(self, ring: Any, *, after: int) -> None:
-        """Remember what the ring tells of packets lost on the way, but for those before the recording."""
+        """Keep a message about packets that the ring lost, except those before the recording."""
         lost = [index for index in ring.overflow_indices or () if index > after]
         if lost or ring.dropped_packets > self._dropped:
-            self.losses.append(
-                f"The computer lost packets from USB before {ring.system_time:.6f} s (UNIX time)."
-            )
+            self.losses.append(f"The computer lost USB packets before {ring.system_time:.6f} s (UNIX time).")
         self._dropped = ring.dropped_packets
 
 

@@ -1,8 +1,8 @@
-"""Recordings played as a camera: a folder of RAW files, one for each recording asked for, or one long RAW file.
+"""Play recordings as a camera: a folder of RAW files, one for each recording requested, or one long RAW file.
 
-Knows the files alone; what it hands on are their own words and header. The files of a folder are played whole;
-from one long file, recordings are taken one after the other, each beginning at a TIME_HIGH word. Nothing can be
-set: what was set when the files were recorded is in them.
+The camera hands on the files' own words and headers. The files of a folder are played whole. From one long file,
+recordings are taken one after the other, each beginning at a TIME_HIGH word. No setting can be changed: the files
+hold the effect of the settings with which they were recorded.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class RecordedCamera:
     Parameters
     ----------
     files
-        What to play, in this order.
+        The files, in the order of playing.
     serial
-        The serial number that their headers must have; None takes any.
+        The serial number that their headers must have; None accepts any.
     clock
         All waits pass through it.
     """
@@ -50,37 +50,63 @@ class RecordedCamera:
     def open(cls, path: Path | str, *, serial: str | None = None, clock: Clock) -> RecordedCamera:
         """Open a RAW file, or all ``*.raw`` of a folder in the order of their names.
 
+        Parameters
+        ----------
+        path
+            The file or folder.
+        serial
+            The serial number that the headers must have; None accepts any.
+        clock
+            All waits pass through it.
+
+        Returns
+        -------
+        RecordedCamera
+            The camera, at its first recording.
+
         Raises
         ------
         CameraNotFound
-            When there is nothing to play.
+            If the folder holds no RAW file.
         WrongDevice
-            When a file is of another camera.
+            If a file was recorded by another camera.
         RecordingFileError
-            When a file cannot be read, or is no RAW recording of EVT3.
+            If a file cannot be read, or is no RAW recording of EVT3.
         """
         path = Path(path)
         paths = sorted(path.glob("*.raw")) if path.is_dir() else [path]
         if not paths:
             raise CameraNotFound(
-                "No RAW file to play is in this folder.",
+                "This folder holds no RAW file.",
                 where=str(path),
-                remedy="Name a folder with *.raw files.",
+                remedy="Give a folder with *.raw files.",
             )
         camera = cls([RawFile.open(file) for file in paths], serial=serial, clock=clock)
         camera.identify()
         return camera
 
     def identify(self) -> CameraIdentity:
-        """Say who recorded the files. Raises WrongDevice when one of them is of another camera."""
+        """Return the identity of the camera that recorded the files.
+
+        Returns
+        -------
+        CameraIdentity
+            By the header of the first file; the model is "recorded".
+
+        Raises
+        ------
+        WrongDevice
+            If a file was recorded by another camera.
+        """
         first = self._files[0]
         wanted = first.serial if self._serial is None else self._serial
         for file in self._files:
             if file.serial != wanted:
                 raise WrongDevice(
-                    f"It was recorded by camera {file.serial or 'without number'}, not {wanted or 'without number'}.",
+                    f"This file was recorded by camera {file.serial or 'without serial number'}, "
+                    f"not {wanted or 'without serial number'}.",
                     where=str(file.path),
-                    remedy="Correct the serial number in the station file, or take that file away.",
+                    remedy="Correct the serial number in the station file, or remove this file from the folder.",
                 )
         header = first.header
         return CameraIdentity(
@@ -94,31 +120,71 @@ class RecordedCamera:
         )
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Take settings that change nothing. Raises CameraSettingRefused for a bias: it cannot be set any more."""
+        """Accept settings that change nothing.
+
+        Parameters
+        ----------
+        settings
+            The wanted settings.
+
+        Returns
+        -------
+        CameraSettings
+            No biases, and the wanted state of the trigger input.
+
+        Raises
+        ------
+        CameraSettingRefused
+            If a bias is not 0, or a region of interest is given.
+        """
         refuse_roi(settings, self._where)
         if changed := sorted(name for name, value in settings.biases.items() if value):
             raise CameraSettingRefused(
-                f"The {', '.join(changed)} of a recording cannot be changed any more.",
+                f"The biases {', '.join(changed)} of a recording cannot be changed.",
                 where=self._where,
                 remedy="Leave the biases out of the station file.",
             )
         return CameraSettings({}, settings.trigger_in)
 
     def filters(self) -> Mapping[str, bool]:
-        """Nothing: a RAW file does not say which filters were on."""
+        """Return nothing: a RAW file does not state which filters were on.
+
+        Returns
+        -------
+        Mapping of str to bool
+            Empty.
+        """
         return {}
 
     def temperature_c(self) -> float | None:
-        """Nothing: a RAW file does not tell."""
+        """Return nothing: a RAW file does not state the temperature.
+
+        Returns
+        -------
+        None
+            Always.
+        """
         return None
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Play the next recording into a new RAW file; it is not complete when it is shorter than asked for.
+        """Play the next recording into a new RAW file.
+
+        Parameters
+        ----------
+        path
+            The file to make; it must not exist.
+        duration_s
+            Wanted time on the sensor's clock, s.
+
+        Returns
+        -------
+        RecordingFacts
+            What is known of the recording; it is not ``complete`` if it is shorter than wanted.
 
         Raises
         ------
         RecordingFailed
-            When all has been played, the file cannot be made or written, or the words are malformed.
+            If all has been played, the file cannot be made or written, or the words are malformed.
         """
         check_duration(duration_s, where=self._where)
         self._stop_asked.clear()
@@ -143,11 +209,11 @@ class RecordedCamera:
         )
 
     def stop(self) -> None:
-        """End a recording early; callable from any thread."""
+        """See `EventCamera.stop`."""
         self._stop_asked.set()
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no file stays open."""
 
     @property
     def _where(self) -> str:
@@ -159,14 +225,14 @@ class RecordedCamera:
         if self._player is None and self._played < len(self._files):
             return _Player(self._files[self._played])
         raise RecordingFailed(
-            f"All that was recorded has been played ({self._played} recordings taken).",
+            f"All recordings have been played ({self._played} taken).",
             where=self._where,
-            remedy="Ask for fewer or shorter recordings, or play more files.",
+            remedy="Request fewer or shorter recordings, or provide more files.",
         )
 
 
 class _Player:
-    """The words of one file, taken piece by piece, from where they were left."""
+    """The words of one file, taken piece by piece, each recording from where the one before ended."""
 
     def __init__(self, file: RawFile) -> None:
         self.file = file
@@ -191,4 +257,4 @@ class _Player:
         return piece[start:].tobytes() or None
 
     def stop(self, *, hurry: bool) -> None:
-        """Leave the rest for the next recording."""
+        """Do nothing: the rest is left for the next recording."""

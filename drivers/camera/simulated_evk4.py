@@ -1,7 +1,7 @@
-"""The simulated EVK4 as a camera of the bench: knows its commands, and how a recording of it is made.
+"""Driver of the simulated EVK4: its commands, and recording from it.
 
-It records as a real camera's driver does: the camera's own words go to the file as they come; the decoder
-only counts along, to know when the sensor's clock has covered the time asked for.
+It records as the driver of a real camera does: the camera's own words go to the file as they come. The decoder only
+counts along, to find when the sensor's clock has covered the duration.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ from drivers.errors import (
 BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
 
 SILENCE_S: Final = 4.0
-"""One that computes for longer, on a busy machine, says so twice a second; one that has died closes the connection."""
+"""Longest silence, s. A camera that computes for longer reports so twice a second; one that has died closes the
+connection."""
 
 STOP_S: Final = 5.0
-"""Longest wait for the stream to stop when something else has gone wrong."""
+"""Longest wait for the stream to stop after something else has failed, s."""
 
 
 class SimulatedEvk4Camera:
@@ -42,11 +43,11 @@ class SimulatedEvk4Camera:
     line
         The connection.
     serial
-        The serial number it must have; None takes any.
+        The serial number that the camera must have; None accepts any.
     clock
         All waits pass through it.
     utc_now
-        Tells the time that the header of a recording states.
+        Returns the time for the header of a recording.
     """
 
     def __init__(
@@ -69,16 +70,34 @@ class SimulatedEvk4Camera:
         utc_now: Callable[[], datetime],
         silence_s: float = SILENCE_S,
     ) -> SimulatedEvk4Camera:
-        """Connect and see that it is the right camera.
+        """Connect, and check that it is the right camera.
+
+        Parameters
+        ----------
+        address
+            ``host:port``.
+        serial
+            The serial number that the camera must have; None accepts any.
+        clock
+            All waits pass through it.
+        utc_now
+            Returns the time for the header of a recording.
+        silence_s
+            Longest silence before the camera counts as lost, s.
+
+        Returns
+        -------
+        SimulatedEvk4Camera
+            The connected camera.
 
         Raises
         ------
         CameraNotFound
-            When nothing listens at ``address`` (``host:port``).
+            If nothing listens at the address.
         WrongDevice
-            When it has another serial number.
+            If the camera has another serial number.
         DriverError
-            When it does not speak the protocol.
+            If the peer does not follow the protocol.
         """
         line = Evk4Line(address, clock=clock, silence_s=silence_s)
         camera = cls(line, serial=serial, clock=clock, utc_now=utc_now)
@@ -90,13 +109,26 @@ class SimulatedEvk4Camera:
         return camera
 
     def identify(self) -> CameraIdentity:
-        """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
+        """Read the camera's identity.
+
+        Returns
+        -------
+        CameraIdentity
+            As the camera states it.
+
+        Raises
+        ------
+        WrongDevice
+            If the serial number differs from the one given when the camera was opened.
+        ReplyGarbled
+            If the answer lacks a field, or the camera does not send EVT3.
+        """
         answer = self._ask("identify")
         if (encoding := self._text(answer, "format")) != "EVT3":
             raise ReplyGarbled(
-                f"It sends {encoding}, not EVT3.",
+                f"The camera sends {encoding}, not EVT3.",
                 where=self._where,
-                remedy="See that simulator and driver are of one version.",
+                remedy="Use a simulator of the same version as Starbench.",
             )
         identity = CameraIdentity(
             maker=self._text(answer, "maker"),
@@ -109,29 +141,37 @@ class SimulatedEvk4Camera:
         )
         if self._serial is not None and identity.serial != self._serial:
             raise WrongDevice(
-                f"It is camera {identity.serial}, not {self._serial}.",
+                f"This is camera {identity.serial}, not {self._serial}.",
                 where=self._where,
                 remedy="Correct the address or the serial number in the station file.",
             )
         return identity
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set biases and trigger input, switch all filters off; return what was read back.
+        """Set biases and trigger input, and switch all filters off; see `EventCamera.apply`.
 
-        Biases that are not named go back to their factory value, so that equal settings are equal states.
+        Parameters
+        ----------
+        settings
+            The wanted settings.
+
+        Returns
+        -------
+        CameraSettings
+            What was read back from the camera.
 
         Raises
         ------
         CameraSettingRefused
-            When a value is refused, or another one is read back.
+            If a value is refused, or another one is read back.
         """
         refuse_roi(settings, self._where)
         unknown = sorted(set(settings.biases) - set(BIASES))
         if unknown:
             raise CameraSettingRefused(
-                f"It has no bias {', '.join(unknown)}.",
+                f"The camera has no bias {', '.join(unknown)}.",
                 where=self._where,
-                remedy=f"Biases of this camera: {', '.join(BIASES)}.",
+                remedy=f"Use the biases of this camera: {', '.join(BIASES)}.",
             )
         for name in BIASES:
             self._set("set_bias", name=name, value=settings.biases.get(name, 0))
@@ -142,37 +182,29 @@ class SimulatedEvk4Camera:
         wanted = {name: settings.biases.get(name, 0) for name in BIASES}
         if dict(found.biases) != wanted or found.trigger_in != settings.trigger_in:
             raise CameraSettingRefused(
-                f"It was set to {wanted}, trigger input {settings.trigger_in}, but reads back {found}.",
+                f"The camera was set to {wanted}, trigger input {settings.trigger_in}, but reads back {found}.",
                 where=self._where,
-                remedy="Use values that it can hold.",
+                remedy="Use values that the camera can represent.",
             )
         if left_on := [name for name, on in self.filters().items() if on]:
             raise CameraSettingRefused(
-                f"Its filter {', '.join(left_on)} stays on.",
+                f"The on-chip filters {', '.join(left_on)} could not be switched off.",
                 where=self._where,
-                remedy="A filter falsifies the recording: restart the camera.",
+                remedy="Restart the camera; a filter falsifies the recording.",
             )
         return found
 
     def filters(self) -> Mapping[str, bool]:
-        """On-chip filters and whether each is on."""
+        """See `EventCamera.filters`."""
         answer = self._ask("get_filters")
         return {name: self._flag(answer, name) for name in answer if name not in ("id", "ok")}
 
     def temperature_c(self) -> float | None:
-        """Sensor temperature."""
+        """See `EventCamera.temperature_c`."""
         return self._number(self._ask("monitor"), "temperature_c")
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Record at least that long of the sensor's clock into a new RAW file; see ``EventCamera.record``.
-
-        Raises
-        ------
-        RecordingFailed
-            When the file cannot be made or written, or the words are malformed; what came before is kept.
-        CameraLost
-            When the camera goes away meanwhile; what came before is kept.
-        """
+        """See `EventCamera.record`."""
         check_duration(duration_s, where=self._where)
         with self._in_use:
             self._stop_asked.clear()
@@ -196,11 +228,11 @@ class SimulatedEvk4Camera:
         )
 
     def stop(self) -> None:
-        """End a recording at the next words that come; callable from any thread."""
+        """End a recording at the next words that come. Callable from any thread."""
         self._stop_asked.set()
 
     def close(self) -> None:
-        """Let the camera go: the connection is closed, and with it the stream."""
+        """Close the connection, which also ends the stream."""
         self._line.close()
 
     # ------------------------------------------------------------- asking
@@ -214,7 +246,7 @@ class SimulatedEvk4Camera:
             return self._line.request(command, **parameters)
 
     def _set(self, command: str, **parameters: Any) -> None:
-        """Set something. Raises CameraSettingRefused when the camera does not take it."""
+        """Change a setting. Raises CameraSettingRefused if the camera refuses it."""
         try:
             self._ask(command, **parameters)
         except DeviceRefused as error:
@@ -249,9 +281,9 @@ class SimulatedEvk4Camera:
 
     def _garbled(self, key: str, answer: Mapping[str, Any]) -> ReplyGarbled:
         return ReplyGarbled(
-            f'Its answer tells no proper "{key}": {dict(answer)!r:.200}.',
+            f'The answer holds no valid "{key}": {dict(answer)!r:.200}.',
             where=self._where,
-            remedy="See that simulator and driver are of one version.",
+            remedy="Use a simulator of the same version as Starbench.",
         )
 
 
@@ -276,6 +308,6 @@ class _Stream:
         return frame.payload or None
 
     def stop(self, *, hurry: bool) -> None:
-        """Stop it, and tell how much was kept: its clock goes on from there."""
+        """Stop the stream, and report how many frames were kept: the simulated clock continues from there."""
         within_s = STOP_S if hurry else None
         self._line.request("stop", interruptible=False, within_s=within_s, frames=self._kept)

@@ -1,8 +1,7 @@
-"""Video devices of this computer as its system lists them: which there are, and their serial numbers.
+"""List the video devices of this computer, with the serial numbers of their cameras. No device is opened.
 
-OpenCV knows cameras by numbers that change from one start to the next, and no serial numbers. Linux knows both: it
-names a device by what it is (``/dev/v4l/by-id``), and tells the serial number that the camera gave on USB. Opens
-no device.
+OpenCV identifies cameras by numbers that change from one start to the next, and has no serial numbers. Linux has
+both: it names a device after its camera (``/dev/v4l/by-id``), and states the serial number that the camera gave on USB.
 """
 
 from __future__ import annotations
@@ -13,11 +12,25 @@ from typing import Final
 from drivers.camera import FoundCamera
 
 DEV: Final = Path("/dev")
+"""Folder of the device files."""
 SYSTEM: Final = Path("/sys/class/video4linux")
+"""Folder in which Linux lists its video devices."""
 
 
 def device_path(source: str, dev: Path = DEV) -> Path | None:
-    """Give the device file that a source stands for: ``0``, ``/dev/video0`` or a name by id; None for no device.
+    """Return the device file that a source stands for.
+
+    Parameters
+    ----------
+    source
+        ``0``, ``/dev/video0``, a name by id, or something that is no device.
+    dev
+        Folder of the device files.
+
+    Returns
+    -------
+    Path or None
+        The device file; None for a source that is no device.
 
     Examples
     --------
@@ -31,7 +44,20 @@ def device_path(source: str, dev: Path = DEV) -> Path | None:
 
 
 def usb_serial(device: Path, system: Path = SYSTEM) -> str:
-    """Ask the system for a camera's serial number: that of the USB device it belongs to; empty when it has none."""
+    """Read the serial number of the USB device that a video device belongs to.
+
+    Parameters
+    ----------
+    device
+        The device file.
+    system
+        Folder in which Linux lists its video devices.
+
+    Returns
+    -------
+    str
+        The serial number; empty if the device has none.
+    """
     place = (system / device.name / "device").resolve()
     for folder in (place, *place.parents):
         if (folder / "idVendor").is_file():  # the USB device itself; below it are its interfaces
@@ -43,7 +69,20 @@ def usb_serial(device: Path, system: Path = SYSTEM) -> str:
 
 
 def is_capture_device(device: Path, system: Path = SYSTEM) -> bool:
-    """Whether a device is a camera's first one; its further ones carry metadata, which OpenCV cannot read."""
+    """Return whether a video device is the first of its camera; the others carry metadata, which OpenCV cannot read.
+
+    Parameters
+    ----------
+    device
+        The device file.
+    system
+        Folder in which Linux lists its video devices.
+
+    Returns
+    -------
+    bool
+        True also if the system does not state it.
+    """
     try:
         return (system / device.name / "index").read_text(encoding="ascii").strip() == "0"
     except OSError:
@@ -51,7 +90,20 @@ def is_capture_device(device: Path, system: Path = SYSTEM) -> bool:
 
 
 def video_devices(dev: Path = DEV, system: Path = SYSTEM) -> list[FoundCamera]:
-    """List them as frame cameras, each by the name that a station file should call it."""
+    """List the video devices as frame cameras.
+
+    Parameters
+    ----------
+    dev
+        Folder of the device files.
+    system
+        Folder in which Linux lists its video devices.
+
+    Returns
+    -------
+    list of FoundCamera
+        Each with the name that a station file should use as its source.
+    """
     by_id = dev / "v4l" / "by-id"
     names = {link.resolve(): link for link in by_id.iterdir()} if by_id.is_dir() else {}
     devices = [path for path in sorted(dev.glob("video[0-9]*")) if is_capture_device(path, system)]

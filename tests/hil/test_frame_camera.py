@@ -262,7 +262,7 @@ def test_a_frame_camera_of_another_number_is_refused_before_anything_moves(tmp_p
     folder = tmp_path / "refused"
     said = starbench("run", "three_pose", "-s", station, "-o", folder, home=home)
     assert said.returncode == 1
-    assert "tells no serial number, not 8A0A3C5F" in said.stderr
+    assert "without a serial number, not 8A0A3C5F" in said.stderr
     assert not any(line.get("state") in {"homing", "slewing"} for line in journal(folder))
 
 
@@ -284,9 +284,9 @@ def test_a_night_of_a_frame_camera_can_be_rehearsed(tmp_path):
 
 
 FAULTS = {
-    "unplug": (CameraLost, "cannot open the video source|sends no more pictures"),
-    "silence": (CameraLost, "cannot open the video source|sends no more pictures"),
-    "frozen": (RecordingFailed, "it has frozen, or holds pictures back"),
+    "unplug": (CameraLost, "cannot open the video source|sends no more frames"),
+    "silence": (CameraLost, "cannot open the video source|sends no more frames"),
+    "frozen": (RecordingFailed, "it has frozen, or sends buffered frames"),
 }
 
 

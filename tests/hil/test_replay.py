@@ -73,4 +73,4 @@ def test_a_run_that_has_played_all_recordings_fails_and_says_so(first, tmp_path,
     folder = tmp_path / "short"
     said = starbench("run", "three_pose", "-s", played(first, tmp_path, few), "-o", folder, home=home)
     assert said.returncode == 1
-    assert "All that was recorded has been played" in said.stderr
+    assert "All recordings have been played" in said.stderr

@@ -16,8 +16,9 @@ from bench.views.measure import Measurement
 from bench.views.pictures import measure_pictures, picture_gates, picture_refusals
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
-from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
+from drivers.camera.frame_cameras import OpenCvFrameCamera
 from drivers.camera.frames import FrameCamera, FrameSettings, write_frames
+from drivers.camera.image_folder import FolderFrameCamera
 from sequences.reader import check_document
 from sequences.script import Gates, LightStep
 
@@ -144,4 +145,4 @@ def test_pictures_without_a_target_and_files_that_are_none_say_why(tmp_path):
     assert (found.view, found.facts["image"]["pictures"]) == (None, 2)
     assert found.fault
     (tmp_path / "bad.tif").write_bytes(b"hello")
-    assert "no pictures" in measure_pictures(tmp_path / "bad.tif", name="bad", target=StarTarget()).fault
+    assert "no images" in measure_pictures(tmp_path / "bad.tif", name="bad", target=StarTarget()).fault

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from drivers.camera import CameraSettings, frame_cameras, metavision, neuromorphic_evk4
-from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
+from drivers.camera.frame_cameras import OpenCvFrameCamera
 from drivers.camera.frames import read_frames, write_frames
+from drivers.camera.image_folder import FolderFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.errors import CameraError, CameraLost, CameraSettingRefused, RecordingFailed
 
@@ -44,7 +45,7 @@ class Stalled:
 def test_a_video_device_that_has_stalled_is_waited_for_once(clock, monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: Stalled(clock))
     camera = OpenCvFrameCamera.open("/dev/video7", clock=clock, system=tmp_path / "none")
-    with pytest.raises(CameraLost, match="sends no more pictures"):
+    with pytest.raises(CameraLost, match="sends no more frames"):
         camera.capture(tmp_path / "a.tiff", 4)
     camera.close()
     assert clock.now_s == Stalled.WAIT_S
@@ -145,5 +146,5 @@ def test_every_page_of_a_file_is_a_picture(clock, tmp_path) -> None:
         assert [int(page[0, 0]) for page in read_frames(tmp_path / f"{pose}.tiff")] == [
             10 * pose + page for page in range(3)
         ]
-    with pytest.raises(RecordingFailed, match="All 6 pictures have been taken"):
+    with pytest.raises(RecordingFailed, match="All 6 images have been used"):
         camera.capture(tmp_path / "more.tiff", 1)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from drivers.camera import frame_cameras
-from drivers.camera.frame_cameras import STALE_FRAMES, FolderFrameCamera, OpenCvFrameCamera
+from drivers.camera.frame_cameras import STALE_FRAMES, OpenCvFrameCamera
 from drivers.camera.frames import FrameSettings, mean_frame, read_frames, to_grey, write_frames
+from drivers.camera.image_folder import FolderFrameCamera
 from drivers.clock import SystemClock
 from drivers.errors import (
     CameraBusy,
@@ -69,7 +70,7 @@ def test_pixels_of_another_kind_are_refused():
 
 def test_what_is_no_picture_is_told(tmp_path):
     (tmp_path / "a.png").write_bytes(b"hello")
-    with pytest.raises(NotARecording, match="no pictures"):
+    with pytest.raises(NotARecording, match="holds no images"):
         read_frames(tmp_path / "a.png")
     with pytest.raises(RecordingFileError, match="no such file"):
         read_frames(tmp_path / "none.png")
@@ -92,7 +93,7 @@ def test_a_folder_hands_on_its_pictures_one_by_one(folder, tmp_path):
         facts = camera.capture(tmp_path / f"{k}.tiff", 1)
         assert np.array_equal(read_frames(tmp_path / f"{k}.tiff")[0], picture)
         assert (facts.width, facts.height, facts.bits, facts.frames, facts.complete) == (64, 48, 8, 1, True)
-    with pytest.raises(RecordingFailed, match="All 3 pictures have been taken"):
+    with pytest.raises(RecordingFailed, match="All 3 images have been used"):
         camera.capture(tmp_path / "3.tiff", 1)
 
 
@@ -107,18 +108,18 @@ def test_saturation_is_told(tmp_path):
 
 def test_pictures_of_two_sizes_are_refused(folder, tmp_path):
     cv2.imwrite(str(folder / "000a.png"), np.zeros((10, 10), np.uint8))
-    with pytest.raises(RecordingFailed, match="not all of 64 x 48"):
+    with pytest.raises(RecordingFailed, match="all must have 64 x 48"):
         FolderFrameCamera.open(folder, clock=SystemClock()).capture(tmp_path / "a.tiff", 2)
     assert not (tmp_path / "a.tiff").exists()
 
 
 def test_an_empty_folder_is_told(tmp_path):
-    with pytest.raises(CameraNotFound, match="No pictures"):
+    with pytest.raises(CameraNotFound, match="holds no images"):
         FolderFrameCamera.open(tmp_path, clock=SystemClock())
 
 
 def test_no_pictures_at_all_is_refused(folder, tmp_path):
-    with pytest.raises(RecordingFailed, match="0 of 0 pictures"):
+    with pytest.raises(RecordingFailed, match="0 of 0 frames"):
         FolderFrameCamera.open(folder, clock=SystemClock()).capture(tmp_path / "a.tiff", 0)
 
 
@@ -147,7 +148,7 @@ def test_a_video_source_is_read_to_its_end(folder, tmp_path):
     assert (camera.identify().width, camera.identify().height) == (64, 48)
     camera.capture(tmp_path / "a.tiff", 3)
     assert np.array_equal(read_frames(tmp_path / "a.tiff"), pictures(3))
-    with pytest.raises(CameraLost, match="no more pictures"):
+    with pytest.raises(CameraLost, match="no more frames"):
         camera.capture(tmp_path / "b.tiff", 1)
     camera.close()
 
@@ -225,7 +226,7 @@ def test_a_video_device_is_known_by_its_serial_number(webcam):
 
 def test_another_camera_under_that_name_is_refused_and_never_opened(video, monkeypatch):
     monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
-    with pytest.raises(WrongDevice, match="It is camera 8A0A3C5F, not 12345"):
+    with pytest.raises(WrongDevice, match="This is camera 8A0A3C5F, not 12345"):
         OpenCvFrameCamera.open("7", serial="12345", clock=SystemClock(), system=video[1])
 
 
@@ -238,7 +239,7 @@ def test_another_camera_plugged_in_meanwhile_takes_no_picture(webcam, tmp_path):
 
 def test_a_serial_number_that_nothing_can_tell_is_refused(monkeypatch):
     monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: Live())
-    with pytest.raises(WrongDevice, match="tells no serial number, not 12345"):
+    with pytest.raises(WrongDevice, match="without a serial number, not 12345"):
         OpenCvFrameCamera.open("rtsp://camera/1", serial="12345", clock=SystemClock())
 
 
@@ -261,7 +262,7 @@ def test_a_camera_that_goes_on_focusing_by_itself_is_refused(video, webcam):
     live, _ = video
     live.values[cv2.CAP_PROP_AUTOFOCUS] = 1.0
     live.deaf_to.add(cv2.CAP_PROP_AUTOFOCUS)
-    with pytest.raises(CameraSettingRefused, match="each focus is another focal length"):
+    with pytest.raises(CameraSettingRefused, match="every focus has another focal length"):
         webcam.apply(FrameSettings())
 
 
@@ -276,7 +277,7 @@ def test_an_exposure_that_reads_back_otherwise_is_refused(video, webcam):
 def test_an_unplugged_video_device_is_told_and_leaves_no_file(video, webcam, tmp_path):
     live, _ = video
     live.pictures = STALE_FRAMES + 2
-    with pytest.raises(CameraLost, match="sends no more pictures"):
+    with pytest.raises(CameraLost, match="sends no more frames"):
         webcam.capture(tmp_path / "a.tiff", 8)
     assert not list(tmp_path.glob("a*"))
 
@@ -311,7 +312,7 @@ def test_every_capture_of_a_network_camera_is_a_new_connection(monkeypatch, tmp_
 def test_a_camera_that_sends_an_old_picture_is_noticed(monkeypatch, tmp_path):
     camera = network_camera(monkeypatch, [Live(), Live(10), Live(9)])
     camera.capture(tmp_path / "a.tiff", 1)
-    with pytest.raises(RecordingFailed, match="the last picture of the recording before once more"):
+    with pytest.raises(RecordingFailed, match="the last frame of the previous capture again"):
         camera.capture(tmp_path / "b.tiff", 2)
     assert not (tmp_path / "b.tiff").exists()
 
@@ -320,7 +321,7 @@ def test_a_camera_that_has_frozen_is_noticed(monkeypatch, tmp_path):
     frozen = Live(10)
     frozen.frozen = True
     camera = network_camera(monkeypatch, [Live(), frozen])
-    with pytest.raises(RecordingFailed, match="All its pictures are the same to the last bit"):
+    with pytest.raises(RecordingFailed, match="All frames are identical to the last bit"):
         camera.capture(tmp_path / "a.tiff", 3)
     assert not (tmp_path / "a.tiff").exists()
 
@@ -335,5 +336,5 @@ def test_pictures_of_files_may_repeat_themselves(tmp_path):
 
 
 def test_pictures_of_a_folder_cannot_be_exposed_again(folder):
-    with pytest.raises(CameraSettingRefused, match="cannot be changed any more"):
+    with pytest.raises(CameraSettingRefused, match="cannot be changed after"):
         FolderFrameCamera.open(folder, clock=SystemClock()).apply(FrameSettings(gain=2.0))

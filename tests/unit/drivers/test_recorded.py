@@ -68,7 +68,7 @@ def test_the_end_of_the_files_is_told(play, folder, tmp_path):
     camera = play(folder)
     for name in ("a.raw", "b.raw"):
         camera.record(tmp_path / name, 0.01)
-    with pytest.raises(RecordingFailed, match=r"has been played \(2 recordings taken\)"):
+    with pytest.raises(RecordingFailed, match=r"have been played \(2 taken\)"):
         camera.record(tmp_path / "c.raw", 0.01)
     assert not (tmp_path / "c.raw").exists()
 
@@ -118,7 +118,7 @@ def test_a_recording_that_has_been_played_is_not_played_again(play, tmp_path):
     write(tmp_path / "long.raw", stream(40))
     camera = play(tmp_path / "long.raw")
     assert not camera.record(tmp_path / "a.raw", 1.0).complete
-    with pytest.raises(RecordingFailed, match="has been played"):
+    with pytest.raises(RecordingFailed, match="have been played"):
         camera.record(tmp_path / "b.raw", 0.01)
 
 
@@ -151,7 +151,7 @@ def test_files_of_two_cameras_are_refused(play, folder):
 
 
 def test_an_empty_folder_is_told(play, tmp_path):
-    with pytest.raises(CameraNotFound, match="No RAW file"):
+    with pytest.raises(CameraNotFound, match="holds no RAW file"):
         play(tmp_path)
 
 
