@@ -182,14 +182,14 @@ _SOLVED: list[object] = []
 
 def _quick_solution(patch):
     """Solve once for all runs: what is computed is not the matter here."""
-    calibrate = bench.rehearsals.rehearsal.calibrate
+    calibrate = bench.rehearsal.rehearsal.calibrate
 
     def once(views, options):
         if not _SOLVED:
             _SOLVED.append(calibrate(views, options))
         return _SOLVED[0]
 
-    patch.setattr(bench.rehearsals.rehearsal, "calibrate", once)
+    patch.setattr(bench.rehearsal.rehearsal, "calibrate", once)
 
 
 @contextmanager

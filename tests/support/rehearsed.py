@@ -98,7 +98,7 @@ def with_runner(scene, monkeypatch):
             super().__init__(*words, **more)
             scene.runner = self
 
-    monkeypatch.setattr(bench.rehearsals.rehearsal, "Runner", Known)
+    monkeypatch.setattr(bench.rehearsal.rehearsal, "Runner", Known)
     return scene
 
 

@@ -15,12 +15,11 @@ from bench.plan.plan import (
     REPORT_BYTES,
     load,
     plan,
-    recording_duration_s,
     travel_s,
-    whole_periods,
 )
 from bench.plan.plan_text import duration_text, render_plan
 from bench.stations.station import SHIPPED, Station
+from bench.views.recording_window import periods_in_window, recording_duration_s
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence
@@ -58,13 +57,13 @@ def test_every_shipped_sequence_runs_on_every_shipped_station(path, station):
 def test_the_paper_s_sequence_is_two_periods_of_60_hz_at_three_poses():
     made = plan(*load("three_pose", "simulated"))
     records = [step for step in made.script if hasattr(step, "window_ms")]
-    assert {whole_periods(step.window_ms, 60) for step in records} == {2}
+    assert {periods_in_window(step.window_ms, 60) for step in records} == {2}
     assert [pose.name for pose in made.poses] == ["left", "right", "below"]
 
 
 @given(st.floats(0.1, 10_000), st.floats(0.1, 1000))
 def test_a_recording_holds_its_whole_periods_wherever_the_light_stands(window_ms, frequency_hz):
-    periods = whole_periods(window_ms, frequency_hz)
+    periods = periods_in_window(window_ms, frequency_hz)
     duration_s = recording_duration_s(window_ms, frequency_hz)
     assert periods >= 1
     assert abs(periods - window_ms * 1e-3 * frequency_hz) <= max(0.5, 1 - window_ms * 1e-3 * frequency_hz)
