@@ -6,7 +6,7 @@ loaded when it is first used, so that ``import calib`` costs nothing.
 =====================================================  =============================================================
 `flicker_from_triggers`, `flicker_from_events`         the flicker of the light in a recording
 `make_images`                                          event images from whole flicker periods
-`StarTarget`, `detect`, `View`                         the printed target; the stars of an image as a view
+`StarTarget`, `detect_view`, `View`                    the printed target; the stars of an image as a view
 `calibrate`, `CalibrationOptions`, `Calibration`       the joint adjustment of all views and its result
 `CameraModel`, `Collimator`, `Passport`                the parts of a result; a collimator calibrated before
 `projection_uncertainty`                               how sure the camera is of directions, over the sensor
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from calib.model.camera import CameraModel
     from calib.model.collimator import Collimator
     from calib.model.passport import Passport
-    from calib.stars.detect import detect
+    from calib.stars.detect import detect_view
     from calib.studies.planning import forecast
     from calib.studies.predicted_views import ExpectedBench, predicted_view
     from calib.target import StarTarget
@@ -65,7 +65,7 @@ __all__ = [
     "StarTarget",
     "View",
     "calibrate",
-    "detect",
+    "detect_view",
     "flicker_from_events",
     "flicker_from_triggers",
     "forecast",
@@ -85,7 +85,7 @@ _MODULES = {
     "StarTarget": "calib.target",
     "View": "calib.view",
     "calibrate": "calib.engine",
-    "detect": "calib.stars.detect",
+    "detect_view": "calib.stars.detect",
     "flicker_from_events": "calib.events.flicker",
     "flicker_from_triggers": "calib.events.flicker",
     "forecast": "calib.studies.planning",

@@ -19,10 +19,10 @@ PERIOD_TOLERANCE = 0.03
 #: Bins in which one period's event rate is looked at.
 FOLD_BINS = 512
 #: Share of a burst's events that its gate holds.
-GATE_SHARE = 0.98
+BURST_SHARE = 0.98
 
 
-class Gate(NamedTuple):
+class BurstWindow(NamedTuple):
     """When, within a period, one polarity's burst of events comes.
 
     Attributes
@@ -38,7 +38,7 @@ class Gate(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def fold(t: Any, p: Any, start_us: float, period_us: float) -> Any:
+def folded_rate(t: Any, p: Any, start_us: float, period_us: float) -> Any:
     """Return the (2, FOLD_BINS) histogram of OFF and ON events over one period, from a begin on."""
     folded = np.zeros((2, FOLD_BINS))
     for i in range(t.size):
@@ -48,25 +48,25 @@ def fold(t: Any, p: Any, start_us: float, period_us: float) -> Any:
     return folded
 
 
-def gate_of(folded: NDArray[np.float64], start_us: float, period_us: float) -> Gate:
-    """Shortest stretch of the period that holds `GATE_SHARE` of what rises above the background."""
+def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float) -> BurstWindow:
+    """Shortest stretch of the period that holds `BURST_SHARE` of what rises above the background."""
     background = np.percentile(folded, 25)
     excess = np.maximum(folded - background - 3.0 * np.sqrt(background), 0.0)
     if excess.sum() == 0.0:
-        return Gate(start_us, period_us)
+        return BurstWindow(start_us, period_us)
     total = np.concatenate([[0.0], np.cumsum(np.tile(excess, 2))])
     begins = np.arange(FOLD_BINS)
-    ends = np.searchsorted(total, total[begins] + GATE_SHARE * total[FOLD_BINS])
+    ends = np.searchsorted(total, total[begins] + BURST_SHARE * total[FOLD_BINS])
     first = int(np.argmin(ends - begins))
     last = int(ends[first])
     # The first events of a burst are few, and matter most: reach back to where it begins.
     quiet = np.flatnonzero(np.roll(excess[::-1], first) == 0.0)
     first -= (int(quiet[0]) if quiet.size else 0) + 1
     bin_us = period_us / FOLD_BINS
-    return Gate(start_us + first * bin_us, min(last - first, FOLD_BINS) * bin_us)
+    return BurstWindow(start_us + first * bin_us, min(last - first, FOLD_BINS) * bin_us)
 
 
-def whole_periods(
+def whole_period_window(
     t: NDArray[np.int64],
     flicker: Flicker,
     window_us: tuple[float, float] | None,

@@ -25,16 +25,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, TooFewEvents
-from calib.events.bursts import FOLD_BINS, Gate, fold, gate_of, whole_periods
+from calib.events.bursts import FOLD_BINS, BurstWindow, burst_window, folded_rate, whole_period_window
 from calib.events.flicker import Flicker
 
 #: Events an edge from which grey levels outweigh what the readout spoils: lock-in instead of fired-per-edge.
-LOCK_IN_FROM = 1.9
+LOCK_IN_MIN_EVENTS = 1.9
 #: A pixel is lit when it fires on at least this share of the edges.
 LIT_SHARE = 0.75
 
 
-class BestImage(NamedTuple):
+class ChosenImage(NamedTuple):
     """The image chosen for finding stars, and why."""
 
     name: str
@@ -67,7 +67,7 @@ class SliceFacts:
         Pixels masked because they fire far more often than their surroundings.
     silent_rows
         Rows without any event between rows that hold lit pixels: rows the readout missed.
-    on_gate, off_gate
+    on_window, off_window
         Where the bursts lie in the period.
     """
 
@@ -84,8 +84,8 @@ class SliceFacts:
     first_on_spread_us: float
     hot_pixels: int
     silent_rows: int
-    on_gate: Gate
-    off_gate: Gate
+    on_window: BurstWindow
+    off_window: BurstWindow
 
 
 @dataclass(frozen=True)
@@ -137,16 +137,16 @@ class EventImages:
         share = (self.on_fired.astype(np.float32) + self.off_fired) / np.float32(edges)
         return _fill(share, self.hot)
 
-    def best(self) -> BestImage:
+    def best(self) -> ChosenImage:
         """Choose the image to find stars in, by the events that a lit pixel sends at an edge of the light."""
         rate = self.facts.events_per_edge
-        if rate >= LOCK_IN_FROM:
-            reason = f"{rate:.2f} events per edge, {LOCK_IN_FROM} or more: their number carries grey levels."
-            return BestImage("lock-in", _fill(self.lock_in, self.hot), reason)
-        reason = (
-            f"{rate:.2f} events per edge, fewer than {LOCK_IN_FROM}: whether a pixel fired is what is sure."
-        )
-        return BestImage("fired-per-edge", self.fired_per_edge, reason)
+        if rate >= LOCK_IN_MIN_EVENTS:
+            reason = (
+                f"{rate:.2f} events per edge, {LOCK_IN_MIN_EVENTS} or more: their number carries grey levels."
+            )
+            return ChosenImage("lock-in", _fill(self.lock_in, self.hot), reason)
+        reason = f"{rate:.2f} events per edge, fewer than {LOCK_IN_MIN_EVENTS}: whether a pixel fired is what is sure."
+        return ChosenImage("fired-per-edge", self.fired_per_edge, reason)
 
     def named(self, name: str) -> NDArray[np.float32]:
         """Return one image by its name, as float32, brighter where the target is.
@@ -175,7 +175,7 @@ class EventImages:
 
     def _quickness(self) -> NDArray[np.float32]:
         """First-ON latency turned round, so that bright is bright; 0 where no ON event came."""
-        gate = np.float32(self.facts.on_gate.length_us)
+        gate = np.float32(self.facts.on_window.length_us)
         return np.where(np.isnan(self.on_latency_us), np.float32(0), 1.0 - self.on_latency_us / gate)
 
 
@@ -214,7 +214,7 @@ def make_images(
         When arrays differ in length, or an event lies outside the sensor.
     """
     _check(t, x, y, p, size)
-    start, end, whole = whole_periods(t, flicker, window_us, periods)
+    start, end, whole = whole_period_window(t, flicker, window_us, periods)
     first, last = (int(i) for i in np.searchsorted(t, [np.ceil(start), np.ceil(end)]))
     if last == first:
         raise TooFewEvents(
@@ -270,11 +270,11 @@ class _Maps(NamedTuple):
 
 def _gather(
     events: tuple[NDArray[Any], ...], size: tuple[int, int], start_us: float, period_us: float
-) -> tuple[_Maps, tuple[Gate, Gate]]:
+) -> tuple[_Maps, tuple[BurstWindow, BurstWindow]]:
     """Find where in the period the bursts lie and when the image answers most, and fill the maps."""
     t, x, y, p = events
-    off_rate, on_rate = fold(t, p, start_us, period_us)
-    gates = gate_of(on_rate, start_us, period_us), gate_of(off_rate, start_us, period_us)
+    off_rate, on_rate = folded_rate(t, p, start_us, period_us)
+    gates = burst_window(on_rate, start_us, period_us), burst_window(off_rate, start_us, period_us)
     wave = np.exp(2j * np.pi * (np.arange(FOLD_BINS) + 0.5) / FOLD_BINS)
     answer_us = start_us + float(np.angle((on_rate - off_rate) @ wave)) / (2 * np.pi) * period_us
     maps = _Maps.blank(size)
@@ -284,7 +284,15 @@ def _gather(
 
 @njit(cache=True, error_model="numpy")
 def _accumulate(
-    t: Any, x: Any, y: Any, p: Any, period: float, answer_us: float, on: Gate, off: Gate, maps: _Maps
+    t: Any,
+    x: Any,
+    y: Any,
+    p: Any,
+    period: float,
+    answer_us: float,
+    on: BurstWindow,
+    off: BurstWindow,
+    maps: _Maps,
 ) -> None:
     """Add every event to all maps; times are looked at once for all events that share one."""
     seen = t[0] - 1
@@ -342,7 +350,7 @@ def _facts(
     hot: NDArray[np.bool_],
     window: tuple[float, float, int],
     events: tuple[int, int],
-    gates: tuple[Gate, Gate],
+    gates: tuple[BurstWindow, BurstWindow],
 ) -> SliceFacts:
     """Sum up what the slice was like."""
     start, end, periods = window
@@ -366,8 +374,8 @@ def _facts(
         first_on_spread_us=float(latency.std()) if number else float("nan"),
         hot_pixels=int(np.count_nonzero(hot)),
         silent_rows=int(np.count_nonzero(~amid.any(axis=1))),
-        on_gate=gates[0],
-        off_gate=gates[1],
+        on_window=gates[0],
+        off_window=gates[1],
     )
 
 

@@ -69,14 +69,14 @@ class StarTemplate(NamedTuple):
         )
 
 
-class LocalShape(NamedTuple):
+class LocalMap(NamedTuple):
     """Map around N stars: A (N, 2, 2), px a pitch; B (N, 2, 3), px a pitch^2 for s_x^2, s_x s_y, s_y^2."""
 
     linear: NDArray[np.float64]
     curved: NDArray[np.float64]
 
 
-class RefinedStars(NamedTuple):
+class SymmetryFit(NamedTuple):
     """Stars after refinement.
 
     Attributes
@@ -99,9 +99,9 @@ class RefinedStars(NamedTuple):
     steepness: NDArray[np.float64]
     converged: NDArray[np.bool_]
 
-    def kept(self, mask: NDArray[np.bool_]) -> RefinedStars:
+    def kept(self, mask: NDArray[np.bool_]) -> SymmetryFit:
         """Return those of the mask."""
-        return RefinedStars(
+        return SymmetryFit(
             self.centres[mask],
             self.information[mask],
             self.residual[mask],
@@ -334,7 +334,9 @@ def _solvable(normal: Any) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def refine_stars(image: Any, guesses: Any, shape: LocalShape, samples: Any, reach_px: float) -> RefinedStars:
+def refine_by_symmetry(
+    image: Any, guesses: Any, shape: LocalMap, samples: Any, reach_px: float
+) -> SymmetryFit:
     """Minimise the symmetry's residuals over each centre by Gauss-Newton.
 
     Parameters
@@ -380,4 +382,4 @@ def refine_stars(image: Any, guesses: Any, shape: LocalShape, samples: Any, reac
                 residual[k], steepness[k] = squares, np.hypot(slopes[0], slopes[1])
                 information[k] = np.linalg.inv(np.linalg.inv(normal)[:2, :2])
                 break
-    return RefinedStars(centres, information, residual, steepness, converged)
+    return SymmetryFit(centres, information, residual, steepness, converged)

@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, StarsUnnamed, TargetNotFound, TooFewStars
 from calib.stars.centring import (
-    LocalShape,
-    RefinedStars,
+    LocalMap,
     StarTemplate,
-    refine_stars,
+    SymmetryFit,
+    refine_by_symmetry,
     smooth,
     star_contrasts,
     symmetry_samples,
 )
 from calib.stars.edge_pixels import quantise
-from calib.stars.grid_map import fit_view
-from calib.stars.growth import Grown, grow, start_at_tag
-from calib.stars.labelling import number_by_pose, number_by_tag
+from calib.stars.grid_map import fit_grid_map
+from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
+from calib.stars.labelling import label_by_pose, label_by_tag
 from calib.stars.lattice import find_lattice
-from calib.stars.likelihood import likely_stars
+from calib.stars.likelihood import refine_by_likelihood
 from calib.stars.noise import variance_factor
 from calib.stars.tag import find_tag
 from calib.target import StarTarget
@@ -67,7 +67,7 @@ MAX_APART_SIGMAS = 6.0
 NamedBy = Literal["tag", "part of the tag", "expected pose"]
 
 
-class Sight(NamedTuple):
+class Detection(NamedTuple):
     """What an image showed.
 
     Attributes
@@ -92,7 +92,7 @@ class _Stars(NamedTuple):
         return _Stars(self.nodes[mask], self.points[mask])
 
 
-def detect(
+def detect_view(
     image: NDArray[np.generic],
     target: StarTarget,
     *,
@@ -118,19 +118,19 @@ def detect(
     View
         Stars wholly in view, by rising id, with their centres' covariances.
 
-    Raises as `look` does.
+    Raises as `detect_stars` does.
     """
-    return look(image, target, name=name, expected=expected).view
+    return detect_stars(image, target, name=name, expected=expected).view
 
 
-def look(
+def detect_stars(
     image: NDArray[np.generic],
     target: StarTarget,
     *,
     name: str = "view",
     expected: NDArray[np.float64] | None = None,
-) -> Sight:
-    """Find the target's stars, and say what told their names; parameters as for `detect`.
+) -> Detection:
+    """Find the target's stars, and say what told their names; parameters as for `detect_view`.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def look(
     values = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
     seed = find_tag(image, target, name=name)
     if seed is not None:
-        grown = grow(values, start_at_tag(seed, target), target.segments, _printed(target))
+        grown = grow_star_grid(values, start_at_tag(seed, target), target.segments, _printed(target))
         stars, sign = _Stars(grown.nodes(), grown.places()), seed.sign
         named_by: NamedBy = "tag"
     else:
@@ -173,7 +173,7 @@ def look(
         target_mm=target.positions_mm(ids[order]),
         covariances_px2=covariances[kept][order],
     )
-    return Sight(view, named_by)
+    return Detection(view, named_by)
 
 
 def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
@@ -187,9 +187,9 @@ def _without_tag(
     """Find stars from any of them on, and number them by what is seen of the tag, or else by the expected pose."""
     start = find_lattice(image, target.segments)
     size = max(target.columns, target.rows)
-    grown = Grown()
+    grown = StarGrid()
     if start is not None:
-        grown = grow(
+        grown = grow_star_grid(
             image, start, target.segments, lambda nodes: np.asarray((np.abs(nodes) < size).all(axis=1))
         )
     if start is None or len(grown.points) < MIN_STARS:
@@ -200,11 +200,11 @@ def _without_tag(
         )
     named_by: NamedBy = "part of the tag"
     try:
-        numbering = number_by_tag(image, grown, start.sign, target, name=name)
+        numbering = label_by_tag(image, grown, start.sign, target, name=name)
     except StarsUnnamed:
         if expected is None:
             raise
-        numbering, named_by = number_by_pose(grown, expected, name=name), "expected pose"
+        numbering, named_by = label_by_pose(grown, expected, name=name), "expected pose"
     nodes = numbering.apply(grown.nodes())
     printed = _printed(target)(nodes)
     if np.count_nonzero(~printed) > MAX_STRAY * len(nodes):
@@ -219,8 +219,8 @@ def _without_tag(
 def _best_placed(
     image: NDArray[np.generic],
     stars: _Stars,
-    fine: RefinedStars,
-    shape: LocalShape,
+    fine: SymmetryFit,
+    shape: LocalMap,
     target: StarTarget,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Place the stars by likelihood as well, and return what scatters less: (N, 2) px, (N, 2, 2) px^2.
@@ -233,7 +233,7 @@ def _best_placed(
     by_symmetry += _uneven(fine.steepness)
     if len(stars.nodes) < MIN_FOR_LIKELIHOOD:
         return stars.points, by_symmetry
-    likely = likely_stars(quantise(image), stars.points, shape, target)
+    likely = refine_by_likelihood(quantise(image), stars.points, shape, target)
     by_likelihood = likely.covariances * variance_factor(
         stars.nodes, likely.centres, likely.covariances, usual=1.0
     )
@@ -258,13 +258,13 @@ def _typical(covariances: NDArray[np.float64]) -> float:
 
 def _refined(
     image: NDArray[np.float32], stars: _Stars, target: StarTarget, sign: float, step_px: float
-) -> tuple[_Stars, RefinedStars, LocalShape]:
+) -> tuple[_Stars, SymmetryFit, LocalMap]:
     """Refine all stars with the map that they tell together, and leave out those that do not stand."""
     grid = stars.nodes.astype(float)
-    view_map, _ = fit_view(grid, stars.points)
+    view_map, _ = fit_grid_map(grid, stars.points)
     shape = view_map.shape(grid)
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(shape.linear)))))
-    fine = refine_stars(image, stars.points, shape, symmetry_samples(pitch / step_px), WALK * pitch)
+    fine = refine_by_symmetry(image, stars.points, shape, symmetry_samples(pitch / step_px), WALK * pitch)
     score, contrast = star_contrasts(
         image, fine.centres, shape.linear, StarTemplate.of(target.segments), sign
     )
@@ -274,7 +274,7 @@ def _refined(
         good &= middle >= MIN_CONTRAST * np.median(middle[good])
     good = _in_line(grid, fine.centres, good)
     kept = _Stars(stars.nodes, fine.centres).kept(good)
-    return kept, fine.kept(good), LocalShape(shape.linear[good], shape.curved[good])
+    return kept, fine.kept(good), LocalMap(shape.linear[good], shape.curved[good])
 
 
 def _in_line(
@@ -283,7 +283,7 @@ def _in_line(
     """Leave out stars that lie off the smooth map of the others."""
     if np.count_nonzero(good) < MIN_STARS:
         return good
-    fitted, residuals = fit_view(grid[good], points[good])
+    fitted, residuals = fit_grid_map(grid[good], points[good])
     out = np.linalg.norm(residuals, axis=1) > max(OUT_OF_LINE_SIGMAS * fitted.sigma_px, IN_LINE_PX)
     good = good.copy()
     good[np.flatnonzero(good)[out]] = False

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from calib.stars.centring import SYMMETRY_REACH
-from calib.stars.printed_star import Print
+from calib.stars.printed_star import EdgeMap
 
 #: Bins of tau, px.
 TAU_BIN_PX = 0.03
@@ -23,7 +23,7 @@ LEVELS = 64
 UNKNOWNS = 5
 
 
-class Pixels(NamedTuple):
+class EdgePixels(NamedTuple):
     """All pixels near an edge of all stars, one after the other; star k has those from first[k] to first[k + 1].
 
     Attributes
@@ -45,7 +45,7 @@ class Pixels(NamedTuple):
     level: NDArray[np.uint8]
 
 
-class Tables(NamedTuple):
+class ScoreTables(NamedTuple):
     """Of the levels' probabilities over tau: d log P / d tau (levels, bins), and Fisher's information (bins,)."""
 
     score: NDArray[np.float64]
@@ -72,13 +72,13 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     return np.searchsorted(borders, image, side="right").astype(np.uint8)
 
 
-def near_edges(
+def gather_edge_pixels(
     levels: NDArray[np.uint8],
     centres: NDArray[np.float64],
     linear: NDArray[np.float64],
     curved: NDArray[np.float64],
-    drawn: Print,
-) -> Pixels:
+    drawn: EdgeMap,
+) -> EdgePixels:
     """Gather the pixels near edges of all stars.
 
     Parameters
@@ -88,14 +88,14 @@ def near_edges(
     centres
         (N, 2) px.
     linear, curved
-        (N, 2, 2) and (N, 2, 3), the map around each star, as in `calib.stars.centring.LocalShape`.
+        (N, 2, 2) and (N, 2, 3), the map around each star, as in `calib.stars.centring.LocalMap`.
     drawn
         The star they are held against.
     """
     sides = 2.0 * SYMMETRY_REACH * np.abs(linear).sum(axis=(1, 2))
     room = np.abs(np.linalg.det(linear)) * (2.0 * SYMMETRY_REACH) ** 2 + 2.0 * sides + 16.0
     m = int(room.sum())
-    found = Pixels(
+    found = EdgePixels(
         np.zeros(len(centres) + 1, np.int64),
         np.empty(m, np.float32),
         np.empty((m, UNKNOWNS), np.float32),
@@ -112,12 +112,14 @@ def near_edges(
         found,
     )
     used = int(found.first[-1])
-    return Pixels(found.first, found.tau[:used], found.slope[:used], found.edge[:used], found.level[:used])
+    return EdgePixels(
+        found.first, found.tau[:used], found.slope[:used], found.edge[:used], found.level[:used]
+    )
 
 
 @njit(cache=True, error_model="numpy")
 def _gather(
-    levels: Any, centres: Any, inverse: Any, curved: Any, drawn: Print, reach: Any, found: Pixels
+    levels: Any, centres: Any, inverse: Any, curved: Any, drawn: EdgeMap, reach: Any, found: EdgePixels
 ) -> None:
     """Read tau of each pixel of each star's cell off the drawn star."""
     m = 0
@@ -153,7 +155,7 @@ def _gather(
 
 
 @njit(cache=True, error_model="numpy")
-def _tau_bin(pixels: Pixels, m: int, unknowns: Any, limit_px: float) -> float:
+def _tau_bin(pixels: EdgePixels, m: int, unknowns: Any, limit_px: float) -> float:
     """Bin of tau, with its fraction, of a pixel by a star's present unknowns."""
     tau = pixels.tau[m]
     for p in range(UNKNOWNS):
@@ -162,7 +164,7 @@ def _tau_bin(pixels: Pixels, m: int, unknowns: Any, limit_px: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def count_levels(pixels: Pixels, unknowns: Any, limit_px: float) -> Any:
+def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
     """(levels, bins): count the pixels' levels over tau, each shared between the two nearest bins.
 
     ``unknowns`` is (N, 5), ``limit_px`` the print's.
@@ -181,7 +183,7 @@ def count_levels(pixels: Pixels, unknowns: Any, limit_px: float) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def edge_scores(
-    pixels: Pixels, unknowns: Any, tables: Tables, limit_px: float, edges: int
+    pixels: EdgePixels, unknowns: Any, tables: ScoreTables, limit_px: float, edges: int
 ) -> tuple[Any, Any]:
     """Derivatives of log L and information of the unknowns: (N, edges, 5) and (N, edges, 5, 5)."""
     n = len(unknowns)

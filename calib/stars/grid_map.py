@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography, fit_homography
-from calib.stars.centring import LocalShape
+from calib.stars.centring import LocalMap
 
 #: Neighbours that predict a star.
 NEIGHBOURS = 12
@@ -92,7 +92,7 @@ class GridMap:
         bent = _monomials((grid - self.centre) / self.scale, self.degree) @ self.coefficients
         return apply_homography(self.homography, grid) + bent
 
-    def shape(self, grid: NDArray[np.float64]) -> LocalShape:
+    def shape(self, grid: NDArray[np.float64]) -> LocalMap:
         """First and second derivatives at (N, 2) grid positions, by central differences."""
         h = _STEP
         right, down = np.array([h, 0.0]), np.array([0.0, h])
@@ -107,10 +107,12 @@ class GridMap:
         )
         linear = np.stack([(east - west) / (2 * h), (south - north) / (2 * h)], axis=-1)
         xx, yy = (east + west - 2 * here) / (2 * h * h), (south + north - 2 * here) / (2 * h * h)
-        return LocalShape(linear, np.stack([xx, mixed / (4 * h * h), yy], axis=-1))
+        return LocalMap(linear, np.stack([xx, mixed / (4 * h * h), yy], axis=-1))
 
 
-def fit_view(grid: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[GridMap, NDArray[np.float64]]:
+def fit_grid_map(
+    grid: NDArray[np.float64], points: NDArray[np.float64]
+) -> tuple[GridMap, NDArray[np.float64]]:
     """Fit the map of a whole view, leaving out stars that lie off it.
 
     Parameters

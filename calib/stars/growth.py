@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.model.homography import apply_homography, fit_affine, fit_homography
 from calib.stars.centring import SEARCH_RADII, StarTemplate, search_stars
 from calib.stars.grid_map import predict_locally
-from calib.stars.tag import TagSeed
+from calib.stars.tag import TagDetection
 from calib.target import StarTarget
 
 #: Correlation with its print from which a star is taken for one while growing.
@@ -32,7 +32,7 @@ _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != 
 
 
 @dataclass
-class Grown:
+class StarGrid:
     """Stars found so far: node (column, row) to image point, px."""
 
     points: dict[tuple[int, int], NDArray[np.float64]] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Grown:
         return np.array(list(self.points.values()), np.float64).reshape(-1, 2)
 
 
-class Start(NamedTuple):
+class GrowthStart(NamedTuple):
     """Where growth begins.
 
     Attributes
@@ -76,22 +76,22 @@ class Start(NamedTuple):
     anchor_px: NDArray[np.float64]
 
 
-def start_at_tag(seed: TagSeed, target: StarTarget) -> Start:
+def start_at_tag(seed: TagDetection, target: StarTarget) -> GrowthStart:
     """Begin with the ring of stars around the tag."""
     corners = target.tag_corners_mm / target.pitch_mm
     low, high = corners[0].round().astype(np.int64) - 1, corners[2].round().astype(np.int64) + 1
     columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     nodes = np.column_stack([columns.ravel(), rows.ravel()])
     ring = nodes[target.id_at(nodes[:, 0], nodes[:, 1]) >= 0]
-    return Start(seed.homography, seed.sign, ring, corners, seed.corners_px)
+    return GrowthStart(seed.homography, seed.sign, ring, corners, seed.corners_px)
 
 
-def grow(
+def grow_star_grid(
     image: NDArray[np.float32],
-    start: Start,
+    start: GrowthStart,
     segments: int,
     exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]],
-) -> Grown:
+) -> StarGrid:
     """Find the first stars, then those around them, until no more are found.
 
     Parameters
@@ -109,7 +109,7 @@ def grow(
     -------
     Places to about half a pixel; empty where the first nodes have no star.
     """
-    grown = Grown()
+    grown = StarGrid()
     template = StarTemplate.of(segments, SEARCH_RADII)
     h, wanted, reach = start.homography, start.nodes, FIRST_REACH
     while len(wanted):
@@ -130,7 +130,7 @@ def grow(
     return grown
 
 
-def _refitted(h: NDArray[np.float64], start: Start, grown: Grown) -> NDArray[np.float64]:
+def _refitted(h: NDArray[np.float64], start: GrowthStart, grown: StarGrid) -> NDArray[np.float64]:
     """Fit the homography again to the stars found and the points known beforehand."""
     grid = np.vstack([grown.nodes().astype(float), start.anchor_grid])
     places = np.vstack([grown.places(), start.anchor_px])
@@ -147,7 +147,7 @@ def linear_at(h: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _around(
-    nodes: NDArray[np.int64], grown: Grown, exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]]
+    nodes: NDArray[np.int64], grown: StarGrid, exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 ) -> NDArray[np.int64]:
     """(M, 2) nodes next to some stars that are not found yet and may be tried again."""
     next_to = np.unique((nodes[:, None, :] + _AROUND[None]).reshape(-1, 2), axis=0)

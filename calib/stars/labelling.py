@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.errors import StarsUnnamed
 from calib.model.homography import apply_homography, fit_homography
 from calib.stars.grid_map import predict_locally
-from calib.stars.growth import Grown
+from calib.stars.growth import StarGrid
 from calib.target import TAG_MODULES, StarTarget
 
 #: Share of the visible modules of a tag that may look wrong.
@@ -31,7 +31,7 @@ _QUARTERS = [
 ]
 
 
-class Numbering(NamedTuple):
+class StarLabels(NamedTuple):
     """Target node = turn @ node found + shift."""
 
     turn: NDArray[np.int64]
@@ -42,13 +42,13 @@ class Numbering(NamedTuple):
         return np.asarray(nodes @ self.turn.T + self.shift, np.int64)
 
 
-def expected_grid(
+def grid_homography(
     matrix: NDArray[np.float64],
     rotation: NDArray[np.float64],
     centre_mm: NDArray[np.float64],
     pitch_mm: float,
 ) -> NDArray[np.float64]:
-    """Where a known collimator's grid of stars lies in the image of a known camera, for `number_by_pose`.
+    """Where a known collimator's grid of stars lies in the image of a known camera, for `label_by_pose`.
 
     H = K [r1 r2 -R c] diag(p, p, 1); the lens's distortion is left out, a few pixels at most.
 
@@ -71,7 +71,7 @@ def expected_grid(
     return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)
 
 
-def number_by_pose(grown: Grown, expected: NDArray[np.float64], *, name: str) -> Numbering:
+def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) -> StarLabels:
     """Number stars by where they should lie.
 
     Parameters
@@ -106,12 +106,12 @@ def number_by_pose(grown: Grown, expected: NDArray[np.float64], *, name: str) ->
             where=f"view {name}",
             remedy="Turn the camera so that the tag is in view, or give the pose to a third of a square.",
         )
-    return Numbering(turn, shift.astype(np.int64))
+    return StarLabels(turn, shift.astype(np.int64))
 
 
-def number_by_tag(
-    image: NDArray[np.float32], grown: Grown, sign: float, target: StarTarget, *, name: str
-) -> Numbering:
+def label_by_tag(
+    image: NDArray[np.float32], grown: StarGrid, sign: float, target: StarTarget, *, name: str
+) -> StarLabels:
     """Number stars by the part of the tag that is in view.
 
     Every gap in the grid of stars that could hold the tag is compared with the print, in all four directions,
@@ -139,7 +139,7 @@ def number_by_tag(
     h = fit_homography(nodes.astype(float), grown.places())
     white, black = _levels(image, grown, h, sign)
     centre = np.array(target.tag_centre_mm) / target.pitch_mm
-    found: list[tuple[float, Numbering]] = []
+    found: list[tuple[float, StarLabels]] = []
     for middle in _gaps(nodes, target):
         modules = _modules(image, grown, h, middle, target)
         if modules is None:
@@ -149,7 +149,7 @@ def number_by_tag(
             right = np.rot90(white_here, -quarter) == (target.layout.tag_modules > 0)
             share = float(right[np.rot90(np.isfinite(modules), -quarter)].mean())
             shift = np.round(centre - turn @ middle).astype(np.int64)
-            found.append((share, Numbering(turn, shift)))
+            found.append((share, StarLabels(turn, shift)))
     found.sort(key=lambda f: -f[0])
     if not found or found[0][0] < 1.0 - MAX_WRONG_MODULES:
         what = "no readable part of the tag is."
@@ -176,7 +176,7 @@ def _gaps(nodes: NDArray[np.int64], target: StarTarget) -> NDArray[np.float64]:
 
 
 def _levels(
-    image: NDArray[np.float32], grown: Grown, h: NDArray[np.float64], sign: float
+    image: NDArray[np.float32], grown: StarGrid, h: NDArray[np.float64], sign: float
 ) -> tuple[float, float]:
     """Typical white and black around the stars, brightness times sign."""
     around = np.array([[np.cos(a), np.sin(a)] for a in np.arange(64) * np.pi / 32]) * 0.4
@@ -188,7 +188,7 @@ def _levels(
 
 def _modules(
     image: NDArray[np.float32],
-    grown: Grown,
+    grown: StarGrid,
     h: NDArray[np.float64],
     middle: NDArray[np.float64],
     target: StarTarget,

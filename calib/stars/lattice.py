@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.stars.centring import SEARCH_RADII, StarTemplate, search_stars
-from calib.stars.growth import Start
+from calib.stars.growth import GrowthStart
 
 #: Pitches tried, px; neighbouring ones differ by little enough for a star to answer to one of them.
 PITCHES_PX = tuple(18.0 * 1.3**k for k in range(7))
@@ -35,7 +35,7 @@ MIN_CORRELATION = 0.5
 TRIED = 25
 
 
-def find_lattice(image: NDArray[np.float32], segments: int) -> Start | None:
+def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | None:
     """Find a star with neighbours on all four sides; None where there is none.
 
     Parameters
@@ -47,7 +47,7 @@ def find_lattice(image: NDArray[np.float32], segments: int) -> Start | None:
 
     Returns
     -------
-    Start
+    GrowthStart
         Relative: node (0, 0) is the star found, the directions are the grid's up to quarter turns.
     """
     answers: list[tuple[float, float, NDArray[np.float64], NDArray[np.float64]]] = []
@@ -124,7 +124,7 @@ def _square(places: NDArray[np.float64], number: int) -> NDArray[np.float64] | N
 
 def _confirmed(
     image: NDArray[np.float32], place: NDArray[np.float64], linear: NDArray[np.float64], segments: int
-) -> Start | None:
+) -> GrowthStart | None:
     """Look for the star and its four neighbours; where they are there, with one contrast, growth can begin.
 
     The corners of the cells answer as well, if less: where they were taken for neighbours, these stand diagonally.
@@ -139,5 +139,5 @@ def _confirmed(
             if (score >= MIN_CORRELATION).all():
                 homography = np.array([[*steps[0], at[0, 0]], [*steps[1], at[0, 1]], [0.0, 0.0, 1.0]])
                 empty = np.zeros((0, 2))
-                return Start(homography, sign, np.array([[0, 0]]), empty, empty)
+                return GrowthStart(homography, sign, np.array([[0, 0]]), empty, empty)
     return None

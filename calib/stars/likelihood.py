@@ -30,9 +30,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.stars.centring import LocalShape
-from calib.stars.edge_pixels import TAU_BIN_PX, UNKNOWNS, Tables, count_levels, edge_scores, near_edges
-from calib.stars.printed_star import Print, blurred_print, sharp_print
+from calib.stars.centring import LocalMap
+from calib.stars.edge_pixels import (
+    TAU_BIN_PX,
+    UNKNOWNS,
+    ScoreTables,
+    count_levels,
+    edge_scores,
+    gather_edge_pixels,
+)
+from calib.stars.printed_star import EdgeMap, blurred_edge_map, render_star
 from calib.target import StarTarget
 
 #: Blurs of the print that tau is read from, px: lens and pixel together. The one that tells most is taken; what
@@ -56,7 +63,7 @@ _RIDGE = 1e-6
 MAX_MOVE_PX = 0.15
 
 
-class LikelyStars(NamedTuple):
+class LikelihoodFit(NamedTuple):
     """Most likely stars.
 
     Attributes
@@ -74,9 +81,9 @@ class LikelyStars(NamedTuple):
     steepness: NDArray[np.float64]
 
 
-def likely_stars(
-    levels: NDArray[np.uint8], centres: NDArray[np.float64], shape: LocalShape, target: StarTarget
-) -> LikelyStars:
+def refine_by_likelihood(
+    levels: NDArray[np.uint8], centres: NDArray[np.float64], shape: LocalMap, target: StarTarget
+) -> LikelihoodFit:
     """Move stars to their most likely centres.
 
     Parameters
@@ -92,7 +99,7 @@ def likely_stars(
     """
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(shape.linear)))))
     drawn = _likely_print(levels, centres, shape, target, pitch)
-    pixels = near_edges(levels, centres, shape.linear, shape.curved, drawn)
+    pixels = gather_edge_pixels(levels, centres, shape.linear, shape.curved, drawn)
     unknowns = np.zeros((len(centres), UNKNOWNS))
     excess = np.ones(target.segments)
     for number, bandwidth in enumerate(BANDWIDTHS_PX):
@@ -108,7 +115,7 @@ def likely_stars(
         if number == EXCESS_AFTER:
             excess = _excess(score, fisher)
     steepness = np.linalg.norm(unknowns[:, 3:], axis=1)
-    return LikelyStars(centres + unknowns[:, :2], np.linalg.inv(normal)[:, :2, :2], steepness)
+    return LikelihoodFit(centres + unknowns[:, :2], np.linalg.inv(normal)[:, :2, :2], steepness)
 
 
 def _prior(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -126,21 +133,21 @@ def _prior(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
 def _likely_print(
     levels: NDArray[np.uint8],
     centres: NDArray[np.float64],
-    shape: LocalShape,
+    shape: LocalMap,
     target: StarTarget,
     pitch: float,
-) -> Print:
+) -> EdgeMap:
     """Draw the star with the blur that tells most of the centres, judged on some of the stars.
 
     What a blur tells rises up to the right one and falls beyond it.
     """
     some = slice(None, None, max(1, len(centres) // BLUR_STARS))
     at = np.zeros((len(centres[some]), UNKNOWNS))
-    sharp = sharp_print(target, pitch)
+    sharp = render_star(target, pitch)
     best, most = None, -np.inf
     for blur in PRINT_BLURS_PX:
-        drawn = blurred_print(sharp, target.segments, pitch, blur)
-        pixels = near_edges(levels, centres[some], shape.linear[some], shape.curved[some], drawn)
+        drawn = blurred_edge_map(sharp, target.segments, pitch, blur)
+        pixels = gather_edge_pixels(levels, centres[some], shape.linear[some], shape.curved[some], drawn)
         tables = _learn(count_levels(pixels, at, drawn.limit_px), BANDWIDTHS_PX[0] / TAU_BIN_PX)
         _, fisher = edge_scores(pixels, at, tables, drawn.limit_px, target.segments)
         told = float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))
@@ -179,7 +186,7 @@ def _excess(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> NDArray[
     return np.tile(np.clip(excess, EXCESS_RANGE[0] * typical, EXCESS_RANGE[1] * typical), 2)
 
 
-def _learn(counts: NDArray[np.float64], bandwidth_bins: float) -> Tables:
+def _learn(counts: NDArray[np.float64], bandwidth_bins: float) -> ScoreTables:
     """Turn counts of levels over tau into P, smoothed over tau, and that into derivatives and information."""
     reach = int(4 * bandwidth_bins) + 1
     steps = np.arange(-reach, reach + 1)
@@ -189,4 +196,4 @@ def _learn(counts: NDArray[np.float64], bandwidth_bins: float) -> Tables:
     overall = (counts.sum(axis=1, keepdims=True) + 1.0) / (counts.sum() + len(counts))
     share = (smooth + PSEUDO_COUNT * overall) / (smooth.sum(axis=0) + PSEUDO_COUNT)
     slope = np.gradient(share, axis=1) / TAU_BIN_PX
-    return Tables(slope / share, (slope**2 / share).sum(axis=0))
+    return ScoreTables(slope / share, (slope**2 / share).sum(axis=0))

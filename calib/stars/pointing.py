@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation
-from calib.stars.labelling import expected_grid
+from calib.stars.labelling import grid_homography
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ _LOG_F, _CENTRE, _LOG_R, _MOUNTING, _STANDING = 0, slice(1, 3), 3, slice(4, 7), 
 _UNKNOWNS = 10
 
 
-class Sighting(NamedTuple):
+class LabelledView(NamedTuple):
     """An earlier view whose stars the tag named.
 
     Attributes
@@ -59,7 +59,7 @@ class Sighting(NamedTuple):
     reading_deg: Mapping[str, float]
 
 
-class ExpectedGrid(NamedTuple):
+class PredictedGrid(NamedTuple):
     """Where the grid should lie.
 
     Attributes
@@ -88,7 +88,7 @@ class _Scene(NamedTuple):
         rotation = exp_map(values[_MOUNTING]) @ _gimbal(reading_deg) @ exp_map(values[_STANDING])
         centre = np.array([*values[_CENTRE], -np.exp(values[_LOG_R])])
         matrix = _matrix(float(np.exp(values[_LOG_F])), self.image_size)
-        return expected_grid(matrix, rotation, centre, self.pitch_mm)
+        return grid_homography(matrix, rotation, centre, self.pitch_mm)
 
     def off(self, values: Array) -> Array:
         """Residuals of all places of all views, and the mounting, in sigmas."""
@@ -109,12 +109,12 @@ class _Fit(NamedTuple):
     excess: float
 
 
-def expect_grid(
-    seen: Sequence[Sighting],
+def predict_grid(
+    seen: Sequence[LabelledView],
     reading_deg: Mapping[str, float],
     image_size: tuple[int, int],
     pitch_mm: float,
-) -> ExpectedGrid:
+) -> PredictedGrid:
     """Expect the grid of stars at a reading of the gimbal.
 
     Parameters
@@ -172,7 +172,7 @@ def _gimbal(reading_deg: Mapping[str, float]) -> Array:
     return euler_zxy(*(reading_deg.get(axis, 0.0) for axis in ("pan", "tilt", "roll")))
 
 
-def _start(first: Sighting, scene: _Scene, focal_px: float) -> Array:
+def _start(first: LabelledView, scene: _Scene, focal_px: float) -> Array:
     """Unknowns by the first view and a focal length: K^-1 H is s [r1 r2 -R c]."""
     per_mm = np.diag([1.0 / scene.pitch_mm, 1.0 / scene.pitch_mm, 1.0])
     scaled = np.linalg.inv(_matrix(focal_px, scene.image_size)) @ first.grid @ per_mm
@@ -213,14 +213,14 @@ def _fitted(scene: _Scene, values: Array) -> _Fit:
     return _Fit(values, excess * np.asarray(np.linalg.pinv(slopes.T @ slopes, hermitian=True)), cost, excess)
 
 
-def _foretold(scene: _Scene, fit: _Fit, reading_deg: Mapping[str, float]) -> ExpectedGrid:
+def _foretold(scene: _Scene, fit: _Fit, reading_deg: Mapping[str, float]) -> PredictedGrid:
     """The grid at a reading, and how surely the fit tells it."""
     grid = scene.grid(fit.values, reading_deg)
     nodes = apply_homography(np.asarray(np.linalg.inv(grid)), scene.places)
     slopes = _slopes(lambda v: apply_homography(scene.grid(v, reading_deg), nodes).ravel(), fit.values)
     variance = np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes) + fit.excess * MODEL_PX**2
     pitch = np.linalg.norm(apply_homography(grid, nodes + np.array([1.0, 0.0])) - scene.places, axis=1)
-    return ExpectedGrid(grid, float(np.sqrt(variance.max()) / np.median(pitch)))
+    return PredictedGrid(grid, float(np.sqrt(variance.max()) / np.median(pitch)))
 
 
 def _slopes(function: Callable[[Array], Array], values: Array) -> Array:

@@ -22,7 +22,7 @@ PRINT_REACH = 0.62
 TAU_LIMIT_BLURS = 3.2
 
 
-class Print(NamedTuple):
+class EdgeMap(NamedTuple):
     """One star, drawn finely: tau, px, and the number of the nearest edge, on a grid around its centre."""
 
     tau: NDArray[np.float32]
@@ -32,13 +32,13 @@ class Print(NamedTuple):
     limit_px: float
 
 
-def draw_print(target: StarTarget, pitch_px: float, blur_px: float) -> Print:
+def draw_edge_map(target: StarTarget, pitch_px: float, blur_px: float) -> EdgeMap:
     """Draw a star among its neighbours, blurred (sigma, px), as finely as refinement asks for at that pitch."""
-    return blurred_print(sharp_print(target, pitch_px), target.segments, pitch_px, blur_px)
+    return blurred_edge_map(render_star(target, pitch_px), target.segments, pitch_px, blur_px)
 
 
-def sharp_print(target: StarTarget, pitch_px: float) -> NDArray[np.float64]:
-    """Brightness (0 to 1) around a star that has all its neighbours, square, on the grid of a `Print`."""
+def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float64]:
+    """Brightness (0 to 1) around a star that has all its neighbours, square, on the grid of a `EdgeMap`."""
     columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
     whole = np.ones(columns.shape, bool)
     for dc in (-1, 0, 1):
@@ -58,8 +58,8 @@ def _grid(pitch_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return u, v
 
 
-def blurred_print(sharp: NDArray[np.float64], segments: int, pitch_px: float, blur_px: float) -> Print:
-    """Blur a print from `sharp_print` of the same pitch, and read tau and the nearest of the edges off it."""
+def blurred_edge_map(sharp: NDArray[np.float64], segments: int, pitch_px: float, blur_px: float) -> EdgeMap:
+    """Blur a print from `render_star` of the same pitch, and read tau and the nearest of the edges off it."""
     blurred = cv2.GaussianBlur(sharp, (0, 0), blur_px * OVERSAMPLING)
     # Samples on an edge fall to either side by rounding; half a turn more makes the drawing even again.
     blurred = (blurred + blurred[::-1, ::-1]) / 2.0
@@ -67,4 +67,4 @@ def blurred_print(sharp: NDArray[np.float64], segments: int, pitch_px: float, bl
     u, v = _grid(pitch_px)
     edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * segments) % segments
     scale, limit_px = pitch_px * OVERSAMPLING, TAU_LIMIT_BLURS * blur_px
-    return Print(tau.astype(np.float32), edge.astype(np.uint8), len(sharp) // 2, scale, limit_px)
+    return EdgeMap(tau.astype(np.float32), edge.astype(np.uint8), len(sharp) // 2, scale, limit_px)

@@ -25,7 +25,7 @@ MIN_PERIMETER = 0.12
 
 
 @dataclass(frozen=True)
-class TagSeed:
+class TagDetection:
     """Where the tag lies.
 
     Attributes
@@ -46,7 +46,7 @@ class TagSeed:
     correlation: float
 
 
-def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> TagSeed | None:
+def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> TagDetection | None:
     """Find the target's own tag, at any roll and with either contrast.
 
     The image is tried smaller, blurred, as it is and median filtered, until the tag is seen.
@@ -62,7 +62,7 @@ def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> Ta
 
     Returns
     -------
-    TagSeed or None
+    TagDetection or None
         None where no tag is seen.
 
     Raises
@@ -126,7 +126,7 @@ def _read_tags(picture: NDArray[np.uint8], scale: float) -> Iterator[tuple[NDArr
 
 def _judge(
     picture: NDArray[np.uint8], scale: float, corners: NDArray[np.float64], target: StarTarget
-) -> TagSeed | None:
+) -> TagDetection | None:
     """Compare the modules with the print; a seed where they agree, of either contrast."""
     nodes = target.tag_corners_mm / target.pitch_mm
     correlation = _modules_correlation(picture, scale, _homography(nodes, corners), target)
@@ -134,7 +134,7 @@ def _judge(
         return None
     sign = float(np.sign(correlation))
     corners = _sharpened(picture.astype(np.float32) * np.float32(sign), scale, corners)
-    return TagSeed(_homography(nodes, corners), corners, sign, abs(correlation))
+    return TagDetection(_homography(nodes, corners), corners, sign, abs(correlation))
 
 
 def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,13 +18,13 @@ from calib.view import View
 
 #: Standard uncertainty a star at the rim gets besides its own, px. Simulated beams shift the outermost stars by
 #: 0.03 px outwards, all together, which is worth 2 sigma of f; with this, they no longer decide anything.
-RIM_SIGMA_PX = 0.2
+VIGNETTED_SIGMA_PX = 0.2
 #: A neighbour this near the frame's border, in pitches, is absent for that reason.
 _BORDER_PITCHES = 0.55
 _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
-def rim_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
+def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
     """Find the stars that lack a neighbour although it would lie inside the frame.
 
     Parameters
@@ -57,13 +57,13 @@ def rim_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
     return np.asarray((absent & inside).any(axis=1))
 
 
-def mistrust_rim(view: View, target: StarTarget, sigma_px: float = RIM_SIGMA_PX) -> View:
+def downweight_vignetted(view: View, target: StarTarget, sigma_px: float = VIGNETTED_SIGMA_PX) -> View:
     """Give the stars at the rim of the beam the uncertainty that their place there adds.
 
     Parameters
     ----------
     view, target
-        As for `rim_stars`.
+        As for `vignetted_stars`.
     sigma_px
         Standard uncertainty to add, per axis.
 
@@ -72,5 +72,5 @@ def mistrust_rim(view: View, target: StarTarget, sigma_px: float = RIM_SIGMA_PX)
     View
         The same stars; covariances of those at the rim are larger by ``sigma_px`` squared.
     """
-    added = np.where(rim_stars(view, target), sigma_px**2, 0.0)
+    added = np.where(vignetted_stars(view, target), sigma_px**2, 0.0)
     return replace(view, covariances_px2=view.covariances_px2 + added[:, None, None] * np.eye(2))

@@ -30,7 +30,7 @@ from calib.errors import CalibrationError
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
 from calib.model.homography import fit_homography
-from calib.stars.detect import detect
+from calib.stars.detect import detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, Truth
@@ -86,7 +86,7 @@ def tag_seen(truth: Truth, rotation: Any) -> str:
     return "whole" if inside.all() else "cut" if inside.any() else "none"
 
 
-def look(seed: int, number: int) -> Pose:
+def try_pose(seed: int, number: int) -> Pose:
     """Draw pose ``number``, find its stars, and compare them with the truth."""
     rng = np.random.default_rng([seed, number])
     optics = dataclasses.replace(Truth().optics, psf_px=float(rng.uniform(0.4, 1.0)))
@@ -102,7 +102,7 @@ def look(seed: int, number: int) -> Pose:
     told |= {"expected": expected is not None, "whole": len(whole)}
     begin = time.process_time()
     try:
-        view = detect(image, TARGET, expected=expected)
+        view = detect_view(image, TARGET, expected=expected)
     except CalibrationError as error:
         return told | {"refused": str(error)}
     cpu_s = time.process_time() - begin
@@ -167,7 +167,7 @@ def main() -> None:
         poses = {pose["number"]: pose for pose in stored}
     for number in range(options.poses):
         if number not in poses:
-            poses[number] = look(options.seed, number)
+            poses[number] = try_pose(options.seed, number)
             if options.store:
                 with options.store.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(poses[number]) + "\n")

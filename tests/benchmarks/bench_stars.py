@@ -27,7 +27,7 @@ from calib.errors import CalibrationError
 from calib.events.event_image import EventImages, make_images
 from calib.events.flicker import Flicker
 from calib.events.grey_image import to_uint8
-from calib.stars.detect import detect
+from calib.stars.detect import detect_view
 from calib.view import View
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
@@ -67,7 +67,7 @@ def measure(
     """View, errors and figures of one pose by one kind of image."""
     image = images.best().image if kind == "best" else images.named(kind)
     begin = time.process_time()
-    view = detect(image, TARGET)
+    view = detect_view(image, TARGET)
     cpu_s = time.process_time() - begin
     errors = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)
     squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(view.covariances_px2), errors) / 2.0

@@ -9,7 +9,7 @@ from bench.views.measure import measure
 from calib.errors import FlickerNotFound, TargetNotFound
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker, flicker_from_triggers
-from calib.stars.detect import detect
+from calib.stars.detect import detect_view
 from calib.target import StarTarget
 from drivers.camera.raw_file import RawFile
 
@@ -48,7 +48,7 @@ def test_a_steady_scene_is_no_target(recording):
     made = make_images(events.t, events.x, events.y, events.p, (raw.width, raw.height), light)
     for name in ("last-polarity", "count", "fired-per-edge", "lock-in"):
         with pytest.raises(TargetNotFound):
-            detect(made.named(name), StarTarget())
+            detect_view(made.named(name), StarTarget())
 
 
 def test_looking_for_stars_in_it_ends_in_a_sentence_and_not_in_a_fault_of_the_program(recording):

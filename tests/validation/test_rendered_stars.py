@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
-from calib.stars.detect import detect
+from calib.stars.detect import detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.world.truth import CameraTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config
@@ -16,7 +16,7 @@ LEVEL = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
 def test_the_picture_shows_stars_in_their_true_places_at_any_roll(roll):
     truth = Truth(camera=CameraTruth(cx=322.0, cy=183.0, width=640, height=360), optics=LEVEL)
     rotation = pose_rotation({"pan": 1.3, "tilt": -0.7, "roll": roll}, truth.optics)
-    view = detect(render(truth, rotation), TARGET)
+    view = detect_view(render(truth, rotation), TARGET)
     inside, _ = star_centres(truth, rotation, clearance=2.0, border_px=32.0)
     kept = np.isin(view.ids, inside)
     error = view.points_px[kept] - project(np.asarray(TARGET.positions_mm(view.ids[kept])), rotation, truth)
@@ -37,7 +37,7 @@ def test_a_fisheye_is_calibrated_from_its_pictures():
     views = []
     for pan, tilt, roll in ((0, 0, 7), (9, 4, 7), (-9, -4, 97), (7, -5, 7)):
         rotation = pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, truth.optics)
-        views.append(detect(render(truth, rotation), TARGET, name=f"{pan} {tilt} {roll}"))
+        views.append(detect_view(render(truth, rotation), TARGET, name=f"{pan} {tilt} {roll}"))
     found = calibrate(views, CalibrationOptions(model="spherical", distortion=("kb1", "kb2")))
     assert found.rms_px < 0.02
     told = truth.to_dict()["camera"]

@@ -11,7 +11,7 @@ import pytest
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker, flicker_from_events
 from calib.events.motion import half_windows, motion_between
-from calib.stars.detect import detect
+from calib.stars.detect import detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
@@ -75,7 +75,7 @@ def test_stars_of_33_ms_are_as_exact_as_wanted(waveform, noise, chosen, rms_px):
         events, flicker, rotation = record(noise, waveform, pose, seed)
         best = images(events, flicker).best()
         assert best.name == chosen
-        off, z = compare(detect(best.image, TARGET), rotation)
+        off, z = compare(detect_view(best.image, TARGET), rotation)
         errors.append(off)
         squares.append(z)
     assert np.sqrt((np.concatenate(errors) ** 2).mean()) <= rms_px
@@ -86,8 +86,8 @@ def test_stars_of_33_ms_are_as_exact_as_wanted(waveform, noise, chosen, rms_px):
 def test_no_star_is_taken_for_another_at_any_pose():
     """Some of the poses of ``bench_star_names.py``; the benchmark looks at a thousand."""
     script = Path(__file__).parents[1] / "benchmarks" / "bench_star_names.py"
-    look = runpy.run_path(str(script))["look"]
-    poses = [look(1, number) for number in range(40)]
+    try_pose = runpy.run_path(str(script))["try_pose"]
+    poses = [try_pose(1, number) for number in range(40)]
     found = [pose for pose in poses if "stars" in pose]
     assert sum(pose["wrong"] for pose in found) == 0
     assert sum(pose["missed"] for pose in found) <= 0.005 * sum(pose["whole"] for pose in found)
@@ -101,7 +101,7 @@ def test_the_phase_told_by_the_events_does_as_well_as_triggers():
     events, flicker, rotation = record("typical", "square", POSES[0], 3)
     by_events = flicker_from_events(events.t, events.p)
     assert abs(by_events.lag_us(flicker)) < 150
-    off, _ = compare(detect(images(events, by_events).best().image, TARGET), rotation)
+    off, _ = compare(detect_view(images(events, by_events).best().image, TARGET), rotation)
     assert np.sqrt((off**2).mean()) <= 0.015
 
 
@@ -109,7 +109,7 @@ def test_the_phase_told_by_the_events_does_as_well_as_triggers():
 def test_a_camera_at_rest_shows_no_motion_between_the_halves():
     events, flicker, _ = record("typical", "square", POSES[0], 4)
     halves = half_windows(images(events, flicker).facts)
-    first, second = (detect(images(events, flicker, half).best().image, TARGET) for half in halves)
+    first, second = (detect_view(images(events, flicker, half).best().image, TARGET) for half in halves)
     motion = motion_between(first, second)
     assert motion.length_px < 0.01
     assert motion.stars > 150

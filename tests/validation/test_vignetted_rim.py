@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calib.engine import calibrate
-from calib.stars.detect import detect
-from calib.stars.vignetting import mistrust_rim
+from calib.stars.detect import detect_view
+from calib.stars.vignetting import downweight_vignetted
 from simulators.optics.picture import TARGET, pose_rotation, project, render
 from simulators.world.truth_config import truth_from_config
 
@@ -21,7 +21,7 @@ def vignetted():
         rotation = pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, truth.optics)
         picture = render(truth, rotation)
         noisy = picture + 0.02 * picture.max() * rng.standard_normal(picture.shape, np.float32)
-        views.append(detect(noisy, TARGET, name=f"{pan} {tilt} {roll}"))
+        views.append(detect_view(noisy, TARGET, name=f"{pan} {tilt} {roll}"))
         errors.append(views[-1].points_px - project(views[-1].target_mm, rotation, truth))
     return truth.to_dict(), views, errors
 
@@ -47,7 +47,7 @@ def test_stars_in_the_falling_light_say_that_they_are_less_sure_and_are(vignette
 def test_that_weight_saves_the_focal_length(vignetted):
     truth, views, _ = vignetted
     fx = truth["camera"]["fx"]
-    weighed = calibrate([mistrust_rim(view, TARGET) for view in views])
+    weighed = calibrate([downweight_vignetted(view, TARGET) for view in views])
     assert abs(weighed.camera.fx - fx) < 2 * weighed.sigma["fx"]
     assert abs(weighed.camera.fx - fx) < 1.2
     for view in views:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch, TooFewEvents
-from calib.events.bursts import whole_periods
+from calib.events.bursts import whole_period_window
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
 
@@ -92,8 +92,8 @@ def test_facts_state_what_the_slice_was_like():
     assert facts.on_share == pytest.approx(0.5)
     assert 50 < facts.first_on_spread_us < 150
     assert facts.silent_rows == 0
-    assert abs(facts.on_gate.start_us % PERIOD - 1000) < 60
-    assert abs(facts.off_gate.start_us % PERIOD - 6000) < 60
+    assert abs(facts.on_window.start_us % PERIOD - 1000) < 60
+    assert abs(facts.off_window.start_us % PERIOD - 6000) < 60
 
 
 def test_a_row_without_events_between_others_is_told():
@@ -131,13 +131,13 @@ def test_events_beyond_the_last_whole_period_are_left_out():
 
 def test_33_ms_at_60_hz_count_as_two_periods():
     light = Flicker(1e6 / 60, 100.0, 0.5, 0.0, 2, 0, 0, "triggers")
-    start, end, n = whole_periods(np.array([0, 32_000]), light, (0.0, 33_000.0), None)
+    start, end, n = whole_period_window(np.array([0, 32_000]), light, (0.0, 33_000.0), None)
     assert (start, n) == (0.0, 2)
     assert end == pytest.approx(33_333.3, abs=0.1)
 
 
 def test_the_window_begins_just_before_an_edge_where_there_is_room():
-    start, _, n = whole_periods(np.array([0, 50_000]), FLICKER, (3000.0, 29_000.0), None)
+    start, _, n = whole_period_window(np.array([0, 50_000]), FLICKER, (3000.0, 29_000.0), None)
     assert n == 2
     assert start == pytest.approx(6000 - 100)
 

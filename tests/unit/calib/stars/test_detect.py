@@ -12,8 +12,8 @@ from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.events.grey_image import to_uint8
 from calib.events.motion import half_windows, motion_between
 from calib.model.homography import apply_homography
-from calib.stars.detect import detect, look
-from calib.stars.labelling import expected_grid
+from calib.stars.detect import detect_stars, detect_view
+from calib.stars.labelling import grid_homography
 from calib.stars.tag import find_tag
 from calib.target import StarTarget
 
@@ -115,7 +115,7 @@ def assert_found_where_drawn(view, scene, *, rms_px, share=0.995):
 @pytest.mark.parametrize("bright", [True, False])
 def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
     scene, image = drawn(roll=roll)
-    view, named_by = look(image if bright else 1.0 - image, TARGET, name="p")
+    view, named_by = detect_stars(image if bright else 1.0 - image, TARGET, name="p")
     assert_found_where_drawn(view, scene, rms_px=0.008)
     assert named_by == "tag"
     assert view.image_size == SIZE
@@ -125,7 +125,7 @@ def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
 @pytest.mark.parametrize("pitch", [20, 28, 55, 80])
 def test_stars_are_found_small_and_large(pitch):
     scene, image = drawn(pitch_px=pitch, roll=12, size=(400, 320) if pitch < 40 else (800, 640))
-    assert_found_where_drawn(detect(image, TARGET), scene, rms_px=0.012)
+    assert_found_where_drawn(detect_view(image, TARGET), scene, rms_px=0.012)
 
 
 @pytest.mark.parametrize(
@@ -133,14 +133,14 @@ def test_stars_are_found_small_and_large(pitch):
 )
 def test_any_number_type_of_a_frame_camera_does(kind, scale):
     scene, image = drawn(roll=37)
-    assert_found_where_drawn(detect((image * scale).astype(kind), TARGET), scene, rms_px=0.008)
+    assert_found_where_drawn(detect_view((image * scale).astype(kind), TARGET), scene, rms_px=0.008)
 
 
 @pytest.mark.parametrize(("scale", "black"), [(1e-9, 0.0), (1e9, 0.0), (100.0, 1e4)])
 def test_grey_values_may_be_of_any_size_and_on_any_pedestal(scale, black):
     scene, image = drawn(roll=37)
     assert_found_where_drawn(
-        detect(image * np.float32(scale) + np.float32(black), TARGET), scene, rms_px=0.008, share=0.98
+        detect_view(image * np.float32(scale) + np.float32(black), TARGET), scene, rms_px=0.008, share=0.98
     )
 
 
@@ -149,7 +149,7 @@ def test_grey_values_may_be_of_any_size_and_on_any_pedestal(scale, black):
 def test_covariances_say_how_surely_stars_are_placed_in_binary_images(seed, roll):
     scene, image = drawn(roll=roll)
     rng = np.random.default_rng(seed)
-    squares = assert_found_where_drawn(detect(as_events_show_it(image, rng), TARGET), scene, rms_px=0.06)
+    squares = assert_found_where_drawn(detect_view(as_events_show_it(image, rng), TARGET), scene, rms_px=0.06)
     assert 0.75 < np.sqrt(squares.mean()) < 1.3
 
 
@@ -157,7 +157,7 @@ def test_noise_that_frame_cameras_have_is_told_by_the_covariances():
     scene, image = drawn(roll=37)
     rng = np.random.default_rng(5)
     image = image + 0.1 * rng.standard_normal((SIZE[1], SIZE[0])).astype(np.float32)
-    squares = assert_found_where_drawn(detect(image, TARGET), scene, rms_px=0.03)
+    squares = assert_found_where_drawn(detect_view(image, TARGET), scene, rms_px=0.03)
     assert 0.75 < np.sqrt(squares.mean()) < 1.3
 
 
@@ -183,7 +183,7 @@ def photograph(image, rng, *, bits, electrons=4000, gamma=1.0, contrast=1.0):
 def test_photographs_do_as_well_as_their_noise_lets_them(bits, settings, rms_px):
     scene, image = drawn(roll=37)
     shown = photograph(image, np.random.default_rng(6), bits=bits, **settings)
-    squares = assert_found_where_drawn(detect(shown, TARGET), scene, rms_px=rms_px)
+    squares = assert_found_where_drawn(detect_view(shown, TARGET), scene, rms_px=rms_px)
     assert 0.75 < np.sqrt(squares.mean()) < 1.6
 
 
@@ -192,14 +192,14 @@ def test_photographs_out_of_focus_are_told_by_the_covariances(blur, rms_px):
     scene, image = drawn(roll=37)
     blurred = cv2.GaussianBlur(image, (0, 0), blur)
     squares = assert_found_where_drawn(
-        detect(photograph(blurred, np.random.default_rng(7), bits=8), TARGET), scene, rms_px=rms_px
+        detect_view(photograph(blurred, np.random.default_rng(7), bits=8), TARGET), scene, rms_px=rms_px
     )
     assert 0.75 < np.sqrt(squares.mean()) < 1.6
 
 
 def test_stars_cut_by_the_discs_rim_are_left_out():
     scene = Scene(roll=31, disc_px=240)
-    view = detect(scene.draw(), TARGET)
+    view = detect_view(scene.draw(), TARGET)
     assert_found_where_drawn(view, scene, rms_px=0.02)
     light = scene.lit(scene.project(TARGET.positions_mm(view.ids)))
     assert (light > 0.3).all()
@@ -207,7 +207,7 @@ def test_stars_cut_by_the_discs_rim_are_left_out():
 
 def test_stars_cut_by_the_frame_are_left_out():
     _, image = drawn(roll=2)
-    points = detect(image, TARGET).points_px
+    points = detect_view(image, TARGET).points_px
     assert len(points) > 100
     assert (points > 12).all()
     assert (points < np.array(SIZE) - 13).all()
@@ -217,7 +217,7 @@ def test_a_blot_on_the_target_costs_the_stars_below_it_and_no_others():
     scene, clean = drawn(roll=143)
     image = clean.copy()
     cv2.circle(image, (150, 130), 50, 0.4, -1)
-    view = detect(image, TARGET)
+    view = detect_view(image, TARGET)
     whole, points = scene.whole_stars()
     clear = np.linalg.norm(points - [150, 130], axis=1) > 50 + 30
     assert np.isin(whole[clear], view.ids).mean() > 0.99
@@ -238,7 +238,7 @@ def expected_homography(scene, nodes_off=(0.0, 0.0)):
 )
 def test_part_of_the_tag_is_enough(roll, shift):
     scene, image = drawn(roll=roll, shift=shift)
-    seen = look(as_events_show_it(image, np.random.default_rng(1)), TARGET)
+    seen = detect_stars(as_events_show_it(image, np.random.default_rng(1)), TARGET)
     assert find_tag(image, TARGET, name="p") is None, "the tag is not meant to be readable"
     assert seen.named_by == "part of the tag"
     assert_found_where_drawn(seen.view, scene, rms_px=0.05)
@@ -247,14 +247,14 @@ def test_part_of_the_tag_is_enough(roll, shift):
 def test_without_the_tag_stars_are_not_named():
     _, image = drawn(roll=61, shift=(390, 0))
     with pytest.raises(TargetNotFound, match="no readable part of the tag"):
-        detect(image, TARGET)
+        detect_view(image, TARGET)
 
 
 @pytest.mark.parametrize("bright", [True, False])
 @pytest.mark.parametrize("off", [(0.0, 0.0), (0.25, -0.2)])
 def test_without_the_tag_the_expected_pose_names_the_stars(off, bright):
     scene, image = drawn(roll=61, shift=(390, 0))
-    seen = look(image if bright else 1 - image, TARGET, expected=expected_homography(scene, off))
+    seen = detect_stars(image if bright else 1 - image, TARGET, expected=expected_homography(scene, off))
     assert seen.named_by == "expected pose"
     assert_found_where_drawn(seen.view, scene, rms_px=0.008)
 
@@ -262,7 +262,7 @@ def test_without_the_tag_the_expected_pose_names_the_stars(off, bright):
 def test_a_known_collimator_and_camera_tell_the_expected_grid():
     scene = Scene(roll=61, shift=(390, 0), k=(0.0, 0.0))
     centre = -scene.turn.T @ scene.shift
-    grid = expected_grid(scene.matrix, scene.turn, centre, TARGET.pitch_mm)
+    grid = grid_homography(scene.matrix, scene.turn, centre, TARGET.pitch_mm)
     nodes = np.array([[20.0, 30.0], [25.0, 36.0], [28.0, 33.0]])
     assert apply_homography(grid, nodes) == pytest.approx(scene.project(nodes * TARGET.pitch_mm), abs=1e-6)
 
@@ -271,26 +271,26 @@ def test_a_known_collimator_and_camera_tell_the_expected_grid():
 def test_an_expected_pose_between_two_namings_is_refused(off):
     scene, image = drawn(roll=61, shift=(390, 0))
     with pytest.raises(TargetNotFound, match="does not say which they are"):
-        detect(image, TARGET, expected=expected_homography(scene, off))
+        detect_view(image, TARGET, expected=expected_homography(scene, off))
 
 
 def test_an_expected_pose_of_another_roll_is_refused():
     _, image = drawn(roll=61, shift=(390, 0))
     with pytest.raises(TargetNotFound, match="does not say which they are"):
-        detect(image, TARGET, expected=expected_homography(Scene(roll=80, shift=(390, 0))))
+        detect_view(image, TARGET, expected=expected_homography(Scene(roll=80, shift=(390, 0))))
 
 
 def test_part_of_another_tag_is_refused():
     _, image = drawn(roll=20, shift=(230, 0))
     with pytest.raises(TargetNotFound):
-        detect(image, StarTarget(tag_id=8))
+        detect_view(image, StarTarget(tag_id=8))
 
 
 def test_a_target_without_room_for_the_stars_seen_is_refused():
     scene, image = drawn(roll=61, shift=(390, 0))
     small = StarTarget(squares_x=12, squares_y=12, tag_square=(4, 4))
     with pytest.raises(TargetNotFound):
-        detect(image, small, expected=expected_homography(scene))
+        detect_view(image, small, expected=expected_homography(scene))
 
 
 def test_a_star_of_which_a_part_is_covered_is_left_out():
@@ -303,8 +303,8 @@ def test_a_star_of_which_a_part_is_covered_is_left_out():
     for side in (16, -16):  # evenly, so that nothing but the missing contrast tells
         spot = centre + side * np.array([np.cos(0.3), np.sin(0.3)])
         cv2.circle(image, tuple(spot.round().astype(int).tolist()), 8, 0.55, -1)
-    assert star in detect(clean, TARGET).ids
-    assert star not in detect(image, TARGET).ids
+    assert star in detect_view(clean, TARGET).ids
+    assert star not in detect_view(image, TARGET).ids
 
 
 def test_a_star_out_of_line_is_left_out():
@@ -316,12 +316,12 @@ def test_a_star_out_of_line_is_left_out():
     x, y = centre.round().astype(int)
     image = clean.copy()
     image[y - 19 : y + 20, x - 18 : x + 21] = clean[y - 19 : y + 20, x - 19 : x + 20]
-    assert star not in detect(image, TARGET).ids
+    assert star not in detect_view(image, TARGET).ids
 
 
 def test_the_same_image_gives_the_same_view():
     image = as_events_show_it(drawn(roll=143)[1], np.random.default_rng(3))
-    first, second = detect(image, TARGET), detect(image.copy(), TARGET)
+    first, second = detect_view(image, TARGET), detect_view(image.copy(), TARGET)
     assert first.points_px.tobytes() == second.points_px.tobytes()
     assert first.covariances_px2.tobytes() == second.covariances_px2.tobytes()
 
@@ -329,29 +329,29 @@ def test_the_same_image_gives_the_same_view():
 @pytest.mark.parametrize("image", [np.zeros((400, 500)), np.full((400, 500), np.nan), np.eye(300)])
 def test_an_image_without_the_target_is_refused(image):
     with pytest.raises(TargetNotFound, match="view p7: Tag 3 of family 36h11 is not in the image"):
-        detect(image, TARGET, name="p7")
+        detect_view(image, TARGET, name="p7")
 
 
 def test_noise_alone_is_refused():
     rng = np.random.default_rng(9)
     with pytest.raises(TargetNotFound):
-        detect(rng.random((540, 720)), TARGET)
+        detect_view(rng.random((540, 720)), TARGET)
 
 
 def test_another_tag_is_named():
     with pytest.raises(TargetNotFound, match="tags seen instead: 3"):
-        detect(drawn(roll=200)[1], StarTarget(tag_id=8))
+        detect_view(drawn(roll=200)[1], StarTarget(tag_id=8))
 
 
 def test_a_mirrored_target_is_refused():
     with pytest.raises(TargetNotFound):
-        detect(drawn(roll=200)[1][:, ::-1], TARGET)
+        detect_view(drawn(roll=200)[1][:, ::-1], TARGET)
 
 
 def test_two_targets_are_refused():
     _, image = drawn(roll=37)
     with pytest.raises(TargetNotFound, match="seen 2 times"):
-        detect(np.hstack([image, image]), TARGET)
+        detect_view(np.hstack([image, image]), TARGET)
 
 
 def test_a_tag_without_stars_around_it_is_refused():
@@ -360,12 +360,12 @@ def test_a_tag_without_stars_around_it_is_refused():
     mask = np.zeros(image.shape, np.uint8)
     cv2.fillConvexPoly(mask, hull.round().astype(np.int32), 1)
     with pytest.raises(TooFewStars, match="0 stars"):
-        detect(np.where(mask > 0, image, np.float32(1)), TARGET)
+        detect_view(np.where(mask > 0, image, np.float32(1)), TARGET)
 
 
 def test_more_than_one_plane_is_refused():
     with pytest.raises(InputMismatch, match="one grey plane"):
-        detect(np.zeros((40, 50, 3)), TARGET)
+        detect_view(np.zeros((40, 50, 3)), TARGET)
 
 
 def test_the_tags_contrast_and_corners_are_told():
@@ -379,7 +379,7 @@ def test_motion_between_the_halves_is_measured():
     still, moved = Scene(roll=10), Scene(roll=10)
     moved.matrix = moved.matrix + np.array([[0, 0, 0.21], [0, 0, -0.13], [0, 0, 0]])
     rng = np.random.default_rng(2)
-    first, second = (detect(as_events_show_it(s.draw(), rng, stray=0), TARGET) for s in (still, moved))
+    first, second = (detect_view(as_events_show_it(s.draw(), rng, stray=0), TARGET) for s in (still, moved))
     motion = motion_between(first, second)
     assert motion.shift_px == pytest.approx((0.21, -0.13), abs=0.02)
     assert motion.moving

@@ -7,7 +7,7 @@ import pytest
 
 from calib.errors import TooFewStars
 from calib.model.homography import apply_homography, fit_homography
-from calib.stars.grid_map import fit_view, predict_locally
+from calib.stars.grid_map import fit_grid_map, predict_locally
 
 H = np.array([[40.0, 3.0, 500.0], [-2.0, 41.0, 300.0], [1e-3, -2e-3, 1.0]])
 
@@ -37,7 +37,7 @@ def test_stars_that_tell_no_homography_are_refused(nodes):
 
 def test_a_bent_view_is_fitted_to_a_thousandth_of_a_pixel():
     nodes = grid(17)
-    fitted, residuals = fit_view(nodes, bend(apply_homography(H, nodes)))
+    fitted, residuals = fit_grid_map(nodes, bend(apply_homography(H, nodes)))
     assert np.abs(residuals).max() < 5e-3
     between = grid(9) + 0.5
     assert np.abs(fitted.at(between) - bend(apply_homography(H, between))).max() < 5e-3
@@ -45,7 +45,7 @@ def test_a_bent_view_is_fitted_to_a_thousandth_of_a_pixel():
 
 def test_derivatives_are_those_of_the_map():
     nodes = grid(17)
-    fitted, _ = fit_view(nodes, bend(apply_homography(H, nodes)))
+    fitted, _ = fit_grid_map(nodes, bend(apply_homography(H, nodes)))
     at, h = np.array([[2.0, -3.0]]), 1e-3
     shape = fitted.shape(at)
     for s in np.array([[h, 0], [0, h], [h, -h]]):
@@ -57,7 +57,7 @@ def test_wrong_stars_do_not_bend_the_map():
     nodes = grid(13)
     points = bend(apply_homography(H, nodes))
     points[[5, 60, 130]] += [8.0, -6.0]
-    _, residuals = fit_view(nodes, points)
+    _, residuals = fit_grid_map(nodes, points)
     wrong = np.linalg.norm(residuals, axis=1) > 1.0
     assert np.flatnonzero(wrong).tolist() == [5, 60, 130]
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from calib.stars import likelihood as star_likelihood
-from calib.stars.centring import LocalShape, refine_stars, smooth, symmetry_samples
+from calib.stars.centring import LocalMap, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import LEVELS, quantise
-from calib.stars.likelihood import likely_stars
-from calib.stars.printed_star import draw_print
+from calib.stars.likelihood import refine_by_likelihood
+from calib.stars.printed_star import draw_edge_map
 from calib.target import StarTarget
 
 TARGET = StarTarget()
@@ -40,7 +40,7 @@ def stars(roll_deg, *, columns=11, rows=8, seed=0, fall_off=False):
     centres = (turn @ grid).T + middle
     inside = (centres > 40).all(axis=1) & (centres < np.array(size) - 41).all(axis=1)
     n = int(inside.sum())
-    return fired, centres[inside], LocalShape(np.tile(turn, (n, 1, 1)), np.zeros((n, 2, 3)))
+    return fired, centres[inside], LocalMap(np.tile(turn, (n, 1, 1)), np.zeros((n, 2, 3)))
 
 
 def rms(points, centres):
@@ -50,8 +50,8 @@ def rms(points, centres):
 @pytest.mark.parametrize("roll", [0.4, 17.0, 45.3])
 def test_likelihood_beats_symmetry_in_black_and_white_images(roll):
     image, centres, shape = stars(roll)
-    by_symmetry = refine_stars(smooth(image, 1.0), centres, shape, symmetry_samples(PITCH), 3.0).centres
-    likely = likely_stars(quantise(image), by_symmetry, shape, TARGET)
+    by_symmetry = refine_by_symmetry(smooth(image, 1.0), centres, shape, symmetry_samples(PITCH), 3.0).centres
+    likely = refine_by_likelihood(quantise(image), by_symmetry, shape, TARGET)
     assert rms(likely.centres, centres) < 0.85 * rms(by_symmetry, centres)
     assert rms(likely.centres, centres) < 0.03
 
@@ -59,15 +59,15 @@ def test_likelihood_beats_symmetry_in_black_and_white_images(roll):
 def test_edges_along_the_pixel_grid_are_trusted_less(monkeypatch):
     image, centres, shape = stars(0.4)
     start = centres + 0.03 * np.random.default_rng(5).standard_normal(centres.shape)
-    weighted = likely_stars(quantise(image), start, shape, TARGET)
+    weighted = refine_by_likelihood(quantise(image), start, shape, TARGET)
     monkeypatch.setattr(star_likelihood, "_excess", lambda score, fisher: np.ones(TARGET.segments))
-    alike = likely_stars(quantise(image), start, shape, TARGET)
+    alike = refine_by_likelihood(quantise(image), start, shape, TARGET)
     assert rms(weighted.centres, centres) < 0.92 * rms(alike.centres, centres)
 
 
 def test_light_that_falls_off_across_a_star_is_told_and_shifts_it_little():
     image, centres, shape = stars(17.0, fall_off=True)
-    likely = likely_stars(quantise(image), centres, shape, TARGET)
+    likely = refine_by_likelihood(quantise(image), centres, shape, TARGET)
     steep = centres[:, 0] > 600
     assert np.median(likely.steepness[steep]) > 2 * np.median(likely.steepness[~steep])
     assert np.abs(np.mean(likely.centres[steep] - centres[steep], axis=0)).max() < 0.02
@@ -76,7 +76,7 @@ def test_light_that_falls_off_across_a_star_is_told_and_shifts_it_little():
 def test_promised_covariances_are_about_right_where_edges_cross_the_pixels_freely():
     image, centres, shape = stars(17.0, seed=3)
     start = centres + 0.03 * np.random.default_rng(1).standard_normal(centres.shape)
-    likely = likely_stars(quantise(image), start, shape, TARGET)
+    likely = refine_by_likelihood(quantise(image), start, shape, TARGET)
     off = likely.centres - centres
     squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(likely.covariances), off) / 2
     assert 0.6 < np.sqrt(squares.mean()) < 1.5
@@ -84,15 +84,15 @@ def test_promised_covariances_are_about_right_where_edges_cross_the_pixels_freel
 
 def test_turning_black_and_white_round_changes_nothing():
     image, centres, shape = stars(17.0)
-    a = likely_stars(quantise(image), centres, shape, TARGET)
-    b = likely_stars(quantise(1.0 - image), centres, shape, TARGET)
+    a = refine_by_likelihood(quantise(image), centres, shape, TARGET)
+    b = refine_by_likelihood(quantise(1.0 - image), centres, shape, TARGET)
     assert np.abs(a.centres - b.centres).max() < 1e-6
 
 
 def test_the_result_does_not_depend_on_where_it_starts():
     image, centres, shape = stars(17.0)
-    shifted = likely_stars(quantise(image), centres + 0.05, shape, TARGET)
-    plain = likely_stars(quantise(image), centres, shape, TARGET)
+    shifted = refine_by_likelihood(quantise(image), centres + 0.05, shape, TARGET)
+    plain = refine_by_likelihood(quantise(image), centres, shape, TARGET)
     assert np.abs(shifted.centres - plain.centres).max() < 0.02
 
 
@@ -106,7 +106,7 @@ def test_levels_keep_the_order_of_brightness(values, levels):
 
 
 def test_a_drawn_star_is_even_under_half_a_turn():
-    drawn = draw_print(TARGET, 30.0, 0.75)
+    drawn = draw_edge_map(TARGET, 30.0, 0.75)
     assert np.abs(drawn.tau - drawn.tau[::-1, ::-1]).max() < 1e-6
     assert drawn.tau.min() < -1.0
     assert drawn.tau.max() > 1.0

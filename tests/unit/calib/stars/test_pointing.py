@@ -8,7 +8,7 @@ import pytest
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography, fit_homography
 from calib.model.rotation import euler_zxy
-from calib.stars.pointing import MAX_SIGMA_PITCHES, Sighting, expect_grid
+from calib.stars.pointing import MAX_SIGMA_PITCHES, LabelledView, predict_grid
 from calib.target import StarTarget
 
 TARGET = StarTarget()
@@ -31,7 +31,7 @@ class Gimbal:
     def sightings(self, readings):
         views = [self.view(reading) for reading in readings]
         grids = [fit_homography(TARGET.node_of(v.ids).astype(float), v.points_px) for v in views]
-        return [Sighting(*pair) for pair in zip(grids, readings, strict=True)]
+        return [LabelledView(*pair) for pair in zip(grids, readings, strict=True)]
 
 
 def off_node(expected, view):
@@ -44,23 +44,23 @@ def off_node(expected, view):
 @pytest.mark.parametrize("reading", FAR)
 def test_poses_with_the_tag_tell_where_the_stars_of_others_are(bench, mounting, reading):
     gimbal = Gimbal(bench, mounting)
-    expected = expect_grid(gimbal.sightings(THREE), reading, bench.size, TARGET.pitch_mm)
+    expected = predict_grid(gimbal.sightings(THREE), reading, bench.size, TARGET.pitch_mm)
     assert off_node(expected, gimbal.view(reading)).max() < 3 * expected.sigma_pitches < 0.45
 
 
 def test_two_poses_tell_the_direction_they_span_and_one_tells_nothing(bench):
     gimbal = Gimbal(bench)
     two = gimbal.sightings(THREE[:2])
-    expected = expect_grid(two, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
+    expected = predict_grid(two, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
     assert off_node(expected, gimbal.view({"pan": 11, "tilt": -2})).max() < 0.1
     for seen in ([], two[:1]):
         with pytest.raises(DegenerateViews, match=r"Begin with poses that have the tag in view"):
-            expect_grid(seen, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
+            predict_grid(seen, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
 
 
 def test_an_axis_that_has_not_moved_yet_tells_nothing(bench):
     with pytest.raises(DegenerateViews, match="squares"):
-        expect_grid(Gimbal(bench).sightings(THREE), {"tilt": -8, "roll": 90}, bench.size, TARGET.pitch_mm)
+        predict_grid(Gimbal(bench).sightings(THREE), {"tilt": -8, "roll": 90}, bench.size, TARGET.pitch_mm)
 
 
 def test_readings_of_the_wrong_sign_are_refused(bench):
@@ -69,15 +69,15 @@ def test_readings_of_the_wrong_sign_are_refused(bench):
         for s in Gimbal(bench).sightings(THREE)
     ]
     with pytest.raises(DegenerateViews, match="squares"):
-        expect_grid(seen, {"pan": -11, "tilt": 3}, bench.size, TARGET.pitch_mm)
+        predict_grid(seen, {"pan": -11, "tilt": 3}, bench.size, TARGET.pitch_mm)
 
 
 def test_a_reading_that_slipped_makes_the_expectation_unsure(bench):
     seen = Gimbal(bench).sightings((*THREE, {"pan": 4, "tilt": 3}))
-    sure = expect_grid(seen, FAR[0], bench.size, TARGET.pitch_mm).sigma_pitches
+    sure = predict_grid(seen, FAR[0], bench.size, TARGET.pitch_mm).sigma_pitches
     slipped = [*seen[:-1], seen[-1]._replace(reading_deg={"pan": 4.3, "tilt": 3})]
     try:
-        unsure = expect_grid(slipped, FAR[0], bench.size, TARGET.pitch_mm).sigma_pitches
+        unsure = predict_grid(slipped, FAR[0], bench.size, TARGET.pitch_mm).sigma_pitches
     except DegenerateViews:
         unsure = MAX_SIGMA_PITCHES
     assert unsure > 2 * sure

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.stars.vignetting import mistrust_rim, rim_stars
+from calib.stars.vignetting import downweight_vignetted, vignetted_stars
 from calib.target import StarTarget
 from calib.view import View
 
@@ -34,20 +34,20 @@ def distance_mm(seen):
 @pytest.mark.parametrize("turn_deg", [0.0, 20.0, 45.0, 170.0])
 def test_the_outermost_ring_of_a_beam_inside_the_frame_is_the_rim_and_no_other_star(turn_deg):
     seen = view(20.0, turn_deg=turn_deg)
-    rim = rim_stars(seen, TARGET)
+    rim = vignetted_stars(seen, TARGET)
     away = distance_mm(seen)
     assert rim[away > 20.0 - TARGET.pitch_mm].all()
     assert not rim[away < 20.0 - 1.5 * TARGET.pitch_mm].any()
 
 
 def test_where_the_frame_or_the_tag_ends_the_stars_there_is_no_rim():
-    assert not rim_stars(view(1000.0), TARGET).any()
+    assert not vignetted_stars(view(1000.0), TARGET).any()
 
 
 def test_the_neighbours_of_a_star_that_was_missed_count_as_rim():
     missed = int(TARGET.id_at(29, 35))
     whole, holed = view(1000.0), view(1000.0, without=[missed])
-    rim = rim_stars(holed, TARGET)
+    rim = vignetted_stars(holed, TARGET)
     assert rim.sum() == 8
     assert np.abs(TARGET.node_of(holed.ids[rim]) - [29, 35]).max() == 1
     assert len(whole) == len(holed) + 1
@@ -55,8 +55,8 @@ def test_the_neighbours_of_a_star_that_was_missed_count_as_rim():
 
 def test_only_the_rim_is_trusted_less():
     seen = view(20.0)
-    rim = rim_stars(seen, TARGET)
-    told = mistrust_rim(seen, TARGET, 0.3)
+    rim = vignetted_stars(seen, TARGET)
+    told = downweight_vignetted(seen, TARGET, 0.3)
     np.testing.assert_allclose(
         told.covariances_px2[rim], np.broadcast_to(0.0904 * np.eye(2), (rim.sum(), 2, 2))
     )
