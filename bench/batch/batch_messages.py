@@ -20,7 +20,7 @@ from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
 from bench.run.status import read_status, status_text
 from bench.stations.station import load_station
-from bench.stations.station_messages import Messages
+from bench.stations.station_messages import MessagesConfig
 from sequences.errors import DocumentFaults
 
 TOLD_BY_BATCH = frozenset({"died", "hung", "failed"})
@@ -107,7 +107,7 @@ class BatchMessages:
             self._couriers[name] = self._make(messages)
         return self._couriers[name]
 
-    def _make(self, messages: Messages) -> Courier:
+    def _make(self, messages: MessagesConfig) -> Courier:
         return Courier(messages, Outbox(home_folder()), self._clock, self._say)
 
 

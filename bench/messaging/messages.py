@@ -26,7 +26,7 @@ from typing import Any
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.messaging.outbox import DeliveryFailed, Message, Outbox
-from bench.stations.station_messages import Mail, Messages, Service, Webhook
+from bench.stations.station_messages import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 TIMEOUT_S = 10.0
 """How long a server may be silent."""
@@ -34,7 +34,7 @@ _LOOK_S = 5.0
 _MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
 
 
-def channels_of(messages: Messages) -> list[str]:
+def channels_of(messages: MessagesConfig) -> list[str]:
     """Give the channels of a station as the outbox keeps them: JSON, without secrets."""
     mails = [{_MAIL: messages.mail.model_dump()}] if messages.mail is not None else []
     hooks = [{_WEBHOOK: hook.model_dump()} for hook in messages.webhooks]
@@ -53,16 +53,16 @@ def send(message: Message, channel: str, environ: Mapping[str, str] = os.environ
     ((kind, words),) = json.loads(channel).items()
     try:
         if kind == _MAIL:
-            _mail(Mail.model_validate(words), message, environ)
+            _mail(MailConfig.model_validate(words), message, environ)
         elif kind == _APPRISE:
-            _notify(Service.model_validate(words), message, environ)
+            _notify(AppriseConfig.model_validate(words), message, environ)
         else:
-            _post(Webhook.model_validate(words), message, environ)
+            _post(WebhookConfig.model_validate(words), message, environ)
     except (OSError, smtplib.SMTPException, http.client.HTTPException, ValueError) as error:
         raise DeliveryFailed(f"{type(error).__name__}: {error}") from error
 
 
-def _mail(mail: Mail, message: Message, environ: Mapping[str, str]) -> None:
+def _mail(mail: MailConfig, message: Message, environ: Mapping[str, str]) -> None:
     letter = EmailMessage()
     letter["From"], letter["To"], letter["Subject"] = mail.sender, ", ".join(mail.to), message.subject
     letter["Message-ID"] = f"<{message.key[:40]}@starbench>"  # longer ones are folded
@@ -84,7 +84,7 @@ def _mail(mail: Mail, message: Message, environ: Mapping[str, str]) -> None:
         raise DeliveryFailed(f"refused by the server for {', '.join(sorted(refused))}")
 
 
-def _post(hook: Webhook, message: Message, environ: Mapping[str, str]) -> None:
+def _post(hook: WebhookConfig, message: Message, environ: Mapping[str, str]) -> None:
     url = hook.url or _secret(hook.url_env or "", environ)
     told = asdict(message)
     body = json.dumps({"schema": "starbench/message/1", "id": told.pop("key"), **told}).encode()
@@ -97,7 +97,7 @@ def _post(hook: Webhook, message: Message, environ: Mapping[str, str]) -> None:
         pass
 
 
-def _notify(service: Service, message: Message, environ: Mapping[str, str]) -> None:
+def _notify(service: AppriseConfig, message: Message, environ: Mapping[str, str]) -> None:
     try:
         apprise: Any = importlib.import_module("apprise")
     except ImportError as error:
@@ -136,7 +136,7 @@ class Courier:
     """
 
     def __init__(
-        self, messages: Messages, outbox: Outbox, clock: BenchClock, say: Callable[[str], None]
+        self, messages: MessagesConfig, outbox: Outbox, clock: BenchClock, say: Callable[[str], None]
     ) -> None:
         self._occasions = set(messages.occasions)
         self._channels = channels_of(messages)

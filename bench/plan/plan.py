@@ -17,8 +17,8 @@ from bench.base.errors import ScriptError
 from bench.plan.script_check import angle_faults, check_script
 from bench.stations.placeholders import unfilled
 from bench.stations.station import Station, load_station
-from bench.stations.station_cameras import FrameCameraWords
-from bench.stations.station_stages import AxisWords
+from bench.stations.station_cameras import FrameCameraConfig
+from bench.stations.station_stages import AxisConfig
 from bench.views.recording_window import recording_duration_s
 from sequences.errors import DocumentFaults
 from sequences.flatten import unfold
@@ -253,9 +253,9 @@ class _Estimate:
 
     def __init__(self, station: Station) -> None:
         self.size_bytes = self.most_bytes = REPORT_BYTES
-        self._axes: Mapping[str, AxisWords] = station.axes
+        self._axes: Mapping[str, AxisConfig] = station.axes
         camera = station.camera
-        self._pictures = camera.pictures if isinstance(camera, FrameCameraWords) else 0
+        self._pictures = camera.pictures if isinstance(camera, FrameCameraConfig) else 0
         self._picture_bytes = math.prod(station.expected.image_size if station.expected else PICTURE_SIZE)
         self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
         self._frequency_hz: float | None = None

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from bench.stations.station import Station
-from bench.stations.station_cameras import FrameCameraWords
+from bench.stations.station_cameras import FrameCameraConfig
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
 from sequences.script import (
@@ -124,14 +124,14 @@ def _light_faults(document: Located[Sequence], steps: tuple[Step, ...], station:
 
 def _flickers(flicker: Flicker, station: Station) -> bool:
     """Whether a flicker remains one: a frame camera's light burns steadily."""
-    return flicker.waveform != "steady" and not isinstance(station.camera, FrameCameraWords)
+    return flicker.waveform != "steady" and not isinstance(station.camera, FrameCameraConfig)
 
 
 def _recording_faults(
     document: Located[Sequence], steps: tuple[Step, ...], station: Station
 ) -> Iterator[Fault]:
     flicker: Flicker | None = None
-    takes_pictures = isinstance(station.camera, FrameCameraWords)
+    takes_pictures = isinstance(station.camera, FrameCameraConfig)
     for step in steps:
         if isinstance(step, LightStep):
             flicker = step.flicker

@@ -20,7 +20,7 @@ from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_
 from bench.simulated import rehearsed_world
 from bench.stations.devices import Devices
 from bench.stations.station import Station
-from bench.stations.station_cameras import FrameCameraWords
+from bench.stations.station_cameras import FrameCameraConfig
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
@@ -63,7 +63,7 @@ class VirtualDevices(Devices):
         self._world = rehearsed_world(_configuration(station), seed)
         self.stage = VirtualStage({name: axis.limits for name, axis in station.axes.items()}, clock)
         self.light = VirtualLight(clock)
-        simulated = station.needs_simulated_bench and not isinstance(station.camera, FrameCameraWords)
+        simulated = station.needs_simulated_bench and not isinstance(station.camera, FrameCameraConfig)
         found = self._world.bench.camera_serial if simulated else station.camera.serial
         if found != station.camera.serial:
             raise WrongDevice(

@@ -23,13 +23,13 @@ from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
 from bench.records.storage import storing
 from bench.stations.station_interlocks import (
-    CameraTemperatureWords,
-    DeviceLostWords,
-    DiskSpaceWords,
-    DoorWords,
-    EventRateWords,
+    CameraTemperatureConfig,
+    DeviceLostConfig,
+    DiskSpaceConfig,
+    DoorConfig,
+    EventRateConfig,
     InterlockName,
-    InterlockWords,
+    InterlocksConfig,
 )
 
 DOOR: InterlockName = "door"
@@ -68,7 +68,7 @@ class Interlock(Protocol):
 class Door:
     """A file that says whether the enclosure is closed. Whatever cannot be read is open."""
 
-    words: DoorWords
+    config: DoorConfig
     name: InterlockName = field(default=DOOR, init=False)
     poll_s: float = field(default=0.1, init=False)
     utc_s: Callable[[], float] = time.time
@@ -76,20 +76,20 @@ class Door:
     @property
     def max_hold_s(self) -> float:
         """As in the station file."""
-        return self.words.max_hold_s
+        return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:  # noqa: ARG002 - a door is open or closed
         """Say why it holds."""
         try:
-            said, written_s = _read_sensor(self.words.path)
+            said, written_s = _read_sensor(self.config.path)
         except OSError as error:
             return f"its sensor cannot be read ({error.strerror})"
         age_s = self.utc_s() - written_s
-        if self.words.max_age_s is not None and age_s > self.words.max_age_s:
+        if self.config.max_age_s is not None and age_s > self.config.max_age_s:
             return f"its sensor has said nothing for {age_s:.0f} s"
-        if self.words.max_age_s is not None and age_s < -self.words.max_age_s:
+        if self.config.max_age_s is not None and age_s < -self.config.max_age_s:
             return f"its sensor last spoke {-age_s:.0f} s from now: this machine's clock was set back, or is wrong"
-        return "" if said == self.words.closed else f"it is open (the sensor says {said!r})"
+        return "" if said == self.config.closed else f"it is open (the sensor says {said!r})"
 
 
 def _read_sensor(path: str) -> tuple[str, float]:
@@ -108,7 +108,7 @@ def _read_sensor(path: str) -> tuple[str, float]:
 class DiskSpace:
     """Room on the disk of the run folder."""
 
-    words: DiskSpaceWords
+    config: DiskSpaceConfig
     folder: Path
     name: InterlockName = field(default="disk_space", init=False)
     poll_s: float = field(default=1.0, init=False)
@@ -116,13 +116,13 @@ class DiskSpace:
     @property
     def max_hold_s(self) -> float:
         """As in the station file."""
-        return self.words.max_hold_s
+        return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
         """Say why it holds. Raises StorageError."""
         with storing(self.folder):
             free_gb = shutil.disk_usage(self.folder).free / 1e9
-        wanted_gb = self.words.release_gb if held else self.words.min_free_gb
+        wanted_gb = self.config.release_gb if held else self.config.min_free_gb
         return f"{free_gb:.3g} GB are free, {wanted_gb:g} GB are wanted" if free_gb < wanted_gb else ""
 
 
@@ -130,7 +130,7 @@ class DiskSpace:
 class CameraTemperature:
     """The sensor's temperature; a camera that cannot tell it is never too warm."""
 
-    words: CameraTemperatureWords
+    config: CameraTemperatureConfig
     read_c: Callable[[], float | None]
     name: InterlockName = field(default="camera_temperature", init=False)
     poll_s: float = field(default=5.0, init=False)
@@ -138,12 +138,12 @@ class CameraTemperature:
     @property
     def max_hold_s(self) -> float:
         """As in the station file."""
-        return self.words.max_hold_s
+        return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
         """Say why it holds. Raises DriverError."""
         found_c = self.read_c()
-        most_c = self.words.release_c if held else self.words.max_c
+        most_c = self.config.release_c if held else self.config.max_c
         if found_c is None or found_c <= most_c:
             return ""
         return f"the sensor has {found_c:.1f} C, at most {most_c:g} C are wanted"
@@ -153,7 +153,7 @@ class CameraTemperature:
 class EventRate:
     """The rate of the last recording; and, while it holds, that of a short one in the dark."""
 
-    words: EventRateWords
+    config: EventRateConfig
     last_mev_s: Callable[[], float]
     dark_mev_s: Callable[[float], float]
     name: InterlockName = field(default="event_rate", init=False)
@@ -162,14 +162,14 @@ class EventRate:
     @property
     def max_hold_s(self) -> float:
         """As in the station file."""
-        return self.words.max_hold_s
+        return self.config.max_hold_s
 
     def why(self, *, held: bool) -> str:
         """Say why it holds. Raises DriverError."""
         if held:
-            found, most = self.dark_mev_s(self.words.probe_ms * 1e-3), self.words.release_mev_s
+            found, most = self.dark_mev_s(self.config.probe_ms * 1e-3), self.config.release_mev_s
             return f"{found:.3g} Mev/s come in the dark, at most {most:g} are wanted" if found > most else ""
-        found, most = self.last_mev_s(), self.words.max_mev_s
+        found, most = self.last_mev_s(), self.config.max_mev_s
         return (
             f"{found:.3g} Mev/s came with the last recording, at most {most:g} are wanted"
             if found > most
@@ -181,19 +181,19 @@ class EventRate:
 class DeviceLost:
     """A device that went away: it holds until all devices can be opened again, each the one it was."""
 
-    words: DeviceLostWords
+    config: DeviceLostConfig
     reopen: Callable[[], str]
     name: InterlockName = field(default=DEVICE_LOST, init=False)
 
     @property
     def max_hold_s(self) -> float:
         """As in the station file."""
-        return self.words.max_hold_s
+        return self.config.max_hold_s
 
     @property
     def poll_s(self) -> float:
         """As in the station file."""
-        return self.words.retry_s
+        return self.config.retry_s
 
     def why(self, *, held: bool) -> str:
         """Say why it holds: by itself only once it is held. Raises WrongDevice where another one came back."""
@@ -316,7 +316,7 @@ def words(name: str) -> str:
 
 
 def interlocks_of(
-    said: InterlockWords,
+    said: InterlocksConfig,
     folder: Path,
     *,
     read_c: Callable[[], float | None],

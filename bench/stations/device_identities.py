@@ -22,15 +22,15 @@ def serial_devices(station: Station) -> tuple[str, ...]:
     """
     found: list[tuple[str, str, str | None]] = []
     match station.stage:
-        case station_stages.ZaberAsciiStage() as said:
-            found += [(said.port, "Zaber", axis.serial) for axis in said.axes.values()]
-        case station_stages.XimcStage() as said:
-            found += [(axis.port, "Standa", axis.serial) for axis in said.axes.values()]
-        case station_stages.EspStage() as said:
-            found += [(said.port, "Newport", axis.serial) for axis in said.axes.values()]
-        case station_stages.GrblStage() as said:
-            found.append((said.port, "GRBL", said.serial))
-    if isinstance(station.light, station_lights.ScpiLight):
+        case station_stages.ZaberStageConfig() as config:
+            found += [(config.port, "Zaber", axis.serial) for axis in config.axes.values()]
+        case station_stages.XimcStageConfig() as config:
+            found += [(axis.port, "Standa", axis.serial) for axis in config.axes.values()]
+        case station_stages.EspStageConfig() as config:
+            found += [(config.port, "Newport", axis.serial) for axis in config.axes.values()]
+        case station_stages.GrblStageConfig() as config:
+            found.append((config.port, "GRBL", config.serial))
+    if isinstance(station.light, station_lights.ScpiLightConfig):
         found.append((station.light.port, "generator", station.light.serial))
     real = [
         f"{family} {serial}" for port, family, serial in found if serial and not port.startswith(SIMULATED)

@@ -18,8 +18,9 @@ from bench.stations.device_identities import held
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED
 from drivers.camera import EventCamera
-from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
+from drivers.camera.frame_cameras import OpenCvFrameCamera
 from drivers.camera.frames import FrameCamera
+from drivers.camera.image_folder import FolderFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
@@ -163,53 +164,55 @@ PortName = Callable[[str], str]
 
 def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
     match station.stage:
-        case station_stages.ZaberAsciiStage() as said:
-            zaber = [ZaberAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
+        case station_stages.ZaberStageConfig() as config:
+            zaber = [ZaberAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
             return ZaberStage.open(
-                port(said.port), zaber, baudrate=said.baudrate, clock=clock, wire_log=wire_log
+                port(config.port), zaber, baudrate=config.baudrate, clock=clock, wire_log=wire_log
             )
-        case station_stages.XimcStage() as said:
+        case station_stages.XimcStageConfig() as config:
             ximc = [
-                XimcAxis(name=n, limits=a.limits, **(a.own_words() | {"port": port(a.port)}))
-                for n, a in said.axes.items()
+                XimcAxis(name=n, limits=a.limits, **(a.driver_options() | {"port": port(a.port)}))
+                for n, a in config.axes.items()
             ]
             return XimcStage.open(ximc, clock=clock, wire_log=wire_log)
-        case station_stages.GrblStage() as said:
-            grbl = [GrblAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
+        case station_stages.GrblStageConfig() as config:
+            grbl = [GrblAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
             return GrblStage.open(
-                port(said.port),
+                port(config.port),
                 grbl,
-                serial=said.serial or "",
-                baudrate=said.baudrate,
+                serial=config.serial or "",
+                baudrate=config.baudrate,
                 clock=clock,
                 wire_log=wire_log,
             )
-        case station_stages.EspStage() as said:
-            esp = [EspAxis(name=n, limits=a.limits, **a.own_words()) for n, a in said.axes.items()]
-            return EspStage.open(port(said.port), esp, baudrate=said.baudrate, clock=clock, wire_log=wire_log)
+        case station_stages.EspStageConfig() as config:
+            esp = [EspAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
+            return EspStage.open(
+                port(config.port), esp, baudrate=config.baudrate, clock=clock, wire_log=wire_log
+            )
 
 
 def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
     match station.light:
-        case station_lights.ScpiLight() as said:
+        case station_lights.ScpiLightConfig() as config:
             return ScpiLight.open(
-                port(said.port),
-                serial=said.serial,
-                baudrate=said.baudrate,
-                load=said.load,
-                dialect=said.dialect,
+                port(config.port),
+                serial=config.serial,
+                baudrate=config.baudrate,
+                load=config.load,
+                dialect=config.dialect,
                 clock=clock,
                 wire_log=wire_log,
             )
-        case station_lights.GardasoftLight() as said:
+        case station_lights.GardasoftLightConfig() as config:
             return GardasoftLight.open(
-                port(said.port),
-                model=said.model,
-                channel=said.channel,
-                sync_channel=said.sync_channel,
-                full_percent=said.full_percent,
-                sync_percent=said.sync_percent,
-                baudrate=said.baudrate,
+                port(config.port),
+                model=config.model,
+                channel=config.channel,
+                sync_channel=config.sync_channel,
+                full_percent=config.full_percent,
+                sync_percent=config.sync_percent,
+                baudrate=config.baudrate,
                 clock=clock,
                 wire_log=wire_log,
             )
@@ -217,17 +220,17 @@ def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: W
 
 def _open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
     match station.camera:
-        case station_cameras.SimulatedEvk4() as said:
+        case station_cameras.SimulatedEvk4Config() as config:
             return SimulatedEvk4Camera.open(
-                port(said.address), serial=said.serial, clock=clock, utc_now=clock.utc_now
+                port(config.address), serial=config.serial, clock=clock, utc_now=clock.utc_now
             )
-        case station_cameras.MetavisionCamera() as said:
-            return MetavisionEvk4.open(serial=said.serial, clock=clock)
-        case station_cameras.NeuromorphicEvk4() as said:
-            return NeuromorphicEvk4.open(serial=said.serial, clock=clock, utc_now=clock.utc_now)
-        case station_cameras.RecordedCamera() as said:
-            return RecordedCamera.open(said.path, serial=said.serial, clock=clock)
-        case station_cameras.OpenCvCamera() as said:
-            return OpenCvFrameCamera.open(port(said.source), serial=said.serial, clock=clock)
-        case station_cameras.PictureFolder() as said:
-            return FolderFrameCamera.open(said.path, serial=said.serial, clock=clock)
+        case station_cameras.MetavisionConfig() as config:
+            return MetavisionEvk4.open(serial=config.serial, clock=clock)
+        case station_cameras.NeuromorphicEvk4Config() as config:
+            return NeuromorphicEvk4.open(serial=config.serial, clock=clock, utc_now=clock.utc_now)
+        case station_cameras.RecordedCameraConfig() as config:
+            return RecordedCamera.open(config.path, serial=config.serial, clock=clock)
+        case station_cameras.OpenCvCameraConfig() as config:
+            return OpenCvFrameCamera.open(port(config.source), serial=config.serial, clock=clock)
+        case station_cameras.PictureFolderConfig() as config:
+            return FolderFrameCamera.open(config.path, serial=config.serial, clock=clock)

@@ -16,12 +16,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_cameras import Camera, PictureFolder, RecordedCamera
+from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
 from bench.stations.station_fields import SIMULATED, Positive, Serial, Text
-from bench.stations.station_interlocks import InterlockWords
-from bench.stations.station_lights import Light
-from bench.stations.station_messages import Messages
-from bench.stations.station_stages import AxisWords, Stage
+from bench.stations.station_interlocks import InterlocksConfig
+from bench.stations.station_lights import LightConfig
+from bench.stations.station_messages import MessagesConfig
+from bench.stations.station_stages import AxisConfig, StageConfig
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from sequences.reader import Located, find_document, read_document
@@ -30,7 +30,7 @@ from sequences.schema import Name, StrictModel
 SHIPPED = Path(__file__).parent
 
 
-class Target(StrictModel):
+class TargetConfig(StrictModel):
     """The printed star pattern."""
 
     squares: tuple[int, int] = (50, 72)
@@ -41,7 +41,7 @@ class Target(StrictModel):
     tag_squares: int = 4
 
     @model_validator(mode="after")
-    def _printable(self) -> Target:
+    def _printable(self) -> TargetConfig:
         try:
             self.pattern()
         except InputMismatch as error:
@@ -63,7 +63,7 @@ class Target(StrictModel):
         )
 
 
-class Collimator(StrictModel):
+class CollimatorConfig(StrictModel):
     """What is known of the collimator beforehand; for the report, no estimator reads it."""
 
     serial: Serial | None = None
@@ -71,7 +71,7 @@ class Collimator(StrictModel):
     certificate: Text | None = None
 
 
-class Expected(StrictModel):
+class ExpectedConfig(StrictModel):
     """What is expected of the bench, roughly: for plans and studies alone; no estimator reads it."""
 
     focal_px: Positive
@@ -83,7 +83,7 @@ class Expected(StrictModel):
     star_sigma_px: Annotated[Positive, Field(description="Uncertainty of a star, per axis.")] = 0.02
 
 
-class Disk(StrictModel):
+class DiskConfig(StrictModel):
     """What must be free on the disk before a run, besides what the run itself needs."""
 
     min_free_gb: Annotated[float, Field(ge=0, le=1_000_000)] = 1.0
@@ -114,19 +114,19 @@ class Station(StrictModel):
     name: Name
     laboratory: Text | None = None
     operator: Text | None = None
-    stage: Stage
-    light: Light
-    camera: Camera
-    target: Target = Target()
-    collimator: Collimator = Collimator()
-    expected: Expected | None = None
-    disk: Disk = Disk()
-    messages: Messages = Messages()
-    interlocks: InterlockWords = InterlockWords()
+    stage: StageConfig
+    light: LightConfig
+    camera: CameraConfig
+    target: TargetConfig = TargetConfig()
+    collimator: CollimatorConfig = CollimatorConfig()
+    expected: ExpectedConfig | None = None
+    disk: DiskConfig = DiskConfig()
+    messages: MessagesConfig = MessagesConfig()
+    interlocks: InterlocksConfig = InterlocksConfig()
     simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
 
     @property
-    def axes(self) -> Mapping[str, AxisWords]:
+    def axes(self) -> Mapping[str, AxisConfig]:
         """Axes of the stage, by name."""
         return {str(name): axis for name, axis in self.stage.axes.items()}
 
@@ -139,7 +139,9 @@ class Station(StrictModel):
     @property
     def is_simulated(self) -> bool:
         """Whether a run on it measures no camera: a device is simulated, or recordings are played again."""
-        return self.needs_simulated_bench or isinstance(self.camera, RecordedCamera | PictureFolder)
+        return self.needs_simulated_bench or isinstance(
+            self.camera, RecordedCameraConfig | PictureFolderConfig
+        )
 
 
 def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -> Located[Station]:

@@ -18,7 +18,7 @@ NotNegative = Annotated[int, Field(ge=0, le=8191)]
 Pixels = Annotated[int, Field(gt=0, le=8192)]
 
 
-class Biases(StrictModel):
+class BiasesConfig(StrictModel):
     """Offsets from the factory values, within what an IMX636 takes; those not named stay at 0."""
 
     bias_diff_on: Annotated[int, Field(ge=-150, le=200)] = 0
@@ -28,11 +28,11 @@ class Biases(StrictModel):
     bias_refr: Annotated[int, Field(ge=-50, le=255)] = 0
 
 
-class CameraWords(StrictModel):
+class EventCameraConfig(StrictModel):
     """What every camera has."""
 
     serial: Serial
-    biases: Biases = Biases()
+    biases: BiasesConfig = BiasesConfig()
     roi: Annotated[
         tuple[NotNegative, NotNegative, Pixels, Pixels] | None,
         Field(
@@ -47,7 +47,7 @@ class CameraWords(StrictModel):
         return ()
 
 
-class SimulatedEvk4(CameraWords):
+class SimulatedEvk4Config(EventCameraConfig):
     """A simulated EVK4, reached over a local socket."""
 
     driver: Literal["simulated_evk4"]
@@ -59,26 +59,26 @@ class SimulatedEvk4(CameraWords):
         return (self.address,)
 
 
-class MetavisionCamera(CameraWords):
+class MetavisionConfig(EventCameraConfig):
     """A Prophesee camera, reached through Metavision or OpenEB as installed on this computer."""
 
     driver: Literal["metavision"]
 
 
-class NeuromorphicEvk4(CameraWords):
+class NeuromorphicEvk4Config(EventCameraConfig):
     """An EVK4 reached through `neuromorphic-drivers` (extra ``evk4``), without the vendor's software."""
 
     driver: Literal["neuromorphic_evk4"]
 
 
-class RecordedCamera(CameraWords):
+class RecordedCameraConfig(EventCameraConfig):
     """RAW recordings played as a camera, one a recording in the order of their names."""
 
     driver: Literal["recorded"]
     path: Path
 
 
-class FrameCameraWords(StrictModel):
+class FrameCameraConfig(StrictModel):
     """What every frame camera has; its light burns steadily."""
 
     serial: Annotated[
@@ -97,7 +97,7 @@ class FrameCameraWords(StrictModel):
         return FrameSettings()
 
 
-class OpenCvCamera(FrameCameraWords):
+class OpenCvCameraConfig(FrameCameraConfig):
     """Whatever OpenCV opens as a video source: a video device, a network camera."""
 
     driver: Literal["opencv"]
@@ -117,14 +117,19 @@ class OpenCvCamera(FrameCameraWords):
         return FrameSettings(self.exposure, self.gain)
 
 
-class PictureFolder(FrameCameraWords):
+class PictureFolderConfig(FrameCameraConfig):
     """A folder of pictures played as a camera, so many a recording in the order of their names."""
 
     driver: Literal["pictures"]
     path: Path
 
 
-Camera = Annotated[
-    SimulatedEvk4 | MetavisionCamera | NeuromorphicEvk4 | RecordedCamera | OpenCvCamera | PictureFolder,
+CameraConfig = Annotated[
+    SimulatedEvk4Config
+    | MetavisionConfig
+    | NeuromorphicEvk4Config
+    | RecordedCameraConfig
+    | OpenCvCameraConfig
+    | PictureFolderConfig,
     Field(discriminator="driver"),
 ]

@@ -16,11 +16,11 @@ from sequences.schema import StrictModel
 Hold = Annotated[float, Field(gt=0, le=86_400, description="Longest hold in a run, all its holds together.")]
 
 
-class _Bounded(StrictModel):
+class _InterlockConfig(StrictModel):
     max_hold_s: Hold = 1800.0
 
 
-class DoorWords(_Bounded):
+class DoorConfig(_InterlockConfig):
     """A sensor of the enclosure: a file that holds one word, as the kernel's GPIO files do; anything else is open."""
 
     path: Text
@@ -28,14 +28,14 @@ class DoorWords(_Bounded):
     max_age_s: Annotated[Positive | None, Field(description="Older, the file tells nothing: open.")] = None
 
 
-class CameraTemperatureWords(_Bounded):
+class CameraTemperatureConfig(_InterlockConfig):
     """The camera's sensor gets too warm."""
 
     max_c: Annotated[float, Field(ge=-50, le=150)]
     release_c: Annotated[float, Field(ge=-50, le=150)]
 
     @model_validator(mode="after")
-    def _cooler(self) -> CameraTemperatureWords:
+    def _cooler(self) -> CameraTemperatureConfig:
         if self.release_c >= self.max_c:
             raise PydanticCustomError(
                 "release", "release_c must be below max_c, else it would go on and off."
@@ -43,7 +43,7 @@ class CameraTemperatureWords(_Bounded):
         return self
 
 
-class EventRateWords(_Bounded):
+class EventRateConfig(_InterlockConfig):
     """Light from elsewhere: after a recording of too high a rate, the rate in the dark must be low again."""
 
     max_mev_s: Positive
@@ -53,7 +53,7 @@ class EventRateWords(_Bounded):
     )
 
     @model_validator(mode="after")
-    def _lower(self) -> EventRateWords:
+    def _lower(self) -> EventRateConfig:
         if self.release_mev_s >= self.max_mev_s:
             raise PydanticCustomError(
                 "release", "release_mev_s must be below max_mev_s, else it would go on and off."
@@ -61,33 +61,33 @@ class EventRateWords(_Bounded):
         return self
 
 
-class DiskSpaceWords(_Bounded):
+class DiskSpaceConfig(_InterlockConfig):
     """Room on the run's disk."""
 
     min_free_gb: Positive
     release_gb: Positive
 
     @model_validator(mode="after")
-    def _more(self) -> DiskSpaceWords:
+    def _more(self) -> DiskSpaceConfig:
         if self.release_gb < self.min_free_gb:
             raise PydanticCustomError("release", "release_gb must not be below min_free_gb.")
         return self
 
 
-class DeviceLostWords(_Bounded):
+class DeviceLostConfig(_InterlockConfig):
     """A device that went away is waited for, opened anew, seen to be the same one, and homed where it must be."""
 
     retry_s: Annotated[float, Field(ge=0.1, le=600)] = 5.0
 
 
-class InterlockWords(StrictModel):
+class InterlocksConfig(StrictModel):
     """Interlocks of a station; none unless named."""
 
-    door: DoorWords | None = None
-    camera_temperature: CameraTemperatureWords | None = None
-    event_rate: EventRateWords | None = None
-    disk_space: DiskSpaceWords | None = None
-    device_lost: DeviceLostWords | None = None
+    door: DoorConfig | None = None
+    camera_temperature: CameraTemperatureConfig | None = None
+    event_rate: EventRateConfig | None = None
+    disk_space: DiskSpaceConfig | None = None
+    device_lost: DeviceLostConfig | None = None
 
 
 InterlockName = Literal["door", "camera_temperature", "event_rate", "disk_space", "device_lost"]

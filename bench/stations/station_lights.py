@@ -19,7 +19,7 @@ from sequences.script import Flicker
 Volts = Annotated[float, Field(ge=-20, le=20)]
 
 
-class ScpiLight(StrictModel):
+class ScpiLightConfig(StrictModel):
     """A function generator that drives the lamp; its sync output goes to the camera's trigger input."""
 
     driver: Literal["scpi"]
@@ -36,7 +36,7 @@ class ScpiLight(StrictModel):
     sync_output: bool = True
 
     @model_validator(mode="after")
-    def _in_order(self) -> ScpiLight:
+    def _in_order(self) -> ScpiLightConfig:
         if self.low_v >= self.high_v:
             raise PydanticCustomError("levels_order", "low_v must be below high_v.")
         if self.frequency_range_hz[0] >= self.frequency_range_hz[1]:
@@ -60,7 +60,7 @@ class ScpiLight(StrictModel):
         )
 
 
-class GardasoftLight(StrictModel):
+class GardasoftLightConfig(StrictModel):
     """A Gardasoft RT strobe controller; one of its channels is the lamp, another the sync to the camera."""
 
     driver: Literal["gardasoft"]
@@ -98,4 +98,4 @@ class GardasoftLight(StrictModel):
         )
 
 
-Light = Annotated[ScpiLight | GardasoftLight, Field(discriminator="driver")]
+LightConfig = Annotated[ScpiLightConfig | GardasoftLightConfig, Field(discriminator="driver")]

@@ -20,7 +20,7 @@ Variable = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z_][A-Za-z0-9_]
 Url = Annotated[str, Field(max_length=2000, pattern=r"^https?://[^\s]+$")]
 
 
-class Mail(StrictModel):
+class MailConfig(StrictModel):
     """Mail by SMTP."""
 
     host: Text
@@ -32,7 +32,7 @@ class Mail(StrictModel):
     password_env: Variable | None = None
 
     @model_validator(mode="after")
-    def _never_in_the_clear(self) -> Mail:
+    def _never_in_the_clear(self) -> MailConfig:
         if (self.user is None) != (self.password_env is None):
             raise PydanticCustomError("half_login", "user and password_env belong together.")
         if self.user is not None and self.security == "none":
@@ -40,29 +40,29 @@ class Mail(StrictModel):
         return self
 
 
-class Webhook(StrictModel):
+class WebhookConfig(StrictModel):
     """A JSON object posted to an address: ``id occasion subject text run folder utc``."""
 
     url: Url | None = None
     url_env: Variable | None = None
 
     @model_validator(mode="after")
-    def _one_address(self) -> Webhook:
+    def _one_address(self) -> WebhookConfig:
         if (self.url is None) == (self.url_env is None):
             raise PydanticCustomError("one_address", "give either url or url_env.")
         return self
 
 
-class Service(StrictModel):
+class AppriseConfig(StrictModel):
     """Any service that the library apprise knows (chat, telephone, ...), by its address, which is a secret."""
 
     url_env: Variable
 
 
-class Messages(StrictModel):
+class MessagesConfig(StrictModel):
     """Who hears what of a run."""
 
     occasions: tuple[Occasion, ...] = ("failure", "hold", "end")
-    mail: Mail | None = None
-    webhooks: Annotated[tuple[Webhook, ...], Field(max_length=20)] = ()
-    apprise: Annotated[tuple[Service, ...], Field(max_length=20)] = ()
+    mail: MailConfig | None = None
+    webhooks: Annotated[tuple[WebhookConfig, ...], Field(max_length=20)] = ()
+    apprise: Annotated[tuple[AppriseConfig, ...], Field(max_length=20)] = ()

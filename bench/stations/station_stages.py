@@ -25,7 +25,7 @@ def _not_zero(scale: float) -> float:
 Scale = Annotated[float, AfterValidator(_not_zero)]
 
 
-class AxisWords(StrictModel):
+class AxisConfig(StrictModel):
     """What every rotary axis has. Its scale is stated in each family's own counts, never guessed from a name."""
 
     zero_deg: Annotated[Angle, Field(description="Angle at which the controller's counter is 0.")] = 0.0
@@ -52,7 +52,7 @@ class AxisWords(StrictModel):
         """Limits as drivers take them."""
         return AxisLimits(*self.limits_deg, self.speed_deg_s, self.acceleration_deg_s2)
 
-    def own_words(self) -> dict[str, Any]:
+    def driver_options(self) -> dict[str, Any]:
         """Give what is said beside the limits, in the driver's own words."""
         return self.model_dump(exclude={"limits_deg", "speed_deg_s", "acceleration_deg_s2"})
 
@@ -69,7 +69,7 @@ def _differing(*keys: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-class ZaberAxis(AxisWords):
+class ZaberAxisConfig(AxisConfig):
     """One rotary axis of a Zaber chain."""
 
     device: Annotated[int, Field(ge=1, le=99, description="Address in the chain.")]
@@ -81,13 +81,13 @@ class ZaberAxis(AxisWords):
     encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
 
 
-class ZaberAsciiStage(StrictModel):
+class ZaberStageConfig(StrictModel):
     """One to three rotary axes that speak Zaber's ASCII protocol on one line."""
 
     driver: Literal["zaber_ascii"]
     port: Port
     baudrate: Annotated[int, Field(gt=0)] = 115_200
-    axes: Annotated[dict[Axis, ZaberAxis], Field(min_length=1), _differing("device", "axis")]
+    axes: Annotated[dict[Axis, ZaberAxisConfig], Field(min_length=1), _differing("device", "axis")]
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ class ZaberAsciiStage(StrictModel):
         return (self.port,)
 
 
-class XimcAxis(AxisWords):
+class XimcAxisConfig(AxisConfig):
     """One axis on a Standa 8SMC4 or 8SMC5 controller of its own."""
 
     port: Port
@@ -105,11 +105,11 @@ class XimcAxis(AxisWords):
     encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
 
 
-class XimcStage(StrictModel):
+class XimcStageConfig(StrictModel):
     """One to three rotary axes on Standa controllers that speak XIMC, each on its own port."""
 
     driver: Literal["ximc"]
-    axes: Annotated[dict[Axis, XimcAxis], Field(min_length=1), _differing("port")]
+    axes: Annotated[dict[Axis, XimcAxisConfig], Field(min_length=1), _differing("port")]
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -117,7 +117,7 @@ class XimcStage(StrictModel):
         return tuple(axis.port for axis in self.axes.values())
 
 
-class GrblAxis(AxisWords):
+class GrblAxisConfig(AxisConfig):
     """One axis of a home-built gimbal."""
 
     letter: Annotated[
@@ -126,7 +126,7 @@ class GrblAxis(AxisWords):
     steps_per_deg: Annotated[float, Field(gt=0, description="As the board's $100 ... must say.")]
 
 
-class GrblStage(StrictModel):
+class GrblStageConfig(StrictModel):
     """One to three rotary axes on a board that runs GRBL 1.1."""
 
     driver: Literal["grbl"]
@@ -136,7 +136,7 @@ class GrblStage(StrictModel):
         Serial | None,
         Field(description="The name given to the board with $I=...; without it, any board will do."),
     ] = None
-    axes: Annotated[dict[Axis, GrblAxis], Field(min_length=1), _differing("letter")]
+    axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), _differing("letter")]
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -144,7 +144,7 @@ class GrblStage(StrictModel):
         return (self.port,)
 
 
-class EspAxis(AxisWords):
+class EspAxisConfig(AxisConfig):
     """One axis of a Newport ESP controller, which counts in degrees itself."""
 
     number: Annotated[int, Field(ge=1, le=3)]
@@ -160,13 +160,13 @@ class EspAxis(AxisWords):
         return int(value) if isinstance(value, str) and value in {"-1", "+1", *"123456"} else value
 
 
-class EspStage(StrictModel):
+class EspStageConfig(StrictModel):
     """One to three rotary axes on a Newport ESP300, ESP301 or ESP302."""
 
     driver: Literal["esp30x"]
     port: Port
     baudrate: Annotated[int, Field(gt=0)] = 19_200
-    axes: Annotated[dict[Axis, EspAxis], Field(min_length=1), _differing("number")]
+    axes: Annotated[dict[Axis, EspAxisConfig], Field(min_length=1), _differing("number")]
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -174,4 +174,6 @@ class EspStage(StrictModel):
         return (self.port,)
 
 
-Stage = Annotated[ZaberAsciiStage | XimcStage | GrblStage | EspStage, Field(discriminator="driver")]
+StageConfig = Annotated[
+    ZaberStageConfig | XimcStageConfig | GrblStageConfig | EspStageConfig, Field(discriminator="driver")
+]

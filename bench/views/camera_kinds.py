@@ -13,7 +13,7 @@ from typing import Any, Protocol, cast
 
 from bench.stations.devices import Camera
 from bench.stations.station import Station
-from bench.stations.station_cameras import FrameCameraWords
+from bench.stations.station_cameras import FrameCameraConfig
 from bench.views.gates import FILTERS_THAT_EAT_FLICKER, Gate, recording_gates, refusals
 from bench.views.measure import Expect, Measurement, measure
 from bench.views.pictures import measure_pictures, picture_gates, picture_refusals
@@ -226,6 +226,6 @@ class FrameKind:
 def camera_kind(station: Station) -> CameraKind:
     """Find out which kind a station's camera is."""
     said = station.camera
-    if isinstance(said, FrameCameraWords):
+    if isinstance(said, FrameCameraConfig):
         return FrameKind(said.pictures, said.settings())
     return EventKind(said.biases.model_dump(), said.roi)

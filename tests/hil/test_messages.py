@@ -10,7 +10,7 @@ from servers import MailServer, WebServer, serving
 from bench.messaging.messages import channels_of, send
 from bench.messaging.outbox import DeliveryFailed, Message
 from bench.stations.station import SHIPPED
-from bench.stations.station_messages import Mail, Messages, Service, Webhook
+from bench.stations.station_messages import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 MESSAGE = Message(
     "k" * 64,
@@ -24,15 +24,15 @@ MESSAGE = Message(
 
 
 def mail_to(server, *to):
-    mail = Mail(
+    mail = MailConfig(
         host="127.0.0.1", port=server.server_address[1], security="none", sender="b@lab.example", to=to
     )
-    (channel,) = channels_of(Messages(mail=mail))
+    (channel,) = channels_of(MessagesConfig(mail=mail))
     return channel
 
 
 def hook_to(**words):
-    (channel,) = channels_of(Messages(webhooks=[Webhook(**words)]))
+    (channel,) = channels_of(MessagesConfig(webhooks=[WebhookConfig(**words)]))
     return channel
 
 
@@ -98,7 +98,7 @@ class Services:
 
 
 def by_apprise():
-    (channel,) = channels_of(Messages(apprise=[Service(url_env="CHAT")]))
+    (channel,) = channels_of(MessagesConfig(apprise=[AppriseConfig(url_env="CHAT")]))
     return channel
 
 

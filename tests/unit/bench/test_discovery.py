@@ -12,7 +12,7 @@ from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
 from bench.stations.placeholders import ASK
 from bench.stations.station import load_station
-from bench.stations.station_cameras import Camera
+from bench.stations.station_cameras import CameraConfig
 from bench.stations.station_draft import CAMERAS, STAGES, draft_station
 from drivers.camera import FoundCamera
 
@@ -91,7 +91,7 @@ def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, camer
 def test_every_family_of_cameras_can_be_drafted():
     assert set(CAMERAS) == set(next(p for p in station_new.params if p.name == "camera").type.choices)
     families = {
-        model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(Camera)[0])
+        model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(CameraConfig)[0])
     }
     assert set(CAMERAS) == families - {"simulated_evk4"}
 

@@ -9,11 +9,11 @@ from bench.base.clock import Interrupted, VirtualClock
 from bench.run.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks, interlocks_of
 from bench.stations.station import Station
 from bench.stations.station_interlocks import (
-    CameraTemperatureWords,
-    DiskSpaceWords,
-    DoorWords,
-    EventRateWords,
-    InterlockWords,
+    CameraTemperatureConfig,
+    DiskSpaceConfig,
+    DoorConfig,
+    EventRateConfig,
+    InterlocksConfig,
 )
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
@@ -23,7 +23,7 @@ NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 
 def test_a_door_is_closed_where_its_sensor_says_so_and_open_wherever_else(tmp_path):
     sensor = tmp_path / "value"
-    door = Door(DoorWords(path=str(sensor)))
+    door = Door(DoorConfig(path=str(sensor)))
     assert "cannot be read" in door.why(held=False)
     for text, is_open in ((b"1\n", False), (b"0\n", True), (b"", True), (b"\xff", True), (b"1" * 99, True)):
         sensor.write_bytes(text)
@@ -34,7 +34,7 @@ def test_a_sensor_that_has_fallen_silent_is_an_open_door(tmp_path):
     sensor = tmp_path / "value"
     sensor.write_text("closed")
     os.utime(sensor, (1000.0, 1000.0))
-    words = DoorWords(path=str(sensor), closed="closed", max_age_s=10)
+    words = DoorConfig(path=str(sensor), closed="closed", max_age_s=10)
     assert Door(words, utc_s=lambda: 1009.0).why(held=False) == ""
     assert "said nothing for 11 s" in Door(words, utc_s=lambda: 1011.0).why(held=False)
 
@@ -43,37 +43,37 @@ def test_a_sensor_that_speaks_from_the_future_is_not_believed_for_long(tmp_path)
     sensor = tmp_path / "value"
     sensor.write_text("closed")
     os.utime(sensor, (5000.0, 5000.0))
-    words = DoorWords(path=str(sensor), closed="closed", max_age_s=10)
+    words = DoorConfig(path=str(sensor), closed="closed", max_age_s=10)
     assert Door(words, utc_s=lambda: 4991.0).why(held=False) == ""
     assert "clock was set back" in Door(words, utc_s=lambda: 1400.0).why(held=False)
-    assert Door(DoorWords(path=str(sensor), closed="closed"), utc_s=lambda: 0.0).why(held=False) == ""
+    assert Door(DoorConfig(path=str(sensor), closed="closed"), utc_s=lambda: 0.0).why(held=False) == ""
 
 
 def test_a_pipe_in_place_of_a_sensor_is_an_open_door_and_nothing_to_wait_for(tmp_path):
     os.mkfifo(tmp_path / "value")
-    assert "not a file" in Door(DoorWords(path=str(tmp_path / "value"))).why(held=False)
-    assert "cannot be read" in Door(DoorWords(path=str(tmp_path))).why(held=False)
+    assert "not a file" in Door(DoorConfig(path=str(tmp_path / "value"))).why(held=False)
+    assert "cannot be read" in Door(DoorConfig(path=str(tmp_path))).why(held=False)
 
 
 def test_each_lets_go_later_than_it_holds(tmp_path):
     celsius = [54.0]
-    warm = CameraTemperature(CameraTemperatureWords(max_c=55, release_c=50), lambda: celsius[0])
+    warm = CameraTemperature(CameraTemperatureConfig(max_c=55, release_c=50), lambda: celsius[0])
     assert [warm.why(held=held) != "" for held in (False, True)] == [False, True]
     celsius[0] = 56.0
     assert "56.0 C" in warm.why(held=False)
     celsius[0] = 49.0
     assert warm.why(held=True) == ""
-    assert CameraTemperature(warm.words, lambda: None).why(held=False) == ""
-    rate = EventRate(EventRateWords(max_mev_s=50, release_mev_s=5), lambda: 60.0, lambda _s: 6.0)
+    assert CameraTemperature(warm.config, lambda: None).why(held=False) == ""
+    rate = EventRate(EventRateConfig(max_mev_s=50, release_mev_s=5), lambda: 60.0, lambda _s: 6.0)
     assert "60 Mev/s came" in rate.why(held=False)
     assert "6 Mev/s come in the dark" in rate.why(held=True)
-    huge = DiskSpace(DiskSpaceWords(min_free_gb=1e-6, release_gb=1e9), tmp_path)
+    huge = DiskSpace(DiskSpaceConfig(min_free_gb=1e-6, release_gb=1e9), tmp_path)
     assert [huge.why(held=held) != "" for held in (False, True)] == [False, True]
 
 
 def test_an_open_door_interrupts_devices_at_work_and_nothing_else(tmp_path):
     clock = VirtualClock(NOW)
-    interlocks = Interlocks([Door(DoorWords(path=str(tmp_path / "gone")))], clock)
+    interlocks = Interlocks([Door(DoorConfig(path=str(tmp_path / "gone")))], clock)
     for state in ("checking", "solving", "holding", "preflight"):
         interlocks.entering(state)
         interlocks.look()
@@ -123,4 +123,4 @@ def test_a_station_has_those_it_names(tmp_path):
     said = check_document((STATION % text).encode(), "station.yaml", Station).value.interlocks
     reads = dict.fromkeys(("read_c", "last_mev_s", "dark_mev_s", "reopen"))
     assert [i.name for i in interlocks_of(said, tmp_path, **reads)] == ["door", "disk_space", "device_lost"]
-    assert interlocks_of(InterlockWords(), tmp_path, **reads) == []
+    assert interlocks_of(InterlocksConfig(), tmp_path, **reads) == []

@@ -3,7 +3,7 @@
 import pytest
 
 from bench.stations.station import SHIPPED, Station, load_station
-from bench.stations.station_lights import ScpiLight
+from bench.stations.station_lights import ScpiLightConfig
 from calib.target import StarTarget
 from drivers.light import LightSettings
 from drivers.stage import AxisLimits
@@ -177,7 +177,7 @@ def test_the_simulation_section_has_the_values_json_would_have_but_serial_number
 
 
 def test_a_level_is_a_share_of_what_the_station_s_light_may_do():
-    light = ScpiLight(driver="scpi", port="x", low_v=1, high_v=3)
+    light = ScpiLightConfig(driver="scpi", port="x", low_v=1, high_v=3)
     settings = light.settings(Flicker("sine", 80, 50, level_percent=25))
     assert settings == LightSettings("sine", 80, 50, low_v=1, high_v=1.5, sync_output=True)
 
@@ -217,7 +217,7 @@ def test_every_family_of_stages_can_be_described_and_handed_to_its_driver(family
     path.write_text(before + "stage:" + FAMILIES[family] + "\nlight:\n" + rest.split("light:\n")[1])
     station = load_station(str(path)).value
     make = {"ximc": XimcAxis, "grbl": GrblAxis, "esp30x": EspAxis}[family]
-    axes = [make(name=name, limits=axis.limits, **axis.own_words()) for name, axis in station.axes.items()]
+    axes = [make(name=name, limits=axis.limits, **axis.driver_options()) for name, axis in station.axes.items()]
     assert axes[0].limits.highest_deg == 9
     assert axes[0].name == "pan"
     assert not station.is_simulated
