@@ -26,8 +26,8 @@ from bench.views.expected_grid import as_before
 from bench.views.measure import Expect, Measurement, measure
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError, TooFewStars
-from calib.stars.detect import detect
-from calib.stars.vignetting import mistrust_rim
+from calib.stars.detect import detect_view
+from calib.stars.vignetting import downweight_vignetted
 from calib.studies.reference_methods import Baseline, NoAnswer, others, ours
 from calib.target import StarTarget
 from calib.view import View
@@ -292,7 +292,7 @@ def _view_of_photograph(path: Path, choices: Choices) -> View:
         picture = mean_frame(path)
     except RecordingFileError as error:
         raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
-    return mistrust_rim(detect(picture, choices.target, name=path.stem), choices.target)
+    return downweight_vignetted(detect_view(picture, choices.target, name=path.stem), choices.target)
 
 
 def _refuse_cut_off_jpeg(path: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bench.records.history import Attempt, History
 from bench.views.measure import Expect
-from calib.stars.pointing import Sighting, expect_grid
+from calib.stars.pointing import LabelledView, predict_grid
 from calib.target import StarTarget
 
 
@@ -34,11 +34,11 @@ def by_earlier_poses(history: History, stored: Mapping[str, Any], target: StarTa
 
     def expect(image_size: tuple[int, int]) -> NDArray[np.float64]:
         seen = [
-            Sighting(np.array(told["grid"]), best_readings(attempt.stored["measured_deg"]))
+            LabelledView(np.array(told["grid"]), best_readings(attempt.stored["measured_deg"]))
             for attempt in history.accepted().values()
             if (told := _told(attempt)).get("named_by") in ("tag", "part of the tag")
         ]
-        return expect_grid(seen, here, image_size, target.pitch_mm).grid
+        return predict_grid(seen, here, image_size, target.pitch_mm).grid
 
     return expect
 

@@ -25,13 +25,13 @@ from calib.errors import (
     TooFewEvents,
     TooFewStars,
 )
-from calib.events.event_image import BestImage, EventImages, SliceFacts, make_images
+from calib.events.event_image import ChosenImage, EventImages, SliceFacts, make_images
 from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
 from calib.events.grey_image import to_uint8
 from calib.events.motion import half_windows, motion_between
 from calib.model.homography import fit_homography
-from calib.stars.detect import detect, look
-from calib.stars.vignetting import mistrust_rim
+from calib.stars.detect import detect_stars, detect_view
+from calib.stars.vignetting import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera.event_arrays import Events, Triggers
@@ -143,7 +143,7 @@ def measure(
         chosen = _choose(images, image)
         picture = Picture.of(chosen.image)
         facts.update(_image_facts(images, chosen, origin_us))
-        view = mistrust_rim(named(chosen.image, target, name, expect, facts), target)
+        view = downweight_vignetted(named(chosen.image, target, name, expect, facts), target)
         halves = _halves(events, size, flicker, images.facts, chosen.name)
         facts["motion_px"] = motion_px(halves, target, facts)
     except (CalibrationError, RecordingFileError) as error:
@@ -165,7 +165,7 @@ def named(
         When there are no stars, or nothing says which they are.
     """
     try:
-        seen = look(image, target, name=name)
+        seen = detect_stars(image, target, name=name)
     except StarsUnnamed as unnamed:
         if expect is None:
             raise
@@ -173,7 +173,7 @@ def named(
             expected = expect((image.shape[1], image.shape[0]))
         except DegenerateViews as unknown:
             raise StarsUnnamed(unnamed.what, where=unnamed.where, remedy=str(unknown)) from unknown
-        seen = look(image, target, name=name, expected=expected)
+        seen = detect_stars(image, target, name=name, expected=expected)
         facts["expected_grid"] = expected.tolist()
     grid = fit_homography(target.node_of(seen.view.ids).astype(float), seen.view.points_px)
     facts["named_by"] = "gimbal" if seen.named_by == "expected pose" else seen.named_by
@@ -264,7 +264,7 @@ def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Mapping
     """
     grid = np.array(facts["grid"])
     try:
-        first, second = (detect(half, target, name="half", expected=grid) for half in halves)
+        first, second = (detect_view(half, target, name="half", expected=grid) for half in halves)
         return motion_between(first, second).length_px
     except (TooFewEvents, TooFewStars, TargetNotFound):
         return None
@@ -326,14 +326,14 @@ def _flicker_facts(flicker: Flicker, triggers: Triggers, span_us: tuple[float, f
     return facts
 
 
-def _choose(images: EventImages, kind: str) -> BestImage:
+def _choose(images: EventImages, kind: str) -> ChosenImage:
     if kind == "auto":
         return images.best()
     name = kind.replace("_", "-")
-    return BestImage(name, images.named(name), "asked for by the sequence")
+    return ChosenImage(name, images.named(name), "asked for by the sequence")
 
 
-def _image_facts(images: EventImages, chosen: BestImage, origin_us: int) -> dict[str, Any]:
+def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> dict[str, Any]:
     facts = images.facts
     return {
         "image": {

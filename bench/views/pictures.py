@@ -17,7 +17,7 @@ from bench.views.gates import Gate, at_least, at_most
 from bench.views.measure import Expect, Measurement, Picture, motion_px, named
 from calib.errors import CalibrationError
 from calib.events.motion import MOVING_PX
-from calib.stars.vignetting import mistrust_rim
+from calib.stars.vignetting import downweight_vignetted
 from calib.target import StarTarget
 from drivers.camera.frames import read_frames
 from drivers.errors import RecordingFileError
@@ -57,7 +57,7 @@ def measure_pictures(
         picture = Picture.of(mean)
         kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
         facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
-        view = mistrust_rim(named(mean, target, name, expect, facts), target)
+        view = downweight_vignetted(named(mean, target, name, expect, facts), target)
         half = len(frames) // 2
         halves = (_mean(part) for part in (frames[:half], frames[-half:]))
         facts["motion_px"] = motion_px(halves, target, facts) if half else None

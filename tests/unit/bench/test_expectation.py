@@ -8,7 +8,7 @@ from bench.views.expected_grid import as_before, best_readings, by_earlier_poses
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy
-from calib.stars.labelling import expected_grid
+from calib.stars.labelling import grid_homography
 from calib.target import StarTarget
 
 TARGET, SIZE = StarTarget(), (1280, 720)
@@ -16,7 +16,7 @@ K = np.array([[3345.0, 0, 639.5], [0, 3345.0, 359.5], [0, 0, 1]])
 
 
 def grid_at(reading):
-    return expected_grid(
+    return grid_homography(
         K, euler_zxy(reading["pan"], reading["tilt"]), np.array([97.0, 140.0, -255.0]), TARGET.pitch_mm
     )
 
