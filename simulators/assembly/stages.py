@@ -14,13 +14,14 @@ from typing import Final
 from simulators.config import AxisConfig
 from simulators.faults.fault_injection import AxisController
 from simulators.ports.serial_device import Dialect
-from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.grbl import GrblAxis, GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.mechanics import Mechanics
 from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController, ZaberModel
+from simulators.stages.zaber_controller import ZaberController
+from simulators.stages.zaber_model import ZaberModel
 from simulators.world.trajectory import Pointing
 from simulators.world.world import AxisName
 

@@ -18,7 +18,8 @@ from simulators.faults.catalogue import LIGHT_FAULTS, FaultOrder, Parameter
 from simulators.faults.line_faults import FaultLine, LineFault
 from simulators.lights.lamp import Lamp
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Axis, FaultKind, MotionFault
+from simulators.stages.axis_motion import Axis
+from simulators.stages.motion_faults import FaultKind, MotionFault
 
 
 class AxisController(Protocol):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from simulators.stages import ximc
+from simulators.stages.ximc_protocol import crc16
 
 #: A reply line of the Zaber protocol: addresses, id, the rest, checksum.
 _ZABER_REPLY: Final = re.compile(rb"@(\d\d \d )(\d\d)( [^:\r\n]*):[0-9A-F]{2}\r\n")
@@ -66,4 +66,4 @@ def wrong_id(reply: bytes) -> bytes:
 def _has_valid_crc(reply: bytes) -> bool:
     """Tell whether it is an answer whose last two bytes are the CRC of its data."""
     match = _XIMC_ANSWER.fullmatch(reply)
-    return match is not None and ximc.crc16(match[2]).to_bytes(2, "little") == reply[-2:]
+    return match is not None and crc16(match[2]).to_bytes(2, "little") == reply[-2:]

@@ -1,1 +1,1 @@
-"""Motor controllers, and the axes they turn."""
+"""Simulated stage controllers (Zaber, XIMC, GRBL, ESP301), and the motion of the axes behind them."""

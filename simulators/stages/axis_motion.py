@@ -1,114 +1,53 @@
-"""The physics of one motorised axis: what its controller commands, where its motor stands, where it points.
+"""The motion of one motorised axis: what its controller commands, where its motor is, where its load points.
 
-Knows reference sensor, end stops and what can go wrong with a motion; no wire, no command's wording, no wall
-clock: time is whatever the caller hands in. A controller's dialect stands on top of it.
+The module covers the reference sensor, the end stops and the faults of a motion. It depends neither on a protocol
+nor on the wall clock: the caller passes all times in. The controllers' dialects build on it.
 
-Three positions are kept apart, because faults live in their differences: the *counter* is what the controller
-believes, the *motor* is where the shaft stands (what an encoder on it reads), and the *angle* is where the load
-points.
+Three positions are kept apart, because faults show in their differences. The *counter* is what the controller
+believes. The *motor* is the position of the shaft, which an encoder on the shaft reads. The *angle* is where the
+load points.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, cast
+from dataclasses import replace
+from typing import cast
 
+from simulators.stages.mechanics import Mechanics
+from simulators.stages.motion_faults import MotionEvent, MotionFault, Noticed
 from simulators.world.trajectory import Course, Pointing
 
-#: How far homing runs past the sensor before it comes back onto it.
+#: Distance that homing runs past the sensor before it returns to it, degrees.
 _HOMING_OVERRUN_DEG = 0.1
-
-FaultKind = Literal[
-    "stall", "limit", "twist", "restart", "stop_short", "no_progress", "slip", "creep", "unplug", "press_stop"
-]
-
-
-@dataclass(frozen=True)
-class Mechanics:
-    """What an axis is built of.
-
-    Parameters
-    ----------
-    counts_per_deg
-        Motor counts (microsteps, encoder counts) a degree of the load.
-    lowest_deg, highest_deg
-        End stops of the load.
-    home_deg
-        Angle of the reference sensor; the counter is 0 there after homing.
-    start_deg
-        Angle at power-up, unknown to the controller, whose counter starts at 0.
-    settle_s
-        Time constant of the load following the motor; after a ramp the rest decays as exp(-t / settle_s).
-    backlash_deg
-        Play of the gear: the load stands half of it behind the motor, on the side it came from.
-    stall_detection
-        Whether the controller notices a motor that is held fast, and stops; without it, it counts on.
-    """
-
-    counts_per_deg: float
-    lowest_deg: float
-    highest_deg: float
-    home_deg: float = 0.0
-    start_deg: float = 0.0
-    settle_s: float = 0.02
-    backlash_deg: float = 0.0
-    stall_detection: bool = True
-
-
-@dataclass(frozen=True)
-class MotionFault:
-    """What is to go wrong with the next motion.
-
-    Attributes
-    ----------
-    kind
-        ``stall``: the motor is held fast. ``limit``: a limit switch closes. ``twist``: a pair of axes comes
-        apart. ``restart``: the controller reboots. ``stop_short``: it stops as if it had arrived.
-        ``no_progress``: it stops and says busy for ever. ``slip``: the motor stands, the counter goes on.
-        ``creep``: the motor drifts once it has arrived, unknown to the counter. ``unplug``, ``press_stop``:
-        something from outside, which ``then`` brings about.
-    share
-        When, as a share of the motion's duration; not of ``creep``, which begins at its end.
-    creep_deg_s
-        Speed of the drift.
-    skip
-        Motions to let pass before.
-    then
-        Told the moment at which it happens, once that motion begins.
-    """
-
-    kind: FaultKind
-    share: float = 0.5
-    creep_deg_s: float = 0.01
-    skip: int = 0
-    then: Callable[[float], None] | None = None
-
-
-Noticed = Literal["stall", "limit", "twist", "restart"]
-
-
-class MotionEvent(NamedTuple):
-    """Something a controller notices."""
-
-    kind: Noticed
-    t_s: float
 
 
 class Axis:
     """One axis.
 
-    Commands take the time at which they arrive; questions take the time they ask about.
+    Commands take the time at which they arrive; queries take the time that they ask about. Times are in seconds,
+    on the caller's clock.
 
     Parameters
     ----------
     mechanics
-        What the axis is built of.
+        Mechanical properties.
     now_s
-        Time of power-up.
+        Time of power-up, s.
     publish
-        Called with every new course of the load: how the world learns where the axis points.
+        Called with each new course of the load; this is how the world learns where the axis points.
+
+    Attributes
+    ----------
+    commanded
+        Course that the controller commands, motor counts from the true zero of the load.
+    motor
+        Course of the shaft, in the same counts.
+    pointing
+        Course of the load.
+    stuck_busy
+        Whether the controller reports busy for ever.
     """
 
     def __init__(
@@ -132,32 +71,98 @@ class Axis:
         self.commanded = self.motor = Course.resting(now_s, start)
         self.pointing = self._follow_motor(start, 0.0)
 
-    # ------------------------------------------------------------------ questions
+    # ------------------------------------------------------------------ queries
     def counter(self, t_s: float) -> float:
-        """Where the controller believes the axis is, in counts."""
+        """Return the controller's counter.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        float
+            Counts.
+        """
         self._finish_homing(t_s)
         return self.commanded.position(t_s) - self._origin
 
     def encoder(self, t_s: float) -> float:
-        """Count of an encoder on the shaft, set to 0 together with the counter."""
+        """Return the count of an encoder on the shaft; it is set to 0 together with the counter.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        float
+            Counts.
+        """
         self._finish_homing(t_s)
         return self.motor.position(t_s) - self._encoder_origin
 
     def rest_counter(self, t_s: float) -> float:
-        """Where the present command ends, in counts of the counter as it is now."""
+        """Return the counter at which the present command ends.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        float
+            Counts.
+        """
         self._finish_homing(t_s)
         return self.commanded.rest - self._origin
 
     def velocity(self, t_s: float) -> float:
-        """Commanded velocity, counts/s."""
+        """Return the commanded velocity.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        float
+            Velocity, counts/s.
+        """
         return self.commanded.velocity(t_s)
 
     def busy(self, t_s: float) -> bool:
-        """Whether a ramp is still under way; a load that only settles is not busy."""
+        """Return whether a ramp is under way; settling of the load does not count.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        bool
+            Whether the motor is moving.
+        """
         return t_s < self.commanded.end_s
 
     def reports_busy(self, t_s: float) -> bool:
-        """What the controller tells of that: the truth, unless a fault of reporting was set."""
+        """Return what the controller reports: the truth, unless a fault of reporting is set.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        bool
+            The reported state. Each false "idle" is reported once.
+        """
         busy = self.busy(t_s)
         if busy and self._false_idle_replies > 0:
             self._false_idle_replies -= 1
@@ -165,12 +170,34 @@ class Axis:
         return busy or self.stuck_busy
 
     def referenced(self, t_s: float) -> bool:
-        """Whether the counter has been set at the reference sensor."""
+        """Return whether homing has set the reference.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        bool
+            Whether the axis has a reference.
+        """
         self._finish_homing(t_s)
         return self._referenced
 
     def take_event(self, t_s: float) -> MotionEvent | None:
-        """Give, once, what the controller must have noticed by now."""
+        """Return, once, the event that the controller must have noticed by now.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        MotionEvent or None
+            The event; None if there is none.
+        """
         event = self._event
         if event is None or t_s < event.t_s:
             return None
@@ -179,12 +206,30 @@ class Axis:
 
     # ------------------------------------------------------------------ commands
     def move_to(self, target: float, t_s: float, speed: float, acceleration: float) -> None:
-        """Ramp to a counter value, from wherever and however fast the axis is."""
+        """Ramp to a counter value from the present position and velocity.
+
+        Parameters
+        ----------
+        target
+            Target, counts.
+        t_s
+            Time of the command, s.
+        speed, acceleration
+            Limits of the ramp, counts/s and counts/s^2.
+        """
         self._abandon_homing(t_s)
         self._ramp_through(t_s, [(target + self._origin, speed)], acceleration)
 
     def stop(self, t_s: float, acceleration: float) -> None:
-        """Brake to a halt on a whole count; ends homing without a reference."""
+        """Brake to a halt on a whole count; this aborts homing, without a reference.
+
+        Parameters
+        ----------
+        t_s
+            Time of the command, s.
+        acceleration
+            Deceleration, counts/s^2.
+        """
         self._abandon_homing(t_s)
         velocity = self.commanded.velocity(t_s)
         rest = self.commanded.position(t_s) + velocity * abs(velocity) / (2.0 * acceleration)
@@ -192,7 +237,13 @@ class Axis:
         self._ramp_through(t_s, [(rest, max(abs(velocity), 1.0))], acceleration)
 
     def halt(self, t_s: float) -> None:
-        """Stand still at once, as with the motor's current cut."""
+        """Stop at once, as if the motor's current were cut.
+
+        Parameters
+        ----------
+        t_s
+            Time of the command, s.
+        """
         self._abandon_homing(t_s)
         self._event = None
         load, offset = self._load(t_s)
@@ -203,7 +254,19 @@ class Axis:
     def home(
         self, t_s: float, speed: float, slow: float, acceleration: float, *, set_counter: bool = True
     ) -> None:
-        """Find the reference sensor: past it at speed, and onto it slowly from below; perhaps count from there."""
+        """Find the reference sensor: run past it at full speed, then return to it slowly from below.
+
+        Parameters
+        ----------
+        t_s
+            Time of the command, s.
+        speed, slow
+            Speed of the first and of the second part, counts/s.
+        acceleration
+            Acceleration, counts/s^2.
+        set_counter
+            Whether homing sets counter and encoder to 0 at the sensor.
+        """
         self._finish_homing(t_s)
         self._referenced = False
         self._homing = True
@@ -213,37 +276,79 @@ class Axis:
         self._ramp_through(t_s, [(below, speed), (sensor, slow)], acceleration)
 
     def restart(self, t_s: float) -> None:
-        """Power-cycle the controller: it halts, counts from 0 where it stands, and has no reference."""
+        """Power-cycle the controller: the axis halts, counter and encoder become 0, and the reference is lost.
+
+        Parameters
+        ----------
+        t_s
+            Time of the restart, s.
+        """
         self.halt(t_s)
         self._referenced = False
         self._origin = self.commanded.rest
         self._encoder_origin = self.motor.rest
 
     def forget_reference(self) -> None:
-        """Have the controller no longer trust its counter."""
+        """Drop the reference; the counter stays as it is."""
         self._referenced = False
 
     def set_counter(self, value: float, t_s: float) -> None:
-        """Call the present position by another number."""
+        """Assign another counter value to the present position.
+
+        Parameters
+        ----------
+        value
+            New counter value, counts.
+        t_s
+            Time of the command, s.
+        """
         self._finish_homing(t_s)
         self._origin = self.commanded.position(t_s) - value
 
     def set_encoder(self, value: float, t_s: float) -> None:
-        """Have the encoder count from another number."""
+        """Assign another encoder value to the present position.
+
+        Parameters
+        ----------
+        value
+            New encoder value, counts.
+        t_s
+            Time of the command, s.
+        """
         self._finish_homing(t_s)
         self._encoder_origin = self.motor.position(t_s) - value
 
     # ------------------------------------------------------------------ faults
     def arm(self, fault: MotionFault | None) -> None:
-        """Let something go wrong with a motion to come, in place of what was armed before; None for nothing."""
+        """Arm a fault for a motion to come; it replaces an armed one.
+
+        Parameters
+        ----------
+        fault
+            The fault; None disarms.
+        """
         self._armed = fault
 
     def report_false_idle(self, times: int) -> None:
-        """Have it reported idle that many times while it still moves."""
+        """Let the controller report idle although the axis moves.
+
+        Parameters
+        ----------
+        times
+            Number of false reports.
+        """
         self._false_idle_replies = times
 
     def push(self, counts: float, t_s: float) -> None:
-        """Turn the shaft from outside, unknown to the counter."""
+        """Turn the shaft from outside; the counter does not notice.
+
+        Parameters
+        ----------
+        counts
+            Rotation of the shaft, counts.
+        t_s
+            Time, s.
+        """
         load, offset = self._load(t_s)
         pieces = [piece._replace(position=piece.position + counts) for piece in self.motor.pieces]
         begun = [piece for piece in pieces if piece.start_s > t_s]
@@ -254,17 +359,17 @@ class Axis:
         self.motor = Course((first, *begun))
         self.pointing = self._follow_motor(load, offset)
 
-    # ------------------------------------------------------------------ inside
+    # ------------------------------------------------------------------ internals
     def _slip(self, t_s: float) -> float:
-        """Motor minus commanded position: what slipped or was pushed since power-up."""
+        """Return motor minus commanded position: what has slipped or was pushed since power-up."""
         return self.motor.position(t_s) - self.commanded.position(t_s)
 
     def _load(self, t_s: float) -> tuple[float, float]:
-        """Where the load is, and on which side of the gear's play."""
+        """Return the position of the load, and its side of the backlash."""
         return self.pointing.load(t_s), self.pointing.offsets[self.pointing.course.index(t_s)]
 
     def _follow_motor(self, load: float, offset: float) -> Pointing:
-        """Let the load follow the motor from now on, and tell the world."""
+        """Let the load follow the motor from now on, and publish its course."""
         m = self.mechanics
         backlash = m.backlash_deg * m.counts_per_deg
         pointing = Pointing.following(self.motor, load, offset, backlash, m.counts_per_deg, m.settle_s)
@@ -272,7 +377,7 @@ class Axis:
         return pointing
 
     def _ramp_through(self, t_s: float, stations: list[tuple[float, float]], acceleration: float) -> None:
-        """Ramp from here and now through stations (commanded position, speed), resting at each."""
+        """Ramp from the present state through stations (commanded position, speed), resting at each."""
         load, offset = self._load(t_s)
         lost = self._slip(t_s)
         begin, velocity = (
@@ -316,7 +421,7 @@ class Axis:
             self._stall(hit_s)
 
     def _stall(self, t_s: float) -> None:
-        """Let the motor stand from a time on; a controller that notices stops there, another counts on."""
+        """Stop the motor at a time; a controller with stall detection stops there too, any other one counts on."""
         self.motor = self.motor.until(t_s)
         if self.mechanics.stall_detection:
             self.commanded = self.commanded.until(t_s)

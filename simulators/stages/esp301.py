@@ -1,11 +1,14 @@
-"""A Newport ESP301 controller with up to three rotary axes.
+"""A simulated Newport ESP301 controller with up to three rotary axes.
 
-    nCC value CR         a command to axis n; several may stand on a line, apart by semicolons
-    nCC? CR              a question, answered by a line that ends in CR LF; nothing else is answered
+    nCC value CR         a command to axis n; semicolons separate several commands on a line
+    nCC? CR              a query, answered by a line that ends in CR LF; nothing else is answered
 
-There is no checksum and no message id, and a command that is refused says nothing: its error waits in a queue,
-axis * 100 + number, for ``TE?`` or ``TB?``. Positions are degrees, and those that are read come from the
-encoder. Motors are off at power-up and after every fault.
+There is no checksum and no message id. A refused command gets no answer: its error (axis * 100 + number) waits in
+a queue for ``TE?`` or ``TB?``. Positions are in degrees, and those that are read come from the encoder. Motors are
+off at power-up and after each fault.
+
+Reference: Newport ESP301 user's manual, command descriptions and appendix "Error messages". The time stamp in
+``TB?`` was written from memory of the manual.
 """
 
 from __future__ import annotations
@@ -16,7 +19,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, Mechanics
+from simulators.stages.axis_motion import Axis
+from simulators.stages.esp301_errors import EspError, error_text
+from simulators.stages.mechanics import Mechanics
 from simulators.world.trajectory import Pointing
 
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
@@ -24,40 +29,27 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10
 _MAX_LINE: Final = 256
 
-_ERROR_TEXTS: Final = {
-    0: "NO ERROR DETECTED",
-    4: "EMERGENCY STOP ACTIVATED",
-    6: "COMMAND DOES NOT EXIST",
-    7: "PARAMETER OUT OF RANGE",
-    9: "AXIS NUMBER OUT OF RANGE",
-    37: "AXIS NUMBER MISSING",
-    38: "COMMAND PARAMETER MISSING",
-}
-_AXIS_ERROR_TEXTS: Final = {
-    1: "PARAMETER OUT OF RANGE",
-    3: "FOLLOWING ERROR THRESHOLD EXCEEDED",
-    4: "POSITIVE HARDWARE LIMIT DETECTED",
-    5: "NEGATIVE HARDWARE LIMIT DETECTED",
-    6: "POSITIVE SOFTWARE LIMIT DETECTED",
-    7: "NEGATIVE SOFTWARE LIMIT DETECTED",
-    10: "MAXIMUM VELOCITY EXCEEDED",
-    11: "MAXIMUM ACCELERATION EXCEEDED",
-    13: "MOTOR NOT ENABLED",
-    20: "HOMING ABORTED",
-    30: "COMMAND NOT ALLOWED DURING HOMING",
-}
-
 
 @dataclass(frozen=True)
 class EspAxisModel:
-    """One axis: the stage, and the settings it comes with.
+    """One axis: the stage and its settings at power-up.
 
     Attributes
     ----------
+    mechanics
+        Mechanical properties.
     serial
         Serial number of the stage.
     lowest_deg, highest_deg
-        Software limits.
+        Software limits, degrees.
+    name
+        Model of the stage, as ``ID?`` reports it.
+    speed_deg_s, acceleration_deg_s2
+        Ramp settings, degrees/s and degrees/s^2.
+    home_speed_deg_s
+        Speed of homing, degrees/s.
+    most_speed_deg_s, most_acceleration_deg_s2
+        Largest values of the ramp settings.
     """
 
     mechanics: Mechanics
@@ -72,17 +64,25 @@ class EspAxisModel:
     most_acceleration_deg_s2: float = 320.0
 
 
-class _EspError(Exception):
-    """A command that is refused; the number is that of an axis or of the controller, as its place says."""
-
-    def __init__(self, number: int) -> None:
-        self.number = number
-        super().__init__(str(number))
-
-
 @dataclass
 class EspAxis:
-    """One axis at work: its mechanics, and what the controller has set for it."""
+    """State of one axis: its mechanics and its settings in the controller.
+
+    Attributes
+    ----------
+    controller
+        Controller of the axis.
+    number
+        Number of the axis, from 1.
+    model
+        Stage and settings at power-up.
+    axis
+        Motion of the axis.
+    motor_on, homing
+        Whether the motor is on, and whether the axis is homing.
+    settings
+        Values by two-letter command.
+    """
 
     controller: EspController
     number: int
@@ -93,15 +93,23 @@ class EspAxis:
     settings: dict[str, float] = field(default_factory=dict)
 
     def restart(self, t_s: float) -> None:
-        """Restart the controller, and with it all axes."""
+        """See `AxisController.restart`. The restart affects all axes."""
         self.controller.restart(t_s)
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press or release the controller's emergency stop."""
+        """See `AxisController.emergency_stop`. The stop affects all axes."""
         self.controller.emergency_stop(t_s, released=released)
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Have another stage of this model on the axis, and the controller started anew."""
+        """Replace the stage by another one of this model, and restart the controller.
+
+        Parameters
+        ----------
+        serial
+            Serial number of the new stage.
+        t_s
+            Time, s.
+        """
         self.model = replace(self.model, serial=serial)
         self.controller.restart(t_s)
 
@@ -112,13 +120,18 @@ class EspController:
     Parameters
     ----------
     models
-        Its axes, from number 1 on.
+        Its axes, from number 1.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     publish
-        Called with an axis's number and every new course of it.
+        Called with the number of an axis and each new course of it.
     baud
-        Of its port: 19200 on RS-232, 921600 on USB.
+        Baud rate of the port: 19200 on RS-232, 921600 on USB.
+
+    Attributes
+    ----------
+    axes
+        Its axes, by number.
     """
 
     def __init__(
@@ -144,7 +157,7 @@ class EspController:
         self._axis_commands = self._known_axis_commands()
 
     def _power_up(self) -> None:
-        """Have all that a restart leaves."""
+        """Set the state after power-up."""
         self._buffer = b""
         self._commands: deque[str] = deque()
         self._waiting_for: EspAxis | None = None
@@ -165,7 +178,7 @@ class EspController:
 
     # ------------------------------------------------------------------ the line
     def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive and give what they ask for."""
+        """See `Dialect.receive`."""
         now = self._clock()
         if now < self._boot_ends_s:
             return b""
@@ -176,11 +189,11 @@ class EspController:
         return self._run_pending(now)
 
     def unsolicited(self) -> bytes:
-        """Give what commands that had to wait have answered by now."""
+        """See `Dialect.unsolicited`. These are answers of commands that had to wait."""
         return self._run_pending(self._clock())
 
     def _run_pending(self, now: float) -> bytes:
-        """Take up what has happened, and obey commands in their order as long as none has to wait."""
+        """Process events, then execute commands in order until one has to wait."""
         self._take_events(now)
         said = ""
         while self._commands:
@@ -203,7 +216,7 @@ class EspController:
             if name in {"VE", "TE", "TB", "TS", "RS", "AB", "ST"} and not number:
                 return self._controller_command(name, now)
             return self._axis_command(number, name, rest, now)
-        except _EspError as error:
+        except EspError as error:
             self._errors.append(error.number)
             return None
 
@@ -215,8 +228,7 @@ class EspController:
             return str(self._errors.popleft() if self._errors else 0)
         if name == "TB":
             number = self._errors.popleft() if self._errors else 0
-            text = _AXIS_ERROR_TEXTS[number % 100] if number >= 100 else _ERROR_TEXTS[number]
-            return f"{number}, {int(now * 1000) % 10_000_000}, {text}"
+            return f"{number}, {int(now * 1000) % 10_000_000}, {error_text(number)}"
         if name == "TS":
             bits = sum(1 << (one.number - 1) for one in self.axes.values() if one.axis.reports_busy(now))
             return chr(0x40 | bits | (0x10 if any(one.motor_on for one in self.axes.values()) else 0))
@@ -231,18 +243,18 @@ class EspController:
     # ------------------------------------------------------------------ commands to an axis
     def _axis_command(self, number: str, name: str, rest: str, now: float) -> str | None:
         if name not in self._axis_commands and name not in self.axes[1].settings:
-            raise _EspError(6)
+            raise EspError(6)
         if not number:
-            raise _EspError(37)
+            raise EspError(37)
         if int(number) not in self.axes:
-            raise _EspError(9)
+            raise EspError(9)
         one = self.axes[int(number)]
         try:
             if name in one.settings:
                 return self._setting(one, name, rest)
             return self._axis_commands[name](one, rest, now)
-        except _EspError as error:
-            raise _EspError(
+        except EspError as error:
+            raise EspError(
                 error.number if error.number in {4, 38} else one.number * 100 + error.number
             ) from None
 
@@ -272,17 +284,17 @@ class EspController:
             return f"{one.settings[name]:g}"
         value = _number(rest)
         if name in {"VU", "AU"} and value <= 0.0:
-            raise _EspError(1)
+            raise EspError(1)
         if name in {"VA", "OH"} and not 0.0 < value <= one.settings["VU"]:
-            raise _EspError(10)
+            raise EspError(10)
         if name in {"AC", "AG"} and not 0.0 < value <= one.settings["AU"]:
-            raise _EspError(11)
+            raise EspError(11)
         if (
             (name == "SN" and value != 7.0)
             or (name == "SL" and value > 0.0)
             or (name == "SR" and value < 0.0)
         ):
-            raise _EspError(1)
+            raise EspError(1)
         one.settings[name] = value
         return None
 
@@ -290,7 +302,7 @@ class EspController:
         if rest == "?":
             return str(int(one.motor_on))
         if self._stop_pressed:
-            raise _EspError(4)
+            raise EspError(4)
         one.motor_on = True
         return None
 
@@ -314,16 +326,16 @@ class EspController:
         target = start + _number(rest)
         self._require_motion_allowed(one)
         if target > one.settings["SR"]:
-            raise _EspError(6)
+            raise EspError(6)
         if target < one.settings["SL"]:
-            raise _EspError(7)
+            raise EspError(7)
         speed, acceleration = one.settings["VA"] * scale, one.settings["AC"] * scale
         one.axis.move_to(float(round(target * scale)), now, speed, acceleration)
         return None
 
     def _home(self, one: EspAxis, rest: str, now: float) -> str | None:
         if rest not in {"", "0", "1", "2", "3", "4"}:
-            raise _EspError(1)
+            raise EspError(1)
         self._require_motion_allowed(one)
         scale = one.model.mechanics.counts_per_deg
         speed = one.settings["OH"] * scale
@@ -333,9 +345,9 @@ class EspController:
 
     def _require_motion_allowed(self, one: EspAxis) -> None:
         if not one.motor_on:
-            raise _EspError(13)
+            raise EspError(13)
         if one.homing:
-            raise _EspError(30)
+            raise EspError(30)
 
     def _define_home(self, one: EspAxis, rest: str, now: float) -> str | None:
         if rest == "?":
@@ -355,9 +367,9 @@ class EspController:
     def _wait(self, one: EspAxis, _rest: str, _now: float) -> None:
         self._waiting_for = one
 
-    # ------------------------------------------------------------------ what is not on the wire
+    # ------------------------------------------------------------------ events outside the protocol
     def _take_events(self, now: float) -> None:
-        """Take up what has happened to the motions by now."""
+        """Process the events of the motions so far."""
         for one in self.axes.values():
             if one.homing and not one.axis.busy(now):
                 one.homing = False
@@ -372,14 +384,28 @@ class EspController:
             self._errors.append(one.number * 100 + (limit if event.kind == "limit" else 3))
 
     def restart(self, t_s: float) -> None:
-        """Reboot: silent for a while, motors off, counting from 0."""
+        """Reboot: no answers for 1 s, then motors off and counters at 0.
+
+        Parameters
+        ----------
+        t_s
+            Time of the reboot, s.
+        """
         for one in self.axes.values():
             one.axis.restart(t_s)
         self._power_up()
         self._boot_ends_s = t_s + 1.0
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press the emergency stop, which switches all motors off, or release it; they stay off."""
+        """Press the emergency stop, which switches all motors off, or release it; the motors then stay off.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+        released
+            True releases the button.
+        """
         self._stop_pressed = not released
         if released:
             return
@@ -391,7 +417,7 @@ class EspController:
 
 def _number(text: str) -> float:
     if not text:
-        raise _EspError(38)
+        raise EspError(38)
     if not _NUMBER.fullmatch(text):
-        raise _EspError(1)
+        raise EspError(1)
     return float(text)

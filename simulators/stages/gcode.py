@@ -1,6 +1,7 @@
-"""One block of G-code, as far as a GRBL controller of a rotary stage takes it.
+"""Parser of one G-code block, in the subset that a GRBL controller of a rotary stage needs.
 
-Knows words, their values and which of them a block may hold; knows no motion. Error numbers are GRBL 1.1's.
+Grammar and error numbers are those of GRBL 1.1 (its source, ``gcode.c``, and its wiki page "Interface"). The
+module does not move anything.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Final
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _COMMENT: Final = re.compile(r"\([^)]*\)|;.*")
 
-#: Codes that are understood and change nothing here: plane, work offset, units per minute, spindle and coolant off.
+#: Accepted codes without effect here: plane, work offset, units per minute, spindle and coolant off.
 _WITHOUT_EFFECT: Final = {"G17", "G21", "G40", "G49", "G54", "G61", "G80", "G94", "M5", "M9"}
 _GROUPS: Final = {
     **dict.fromkeys(("G0", "G1"), "motion"),
@@ -23,7 +24,13 @@ _GROUPS: Final = {
 
 
 class GcodeError(Exception):
-    """A block that is refused, by GRBL's error number."""
+    """A refused block.
+
+    Parameters
+    ----------
+    number
+        Error number of GRBL 1.1.
+    """
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -32,22 +39,22 @@ class GcodeError(Exception):
 
 @dataclass(frozen=True)
 class Block:
-    """What a block says.
+    """Content of a block; None stands for what the block does not contain.
 
     Attributes
     ----------
     motion
-        "G0" or "G1" where it is said; the last one said holds on.
+        "G0" or "G1"; the last one remains in force.
     distance
-        "G90" (absolute) or "G91" (relative) where it is said.
+        "G90" (absolute) or "G91" (relative); the last one remains in force.
     dwell_s
-        How long to wait, of G4.
+        Dwell time of G4, s.
     feed
-        Units a minute, where it is said.
+        Feed, units/min.
     machine_coordinates
-        Whether G53 is said.
+        Whether the block contains G53.
     targets
-        Coordinates by axis letter.
+        Coordinates by axis letter, units.
     """
 
     motion: str | None = None
@@ -59,13 +66,25 @@ class Block:
 
 
 def parse_block(line: str, axes: str = "XYZ") -> Block:
-    """Take a block apart.
+    """Parse a block.
+
+    Parameters
+    ----------
+    line
+        The block, with or without comments and blanks.
+    axes
+        Letters of the axes that the controller has.
+
+    Returns
+    -------
+    Block
+        Content of the block.
 
     Raises
     ------
     GcodeError
-        1 a letter is expected, 2 bad number, 4 negative, 20 unsupported, 21 two codes of one group, 23 a code that is
-        no whole number, 24 two codes that want the axes, 25 a letter twice, 28 no dwell time.
+        1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of one group, 23 code
+        is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time missing.
 
     Examples
     --------
@@ -98,7 +117,7 @@ def parse_block(line: str, axes: str = "XYZ") -> Block:
 
 
 def _words(text: str) -> Iterator[tuple[str, float]]:
-    """Take letters and their numbers off a block."""
+    """Yield the letters of a block, each with its number."""
     while text:
         letter, text = text[0], text[1:]
         if not "A" <= letter <= "Z":

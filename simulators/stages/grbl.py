@@ -1,8 +1,11 @@
-"""A GRBL 1.1 controller that turns the axes of a home-built gimbal: X pan, Y tilt, Z roll, a degree for a unit.
+"""A simulated GRBL 1.1 controller of a home-built gimbal: X is pan, Y is tilt, Z is roll; one unit is one degree.
 
-Knows lines and their ``ok`` or ``error:n``, the real-time bytes that jump every queue, states, alarms, settings
-and homing. There is no encoder, and nothing notices a stall. What a block says is `gcode`'s, how axes move
-together is `grbl_planner`'s.
+The module handles lines with their ``ok`` or ``error:n``, real-time bytes that act before all queued lines,
+states, alarms, settings and homing. There is no encoder, and a stall goes unnoticed. `gcode` parses blocks;
+`grbl_planner` moves the axes together.
+
+Source: the GRBL 1.1h firmware and its wiki pages "Interface", "Commands" and "Configuration"; answers were
+compared line by line with the firmware compiled for a PC. Homing was written from the documents alone.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ _MAX_LINE: Final = 80
 _SETTING: Final = re.compile(r"(\d+)=([+-]?(?:\d+\.?\d*|\.\d+))")
 _SOFT_LIMITS, _HOMING_ENABLED = 20, 22
 
-#: What else a status report tells, each now and then, by the number of the report modulo ten.
+#: Fields that only some status reports contain, by the number of the report modulo ten.
 _EXTRA_FIELDS: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
 
 
@@ -42,18 +45,20 @@ class GrblController:
     Parameters
     ----------
     models
-        Its axes by letter, of X, Y and Z in this order.
+        Its axes by letter: X, Y and Z in this order.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     publish
-        Called with an axis's letter and every new course of it.
+        Called with the letter of an axis and each new course of it.
     pull_off_deg
-        Distance from the switch at which homing ends.
+        Distance from the switch at which homing ends, degrees.
 
     Attributes
     ----------
     name
-        What somebody has called it by ``$I=``.
+        Name that a user has given it by ``$I=``.
+    settings
+        Values of the ``$`` settings, by number.
     """
 
     def __init__(
@@ -83,7 +88,7 @@ class GrblController:
 
     @property
     def baud(self) -> int:
-        """GRBL's baud rate."""
+        """Baud rate of GRBL."""
         return 115_200
 
     @property
@@ -92,7 +97,7 @@ class GrblController:
         return self._planner.axes
 
     def _reset_state(self, state: State) -> None:
-        """Have all that a reset leaves."""
+        """Set the state after a reset."""
         self._line = ""
         self._pending_lines: deque[str] = deque()
         self._planner.forget()
@@ -105,7 +110,7 @@ class GrblController:
 
     # ------------------------------------------------------------------ the line
     def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive: real-time bytes act at once, lines in their turn."""
+        """See `Dialect.receive`. Real-time bytes act at once, lines in their order."""
         self._advance()
         for byte in data if not self._in_reset else b"":
             if byte in self._real_time:
@@ -119,7 +124,7 @@ class GrblController:
         return self._take_output()
 
     def unsolicited(self) -> bytes:
-        """Give what has come up by now: late ``ok``, alarms, the banner."""
+        """See `Dialect.unsolicited`. These are late ``ok``, alarms and the welcome message."""
         self._advance()
         return self._take_output()
 
@@ -128,7 +133,7 @@ class GrblController:
         return said.encode("ascii")
 
     def _take_lines(self) -> None:
-        """Obey lines in their order, as long as none has to wait; before a reset that is due, none is heard."""
+        """Execute lines in order until one has to wait; none is executed while a reset is due."""
         while self._pending_lines and not self._waiting() and not self._must_reset:
             line = self._pending_lines.popleft().strip()
             try:
@@ -195,7 +200,7 @@ class GrblController:
             raise GcodeError(3 if command[:1].isdigit() and "=" not in command else 2)
         self._require_idle_or_alarm()
         number, value = int(setting[1]), float(setting[2])
-        # The firmware takes a scale, speed or acceleration of zero, and is of no use afterwards.
+        # The firmware accepts a scale, speed or acceleration of zero, and is unusable afterwards.
         if value < 0.0 or (value == 0.0 and must_be_positive(number)):
             raise GcodeError(4)
         if number not in self.settings:
@@ -244,15 +249,15 @@ class GrblController:
         self._state = "Jog"
 
     def _targets(self, block: Block, *, relative: bool) -> dict[str, float]:
-        """Where a block leads, from where all that was ordered before it ends."""
+        """Return the targets of a block; relative ones start where all earlier motions end."""
         targets = self._planner.final_target(self._clock())
         for letter, value in block.targets.items():
             targets[letter] = value + (targets[letter] if relative else 0.0)
         return targets
 
-    # ------------------------------------------------------------------ what happens in time
+    # ------------------------------------------------------------------ progress in time
     def _advance(self) -> None:
-        """Take up what has happened since the last call."""
+        """Process everything that has happened since the last call."""
         now = self._clock()
         for axis in self.axes.values():
             event = axis.take_event(now)
@@ -277,7 +282,7 @@ class GrblController:
             self._alarm(9, must_reset=False)
 
     def _finish_dwell(self, now: float) -> None:
-        """A dwell begins when all motion before it has ended, and is answered at its end."""
+        """Answer a dwell at its end; it begins when all earlier motions have ended."""
         if self._dwell_s is None or not self._planner.done(now):
             return
         if self._dwell_until_s is None:
@@ -319,7 +324,7 @@ class GrblController:
             self._planner.cancel(self._clock())
 
     def _reset(self) -> None:
-        """Soft reset: harmless at rest; in motion steps are lost, and the position with them."""
+        """Execute a soft reset: harmless at rest; in motion, steps and therefore the position are lost."""
         now = self._clock()
         if self._planner.moving(now):
             self._output += f"ALARM:{6 if self._state == 'Home' else 3}\r\n"
@@ -327,22 +332,44 @@ class GrblController:
             self._state = "Alarm"
         self._reset_state("Alarm" if self._state == "Alarm" else "Idle")
 
-    # ------------------------------------------------------------------ what is not on the wire
+    # ------------------------------------------------------------------ events outside the protocol
     def restart(self, t_s: float) -> None:
-        """Lose power and have it again: position 0, locked until homed."""
+        """Power-cycle the controller: position 0, locked until homed.
+
+        Parameters
+        ----------
+        t_s
+            Time of the restart, s.
+        """
         for axis in self.axes.values():
             axis.restart(t_s)
         self._reset_state("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
 
     def exchange(self, name: str, t_s: float) -> None:
-        """Be another board from now on, of another name: settings that somebody has made are gone."""
+        """Replace the board by another one with factory settings.
+
+        Parameters
+        ----------
+        name
+            Name of the new board.
+        t_s
+            Time, s.
+        """
         self.name = name
         self.settings.clear()
         self.settings.update(self._factory)
         self.restart(t_s)
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Hold the board in reset, as a stop button on its reset pin does, or let it go."""
+        """Hold the board in reset, as a stop button on its reset pin does, or release it.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+        released
+            True releases the button.
+        """
         self._in_reset = not released
         if released:
             self._reset_state("Alarm")
@@ -354,24 +381,40 @@ class GrblController:
 
 @dataclass(frozen=True)
 class GrblAxis:
-    """One axis of a controller, as faults see it."""
+    """One axis of a controller, for fault injection.
+
+    Attributes
+    ----------
+    controller
+        Controller of the axis.
+    letter
+        Letter of the axis.
+    """
 
     controller: GrblController
     letter: str
 
     @property
     def axis(self) -> Axis:
-        """The axis."""
+        """Motion of the axis."""
         return self.controller.axes[self.letter]
 
     def restart(self, t_s: float) -> None:
-        """Restart the controller, and with it all axes."""
+        """See `AxisController.restart`. The restart affects all axes."""
         self.controller.restart(t_s)
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press or release the controller's emergency stop."""
+        """See `AxisController.emergency_stop`. The stop affects all axes."""
         self.controller.emergency_stop(t_s, released=released)
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Be another board from now on; GRBL has no serial number, but the name that somebody gave it by ``$I=``."""
+        """Replace the board by another one.
+
+        Parameters
+        ----------
+        serial
+            Name of the new board: GRBL has no serial number, but a name that a user gives it by ``$I=``.
+        t_s
+            Time, s.
+        """
         self.controller.exchange(serial, t_s)

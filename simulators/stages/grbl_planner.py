@@ -1,7 +1,8 @@
-"""Motions of a GRBL controller: a queue of targets, and axes that begin and arrive together.
+"""Motions of a GRBL controller: a queue of targets, and axes that start and arrive together.
 
-Knows settings by number, machine coordinates (units from the switch, negative away from it), feeds in units a
-minute, hold and resume; knows no line and no state.
+Settings are known by number. Machine coordinates are in units from the switch, negative away from it; feeds are in
+units/min. The planner handles hold and resume. Lines and states are the controller's task. Reference: GRBL 1.1,
+``planner.c`` and ``settings.h``.
 """
 
 from __future__ import annotations
@@ -12,18 +13,30 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from simulators.stages.axis_motion import Axis, Mechanics
+from simulators.stages.axis_motion import Axis
+from simulators.stages.mechanics import Mechanics
 from simulators.world.trajectory import Pointing
 
 HOMING_FEED, HOMING_SEEK, PULL_OFF = 24, 25, 27
 STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130
 
-#: How long a motor that is stopped in full motion runs on, unknown to the counter: that is how steps are lost.
+#: Time that a motor runs on when it is stopped in full motion, s; the counter does not notice, so steps are lost.
 _RUN_ON_S: Final = 0.005
 
 
 def must_be_positive(number: int) -> bool:
-    """Tell whether a setting is a scale, a speed or an acceleration, with which nothing moves at zero."""
+    """Return whether a setting is a scale, speed or acceleration: zero would make motion impossible.
+
+    Parameters
+    ----------
+    number
+        Number of the setting.
+
+    Returns
+    -------
+    bool
+        Whether zero is not allowed.
+    """
     return STEPS <= number < MAX_TRAVEL or number in {HOMING_FEED, HOMING_SEEK}
 
 
@@ -34,9 +47,11 @@ class GrblAxisModel:
     Attributes
     ----------
     mechanics
-        What it is built of; ``home_deg`` is where homing ends, the pull-off below the switch.
+        Mechanical properties; ``home_deg`` is where homing ends, the pull-off below the switch.
     travel_deg
-        From the switch to the other end.
+        Distance from the switch to the other end, degrees.
+    max_rate_deg_s, acceleration_deg_s2
+        Ramp settings at the factory, degrees/s and degrees/s^2.
     """
 
     mechanics: Mechanics
@@ -46,25 +61,40 @@ class GrblAxisModel:
 
 
 class Motion(NamedTuple):
-    """A motion to come: where it leads, and its feed where it has one."""
+    """A queued motion.
+
+    Attributes
+    ----------
+    targets
+        Machine coordinates by axis letter, units.
+    feed
+        Feed, units/min; None for a rapid motion.
+    """
 
     targets: dict[str, float]
     feed: float | None
 
 
 class Planner:
-    """The axes of a controller and what they are still to do.
+    """The axes of a controller and their queue of motions.
 
     Parameters
     ----------
     models
-        Axes by letter, of X, Y and Z in this order.
+        Axes by letter: X, Y and Z in this order.
     settings
-        The controller's, by number; they may change while all rests.
+        Settings of the controller, by number; they may change while all axes rest.
     now_s
-        Time of power-up.
+        Time of power-up, s.
     publish
-        Called with an axis's letter and every new course of it.
+        Called with the letter of an axis and each new course of it.
+
+    Attributes
+    ----------
+    axes
+        Motions of the axes, by letter.
+    held
+        Whether a feed hold is in force.
     """
 
     def __init__(
@@ -85,73 +115,188 @@ class Planner:
         self._queue: deque[Motion] = deque()
         self._current: Motion | None = None
 
-    # ------------------------------------------------------------------ questions
+    # ------------------------------------------------------------------ queries
     def moving(self, now: float) -> bool:
-        """Whether an axis moves, or is stuck saying so."""
+        """Return whether an axis moves, or reports busy for ever.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+
+        Returns
+        -------
+        bool
+            Whether one does.
+        """
         return any(axis.busy(now) or axis.stuck_busy for axis in self.axes.values())
 
     def reports_false_idle(self, now: float) -> bool:
-        """Whether an axis that moves says, this once, that it does not."""
+        """Return whether a moving axis reports idle this once.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+
+        Returns
+        -------
+        bool
+            Whether one does.
+        """
         return any(axis.busy(now) and not axis.reports_busy(now) for axis in self.axes.values())
 
     def done(self, now: float) -> bool:
-        """Whether nothing moves and nothing is left to do."""
+        """Return whether nothing moves and the queue is empty.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+
+        Returns
+        -------
+        bool
+            False during a hold too.
+        """
         return not self._queue and not self.held and not self.moving(now)
 
     def position(self, now: float) -> list[float]:
-        """Machine position of three axes, units; 0 for those that are not there."""
+        """Return the machine position of three axes.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+
+        Returns
+        -------
+        list of float
+            Units; 0 for missing axes.
+        """
         found = [axis.counter(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return found + [0.0] * (3 - len(found))
 
     def feed(self, now: float) -> float:
-        """Present speed along the path, units a minute."""
+        """Return the present speed along the path.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+
+        Returns
+        -------
+        float
+            Speed, units/min.
+        """
         speeds = [axis.velocity(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return 60.0 * math.sqrt(sum(speed * speed for speed in speeds))
 
     def final_target(self, now: float) -> dict[str, float]:
-        """Where everything that was ordered ends."""
+        """Return where all queued motions end.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+
+        Returns
+        -------
+        dict
+            Machine coordinates by axis letter, units.
+        """
         return dict(self._queue[-1].targets) if self._queue else self._rest_targets(now)
 
     def inside(self, targets: Mapping[str, float]) -> bool:
-        """Whether targets lie within the travel of all axes."""
+        """Return whether targets lie within the travel of all axes.
+
+        Parameters
+        ----------
+        targets
+            Machine coordinates by axis letter, units.
+
+        Returns
+        -------
+        bool
+            Whether all do.
+        """
         return all(-self._setting(MAX_TRAVEL, one) <= target <= 0.0 for one, target in targets.items())
 
-    # ------------------------------------------------------------------ orders
+    # ------------------------------------------------------------------ commands
     def add(self, motion: Motion, now: float) -> None:
-        """Let a motion follow those before it."""
+        """Append a motion to the queue.
+
+        Parameters
+        ----------
+        motion
+            The motion.
+        now
+            Time, s.
+        """
         self._queue.append(motion)
         self.go_on(now)
 
     def go_on(self, now: float) -> None:
-        """Begin the next motion if the last one has ended."""
+        """Start the next motion if the last one has ended.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+        """
         while self._queue and not self.held and not self.moving(now):
             self._current = self._queue.popleft()
             self._start(self._current, now)
 
     def hold(self, now: float) -> None:
-        """Brake, and keep what is left to do."""
+        """Brake, and keep the rest of the queue (feed hold).
+
+        Parameters
+        ----------
+        now
+            Time, s.
+        """
         if self._current is not None and not self.held:
             self._queue.appendleft(self._current)
         self.held = True
         self._brake(now)
 
     def resume(self, now: float) -> None:
-        """Go on after a hold."""
+        """Continue after a hold.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+        """
         self.held = False
         self.go_on(now)
 
     def cancel(self, now: float) -> None:
-        """Brake, and forget what is left to do."""
+        """Brake, and empty the queue.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+        """
         self.forget()
         self._brake(now)
 
     def forget(self) -> None:
-        """Drop all motions that have not begun."""
+        """Drop all motions that have not started."""
         self._queue.clear()
         self.held = False
 
     def halt(self, now: float) -> None:
-        """Cut the motors' current: they run on a little, and steps are lost."""
+        """Cut the current of the motors: they run on a little, and steps are lost.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+        """
         self.forget()
         for axis in self.axes.values():
             velocity = axis.velocity(now)
@@ -159,19 +304,36 @@ class Planner:
             axis.push(float(round(velocity * _RUN_ON_S)), now)
 
     def home(self, now: float) -> None:
-        """Seek the switches, all axes at once."""
+        """Seek the switches with all axes at once.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+        """
         for letter, axis in self.axes.items():
             scale = self._steps(letter)
             seek, feed = (self._settings[number] / 60.0 * scale for number in (HOMING_SEEK, HOMING_FEED))
             axis.home(now, seek, feed, self._setting(ACCELERATION, letter) * scale, set_counter=False)
 
     def homed(self, now: float) -> bool:
-        """Set the counters after homing; False if a switch was not found."""
+        """Set the counters after homing.
+
+        Parameters
+        ----------
+        now
+            Time, s.
+
+        Returns
+        -------
+        bool
+            False if a switch was not found.
+        """
         for letter, axis in self.axes.items():
             axis.set_counter(-self._settings[PULL_OFF] * self._steps(letter), now)
         return all(axis.referenced(now) for axis in self.axes.values())
 
-    # ------------------------------------------------------------------ inside
+    # ------------------------------------------------------------------ internals
     def _start(self, motion: Motion, now: float) -> None:
         present = self._rest_targets(now)
         distances = {one: motion.targets[one] - present[one] for one in self._order}

@@ -1,4 +1,7 @@
-"""Settings of a GRBL controller: what they are at the factory, and how they are printed. Knows them by number alone."""
+"""Settings of a GRBL controller, by number: their factory values and their printed form.
+
+Numbers and formats are those of GRBL 1.1 (wiki page "Configuration").
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,25 @@ from typing import Final
 
 from simulators.stages.grbl_planner import ACCELERATION, MAX_RATE, MAX_TRAVEL, STEPS, GrblAxisModel
 
-#: Settings that are told with decimals, apart from those of the axes.
+#: Settings with decimals, apart from those of the axes.
 _WITH_DECIMALS: Final = {11, 12, 24, 25, 27}
 
 
 def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:
-    """Give the settings of a board with these axes, by number."""
+    """Return the factory settings of a board with these axes.
+
+    Parameters
+    ----------
+    models
+        Axes by letter: X, Y and Z in this order.
+    pull_off_deg
+        Distance from the switch at which homing ends, degrees.
+
+    Returns
+    -------
+    dict
+        Values by number, in rising order.
+    """
     settings = {
         0: 10.0,
         1: 255.0,
@@ -39,5 +55,18 @@ def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -
 
 
 def format_setting(number: int, value: float) -> str:
-    """Print a setting: those that are no whole numbers with three decimals."""
+    """Format a setting as GRBL prints it: whole-number settings without decimals, all others with three.
+
+    Parameters
+    ----------
+    number
+        Number of the setting.
+    value
+        Its value.
+
+    Returns
+    -------
+    str
+        The printed value.
+    """
     return f"{value:.3f}" if number in _WITH_DECIMALS or number >= STEPS else f"{value:.0f}"

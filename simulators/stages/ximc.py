@@ -1,12 +1,14 @@
-"""A Standa 8SMC controller with one axis, speaking the binary XIMC protocol.
+"""A simulated Standa 8SMC controller with one axis, which speaks the binary XIMC protocol.
 
     four letters                                a command without data
-    four letters, data, CRC16                   a command with data; the CRC is over the data alone
+    four letters, data, CRC16                   a command with data; the CRC covers the data alone
     the four letters again (, data, CRC16)      its answer; errc, errd, errv instead: unknown, CRC, value
 
-All numbers are little endian. A byte 0 where a command should begin is answered by a byte 0: that is how a host
-finds the beginning again. A command whose bytes stop coming is forgotten after 0.4 s. Positions are steps and
-1/256 steps, and homing does not set them: the host does. Reading of the protocol's published definition.
+All numbers are little endian. A byte 0 in place of a command is answered by a byte 0; a host finds the
+beginning of commands with it. A command whose bytes stop coming is dropped after 0.4 s. Positions are steps and
+1/256 steps. Homing does not set the position: the host does.
+
+Source: Standa's published definition of the XIMC communication protocol.
 """
 
 from __future__ import annotations
@@ -16,11 +18,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, Mechanics
+from simulators.stages.axis_motion import Axis
+from simulators.stages.mechanics import Mechanics
+from simulators.stages.ximc_protocol import (
+    COMMAND_NUMBERS,
+    LAYOUTS,
+    MICROSTEPS,
+    ErrorReply,
+    crc16,
+    data_length,
+    to_counts,
+    to_steps,
+)
 from simulators.world.trajectory import Pointing
-
-#: Microsteps a step, as positions are given whatever the motor's mode.
-MICROSTEPS: Final = 256
 
 _BYTE_TIMEOUT_S: Final = 0.4
 
@@ -32,41 +42,27 @@ _RIGHT_EDGE, _LEFT_EDGE = 0x01, 0x02
 _STOP_LEFT, _STOP_RIGHT = 0x02, 0x04
 _IGNORE_POSITION, _IGNORE_ENCODER = 0x01, 0x02
 
-#: Number of each command in the status's record of the last one.
-_COMMAND_NUMBERS: Final = {
-    "move": 1,
-    "movr": 2,
-    "left": 3,
-    "rigt": 4,
-    "stop": 5,
-    "home": 6,
-    "loft": 7,
-    "sstp": 8,
-}
-
-#: Layouts of settings, by the letters that follow g (get) or s (set); the rest of each is reserved.
-_LAYOUTS: Final = {
-    "mov": (struct.Struct("<IBHHIBB9x"), 24),
-    "eng": (struct.Struct("<HHIBHhBH12x"), 28),
-    "ent": (struct.Struct("<BB6x"), 8),
-    "eds": (struct.Struct("<BBihih6x"), 20),
-    "hom": (struct.Struct("<IBIBihH9x"), 27),
-    "fbs": (struct.Struct("<HBBI4x"), 12),
-}
-
 
 @dataclass(frozen=True)
 class XimcModel:
-    """What a controller says it is, and the axis behind it.
+    """Identity of a controller, and the axis behind it.
 
     Attributes
     ----------
+    mechanics
+        Mechanical properties.
     serial
-        Its serial number.
+        Serial number.
     lowest_deg, highest_deg
-        Borders at which it stops, as it comes.
+        Borders at power-up, degrees; the controller stops there.
+    speed_deg_s, acceleration_deg_s2
+        Ramp settings at power-up, degrees/s and degrees/s^2.
+    home_speed_deg_s
+        Speed of homing, degrees/s; the last part is ten times slower.
     encoder_counts_per_step
-        Of the encoder on the shaft; 0 for none.
+        Resolution of the encoder on the shaft; 0 for none.
+    boot_s
+        Time without answers after a restart, s.
     """
 
     mechanics: Mechanics
@@ -80,41 +76,22 @@ class XimcModel:
     boot_s: float = 0.5
 
 
-def crc16(data: bytes) -> int:
-    """Cyclic redundancy check with polynomial 0xA001 (reflected) from 0xFFFF.
-
-    Examples
-    --------
-    >>> hex(crc16(b"123456789"))
-    '0x4b37'
-    """
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc >> 1) ^ (0xA001 if crc & 1 else 0)
-    return crc
-
-
-class _ErrorReply(Exception):
-    """An answer that refuses: errc, errd or errv."""
-
-    def __init__(self, letters: bytes) -> None:
-        self.letters = letters
-        super().__init__(letters.decode())
-
-
 class XimcController:
     """The controller, as a dialect of a serial line.
 
     Parameters
     ----------
     model
-        What it is.
+        Identity and axis.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     publish
-        Called with every new course of the axis.
+        Called with each new course of the axis.
+
+    Attributes
+    ----------
+    axis
+        Motion of the axis.
     """
 
     def __init__(
@@ -138,12 +115,12 @@ class XimcController:
 
     @property
     def baud(self) -> int:
-        """The family's baud rate."""
+        """Baud rate of the 8SMC family."""
         return 115_200
 
     # ------------------------------------------------------------------ the line
     def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive and give all answers."""
+        """See `Dialect.receive`."""
         now = self._clock()
         self._take_events(now)
         if now < self._boot_ends_s:
@@ -161,7 +138,7 @@ class XimcController:
             letters = self._buffer[:4]
             if len(letters) < 4:
                 break
-            length = self._data_length(letters)
+            length = data_length(letters)
             if len(self._buffer) < 4 + length:
                 break
             content, self._buffer = self._buffer[4 : 4 + length], self._buffer[4 + length :]
@@ -169,25 +146,14 @@ class XimcController:
         return answers
 
     def unsolicited(self) -> bytes:
-        """Say nothing unasked."""
+        """See `Dialect.unsolicited`. The controller sends nothing unasked."""
         return b""
-
-    def _data_length(self, letters: bytes) -> int:
-        """Bytes that follow the letters, CRC included."""
-        name = letters.decode("latin-1")
-        if name in {"move", "movr"}:
-            return 14
-        if name == "spos":
-            return 22
-        if name[0] == "s" and name[1:] in _LAYOUTS:
-            return _LAYOUTS[name[1:]][1] + 2
-        return 0
 
     def _answer(self, letters: bytes, content: bytes, now: float) -> bytes:
         try:
             data = self._execute(letters.decode("latin-1"), content, now)
-        except _ErrorReply as error:
-            # What follows an error cannot be trusted to be the beginning of a command.
+        except ErrorReply as error:
+            # After an error, the next byte need not be the beginning of a command.
             self._buffer = b""
             self._flags |= _ERROR_FLAGS[error.letters]
             return error.letters
@@ -197,13 +163,13 @@ class XimcController:
         if content:
             content, crc = content[:-2], struct.unpack("<H", content[-2:])[0]
             if crc != crc16(content):
-                raise _ErrorReply(b"errd")
-        if name[0] == "g" and name[1:] in _LAYOUTS:
-            return _LAYOUTS[name[1:]][0].pack(*self._settings[name[1:]])
-        if name[0] == "s" and name[1:] in _LAYOUTS:
+                raise ErrorReply(b"errd")
+        if name[0] == "g" and name[1:] in LAYOUTS:
+            return LAYOUTS[name[1:]][0].pack(*self._settings[name[1:]])
+        if name[0] == "s" and name[1:] in LAYOUTS:
             return self._set(name[1:], content)
         if name not in self._commands:
-            raise _ErrorReply(b"errc")
+            raise ErrorReply(b"errc")
         return self._commands[name](content, now)
 
     # ------------------------------------------------------------------ commands
@@ -216,7 +182,7 @@ class XimcController:
             "gpos": lambda _data, now: struct.pack("<ihq6x", *self._position(now), self._encoder(now)),
             "spos": self._set_position,
             "zero": lambda _data, now: self._set_position(struct.pack("<ihqB5x", 0, 0, 0, 0), now),
-            "move": lambda data, now: self._move("move", _counts(*struct.unpack("<ih6x", data)), now),
+            "move": lambda data, now: self._move("move", to_counts(*struct.unpack("<ih6x", data)), now),
             "movr": self._move_by,
             "left": lambda _data, now: self._move("left", self._border(0), now),
             "rigt": lambda _data, now: self._move("rigt", self._border(1), now),
@@ -227,10 +193,12 @@ class XimcController:
         }
 
     def _move_by(self, data: bytes, now: float) -> bytes:
-        return self._move("movr", round(self.axis.counter(now)) + _counts(*struct.unpack("<ih6x", data)), now)
+        return self._move(
+            "movr", round(self.axis.counter(now)) + to_counts(*struct.unpack("<ih6x", data)), now
+        )
 
     def _move(self, name: str, target: int, now: float) -> bytes:
-        """Move to a position, or to the border that lies before it: then the command ends in error."""
+        """Move to a position; if a border lies before it, stop there and report the command as failed."""
         if not self._accept_command(name):
             return b""
         flags = self._settings["eds"][0]
@@ -240,32 +208,32 @@ class XimcController:
         elif target > highest and flags & _STOP_RIGHT:
             target, self._failed, self._edges = highest, True, _RIGHT_EDGE
         speed, fraction, acceleration, *_ = self._settings["mov"]
-        self.axis.move_to(target, now, float(_counts(speed, fraction)), float(acceleration * MICROSTEPS))
+        self.axis.move_to(target, now, float(to_counts(speed, fraction)), float(acceleration * MICROSTEPS))
         return b""
 
     def _home(self, _data: bytes, now: float) -> bytes:
         if self._accept_command("home"):
             fast, fraction, slow, slow_fraction, *_ = self._settings["hom"]
             acceleration = float(self._settings["mov"][2] * MICROSTEPS)
-            fast_speed, slow_speed = float(_counts(fast, fraction)), float(_counts(slow, slow_fraction))
+            fast_speed, slow_speed = float(to_counts(fast, fraction)), float(to_counts(slow, slow_fraction))
             self.axis.home(now, fast_speed, slow_speed, acceleration, set_counter=False)
         return b""
 
     def _accept_command(self, name: str) -> bool:
-        """Note the command; in alarm it is taken and ignored."""
+        """Record the command; in alarm, a command is answered and ignored."""
         if self._flags & _ALARM:
             return False
-        self._command = _COMMAND_NUMBERS[name]
+        self._command = COMMAND_NUMBERS[name]
         self._failed = False
         self._edges = 0
         return True
 
     def _stop(self, _data: bytes, now: float) -> bytes:
-        """Stop harshly: steps may be lost, so the reference is no longer trusted. Also ends an alarm."""
+        """Stop at once and end an alarm; steps may be lost, so the reference is dropped."""
         if self.axis.busy(now):
             self.axis.halt(now)
             self.axis.forget_reference()
-        self._command = _COMMAND_NUMBERS["stop"]
+        self._command = COMMAND_NUMBERS["stop"]
         if not self._stop_pressed:
             self._flags &= ~(_ALARM | _SLIPPED)
         return b""
@@ -273,23 +241,23 @@ class XimcController:
     def _soft_stop(self, _data: bytes, now: float) -> bytes:
         if self.axis.busy(now):
             self.axis.stop(now, float(self._settings["mov"][3] * MICROSTEPS))
-        self._command = _COMMAND_NUMBERS["sstp"]
+        self._command = COMMAND_NUMBERS["sstp"]
         return b""
 
     def _set_position(self, data: bytes, now: float) -> bytes:
         position, fraction, encoder, ignore = struct.unpack("<ihqB5x", data)
         if not ignore & _IGNORE_POSITION:
-            self.axis.set_counter(_counts(position, fraction), now)
+            self.axis.set_counter(to_counts(position, fraction), now)
         if not ignore & _IGNORE_ENCODER and self.model.encoder_counts_per_step:
             self.axis.set_encoder(encoder * MICROSTEPS / self.model.encoder_counts_per_step, now)
         return b""
 
     def _set(self, name: str, content: bytes) -> bytes:
-        values = _LAYOUTS[name][0].unpack(content)
+        values = LAYOUTS[name][0].unpack(content)
         if name == "mov" and (values[:2] == (0, 0) or not values[2] or not values[3]):
-            raise _ErrorReply(b"errv")
+            raise ErrorReply(b"errv")
         if name == "hom" and (values[:2] == (0, 0) or values[2:4] == (0, 0)):
-            raise _ErrorReply(b"errv")
+            raise ErrorReply(b"errv")
         self._settings[name] = values
         return b""
 
@@ -297,7 +265,7 @@ class XimcController:
     def _status(self, now: float) -> bytes:
         busy = self.axis.reports_busy(now)
         velocity = round(self.axis.velocity(now))
-        speed = _counts(*self._settings["mov"][:2])
+        speed = to_counts(*self._settings["mov"][:2])
         moving = (_MOVING if busy else 0) | (_AT_SPEED if abs(velocity) >= speed else 0)
         command = self._command | (_RUNNING if busy else 0) | (_FAILED if self._failed and not busy else 0)
         flags = self._flags | (_IS_HOMED if self.axis.referenced(now) else 0)
@@ -309,23 +277,29 @@ class XimcController:
             *(moving, command, 0x03 if busy else 0x04, encoder, 0),
             *self._position(now),
             self._encoder(now),
-            *_steps(velocity),
+            *to_steps(velocity),
             *(420, 2410, 95, 508, 318),
             *(flags, edges, 10),
         )
 
     def _position(self, now: float) -> tuple[int, int]:
-        return _steps(round(self.axis.counter(now)))
+        return to_steps(round(self.axis.counter(now)))
 
     def _encoder(self, now: float) -> int:
         return round(self.axis.encoder(now) * self.model.encoder_counts_per_step / MICROSTEPS)
 
     def _border(self, side: int) -> int:
-        return _counts(*self._settings["eds"][2 + 2 * side : 4 + 2 * side])
+        return to_counts(*self._settings["eds"][2 + 2 * side : 4 + 2 * side])
 
-    # ------------------------------------------------------------------ what is not on the wire
+    # ------------------------------------------------------------------ events outside the protocol
     def restart(self, t_s: float) -> None:
-        """Reboot: silent for a while, then without a reference, counting from 0."""
+        """Reboot: no answers for a while, then no reference and counter 0.
+
+        Parameters
+        ----------
+        t_s
+            Time of the reboot, s.
+        """
         self.axis.restart(t_s)
         self._buffer = b""
         self._command = self._flags = self._edges = 0
@@ -333,7 +307,15 @@ class XimcController:
         self._boot_ends_s = t_s + self.model.boot_s
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press the emergency input, which halts and raises the alarm, or release it; the alarm stays."""
+        """Press the emergency input, which halts the axis and raises the alarm, or release it; the alarm stays.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+        released
+            True releases the input.
+        """
         self._stop_pressed = not released
         if not released:
             self.axis.halt(t_s)
@@ -341,13 +323,21 @@ class XimcController:
             self._flags |= _ALARM
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Be another controller of this model from now on, fresh from power-up."""
+        """Replace the controller by another one of this model, fresh from power-up.
+
+        Parameters
+        ----------
+        serial
+            Serial number of the new controller; 0 is used if it is not a number.
+        t_s
+            Time, s.
+        """
         self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
         self._settings = self._factory_settings()
         self.restart(t_s)
 
     def _take_events(self, now: float) -> None:
-        """Take up what has happened to the motion by now."""
+        """Process the events of the motion so far."""
         event = self.axis.take_event(now)
         if event is None:
             return
@@ -363,10 +353,10 @@ class XimcController:
 
     def _factory_settings(self) -> dict[str, tuple[int, ...]]:
         model, scale = self.model, self.model.mechanics.counts_per_deg
-        speed = _steps(round(model.speed_deg_s * scale))
+        speed = to_steps(round(model.speed_deg_s * scale))
         acceleration = round(model.acceleration_deg_s2 * scale / MICROSTEPS)
-        fast, slow = (_steps(round(model.home_speed_deg_s * scale / part)) for part in (1, 10))
-        left, right = (_steps(round(border * scale)) for border in (model.lowest_deg, model.highest_deg))
+        fast, slow = (to_steps(round(model.home_speed_deg_s * scale / part)) for part in (1, 10))
+        left, right = (to_steps(round(border * scale)) for border in (model.lowest_deg, model.highest_deg))
         return {
             "mov": (*speed, acceleration, acceleration, *speed, 0),
             "eng": (3600, 670, *speed, 0, 0, 0x09, 200),
@@ -375,20 +365,3 @@ class XimcController:
             "hom": (*fast, *slow, 0, 0, 0x0130),
             "fbs": (4000, 0x05, 0, 200 * model.encoder_counts_per_step),
         }
-
-
-def _counts(steps: int, fraction: int) -> int:
-    return steps * MICROSTEPS + fraction
-
-
-def _steps(counts: int) -> tuple[int, int]:
-    """Whole steps and 1/256 steps, both with the sign of the whole.
-
-    Examples
-    --------
-    >>> _steps(-257)
-    (-1, -1)
-    """
-    sign = -1 if counts < 0 else 1
-    whole, fraction = divmod(abs(counts), MICROSTEPS)
-    return sign * whole, sign * fraction

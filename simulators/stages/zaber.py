@@ -1,11 +1,13 @@
-r"""Controllers chained on one line, speaking the Zaber ASCII protocol: frames, addresses, ids, checksums.
+r"""Simulated controllers chained on one line, which speak the Zaber ASCII protocol: frames, addresses, ids, checksums.
 
-    /device axis id words:LRC\n         a request; device 0 is all of them, id and checksum are optional
+    /device axis id words:LRC\n         a request; device 0 addresses all, id and checksum are optional
     @dd axis id OK|RJ BUSY|IDLE WW data:LRC\r\n     a reply, with the id of its request
-    !dd axis BUSY|IDLE WW:LRC\r\n                   an alert, sent unasked once a motion has ended
+    !dd axis BUSY|IDLE WW:LRC\r\n                   an alert, sent unasked at the end of a motion
 
 The checksum (LRC) is the two's complement of the sum of all bytes between the first character and the colon.
-A request whose checksum is wrong is not answered. Knows no command: `zaber_controller` does.
+A request with a wrong checksum is not answered. `zaber_controller` executes the commands.
+
+Source: Zaber's ASCII Protocol Manual, firmware 7.
 """
 
 from __future__ import annotations
@@ -16,14 +18,24 @@ from typing import NamedTuple
 
 from simulators.stages.zaber_controller import CommandRejected, ZaberController
 
-#: Longer requests are dropped.
+#: Longest request, bytes; longer ones are dropped.
 _MAX_REQUEST = 80
 
 _END_OF_LINE = re.compile(rb"[\r\n]+")
 
 
 class Request(NamedTuple):
-    """A request, taken apart."""
+    """A parsed request.
+
+    Attributes
+    ----------
+    device, axis
+        Address; 0 stands for all.
+    message_id
+        Two digits; None if the request has no id.
+    words
+        Words of the command.
+    """
 
     device: int
     axis: int
@@ -32,7 +44,17 @@ class Request(NamedTuple):
 
 
 def checksum(body: str) -> str:
-    """Longitudinal redundancy check of a message without its first character, as two hex digits.
+    """Return the longitudinal redundancy check (LRC) of a message.
+
+    Parameters
+    ----------
+    body
+        Message without its first character, ASCII.
+
+    Returns
+    -------
+    str
+        Two hexadecimal digits.
 
     Examples
     --------
@@ -43,7 +65,17 @@ def checksum(body: str) -> str:
 
 
 def parse_request(line: bytes) -> Request | None:
-    """Take a line apart; None for what a controller does not answer: noise, or a wrong checksum.
+    """Parse a line.
+
+    Parameters
+    ----------
+    line
+        Line without its end.
+
+    Returns
+    -------
+    Request or None
+        None if a controller does not answer the line: noise, or a wrong checksum.
 
     Examples
     --------
@@ -68,14 +100,14 @@ def parse_request(line: bytes) -> Request | None:
 
 
 class ZaberChain:
-    """Controllers on one line, in the order of their addresses, from 1.
+    """Controllers on one line, as a dialect of it.
 
     Parameters
     ----------
     controllers
-        Who is on the line.
+        Controllers in the order of their addresses, from 1.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     """
 
     def __init__(self, controllers: Sequence[ZaberController], clock: Callable[[], float]) -> None:
@@ -85,17 +117,17 @@ class ZaberChain:
 
     @property
     def baud(self) -> int:
-        """The family's default baud rate."""
+        """Default baud rate of the family."""
         return 115_200
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive and give all replies."""
+        """See `Dialect.receive`."""
         *lines, self._buffer = _END_OF_LINE.split(self._buffer + data)
         self._buffer = self._buffer[-2 * _MAX_REQUEST :]
         return b"".join(self._answers(line) for line in lines)
 
     def unsolicited(self) -> bytes:
-        """Alerts of motions that have ended."""
+        """See `Dialect.unsolicited`. These are alerts at the end of motions."""
         now = self._clock()
         return b"".join(
             _frame("!", f"{address:02d} 1 {one.status(now)} {_flag(one, now)}", one)
@@ -125,7 +157,7 @@ class ZaberChain:
 
 
 def _flag(one: ZaberController, now: float) -> str:
-    """Name the gravest warning, or none."""
+    """Return the highest warning flag, or "--"."""
     return (one.warnings(now) or ["--"])[0]
 
 

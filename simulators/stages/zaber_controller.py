@@ -1,8 +1,7 @@
-"""One controller of the Zaber ASCII family with its axis, of the X-RST kind.
+"""One controller of the Zaber X-RST kind with its axis: settings, warning flags and commands.
 
-Knows its settings, its warning flags and what it does with a command's words, as firmware 7 of Zaber's ASCII
-protocol has them; neither frames nor checksums (`zaber` does that), and of the mechanics only what
-`axis_motion` lets it command.
+`zaber` handles frames and checksums; `axis_motion` moves the axis. Source: Zaber's ASCII Protocol Manual, firmware
+7; the ranks of the warning flags were compared with Zaber's own library (zaber-motion).
 """
 
 from __future__ import annotations
@@ -10,65 +9,33 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from simulators.stages.axis_motion import Axis, Mechanics
+from simulators.stages.axis_motion import Axis
+from simulators.stages.zaber_model import SPEED_UNIT, ZaberModel, setting_range
 from simulators.world.trajectory import Pointing
 
-#: Firmware 7 counts speeds in microsteps/s times this, and accelerations in 10000 microsteps/s^2 times this.
-_TICK = 1.6384
-
-#: Highest speed and acceleration that the settings take.
-_MAX_SPEED_SETTING = 16_777_216
-_MAX_ACCELERATION_SETTING = 32_767
-
-#: Warning flags by rank: a reply carries the first one that is up.
+#: Warning flags by rank: a reply carries the highest active one.
 _RANK = "FF FH FV FO FD FC FM FN FQ FI FS FB FP FE FT WL WP WV WT WS WM WR WH NC NI NT NU NR"
 
-#: Flags that `warnings clear` does not take down: they last as long as their cause.
+#: Flags that `warnings clear` does not clear: they last as long as their cause.
 _NOT_CLEARABLE = {"WR", "FO", "FH"}
-
-
-@dataclass(frozen=True)
-class ZaberModel:
-    """What a controller says it is, and the axis behind it.
-
-    Attributes
-    ----------
-    serial
-        Its serial number.
-    lowest, highest
-        Soft limits, microsteps; also where the settings start.
-    speed_deg_s, acceleration_deg_s2
-        Ramp settings at power-up.
-    home_speed_deg_s
-        Speed towards the reference sensor; the last part is ten times slower.
-    encoder
-        Whether there is an encoder on the shaft.
-    """
-
-    mechanics: Mechanics
-    serial: str
-    lowest: int
-    highest: int
-    device_id: int = 50958
-    firmware: str = "7.38"
-    build: str = "17403"
-    speed_deg_s: float = 40.0
-    acceleration_deg_s2: float = 200.0
-    home_speed_deg_s: float = 20.0
-    boot_s: float = 0.5
-    encoder: bool = True
 
 
 @dataclass
 class CommandRejected(Exception):
-    """A rejection: the word that stands in the reply's data."""
+    """A rejected command.
+
+    Attributes
+    ----------
+    reason
+        Data of the reply, e.g. ``BADDATA``.
+    """
 
     reason: str
 
 
 @dataclass
 class _State:
-    """All that a power cycle sets back."""
+    """Everything that a power cycle resets."""
 
     settings: dict[str, int]
     flags: set[str] = field(default_factory=set)
@@ -82,11 +49,16 @@ class ZaberController:
     Parameters
     ----------
     model
-        What it is.
+        Identity and axis.
     now_s
-        Time of power-up.
+        Time of power-up, s.
     publish
-        Called with every new course of the axis.
+        Called with each new course of the axis.
+
+    Attributes
+    ----------
+    axis
+        Motion of the axis.
     """
 
     def __init__(
@@ -100,18 +72,51 @@ class ZaberController:
         self._state = self._powered_up()
         self._boot_ends_s = now_s
 
-    # ------------------------------------------------------------------ what replies carry
+    # ------------------------------------------------------------------ fields of replies
     def awake(self, t_s: float) -> bool:
-        """Whether it answers at all: not while it boots."""
+        """Return whether the controller answers; it does not while it boots.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        bool
+            Whether it answers.
+        """
         self._take_events(t_s)
         return t_s >= self._boot_ends_s
 
     def status(self, t_s: float) -> str:
-        """BUSY while a ramp is under way, else IDLE."""
+        """Return the status word of a reply.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        str
+            BUSY during a ramp, otherwise IDLE.
+        """
         return "BUSY" if self.axis.reports_busy(t_s) else "IDLE"
 
     def warnings(self, t_s: float) -> list[str]:
-        """All flags that are up, the gravest first."""
+        """Return all active warning flags.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        list of str
+            Flags by rank, the highest first.
+        """
         flags = set(self._state.flags)
         if not self.axis.referenced(t_s):
             flags.add("WR")
@@ -123,7 +128,18 @@ class ZaberController:
         return bool(self._state.settings["comm.checksum"])
 
     def came_to_rest(self, t_s: float) -> bool:
-        """Whether a motion has ended since the last time this was asked, and alerts are wanted."""
+        """Return whether an alert is due: a motion has ended since the last call, and alerts are enabled.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+
+        Returns
+        -------
+        bool
+            Whether an alert is due.
+        """
         busy = self.axis.busy(t_s)
         ended = self._state.was_busy and not busy
         self._state.was_busy = busy
@@ -131,26 +147,26 @@ class ZaberController:
 
     # ------------------------------------------------------------------ commands
     def execute(self, axis: int, words: list[str], t_s: float) -> str:
-        """Do what a command says.
+        """Execute a command.
 
         Parameters
         ----------
         axis
-            The axis addressed; 0 for the controller and all its axes.
+            Addressed axis; 0 for the controller and all its axes.
         words
-            The command; empty to ask for the status only.
+            Words of the command; empty to read the status only.
         t_s
-            When it arrives.
+            Time of its arrival, s.
 
         Returns
         -------
         str
-            The data of the reply.
+            Data of the reply.
 
         Raises
         ------
         CommandRejected
-            When the reply is a rejection.
+            If the reply is a rejection.
         """
         if axis > 1:
             raise CommandRejected("BADAXIS")
@@ -189,7 +205,7 @@ class ZaberController:
             "get.settings.max": lambda: "1",
             "resolution": lambda: "64",
             "pos": lambda: str(round(self.axis.counter(t_s))),
-            "vel": lambda: str(round(self.axis.velocity(t_s) * _TICK)),
+            "vel": lambda: str(round(self.axis.velocity(t_s) * SPEED_UNIT)),
             "limit.home.triggered": lambda: str(int(self.axis.referenced(t_s))),
             "parking.state": lambda: str(int(self._state.parked)),
         }
@@ -211,24 +227,11 @@ class ZaberController:
             return "0"
         if name not in self._state.settings:
             raise CommandRejected("BADCOMMAND")
-        lowest, highest = self._range(name)
+        lowest, highest = setting_range(name, self._state.settings)
         if not lowest <= value <= highest:
             raise CommandRejected("BADDATA")
         self._state.settings[name] = value
         return "0"
-
-    def _range(self, name: str) -> tuple[int, int]:
-        """Values that a setting takes."""
-        ranges = {
-            "comm.alert": (0, 1),
-            "comm.checksum": (0, 1),
-            "maxspeed": (1, _MAX_SPEED_SETTING),
-            "limit.approach.maxspeed": (1, _MAX_SPEED_SETTING),
-            "accel": (1, _MAX_ACCELERATION_SETTING),
-            "limit.min": (-1_000_000_000, self._state.settings["limit.max"]),
-            "limit.max": (self._state.settings["limit.min"], 1_000_000_000),
-        }
-        return ranges[name]
 
     def _home(self, words: list[str], t_s: float) -> str:
         _expect_no_arguments(words)
@@ -250,7 +253,7 @@ class ZaberController:
             speed, acceleration = _motion_ramp(arguments[1:], speed, acceleration)
         elif kind == "vel" and 1 <= len(arguments) <= 2:
             target = highest if arguments[0] > 0 else lowest
-            speed = abs(arguments[0]) / _TICK
+            speed = abs(arguments[0]) / SPEED_UNIT
             acceleration = _motion_ramp([0, *arguments[1:]], speed, acceleration)[1]
             if speed == 0.0:
                 return self._stop([], t_s)
@@ -267,7 +270,7 @@ class ZaberController:
         return "0"
 
     def _begin_motion(self, t_s: float) -> None:
-        """Refuse a motion that cannot be; else note whether it interrupts another."""
+        """Reject an impossible motion; set flag NI if the motion interrupts another one."""
         if self._state.parked:
             raise CommandRejected("PARKED")
         if "FH" in self._state.flags:
@@ -313,14 +316,22 @@ class ZaberController:
         if words == ["reset"]:
             self.restart(t_s)
         elif words == ["restore"]:
-            self._state.settings = self._factory_settings()
+            self._state.settings = self.model.factory_settings()
         else:
             raise CommandRejected("BADCOMMAND")
         return "0"
 
-    # ------------------------------------------------------------------ what is not on the wire
+    # ------------------------------------------------------------------ events outside the protocol
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press the emergency stop, which halts the axis and holds it, or release it."""
+        """Press the emergency stop, which halts and holds the axis, or release it.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+        released
+            True releases the button.
+        """
         if released:
             self._state.flags.discard("FH")
             return
@@ -328,13 +339,21 @@ class ZaberController:
         self._state.flags.add("FH")
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Be another controller of this model from now on, fresh from power-up."""
+        """Replace the controller by another one of this model, fresh from power-up.
+
+        Parameters
+        ----------
+        serial
+            Serial number of the new controller.
+        t_s
+            Time, s.
+        """
         self.model = replace(self.model, serial=serial)
         self._state = self._powered_up()
         self.restart(t_s)
 
     def _take_events(self, t_s: float) -> None:
-        """Take up what has happened to the motion by now."""
+        """Process the events of the motion so far."""
         event = self.axis.take_event(t_s)
         if event is None:
             return
@@ -344,35 +363,29 @@ class ZaberController:
             self._state.flags.add({"stall": "FS", "limit": "FE", "twist": "FT"}[event.kind])
 
     def restart(self, t_s: float) -> None:
-        """Reboot: silent for a while, then without a reference, unless parked; settings are kept."""
+        """Reboot: no answers for a while, then no reference unless parked; settings are kept.
+
+        Parameters
+        ----------
+        t_s
+            Time of the reboot, s.
+        """
         if not self._state.parked:
             self.axis.restart(t_s)
         self._state.flags.clear()
         self._state.was_busy = False
         self._boot_ends_s = t_s + self.model.boot_s
 
-    # ------------------------------------------------------------------ inside
+    # ------------------------------------------------------------------ internals
     def _powered_up(self) -> _State:
-        # A bench's controllers are set up to guard their messages; factory settings leave checksums off.
-        return _State(self._factory_settings() | {"comm.checksum": 1})
-
-    def _factory_settings(self) -> dict[str, int]:
-        scale = self.model.mechanics.counts_per_deg * _TICK
-        return {
-            "comm.alert": 0,
-            "comm.checksum": 0,
-            "maxspeed": round(self.model.speed_deg_s * scale),
-            "limit.approach.maxspeed": round(self.model.home_speed_deg_s * scale),
-            "accel": round(self.model.acceleration_deg_s2 * scale / 10_000.0),
-            "limit.min": self.model.lowest,
-            "limit.max": self.model.highest,
-        }
+        # On a bench, checksums are switched on; factory settings leave them off.
+        return _State(self.model.factory_settings() | {"comm.checksum": 1})
 
     def _speed(self, setting: str) -> float:
-        return self._state.settings[setting] / _TICK
+        return self._state.settings[setting] / SPEED_UNIT
 
     def _acceleration(self) -> float:
-        return self._state.settings["accel"] * 10_000.0 / _TICK
+        return self._state.settings["accel"] * 10_000.0 / SPEED_UNIT
 
 
 def _integer(word: str) -> int:
@@ -388,11 +401,11 @@ def _expect_no_arguments(words: list[str]) -> None:
 
 
 def _motion_ramp(arguments: list[int], speed: float, acceleration: float) -> tuple[float, float]:
-    """Speed and acceleration of one motion, as given behind its target; 0 stands for the setting."""
+    """Return speed and acceleration of one motion, as given after its target; 0 stands for the setting."""
     if any(argument < 0 for argument in arguments):
         raise CommandRejected("BADDATA")
     if arguments and arguments[0]:
-        speed = arguments[0] / _TICK
+        speed = arguments[0] / SPEED_UNIT
     if len(arguments) > 1 and arguments[1]:
-        acceleration = arguments[1] * 10_000.0 / _TICK
+        acceleration = arguments[1] * 10_000.0 / SPEED_UNIT
     return speed, acceleration

@@ -18,14 +18,15 @@ from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.grbl import GrblAxis as BoardAxis
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.mechanics import Mechanics
 from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController, ZaberModel
+from simulators.stages.zaber_controller import ZaberController
+from simulators.stages.zaber_model import ZaberModel
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 

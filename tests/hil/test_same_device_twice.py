@@ -14,16 +14,17 @@ import pytest
 from bench.base.clock import BenchClock
 from bench.stations.device_identities import serial_devices
 from bench.stations.devices import Devices
-from bench.stations.station import SHIPPED, Station
+from bench.stations.station import SHIPPED_STATIONS, Station
 from drivers.device_hold import FOLDER_VARIABLE, DeviceHold
 from drivers.errors import PortBusy
 from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.ports.tcp_port import TcpPort
-from simulators.stages.axis_motion import Mechanics
+from simulators.stages.mechanics import Mechanics
 from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController, ZaberModel
+from simulators.stages.zaber_controller import ZaberController
+from simulators.stages.zaber_model import ZaberModel
 
 HOLD = """
 import sys
@@ -56,7 +57,7 @@ def ports(tmp_path: Path) -> Iterator[list[str]]:
 
 
 def station(port: str) -> Station:
-    text = (SHIPPED / "simulated.yaml").read_text(encoding="utf-8").replace("sim:gimbal", port)
+    text = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8").replace("sim:gimbal", port)
     return check_document(text.encode(), "station.yaml", Station).value
 
 

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.gcode import GcodeError, parse_block
 from simulators.stages.grbl import GrblAxis, GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.mechanics import Mechanics
+from simulators.stages.motion_faults import MotionFault
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"

@@ -33,14 +33,17 @@ from simulators.faults.line_faults import FaultLine, LineFault
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.ports.tcp_port import TcpPort
-from simulators.stages.axis_motion import Axis, Mechanics, MotionFault
+from simulators.stages.axis_motion import Axis
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.grbl import GrblAxis as BoardAxis
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.mechanics import Mechanics
+from simulators.stages.motion_faults import MotionFault
 from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController, ZaberModel
+from simulators.stages.zaber_controller import ZaberController
+from simulators.stages.zaber_model import ZaberModel
 
 ENDS = {"pan": 15.0, "tilt": 10.0}
 STARTS = {"pan": 2.4, "tilt": -1.7}

@@ -20,11 +20,12 @@ from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.mechanics import Mechanics
 from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController, ZaberModel
+from simulators.stages.zaber_controller import ZaberController
+from simulators.stages.zaber_model import ZaberModel
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 

@@ -13,7 +13,7 @@ from simulators.assembly.lights import make_light
 from simulators.assembly.stages import make_stage
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, BenchConfig, LightConfig, bench_config
 from simulators.ports.serial_device import Dialect
-from simulators.stages.ximc import crc16
+from simulators.stages.ximc_protocol import crc16
 
 
 def with_crc(letters: bytes, data: bytes) -> bytes:

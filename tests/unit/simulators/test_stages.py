@@ -9,7 +9,7 @@ import pytest
 from simulators.assembly.stages import Stage, make_stage
 from simulators.config import bench_config
 from simulators.ports.serial_device import Dialect
-from simulators.stages.ximc import crc16
+from simulators.stages.ximc_protocol import crc16
 from simulators.world.trajectory import Pointing
 
 
