@@ -1,1 +1,1 @@
-"""The sensor: pixels, readout, filters on the chip, words on the wire."""
+"""The simulated sensor: pixels, readout, on-chip filters, and EVT3 words."""

@@ -1,14 +1,15 @@
-"""What the IMX636's biases do to its pixels: names, ranges, and the physical settings they lead to.
+"""Biases of the IMX636: their names and ranges, and the physical pixel settings that they lead to.
 
-Biases are offsets from the factory value. **Published** are their names, their recommended ranges and which way each
-works (OpenEB's ``imx636_bias_settings.h``, the maker's page on biases), and that the camera tells its own dead time.
-No public document says how many percent, hertz or microseconds an offset makes: the maker's data sheet, which may,
-is not open. The laws here are therefore **stand-ins**: exponential, as a current is in the voltage of a transistor
-below its threshold, on which a pixel's follower, high-pass and dead time hang (Graca et al. 2023), and scaled to what
-is told of their extremes (contrast thresholds from 11 %, factory value 25 %; latency tenfold with ``bias_fo``).
+Biases are offsets from the factory value. **Published** are their names, their recommended ranges and the direction of
+their effect (OpenEB's ``imx636_bias_settings.h``; the manufacturer's page on biases); the camera reports its own dead
+time. No public document gives the effect of an offset in percent, hertz or microseconds; the manufacturer's data sheet,
+which may give it, is not public. The laws here are therefore **assumptions**. They are exponential, as a transistor's
+current depends on its voltage below threshold, which controls a pixel's follower, high-pass and dead time (Graca et al.
+2023). They are scaled to published extremes (contrast thresholds from 11 %, factory value 25 %; latency tenfold with
+``bias_fo``).
 
 ============== =========== ======================================= ===========================
-bias           range       published                               stand-in, over that range
+bias           range       published                               assumed, over that range
 ============== =========== ======================================= ===========================
 bias_diff_on   -85 to 140  higher: less sensitive                  11.6 % to 105 %, factory 25 %
 bias_diff_off  -35 to 190  higher: less sensitive                  18.1 % to 197 %, factory 25 %
@@ -17,8 +18,9 @@ bias_hpf       0 to 120    higher: slow changes go, and background none at 0; 0.
 bias_refr      -20 to 235  higher: shorter dead time               69.8 us to 1.0 us, factory 50 us
 ============== =========== ======================================= ===========================
 
-The photoreceptor's time constant (20 us at nominal brightness) and the background's dependence on thresholds and
-bandwidth are assumed as well. What a program is shown of a bias is hence right in its direction, not in its amount.
+The photoreceptor's time constant (20 us at nominal brightness) is an assumption, too, and so is the dependence of
+background events on thresholds and bandwidth. The simulated effect of a bias has the right direction, but not
+necessarily the right size.
 """
 
 from __future__ import annotations
@@ -35,17 +37,17 @@ ALLOWED: Final[Mapping[str, tuple[int, int]]] = {
     "bias_hpf": (0, 120),
     "bias_refr": (-20, 235),
 }
-"""Lowest and highest offset that the camera takes: the ranges that are recommended for the real one."""
+"""Smallest and largest offset that the camera accepts: the recommended ranges of the real one."""
 
 FACTORY: Final[Mapping[str, int]] = dict.fromkeys(ALLOWED, 0)
 
 FASTEST_FOLLOWER_US: Final = 1.0
-"""The follower's time constant at the factory value: no longer than the sensor's clock resolves, and left out."""
+"""The follower's time constant at the factory value; it is below the sensor's resolution and ignored."""
 
 
 @dataclass(frozen=True)
 class PixelSettings:
-    """The physical settings of all pixels, before their mismatch.
+    """Physical settings of all pixels, before their mismatch.
 
     Attributes
     ----------
@@ -56,13 +58,13 @@ class PixelSettings:
     q_us
         Time constant of the photoreceptor at nominal brightness (1).
     ambient
-        Light that is always there (stray light, dark current), nominal brightness = 1.
+        Constant light (stray light, dark current), nominal brightness = 1.
     background_gain
         Factor on the rate of background events.
     follower_us
         Time constant of the source follower behind the photoreceptor, a second low-pass pole; 0: none.
     high_pass_hz
-        Corner of the high-pass before the comparators; 0: none.
+        Corner frequency of the high-pass before the comparators; 0: none.
     """
 
     threshold_on: float = math.log(1.25)
@@ -76,7 +78,17 @@ class PixelSettings:
 
     @classmethod
     def from_biases(cls, biases: Mapping[str, int]) -> PixelSettings:
-        """Settings for biases given as offsets from the factory value; missing = 0.
+        """Return the settings for a set of biases.
+
+        Parameters
+        ----------
+        biases
+            Offsets from the factory value, by name; missing = 0.
+
+        Returns
+        -------
+        PixelSettings
+            By the assumed laws of this module.
 
         Examples
         --------

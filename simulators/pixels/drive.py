@@ -1,9 +1,9 @@
-"""The light as the pixels feel it: its waveform, the photoreceptor's constants, and tables of where they lead.
+"""The light as the pixels respond to it: its waveform, the photoreceptor's constants, and tables of the steady state.
 
-Under a square light everything is closed form and there is nothing to tabulate, as long as the photoreceptor's is
-the only pole. Under any other light with one rise and one fall a period, and behind the source follower's pole or
-the high-pass (which act on V, linearly), an atlas holds the periodic steady state of ln u over light and phase
-(u = exp(-V); see ``photoreceptor``), where each of its rows turns, and about when it crosses which value.
+Under a square light everything is closed form and nothing is tabulated, if the photoreceptor's is the only pole. Under
+any other light with one rise and one fall a period, and with the source follower's pole or the high-pass (which act on
+V, linearly), an atlas holds the periodic steady state of ln u over light and phase (u = exp(-V); see
+``photoreceptor``). Further tables hold where each of its rows turns, and about when it crosses which value.
 """
 
 from __future__ import annotations
@@ -21,59 +21,105 @@ from simulators.pixels.biases import PixelSettings
 from simulators.pixels.fast_math import JIT
 from simulators.world.world import LightState
 
+# Kinds of Drive.
 SQUARE: Final = 0
 SMOOTH: Final = 1
-BENT: Final = 2  # as smooth, but a square: the atlas's bins are not even
+BENT: Final = 2
 
 # Rows of Drive.turns.
 LN_BRIGHT: Final = 0  # smallest ln u of a period
-LN_DARK: Final = 1  # largest
-T_BRIGHT: Final = 2  # phase of the smallest, after the largest: up to a period later
-T_DARK: Final = 3
+LN_DARK: Final = 1  # largest ln u of a period
+T_BRIGHT: Final = 2  # phase of the smallest; it follows T_DARK and may exceed a period
+T_DARK: Final = 3  # phase of the largest
 N_TURNS: Final = 4
 
 EDGE_BEND: Final = 6.0
-"""ln of the ratio of the longest bin to the shortest in a part of a square's period."""
+"""ln of the ratio of the longest to the shortest bin in a part of a square's period."""
 ATLAS_LEVELS: Final = 128
 ATLAS_BINS: Final = 2048
 SINE_STEPS: Final = 4
-"""Steps a bin in which a sine's curves are found."""
+"""Steps per bin in which a sine's curves are computed."""
 WHEN_STEPS: Final = 256
-"""Steps of ``Drive.when`` from one turn of the curve to the other."""
+"""Steps of ``Drive.when`` from one extreme of the curve to the other."""
 BRIGHTEST: Final = 1.5
-"""Highest light of a pixel that the atlas covers."""
+"""Largest light of a pixel that the atlas covers."""
 LOWEST_CONTRAST: Final = 0.02
-"""Relative change of brightness below which no pixel is ever near its threshold."""
+"""Relative change of brightness below which no pixel comes near its threshold."""
 LEAST: Final = 1.0 + LOWEST_CONTRAST
 
 
 class Drive(NamedTuple):
-    """The light and the photoreceptor."""
+    """The light's waveform, the photoreceptor's constants, and the tables of the steady state.
+
+    Attributes
+    ----------
+    kind
+        SQUARE (closed form), SMOOTH (atlas with even bins) or BENT (atlas of a square light, with uneven bins).
+    period_us
+        Length of a period.
+    high_us
+        Length of the high part of a square's period.
+    w_high, w_low
+        Upper and lower level of the light, nominal brightness = 1.
+    ambient
+        Constant light, nominal brightness = 1.
+    q_us
+        Time constant of the photoreceptor at nominal brightness.
+    start_us
+        Sensor time at which a period begins.
+    atlas
+        (bins + 1, levels) float32: ln u over a period; the light increases from level to level.
+    flat
+        (levels * (bins + 1),) float32: the same, one row after the other.
+    turns
+        (N_TURNS, levels) float32: extremes of each level's curve, and their phases in us.
+    when
+        (2 * levels * (WHEN_STEPS + 2),) float32: phase of a crossing in us, ON and OFF, by light and height.
+    grid
+        (bins + 1,) float32: phases of the bins' edges, us; BENT: half of the bins in either part.
+    lowest
+        Light of the first level; a pixel with less light never crosses a threshold.
+    contrast
+        Relative change of brightness for a light of 1.
+    log_step
+        Step between levels in ln(1 + light * contrast), in which levels are evenly spaced: ln u is nearly linear in it.
+    """
 
     kind: int
     period_us: float
-    high_us: float  # square: length of the high part
+    high_us: float
     w_high: float
     w_low: float
     ambient: float
     q_us: float
-    start_us: float  # sensor time at which a period begins
-    atlas: NDArray[
-        np.float32
-    ]  # smooth: (bins + 1, levels) ln u over a period, light rising from level to level
-    flat: NDArray[np.float32]  # the same, one row after the other
-    turns: NDArray[np.float32]  # (N_TURNS, levels) where each level's curve turns
-    when: NDArray[
-        np.float32
-    ]  # (2 * levels * (WHEN_STEPS + 2),) phase of a crossing, ON and OFF, by light and height
-    grid: NDArray[np.float32]  # (bins + 1,) phases of the bins' edges; bent: half of the bins in either part
-    lowest: float  # light of the first row; below, nothing ever crosses
-    contrast: float  # relative change of brightness for a light of 1; levels are evenly spaced in
-    log_step: float  # ln of 1 + light * contrast: ln u is nearly linear in it
+    start_us: float
+    atlas: NDArray[np.float32]
+    flat: NDArray[np.float32]
+    turns: NDArray[np.float32]
+    when: NDArray[np.float32]
+    grid: NDArray[np.float32]
+    lowest: float
+    contrast: float
+    log_step: float
 
 
 def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
-    """The light as the pixels feel it, a period beginning at ``start_us`` of the sensor's clock."""
+    """Return the light as the pixels respond to it.
+
+    Parameters
+    ----------
+    light
+        Waveform, frequency and levels.
+    start_us
+        Sensor time at which a period begins.
+    settings
+        Time constants and ambient light of the pixels.
+
+    Returns
+    -------
+    Drive
+        With tables where there is no closed form.
+    """
     period = light.period_us
     plain = settings.follower_us == 0.0 and settings.high_pass_hz == 0.0
     closed = light.high == light.low or (light.waveform == "square" and plain)
@@ -93,7 +139,7 @@ def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> D
 
 
 class _Tables(NamedTuple):
-    """The tables of a ``Drive``, as it has them."""
+    """The tables of a ``Drive``; see its attributes."""
 
     atlas: NDArray[np.float32]
     flat: NDArray[np.float32]
@@ -106,7 +152,7 @@ class _Tables(NamedTuple):
 
 
 def _no_atlas() -> _Tables:
-    """Placeholders where u is closed form."""
+    """Return placeholders for the case that u is closed form."""
     one, flat = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     return _Tables(one, flat, one, flat, flat, 1.0, 1.0, 1.0)
 
@@ -115,7 +161,7 @@ def _no_atlas() -> _Tables:
 def _atlas(
     waveform: str, period: float, high_share: float, high: float, low: float, settings: PixelSettings
 ) -> _Tables:
-    """Atlas of a light's periodic steady states."""
+    """Return the tables of a light's periodic steady states."""
     first = math.log(LEAST)
     log_step = (math.log1p(BRIGHTEST * high / settings.ambient) - first) / (ATLAS_LEVELS - 1)
     lights = np.expm1(first + log_step * np.arange(ATLAS_LEVELS)) * settings.ambient / high
@@ -148,7 +194,7 @@ def _atlas(
 
 
 def _bent_grid(period: float, high_share: float) -> NDArray[np.float64]:
-    """Edges of bins, half of them for either part of a square's period, short after its edges and long later."""
+    """Return the edges of bins, half of them in either part of a square's period; bins are short after an edge."""
     half = np.expm1(EDGE_BEND * np.linspace(0.0, 1.0, ATLAS_BINS // 2 + 1)) / np.expm1(EDGE_BEND)
     high_us = period * high_share
     return np.concatenate([high_us * half[:-1], high_us + (period - high_us) * half])
@@ -158,20 +204,23 @@ def _bent_grid(period: float, high_share: float) -> NDArray[np.float64]:
 def fill_curves(curves: NDArray, lights: NDArray, wave: NDArray, ambient: float, bin_q: NDArray) -> None:
     """Tabulate the periodic steady state of ln u for each light.
 
+    It solves du/dt = (1 - I u) / q; see ``photoreceptor``. Within a step, the time constant is that of the step's
+    middle, and the limit 1 / I goes linearly from begin to end (a first-order hold). This is exact for a square light,
+    and of second order in the step's length for a smooth one; it stays accurate however short q is.
+
     Parameters
     ----------
     curves
-        (levels, bins + 1) ln u at the bins' edges; filled in.
+        (levels, bins + 1) float64, filled in: ln u at the bins' edges.
     lights
-        (levels,) light of each level.
+        (levels,) float64, light of each level.
     wave
-        (3, steps) w at the begin, in the middle and at the end of each step, some to a bin. Within a step the time
-        constant is that of its middle, and what u tends to, 1 / I, goes straight from begin to end: exact for a
-        square, of second order in the step's length for smooth waves, and true to them however short q is.
+        (3, steps) float64, w at the begin, in the middle and at the end of each step, with a whole number of steps per
+        bin.
     ambient
         Constant part of I.
     bin_q
-        (bins,) length of each bin in units of q.
+        (bins,) float64, length of each bin in units of q.
     """
     bins, steps = bin_q.size, wave.shape[1] // bin_q.size
     for j in range(lights.size):
@@ -198,9 +247,16 @@ def fill_curves(curves: NDArray, lights: NDArray, wave: NDArray, ambient: float,
 
 @njit(**JIT)
 def low_pass(curves: NDArray, bin_tau: NDArray) -> None:
-    """Put each curve through a first-order low-pass, in place, in its periodic steady state.
+    """Apply a first-order low-pass to each curve, in place, in its periodic steady state.
 
-    Exact for a curve that is straight within a bin; ``bin_tau`` is the length of each bin in time constants.
+    Exact for a curve that is linear within a bin (first-order hold).
+
+    Parameters
+    ----------
+    curves
+        (levels, bins + 1) float64, values at the bins' edges, changed in place.
+    bin_tau
+        (bins,) float64, length of each bin in time constants.
     """
     bins = bin_tau.size
     for j in range(curves.shape[0]):
@@ -223,7 +279,19 @@ def low_pass(curves: NDArray, bin_tau: NDArray) -> None:
 
 @njit(**JIT)
 def fill_when(curves: NDArray, turns: NDArray, when: NDArray, grid: NDArray) -> None:
-    """Find where each curve turns, and when it crosses the heights between its turns; as in ``Drive``."""
+    """Find the extremes of each curve, and the phases at which it crosses heights between them; see ``Drive``.
+
+    Parameters
+    ----------
+    curves
+        (levels, bins + 1) float64, ln u at the bins' edges.
+    turns
+        (N_TURNS, levels) float32, filled in.
+    when
+        (2, levels, WHEN_STEPS + 2) float32, filled in, us.
+    grid
+        (bins + 1,) float64, phases of the bins' edges, us.
+    """
     bins = curves.shape[1] - 1
     period = grid[bins]
     for j in range(curves.shape[0]):
@@ -254,7 +322,24 @@ def fill_when(curves: NDArray, turns: NDArray, when: NDArray, grid: NDArray) -> 
 
 @njit(**JIT)
 def crossing_bin(curve: NDArray, first: int, last: int, target: float, off: bool) -> float:
-    """Bin at which a curve crosses the target, sought by halving on the branch between two bins."""
+    """Return where a curve crosses a target, found by bisection on the branch between two bins.
+
+    Parameters
+    ----------
+    curve
+        (bins + 1,) float64, values at the bins' edges.
+    first, last
+        Bins between which the curve is monotone; the last may exceed one period.
+    target
+        Value that is crossed.
+    off
+        Whether the branch rises (OFF); else it falls (ON).
+
+    Returns
+    -------
+    float
+        Bin and the fraction within it.
+    """
     bins = curve.size - 1
     low, high = first, last
     while high - low > 1:

@@ -1,8 +1,9 @@
-"""The filters on the chip: anti-flicker (AFK), spatio-temporal contrast (STC), trail, event rate controller (ERC).
+"""On-chip event filters: anti-flicker (AFK), spatio-temporal contrast (STC), trail, event rate controller (ERC).
 
-Each takes events away, by rules simpler than the chip's own but with the same effect on a flickering target:
-AFK deletes it, STC deletes most of what a bright edge gives, the rate controller nearly all of it. Knows events
-only. State goes on from slice to slice.
+Each filter removes events. Its rules are simpler than the chip's, but have the same effect on a flickering target: AFK
+removes it, STC removes most events of a bright edge, and the rate controller removes nearly all of them. The names and
+their purposes are those of Prophesee's documentation of event signal processing. This module works on events only. The
+state is kept from slice to slice.
 """
 
 from __future__ import annotations
@@ -17,33 +18,33 @@ from numpy.typing import NDArray
 from simulators.pixels.sensor import Events
 
 FILTERS: Final = ("afk", "stc", "trail", "erc")
-"""Filters by the names the camera gives them, in the order in which they act."""
+"""The camera's names of the filters, in the order in which they act."""
 
 BURST_US: Final = 10_000
-"""STC and trail: events of one pixel and polarity closer than this belong to one burst."""
+"""STC and trail: events of one pixel and polarity that are closer in time than this form one burst."""
 AFK_SHORTEST_US: Final = 1e6 / 520.0
 AFK_LONGEST_US: Final = 1e6 / 50.0
-"""AFK: a region flickers when its bursts of ON events follow each other within these periods."""
+"""AFK: a region flickers if the time between its bursts of ON events lies between these limits."""
 AFK_REGION: Final = 4
 """AFK: side of a region, px."""
 AFK_PERIODS: Final = 2
-"""AFK: periods after which a region is taken to flicker."""
+"""AFK: number of such periods after which a region counts as flickering."""
 ERC_WINDOW_US: Final = 200
 ERC_QUOTA: Final = 4000
-"""ERC: events let through in each window (20 Mev/s)."""
+"""ERC: events passed in each window (20 Mev/s)."""
 
 _LONG_AGO: Final = -(1 << 40)
 
 
 class EventFilters:
-    """The filters of a sensor, those that are enabled.
+    """The enabled filters of a sensor.
 
     Parameters
     ----------
     width, height
         Pixels of the sensor.
     enabled
-        Which filters act, by name; missing = off.
+        Whether each filter is on, by name; missing = off.
     """
 
     def __init__(self, width: int, height: int, enabled: Mapping[str, bool]) -> None:
@@ -68,14 +69,19 @@ class EventFilters:
         self._erc = np.array([_LONG_AGO, 0], np.int64)  # window, events in it
 
     def apply(self, events: Events) -> tuple[Events, NDArray[np.int64]]:
-        """Let a slice of events through the filters.
+        """Pass a slice of events through the filters.
+
+        Parameters
+        ----------
+        events
+            Events in order of time, after those of the previous slice.
 
         Returns
         -------
-        events
-            What is left.
-        entered_t
-            Times of the events that entered the rate controller, which counts them even when it is off.
+        events : Events
+            Events that are left.
+        entered_t : (N,) int64
+            Times, us, of the events that entered the rate controller, which counts them even if it is off.
         """
         for name in self._enabled:
             if name == "erc":
@@ -89,7 +95,7 @@ class EventFilters:
         return events, entered_t
 
     def _keep(self, name: str, events: Events) -> NDArray[np.bool_]:
-        """Which events a filter lets through."""
+        """Return which events a filter passes."""
         if name == "afk":
             return np.asarray(_not_flickering(events.t, events.x, events.y, events.p, self._afk))
         number = _burst_number(events.t, events.x, events.y, events.p, self._bursts[name])
@@ -98,7 +104,7 @@ class EventFilters:
 
 @njit(cache=True, nogil=True)
 def _burst_number(t: NDArray, x: NDArray, y: NDArray, p: NDArray, bursts: tuple) -> NDArray:
-    """Number of each event in its pixel's burst, from 1."""
+    """Return the number of each event in its pixel's burst, from 1."""
     last_t, last_p, count = bursts
     number = np.empty(t.size, np.int32)
     for i in range(t.size):
@@ -112,7 +118,7 @@ def _burst_number(t: NDArray, x: NDArray, y: NDArray, p: NDArray, bursts: tuple)
 
 @njit(cache=True, nogil=True)
 def _not_flickering(t: NDArray, x: NDArray, y: NDArray, p: NDArray, afk: tuple) -> NDArray:
-    """Whether each event's region does not flicker within the band."""
+    """Return, for each event, whether its region does not flicker within the band."""
     last_rise, was_on, periods = afk
     keep = np.empty(t.size, np.bool_)
     for i in range(t.size):
@@ -131,7 +137,7 @@ def _not_flickering(t: NDArray, x: NDArray, y: NDArray, p: NDArray, afk: tuple) 
 
 @njit(cache=True, nogil=True)
 def _within_quota(t: NDArray, erc: NDArray) -> NDArray:
-    """Whether each event is within its window's quota."""
+    """Return, for each event, whether it is within its window's quota."""
     keep = np.empty(t.size, np.bool_)
     for i in range(t.size):
         window = t[i] // ERC_WINDOW_US

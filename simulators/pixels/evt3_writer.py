@@ -1,8 +1,8 @@
-"""Contrast events and triggers into EVT3 words, as an IMX636 sends them.
+"""Encoder of contrast events and triggers as EVT3 words, as an IMX636 sends them.
 
-Knows the wire format and the sensor's habits: a TIME_HIGH every 16 us, a TIME_LOW after each of them before
-anything that has a time, rate-controller counters every 200 us, vectors where a block of 32 pixels holds
-enough events. Knows nothing of where events come from.
+Format: Prophesee, EVT 3.0 data format. Habits of the sensor: a TIME_HIGH every 16 us, a TIME_LOW after each TIME_HIGH
+before anything that has a time, rate-controller counters every 200 us, vectors where a block of 32 pixels holds enough
+events. This module does not depend on where events come from.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ ON: Final = 0x0800
 TICK_US: Final = 16
 """Time between two TIME_HIGH."""
 COUNTER_US: Final = 200
-"""Window of the rate controller's counters; they are sent with the first TIME_HIGH after it."""
+"""Window of the rate controller's counters; they are sent with the first TIME_HIGH after its end."""
 MARK_US: Final = 2000
-"""At multiples of this after the start a TIME_LOW follows the TIME_HIGH in any case: an idle stream tells its time."""
+"""At multiples of this after the start a TIME_LOW follows the TIME_HIGH in any case; an idle stream thus has times."""
 BLOCK: Final = 32
 """Pixels of a vector triple (12 + 12 + 8)."""
 VECTOR_FROM: Final = 5
-"""Events of a block from which on a vector is shorter than single events."""
+"""Smallest number of events of a block for which a vector is shorter than single events."""
 
 # Indices into the writer's int64 state.
 _TICK: Final = 0  # time of the next TIME_HIGH
@@ -47,15 +47,15 @@ _LOW: Final = 1  # time of the last TIME_LOW, -1 if a TIME_HIGH came since
 _COUNT_END: Final = 2  # end of the present counter window
 _COUNT_OUT: Final = 3  # events sent in the window
 _COUNT_IN: Final = 4  # events that entered the rate controller in the window
-_BASE: Final = 5  # where the vector base stands, with polarity in bit 11; -1 unknown
-_Y: Final = 6  # row in force, -1 unknown: said again with each read
+_BASE: Final = 5  # vector base in force, with polarity in bit 11; -1 unknown
+_Y: Final = 6  # row in force, -1 unknown; sent again with each read
 _READ_T: Final = 7  # time of the row read in progress
 _START: Final = 8  # time at which the stream started
 _N_STATE: Final = 9
 
 
 class Evt3Writer:
-    """Turns slices of a stream into words; the stream goes on from slice to slice.
+    """Encoder of a stream in slices; the stream continues from slice to slice.
 
     Parameters
     ----------
@@ -63,12 +63,17 @@ class Evt3Writer:
         Sensor time at which the stream starts; a multiple of 16.
     width, height
         Pixels of the sensor.
+
+    Raises
+    ------
+    SimulationMisuse
+        If the start is not a multiple of 16.
     """
 
     def __init__(self, start_us: int = 0, *, width: int = 1280, height: int = 720) -> None:
         if start_us % TICK_US:
             raise SimulationMisuse(
-                f"A stream cannot start at {start_us} us.", remedy=f"Use a multiple of {TICK_US}."
+                f"A stream cannot start at {start_us} us.", remedy=f"Start at a multiple of {TICK_US} us."
             )
         self.width, self.height = width, height
         self._now_us = start_us
@@ -89,23 +94,31 @@ class Evt3Writer:
         trigger_value: NDArray[np.uint8] | None = None,
         entered_t: NDArray[np.int64] | None = None,
     ) -> NDArray[np.uint16]:
-        """Words of a slice, from where the last one ended up to ``until_us`` (exclusive).
+        """Return the words of a slice, from the end of the previous one to ``until_us`` (exclusive).
 
-        How the stream is cut into slices does not change its words.
+        The words do not depend on how the stream is cut into slices.
 
         Parameters
         ----------
         t, x, y, p
-            Events of the slice; t monotone, events of one time, row and polarity from left to right.
+            Events of the slice, four (N,) arrays: int64 us, uint16 px, uint16 px, uint8 (1 = ON). t does not decrease;
+            events of one time, row and polarity are in order of x.
+        until_us
+            Sensor time at which the slice ends.
         trigger_t, trigger_value
-            Edges of the trigger input in the slice, monotone; 1 = rising.
+            Edges of the trigger input in the slice, two (M,) arrays: int64 us in order of time, and uint8 (1 = rising).
         entered_t
-            Times of the events that entered the rate controller; None: those that left it.
+            (K,) int64 us, times of the events that entered the rate controller; None: those of the slice.
+
+        Returns
+        -------
+        (W,) uint16
+            EVT3 words.
 
         Raises
         ------
         SimulationMisuse
-            When an event lies outside the slice or the sensor.
+            If an event lies outside the slice or the sensor.
         """
         none_t, none_value = np.empty(0, np.int64), np.empty(0, np.uint8)
         edges = (
@@ -115,10 +128,13 @@ class Evt3Writer:
         for times in (t, edges[0]):
             if times.size and not (self._now_us <= times[0] and times[-1] < until_us):
                 raise SimulationMisuse(
-                    f"Events from {times[0]} to {times[-1]} us in a slice that ends at {until_us} us."
+                    f"Events from {times[0]} to {times[-1]} us do not fit a slice "
+                    f"from {self._now_us} to {until_us} us."
                 )
         if x.size and (int(x.max()) >= self.width or int(y.max()) >= self.height):
-            raise SimulationMisuse(f"An event outside {self.width} x {self.height} pixels.")
+            raise SimulationMisuse(
+                f"An event lies outside the sensor of {self.width} x {self.height} pixels."
+            )
         ticks = (until_us - self._now_us) // TICK_US + 2
         room = 4 * t.size + 2 * edges[0].size + 3 * ticks + 8 * (ticks * TICK_US // COUNTER_US + 2)
         words = np.empty(room, np.uint16)
@@ -139,7 +155,7 @@ class Evt3Writer:
 def _write(
     words: NDArray, state: NDArray, events: tuple, edges: tuple, entered_t: NDArray, until: int, width: int
 ) -> int:
-    """Merge ticks, edges and row reads by time; returns the number of words."""
+    """Merge ticks, edges and row reads by time; return the number of words."""
     t, x, y, p = events
     edge_t, edge_value = edges
     end = np.int64(until)
@@ -188,7 +204,7 @@ def _write(
 
 @njit(cache=True, nogil=True)
 def _write_time_low(words: NDArray, n: int, state: NDArray, t: int) -> int:
-    """TIME_LOW, unless it stands already."""
+    """Write a TIME_LOW, unless the same one is in force; return the number of words."""
     if state[_LOW] != t:
         words[n] = TIME_LOW | (t & 0xFFF)
         state[_LOW] = t
@@ -198,7 +214,7 @@ def _write_time_low(words: NDArray, n: int, state: NDArray, t: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _write_counters(words: NDArray, n: int, state: NDArray) -> int:
-    """Events into and out of the rate controller in the window that ends; begin the next window."""
+    """Write the events into and out of the rate controller in the window that ends; begin the next window."""
     for k in range(2):
         count = state[_COUNT_IN] if k == 0 else state[_COUNT_OUT]
         words[n] = OTHERS | (RATE_IN if k == 0 else RATE_OUT)
@@ -223,7 +239,7 @@ def _write_run(
     last: int,
     width: int,
 ) -> int:
-    """Events first .. last - 1, of one time, row and polarity, from left to right."""
+    """Write events first .. last - 1, of one time, row and polarity, from left to right; return the number of words."""
     if state[_Y] != y[first] or state[_READ_T] != state[_LOW]:
         words[n] = ADDR_Y | y[first]
         n += 1

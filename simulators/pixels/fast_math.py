@@ -1,6 +1,7 @@
-"""Exponential and logarithm in float32, written so that loops over them become vector instructions.
+"""Exponential and logarithm in float32, written so that compilers turn loops over them into vector instructions.
 
-Compiled functions only. Relative error of the exponential and absolute error of the logarithm stay below 3e-7.
+For compiled functions only. The relative error of the exponential and the absolute error of the logarithm are below
+3e-7.
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ JIT: Final[dict[str, Any]] = {
     "_nrt": False,
     "fastmath": {"nnan", "nsz", "contract"},
 }
-"""How the sensor's loops are compiled.
+"""Compiler options of the sensor's loops.
 
-Infinity stays infinity (a pixel that never requests again). Arrays are not counted references to
-(``_nrt``): the loops neither make nor return any, and counting them cost four times the work itself.
+Infinity is kept (a pixel that never requests again). References to arrays are not counted (``_nrt``): the loops neither
+create nor return any, and the counting took four times as long as the work itself.
 """
 
 
 class _NoAlias(CompilerBase):
-    """Compiles a function whose array arguments do not overlap: only so do loops with table look-ups vectorise."""
+    """Compiler for functions whose array arguments do not overlap; loops with table look-ups vectorise only then."""
 
     def define_pipelines(self) -> list[Any]:
-        """Numba's usual passes, with the arguments marked."""
+        """Return Numba's usual passes, with the arguments marked as not overlapping."""
         self.state.flags.noalias = True
         usual: Any = DefaultPassBuilder.define_nopython_pipeline
         return [usual(self.state)]
 
 
 KERNEL: Final[dict[str, Any]] = {**JIT, "pipeline_class": _NoAlias}
-"""How their loops over a batch of pixels are compiled: no array passed may overlap another."""
+"""How the loops over a batch of pixels are compiled; no array argument may overlap another."""
 
 _LOG2_E: Final = np.float32(1.0 / math.log(2.0))
 _LN_2_HIGH: Final = np.float32(355.0 / 512.0)
@@ -50,9 +51,20 @@ _MANTISSA: Final = np.int32(0x007FFFFF)
 
 @njit(inline="always", **JIT)
 def exp32(x: Any) -> Any:
-    """exp(x) of a float32 x <= 80; below -87 it is exp(-87).
+    """Return exp(x) of a float32 x <= 80; below -87 it is exp(-87).
 
-    x = n ln 2 + r with |r| <= ln 2 / 2; Taylor's series of exp(r) to the seventh order, times 2^n.
+    x = n ln 2 + r with |r| <= ln 2 / 2, ln 2 in two parts (Cody and Waite 1980); Taylor's series of exp(r) to the
+    seventh order, times 2^n.
+
+    Parameters
+    ----------
+    x
+        Exponent, float32 scalar.
+
+    Returns
+    -------
+    float32
+        The exponential.
     """
     y = max(np.float32(x), _LOWEST)
     n = np.floor(y * _LOG2_E + np.float32(0.5))
@@ -69,9 +81,19 @@ def exp32(x: Any) -> Any:
 
 @njit(inline="always", **JIT)
 def log32(x: Any) -> Any:
-    """Natural logarithm of a positive, finite, normal float32.
+    """Return the natural logarithm of a positive, finite, normal float32.
 
     x = 2^n m with m in (sqrt(1/2), sqrt(2)]; ln m = 2 artanh(s), s = (m - 1) / (m + 1), by its series.
+
+    Parameters
+    ----------
+    x
+        Argument, float32 scalar.
+
+    Returns
+    -------
+    float32
+        The logarithm.
     """
     bits = np.int32(np.float32(x).view(np.int32) - _SQRT_HALF_BITS)
     n = np.float32(bits >> np.int32(23))

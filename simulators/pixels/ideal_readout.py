@@ -1,9 +1,10 @@
-"""Events of a sensor that reads every pixel the moment it asks: what the pixels see, before any readout.
+"""Events of an ideal sensor that reads every pixel at once: what the pixels detect, before any readout.
 
-No arbiter, no link, no dead time, no noise but the mismatch of thresholds: a pixel's reference is moved by exactly
-its threshold at each event, so that all its crossings on a branch of the light are known at once, and the stream
-is sorted afterwards. For comparing readers and image methods with what an ideal sensor would give, and for
-streams of hundreds of millions of events a second. Knows the photoreceptor's tables; not the sensor's loop.
+There is no arbiter, no link, no dead time, and no noise except the mismatch of thresholds. The reference of a pixel
+changes by exactly its threshold at each event (the event generation model of Lichtsteiner et al. 2008 without
+refractory time). All crossings on a branch of the light can therefore be found together; the stream is sorted
+afterwards. It serves to compare readers and image methods with an ideal sensor, and to produce streams of hundreds of
+millions of events a second. It uses the photoreceptor's tables, but not the sensor's loop.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ EVENT: Final = np.dtype(
         "itemsize": 16,
     }
 )
-"""An event as Metavision's readers have it, 16 bytes: x, y, p (1 = ON), t in us."""
+"""An event as Metavision's readers return it, 16 bytes: x, y, p (1 = ON), t in us."""
 
 WARM_UP: Final = 2
-"""Periods the pixels live through before time 0."""
+"""Periods that are simulated before time 0."""
 AT_ONCE: Final = 12
-"""Crossings of a pixel that are found together: a little more than a branch has at a contrast of 10 : 1."""
+"""Crossings of a pixel that are computed together: a little more than a branch has at a contrast of 10 : 1."""
 
 # An event before it is sorted: polarity, x, y and the time within the slice, from the lowest bit up.
 _X: Final = np.uint64(1)
@@ -44,7 +45,7 @@ _Y: Final = np.uint64(16)
 _T: Final = np.uint64(32)
 _COORDINATE: Final = np.uint64(0x7FFF)
 _BUCKET: Final = 4
-"""Events are first put in order by 16 us, then each of these, which the caches hold, by the microsecond."""
+"""Events are first sorted into buckets of 16 us, which fit the caches, and each bucket then by the microsecond."""
 _BUCKET_US: Final = 1 << _BUCKET
 
 
@@ -57,34 +58,42 @@ def ideal_slices(
     settings: PixelSettings | None = None,
     thresholds: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> Iterator[NDArray[np.void]]:
-    """Events from time 0 to ``duration_us``, sorted by time, about a period of the light at a time.
+    """Yield the events from time 0 to ``duration_us``, sorted by time, in slices of about a period of the light.
 
-    Each array is a view of one buffer, which the next overwrites: copy what is to stay.
+    Each array is a view of one buffer, which the next slice overwrites: copy what you keep.
 
     Parameters
     ----------
     picture
         (height, width) float32, share of the light's drive that reaches each pixel.
     light
-        A light with one smooth rise and fall a period: not a square, not a steady one.
+        A light with one smooth rise and fall a period: neither square nor constant.
+    duration_us
+        End of the stream, exclusive.
     phase
         Phase of the light at time 0, in periods.
     settings
-        Thresholds and time constant; the dead time does not enter.
+        Thresholds and time constant; the dead time is not used.
     thresholds
-        ON and OFF thresholds of each pixel, as ``Sensor.thresholds`` gives them; None: all as in the settings.
+        ON and OFF thresholds of each pixel, two (height, width) arrays in units of log intensity, as
+        ``Sensor.thresholds`` has them; None: those of the settings for all pixels.
+
+    Yields
+    ------
+    (N,) EVENT
+        Events of a slice, a structured array.
 
     Raises
     ------
     SimulationMisuse
-        When the light is a square or does not change.
+        If the light is square or constant.
     """
     chosen = settings if settings is not None else PixelSettings()
     drive = make_drive(light, -phase * light.period_us, chosen)
     if drive.kind == SQUARE:
         raise SimulationMisuse(
             "The ideal readout needs a light that rises and falls smoothly.",
-            remedy="Use a sine, or Link.ideal().",
+            remedy="Use a sine, or a Sensor with Link.ideal().",
         )
     height, width = picture.shape
     levels = _levels(drive, np.ascontiguousarray(picture, np.float32))
@@ -125,7 +134,24 @@ def ideal_slices(
 def ideal_events(
     picture: NDArray[np.float32], light: LightState, duration_us: float, **options: Any
 ) -> NDArray[np.void]:
-    """All events of ``ideal_slices`` in one array."""
+    """Return all events of ``ideal_slices`` in one array.
+
+    Parameters
+    ----------
+    picture
+        (height, width) float32, share of the light's drive that reaches each pixel.
+    light
+        A light with one smooth rise and fall a period.
+    duration_us
+        End of the stream, exclusive.
+    options
+        Further arguments of ``ideal_slices``.
+
+    Returns
+    -------
+    (N,) EVENT
+        Events sorted by time, a structured array.
+    """
     slices = [events.copy() for events in ideal_slices(picture, light, duration_us, **options)]
     events = np.empty(sum(map(len, slices)), EVENT)
     np.concatenate(slices, out=events)
@@ -138,14 +164,14 @@ def _between(table: NDArray[np.float32], levels: NDArray[np.float32]) -> NDArray
 
 
 def _most_events(drive: Drive, steps: NDArray[np.float32]) -> int:
-    """More events than a cycle can have."""
+    """Return an upper limit of the events in a cycle."""
     span = float(np.max(drive.turns[LN_DARK] - drive.turns[LN_BRIGHT]))
     return int((span / steps + 1.0).sum()) + AT_ONCE
 
 
 @njit(cache=True, nogil=True)
 def _levels(drive: Drive, picture: NDArray) -> NDArray:
-    """Level of each pixel on the atlas."""
+    """Return the level of each pixel on the atlas."""
     levels = np.empty(picture.shape, np.float32)
     for r in range(picture.shape[0]):
         for c in range(picture.shape[1]):
@@ -157,7 +183,7 @@ def _levels(drive: Drive, picture: NDArray) -> NDArray:
 def _branch_times(
     drive: Drive, level: Any, off: bool, first: Any, step: Any, offset: float, times: NDArray
 ) -> None:
-    """Whole microseconds, ``offset`` after the phase, at which a pixel crosses AT_ONCE targets, a step apart."""
+    """Compute when a pixel crosses AT_ONCE targets, a step apart; whole microseconds of the phase plus ``offset``."""
     for k in range(AT_ONCE):
         times[k] = np.int32(pr.branch_crossing(drive, level, first + np.float32(k) * step, off) + offset)
 
@@ -167,7 +193,7 @@ def _cycle_events(
     d: Drive, levels: NDArray, steps: NDArray, reference: NDArray, start_us: float, begin: int, found: NDArray,
     n: int, counts: NDArray,
 ) -> int:  # fmt: skip
-    """Add the events of one cycle of all pixels, from dark to bright and back; return how many there are now."""
+    """Add the events of one cycle of all pixels, from dark to bright and back; return the number of events so far."""
     height, width = levels.shape
     offset = start_us - begin
     times = counts[counts.size - AT_ONCE :]
@@ -216,9 +242,9 @@ def _count(found: NDArray, n: int, counts: NDArray) -> None:
 def _sort(
     found: NDArray, n: int, counts: NDArray, begin: int, end: int, ordered: NDArray, events: NDArray
 ) -> int:
-    """Put events before ``end`` in order of time; the rest waits at the start of ``found``: return how many.
+    """Sort events before ``end`` by time; move the others to the start of ``found`` and return their number.
 
-    Two counting sorts, of all events into buckets and of each bucket; ``counts`` is used up, ``ordered`` scratch.
+    Two counting sorts: of all events into buckets, and of each bucket. ``counts`` is used up, ``ordered`` is scratch.
     ``events`` is (n, 2) words: x, y, p in the first, t in the second.
     """
     buckets = counts.size - _BUCKET_US
@@ -257,7 +283,10 @@ def _sort_bucket(
     bucket: NDArray, counts: NDArray, start: int, begin: int, end: int, place: int, rest: NDArray,
     events: NDArray,
 ) -> tuple[int, int]:  # fmt: skip
-    """Put a bucket's events in order, from ``place`` on, those not before ``end`` in ``rest``; return both ends."""
+    """Sort a bucket's events into ``events`` from ``place`` on, and those not before ``end`` into ``rest``.
+
+    Return the next place in either.
+    """
     length = end - begin
     for k in range(_BUCKET_US):
         counts[k] = 0

@@ -1,16 +1,20 @@
-"""The photoreceptors under a periodic light: their levels at any phase, and when they cross a threshold.
+"""Photoreceptors under a periodic light: their levels at any phase, and when they cross a threshold.
 
-The large-signal first-order model: light I(t) = ambient + light * w(t), and with u = exp(-V) of the
-receptor's output V = ln I (in the steady state),
+The large-signal first-order model of a logarithmic photoreceptor. With light I(t) = ambient + light * w(t), and
+u = exp(-V) of the receptor's output V = ln I (in the steady state),
 
     du/dt = (1 - I u) / q
 
-is linear: the time constant is q / I, so ON edges are fast and OFF edges slow. Under a square light u is a
-pair of exponentials and everything is closed form; under any other light with one rise and one fall a period,
-u comes from an atlas of periodic steady states, tabulated over light and phase.
+is linear. It equals q dV/dt = I - exp(V): a capacitance that the photocurrent charges and a transistor below threshold
+discharges. The time constant is q / I, so ON edges are fast and OFF edges slow. That the bandwidth grows in proportion
+to the light is a property of real pixels (Lichtsteiner et al. 2008; modelled in v2e, Hu, Liu and Delbruck 2021).
+An ON or OFF event comes when V has changed by a threshold from its value at the last reset (Lichtsteiner et al. 2008).
 
-Compiled functions over a batch of pixels: a float32 array of N_BATCH rows, one number of a pixel each. A phase
-is in microseconds after the start of a period of the light.
+Under a square light u is a pair of exponentials and everything is closed form. Under any other light with one rise and
+one fall a period, u comes from an atlas of periodic steady states, tabulated over light and phase.
+
+Compiled functions over a batch of pixels: a float32 array of N_BATCH rows, one number of a pixel each. A phase is in
+microseconds after the start of a period of the light.
 """
 
 from __future__ import annotations
@@ -64,14 +68,42 @@ _NEXT: Final = np.uint32(1)
 
 @njit(**JIT)
 def period_start(drive: Drive, epoch: float, t: float) -> float:
-    """Start of the light's period in which t lies, us after the epoch."""
+    """Return the start of the light's period that contains a time.
+
+    Parameters
+    ----------
+    drive
+        Light.
+    epoch
+        Sensor time of the epoch, us.
+    t
+        Time, us after the epoch.
+
+    Returns
+    -------
+    float
+        Start of the period, us after the epoch.
+    """
     first = drive.start_us - epoch
     return first + floor((t - first) / drive.period_us) * drive.period_us
 
 
 @njit(**JIT)
 def place(drive: Drive, light: float) -> float:
-    """What is kept of a pixel's light: itself under a square light, its level on the atlas under another."""
+    """Return the number by which a pixel's light is stored.
+
+    Parameters
+    ----------
+    drive
+        Light.
+    light
+        Share of the light's drive that reaches the pixel.
+
+    Returns
+    -------
+    float
+        The share itself under a square light; else its level on the atlas, -1 if too dark ever to fire.
+    """
     if drive.kind == SQUARE:
         return light
     if light < drive.lowest:
@@ -82,7 +114,20 @@ def place(drive: Drive, light: float) -> float:
 
 @njit(inline="always", **JIT)
 def steady(d: Drive, placed: Any) -> tuple[Any, Any]:
-    """U_RISE and U_FALL of a pixel, from its place."""
+    """Return U_RISE and U_FALL of a pixel.
+
+    Parameters
+    ----------
+    d
+        Light.
+    placed
+        Stored light of the pixel, from ``place``.
+
+    Returns
+    -------
+    tuple of float32
+        U_RISE and U_FALL, as in a batch.
+    """
     if d.kind != SQUARE:
         return placed, _ZERO
     return _steady_square(d, placed)
@@ -90,7 +135,17 @@ def steady(d: Drive, placed: Any) -> tuple[Any, Any]:
 
 @njit(**KERNEL)
 def steady_levels(drive: Drive, batch: NDArray, n: int) -> None:
-    """Fill in U_RISE and U_FALL from the place of each pixel."""
+    """Fill in U_RISE and U_FALL of each pixel from its stored light.
+
+    Parameters
+    ----------
+    drive
+        Light.
+    batch
+        (N_BATCH, columns) float32, changed in place.
+    n
+        Number of pixels in the batch.
+    """
     if drive.kind != SQUARE:
         for k in range(n):
             batch[U_RISE, k] = batch[LIGHT, k]
@@ -101,7 +156,24 @@ def steady_levels(drive: Drive, batch: NDArray, n: int) -> None:
 
 @njit(inline="always", **JIT)
 def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
-    """Value of u of one pixel at a phase below one period."""
+    """Return u of one pixel at a phase.
+
+    Parameters
+    ----------
+    d
+        Light.
+    light
+        Stored light of the pixel, from ``place``.
+    u_rise, u_fall
+        From ``steady``.
+    phase
+        Phase below one period, us.
+
+    Returns
+    -------
+    float32
+        u in the periodic steady state.
+    """
     if d.kind != SQUARE:
         return _smooth_level(d, u_rise, phase, d.kind == BENT)
     return _square_level(d, light, u_rise, u_fall, phase)
@@ -109,9 +181,25 @@ def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> An
 
 @njit(inline="always", **JIT)
 def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float) -> Any:
-    """First crossing of one pixel at or after a phase below one period.
+    """Return the first crossing of one pixel at or after a phase.
 
-    Returns its phase (float32; may exceed a period, inf = none) and its polarity (1.0 = ON).
+    Parameters
+    ----------
+    d
+        Light.
+    light
+        Stored light of the pixel, from ``place``.
+    u_rise, u_fall
+        From ``steady``.
+    on_at, off_at
+        Values of u at which an ON and an OFF event come.
+    phase
+        Phase below one period, us.
+
+    Returns
+    -------
+    tuple of float32
+        Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
     """
     if d.kind != SQUARE:
         return _smooth_crossing(d, u_rise, on_at, off_at, phase, d.kind == BENT)
@@ -120,7 +208,19 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
 
 @njit(**KERNEL)
 def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
-    """Fill in U at a phase below one period."""
+    """Fill in U of each pixel at a phase.
+
+    Parameters
+    ----------
+    drive
+        Light.
+    batch
+        (N_BATCH, columns) float32, changed in place.
+    n
+        Number of pixels in the batch.
+    phase
+        Phase below one period, us.
+    """
     if drive.kind == SMOOTH:
         for k in range(n):
             batch[U, k] = _smooth_level(drive, batch[U_RISE, k], phase, False)
@@ -134,7 +234,19 @@ def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
 
 @njit(**KERNEL)
 def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
-    """Fill in T and IS_ON: the first crossing of ON_AT or OFF_AT at or after a phase below one period."""
+    """Fill in T and IS_ON of each pixel: the first crossing of ON_AT or OFF_AT at or after a phase.
+
+    Parameters
+    ----------
+    drive
+        Light.
+    batch
+        (N_BATCH, columns) float32, changed in place.
+    n
+        Number of pixels in the batch.
+    phase
+        Phase below one period, us.
+    """
     if drive.kind == SMOOTH:
         for k in range(n):
             on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
@@ -159,7 +271,7 @@ def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
 
 @njit(inline="always", **JIT)
 def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
-    """Values of u at the rising and the falling edge in the periodic steady state, in closed form."""
+    """Return u at the rising and the falling edge in the periodic steady state, in closed form."""
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
     i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
     decay_high = exp32(-i_high * np.float32(d.high_us / d.q_us))
@@ -172,7 +284,7 @@ def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
 
 @njit(inline="always", **JIT)
 def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
-    """Let u relax towards 1 / I from its value at the last edge."""
+    """Return u at a phase: it relaxes towards 1 / I from its value at the last edge."""
     rising = phase >= d.high_us  # u rises in the low part
     i = np.float32(d.ambient) + light * np.float32(d.w_low if rising else d.w_high)
     since = np.float32((phase - (d.high_us if rising else 0.0)) / d.q_us)
@@ -184,9 +296,9 @@ def _square_level(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) 
 def _square_crossing(
     d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float
 ) -> Any:
-    """The present part of the period is searched, then the one after it; beyond, all repeats.
+    """Search the present part of the period, then the part after it; beyond, everything repeats.
 
-    Within a part u relaxes from its value at the part's start towards 1 / I and meets the target at
+    Within a part u relaxes from its value at the part's start towards 1 / I and reaches the target after
     (q / I) ln((u_start - 1 / I) / (target - 1 / I)).
     """
     rising = phase >= d.high_us
@@ -228,16 +340,31 @@ def _smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
 
 @njit(inline="always", **JIT)
 def between(table: NDArray, j: Any, f: Any) -> Any:
-    """Interpolate between the entries j and j + 1 of a table."""
+    """Interpolate between the entries j and j + 1 of a table.
+
+    Parameters
+    ----------
+    table
+        (N,) float32.
+    j
+        Index of the lower entry.
+    f
+        Fraction of the way to the next entry.
+
+    Returns
+    -------
+    float32
+        Interpolated value.
+    """
     return table[j] + f * (table[j + _NEXT] - table[j])
 
 
 @njit(inline="always", **JIT)
 def _on_curve(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
-    """Phase near ``at`` at which the atlas itself, as ``_smooth_level`` interpolates it, meets the target.
+    """Return the phase near ``at`` at which the atlas, as ``_smooth_level`` interpolates it, meets the target.
 
-    Each event takes its reference where the last one left it: were the two taken from curves that differ by a
-    trifle, it would add up from event to event.
+    Each event takes its reference where the last one left it. If the two came from curves that differ slightly, the
+    difference would add up from event to event.
     """
     period = np.float32(d.period_us)
     later = period if at >= period else _ZERO
@@ -249,7 +376,7 @@ def _on_curve(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
 
 @njit(inline="always", **JIT)
 def _share(d: Drive, i: Any, j: Any, f: Any, target: Any) -> Any:
-    """Where in bin i a curve meets the target, 0 at its start and 1 at its end."""
+    """Return where in bin i a curve meets the target, 0 at its start and 1 at its end."""
     c = i * np.uint32(ATLAS_LEVELS) + j
     here, there = between(d.flat, c, f), between(d.flat, c + np.uint32(ATLAS_LEVELS), f)
     return (target - here) / (there - here)
@@ -257,7 +384,10 @@ def _share(d: Drive, i: Any, j: Any, f: Any, target: Any) -> Any:
 
 @njit(**JIT)
 def _sought(d: Drive, j: Any, f: Any, target: Any, first: Any, last: Any, off: Any) -> Any:
-    """Phase at which a curve meets the target on a branch, sought by halving: a curve with edges has no slope."""
+    """Return the phase at which a curve meets the target on a branch, by bisection.
+
+    Newton's method does not serve here: a curve with edges has no slope at them.
+    """
     bins = np.int64(ATLAS_BINS)
     period = np.float32(d.period_us)
     low = np.int64(_bin_at(d, first - (period if first >= period else _ZERO), True))
@@ -279,7 +409,7 @@ def _sought(d: Drive, j: Any, f: Any, target: Any, first: Any, last: Any, off: A
 
 @njit(inline="always", **JIT)
 def _bin_at(d: Drive, phase: Any, bent: bool) -> Any:
-    """Where a phase below one period lies among the atlas's bins, a fraction included."""
+    """Return the position of a phase below one period among the atlas's bins, with its fraction."""
     bins = np.float32(ATLAS_BINS)
     if not bent:
         x = phase * np.float32(ATLAS_BINS / d.period_us)
@@ -294,7 +424,7 @@ def _bin_at(d: Drive, phase: Any, bent: bool) -> Any:
 
 @njit(inline="always", **JIT)
 def _tabled(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark: Any, off: Any) -> Any:
-    """Phase of a crossing, from ``Drive.when``: to about a tenth of a microsecond."""
+    """Return the phase of a crossing from ``Drive.when``, to about a tenth of a microsecond."""
     above, below = max(target - bright, _ZERO), max(dark - target, _ZERO)
     root = np.sqrt(min(above, below) / max(dark - bright, _TINY))
     s = (root if above <= below else _ROOT_2 - root) * np.float32(WHEN_STEPS / math.sqrt(2.0))
@@ -307,7 +437,24 @@ def _tabled(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark: Any, off: 
 
 @njit(inline="always", **JIT)
 def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
-    """Phase at which a pixel's ln u meets a target on its falling (ON) or its rising (OFF) branch."""
+    """Return the phase at which a pixel's ln u meets a target on one branch of the atlas.
+
+    Parameters
+    ----------
+    d
+        Light with an atlas.
+    level
+        Level of the pixel on the atlas.
+    target
+        ln u that is crossed.
+    off
+        Whether the branch rises (OFF); else it falls (ON).
+
+    Returns
+    -------
+    float32
+        Phase, us; may exceed a period.
+    """
     j = np.uint32(np.int32(level))
     f = level - np.float32(j)
     bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
@@ -318,10 +465,11 @@ def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
 def _smooth_crossing(
     d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
 ) -> tuple[Any, Any]:
-    """Phase and polarity of a pixel's next crossing: on the present branch of the curve, or on the one after it.
+    """Return phase and polarity of a pixel's next crossing: on the present branch of the curve, or on the one after it.
 
-    ``Drive.when`` has the phase of a crossing over the light and the height of the target between the curve's
-    turns, in a scale that grows as the root of the distance from either turn, in which the phase is smooth.
+    ``Drive.when`` holds the phase of a crossing over the light and the height of the target between the curve's
+    extremes. The height has a scale that grows as the root of the distance from either extreme; the phase is smooth in
+    it.
     """
     j = np.uint32(np.int32(max(level, _ZERO)))
     f = level - np.float32(j)

@@ -1,7 +1,9 @@
-"""Chance in the pixels: background and hot-pixel events, and the noise of a reset.
+"""Random events and random errors of the pixels: background and hot-pixel events, and the noise of a reset.
 
-Compiled functions. Numbers come from a counter that is hashed (SplitMix64; Steele, Lea and Flood 2014), so that
-a whole batch can be drawn at once. Knows rates and seeds; not what an event does.
+Compiled functions. Random numbers come from a counter that is hashed (SplitMix64; Steele, Lea and Flood 2014), so that
+a whole batch can be drawn at once. This module uses rates and seeds; it does not process the events.
+
+A generator is a (2,) uint64 array: its KEY and its COUNTER.
 """
 
 from __future__ import annotations
@@ -14,8 +16,9 @@ from numpy.typing import NDArray
 
 from simulators.pixels.fast_math import JIT, KERNEL, log32
 
-KEY: Final = 0  # of the two numbers of a generator: what it was seeded with,
-COUNTER: Final = 1  # and how many numbers it has drawn
+# Indices into a generator.
+KEY: Final = 0  # its seed
+COUNTER: Final = 1  # how many numbers it has drawn
 
 _GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1: Final = np.uint64(0xBF58476D1CE4E5B9)
@@ -27,7 +30,7 @@ _HALF_UNIT: Final = np.float32(2.0**-24)
 
 @njit(inline="always", **JIT)
 def _bits(key: Any, count: Any) -> Any:
-    """64 random bits: number ``count`` of the generator."""
+    """Return 64 random bits: number ``count`` of the generator (SplitMix64)."""
     z = key + count * _GOLDEN
     z = (z ^ (z >> np.uint64(30))) * _MIX_1
     z = (z ^ (z >> np.uint64(27))) * _MIX_2
@@ -36,20 +39,46 @@ def _bits(key: Any, count: Any) -> Any:
 
 @njit(inline="always", **JIT)
 def _next_bits(random: NDArray) -> Any:
-    """Next 64 random bits."""
+    """Return the next 64 random bits."""
     random[COUNTER] += np.uint64(1)
     return _bits(random[KEY], random[COUNTER])
 
 
 @njit(inline="always", **JIT)
 def uniform(random: NDArray) -> float:
-    """Next number, uniform in (0, 1)."""
+    """Return the next random number, uniform in (0, 1).
+
+    Parameters
+    ----------
+    random
+        (2,) uint64, generator; its counter advances.
+
+    Returns
+    -------
+    float
+        Random number.
+    """
     return (np.int64(_next_bits(random) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
 
 
 @njit(inline="always", **JIT)
 def reset_error(normals: NDArray, spread: float, random: NDArray) -> Any:
-    """Next factor on u of a new reference: noise of the reset, in units of log intensity."""
+    """Return the next random factor on u of a new reference: the noise of a reset in log intensity, to first order.
+
+    Parameters
+    ----------
+    normals
+        (4096,) float32, normal deviates to choose from.
+    spread
+        Standard deviation of the noise.
+    random
+        (2,) uint64, generator; its counter advances, unless the spread is 0.
+
+    Returns
+    -------
+    float32
+        Factor.
+    """
     if spread == 0.0:
         return np.float32(1.0)
     return np.float32(1.0) + np.float32(spread) * normals[_next_bits(random) >> np.uint64(52)]
@@ -57,7 +86,21 @@ def reset_error(normals: NDArray, spread: float, random: NDArray) -> Any:
 
 @njit(**KERNEL)
 def reset_errors(normals: NDArray, spread: float, random: NDArray, values: NDArray, n: int) -> None:
-    """Multiply n values by the next factors of ``reset_error``."""
+    """Multiply n values by the next factors of ``reset_error``.
+
+    Parameters
+    ----------
+    normals
+        (4096,) float32, normal deviates to choose from.
+    spread
+        Standard deviation of the noise.
+    random
+        (2,) uint64, generator; its counter advances by n, unless the spread is 0.
+    values
+        (N,) float32, the first n are changed in place.
+    n
+        Number of values.
+    """
     if spread == 0.0:
         return
     spread32 = np.float32(spread)
@@ -70,7 +113,24 @@ def reset_errors(normals: NDArray, spread: float, random: NDArray, values: NDArr
 
 @njit(inline="always", **JIT)
 def earlier_error(normals: NDArray, spread: float, random: NDArray, back: int) -> Any:
-    """Return the factor that ``reset_error`` or ``reset_errors`` has drawn so many before the next."""
+    """Return a factor that ``reset_error`` or ``reset_errors`` drew before.
+
+    Parameters
+    ----------
+    normals
+        (4096,) float32, normal deviates to choose from.
+    spread
+        Standard deviation of the noise.
+    random
+        (2,) uint64, generator; not changed.
+    back
+        1 for the last factor drawn, 2 for the one before it, ...
+
+    Returns
+    -------
+    float32
+        Factor.
+    """
     if spread == 0.0:
         return np.float32(1.0)
     bits = _bits(random[KEY], random[COUNTER] + np.uint64(1) - np.uint64(back))
@@ -83,17 +143,22 @@ def draw_arrivals(
 ) -> None:
     """Draw the next background and hot-pixel events of all pixels together: a Poisson process.
 
+    Exponential waiting times for the sensor as a whole; the pixel by Walker's alias method (Walker 1977).
+
     Parameters
     ----------
     alias
-        Walker's alias table of the pixels' rates, a word each: share of 2^32 in the low half, the other pixel in
-        the high half.
+        (pixels,) uint64, Walker's alias table of the pixels' rates, from ``fill_alias``.
     rate_us
-        Of all pixels together, events a microsecond.
+        Rate of all pixels together, events per us.
     after
-        Time of the last event drawn.
-    times, where
-        Filled in: time, and pixel number times 2, plus 1 if ON.
+        Time of the last event drawn, us.
+    random
+        (2,) uint64, generator; its counter advances.
+    times
+        (N,) float64, filled in: times, us.
+    where
+        (N,) int64, filled in: pixel number times 2, plus 1 if ON.
     """
     n = np.uint64(alias.size)
     key, count = random[KEY], random[COUNTER]
@@ -117,7 +182,15 @@ def draw_arrivals(
 
 @njit(cache=True, nogil=True)
 def fill_alias(scaled: NDArray, alias: NDArray) -> None:
-    """Fill Walker's alias table of rates scaled to a mean of 1 (Vose 1991); ``scaled`` is used up."""
+    """Fill Walker's alias table (Walker 1977), by Vose's algorithm (Vose 1991).
+
+    Parameters
+    ----------
+    scaled
+        (N,) float64, rates scaled to a mean of 1; used up.
+    alias
+        (N,) uint64, filled in: share of 2^32 in the low half, the other pixel in the high half.
+    """
     n = scaled.size
     small, large = np.empty(n, np.int32), np.empty(n, np.int32)
     n_small = n_large = 0

@@ -1,8 +1,8 @@
-"""Pixels that have been read: their new references, at the end of the dead time, and their next crossings.
+"""Reset of pixels that have been read: new references at the end of the dead time, and next crossings.
 
-A row's pixels are worked on as a batch, in float32; a few of a row one by one; and under a square light what is
-served at once, or comes in the flat tail of an edge, in double precision. Compiled functions; they know the state
-of the sensor's loop, and not when a row is read.
+The pixels of a row are processed as a batch in float32; if they are few, one by one. Under a square light, double
+precision is used for pixels that are read at once and for crossings in the flat tail of an edge. Compiled functions;
+they use the state of the sensor's loop, but do not decide when a row is read.
 """
 
 from __future__ import annotations
@@ -23,15 +23,28 @@ from simulators.pixels.pixel_noise import earlier_error, reset_error, reset_erro
 from simulators.pixels.sensor_state import GAINS, ON_BITS, PLACE, T_LIVE, U_REF, Pixels, Readout
 
 FEW: Final = 9
-"""Events of a row below which they are worked on one by one, not as a batch."""
+"""With fewer events, the pixels of a row are processed one by one, not as a batch."""
 LANES: Final = 16
-"""Pixels are worked on in multiples of this many."""
+"""The size of a batch is a multiple of this."""
 _GAIN: Final = np.float32(1.0 / 65536.0)
 
 
 @njit(inline="always", **JIT)
 def targets(u: Any, gains: Any) -> tuple[Any, Any]:
-    """Levels at which a pixel fires, from its reference and its gains."""
+    """Return the levels at which a pixel fires.
+
+    Parameters
+    ----------
+    u
+        Reference of the pixel.
+    gains
+        Its ON and OFF gain in one uint32; see ``sensor_state.ON_BITS``.
+
+    Returns
+    -------
+    tuple of float32
+        Values of u of an ON and of an OFF event.
+    """
     on = np.float32(np.int32(gains & np.uint32(0xFFFF))) * _GAIN
     off = np.float32(np.int32(gains >> np.uint32(ON_BITS))) * _GAIN
     return u * on, u / off
@@ -39,13 +52,13 @@ def targets(u: Any, gains: Any) -> tuple[Any, Any]:
 
 @njit(inline="always", **JIT)
 def _gains_of(gains: Any) -> tuple[float, float]:
-    """ON and OFF gain of a pixel."""
+    """Return the ON and the OFF gain of a pixel."""
     return np.int64(gains & np.uint32(0xFFFF)) / 65536.0, np.int64(gains >> np.uint32(ON_BITS)) / 65536.0
 
 
 @njit(**KERNEL)
 def _load(cell: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
-    """Fetch the places of the listed pixels of a row into the batch."""
+    """Load the stored light of the listed pixels of a row into the batch."""
     for k in range(n):
         batch[pr.LIGHT, k] = cell[column[k], PLACE]
 
@@ -59,7 +72,7 @@ def _aim(gains: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
 
 @njit(**KERNEL)
 def _store(px_row: tuple, column: NDArray, batch: NDArray, n: int, start: float, live: float) -> None:
-    """Put the references and the next crossings of the batch back to the listed pixels of a row."""
+    """Store the references and the next crossings of the batch in the listed pixels of a row."""
     cell, t_next, is_on = px_row
     start32, live32 = np.float32(start), np.float32(live)
     for k in range(n):
@@ -72,7 +85,23 @@ def _store(px_row: tuple, column: NDArray, batch: NDArray, n: int, start: float,
 
 @njit(**JIT)
 def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: float, start: float) -> None:
-    """Find a pixel's next crossing by a reference in double precision, whose lower digits are kept as well."""
+    """Set a pixel's next crossing by a reference in double precision, and store the reference with its lower digits.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place.
+    drive
+        Square light.
+    r, c
+        Row and column of the pixel.
+    u
+        Its reference.
+    phase
+        Phase from which on crossings count, us.
+    start
+        Start of the light's period, us after the epoch.
+    """
     on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
     cross, on = tail.crossing(drive, px.cell[r, c, PLACE], u * on_gain, u / off_gain, phase)
     px.cell[r, c, U_REF] = u
@@ -84,7 +113,25 @@ def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: flo
 def reset_pixel(
     px: Pixels, drive: Drive, ro: Readout, r: int, c: int, phase: float, start: float, random: NDArray
 ) -> None:
-    """Give one pixel its new reference at a phase, and its next crossing: ``reset_row`` for a row of one."""
+    """Set one pixel's new reference at a phase, and its next crossing: ``reset_row`` for a single pixel.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place.
+    drive
+        Light.
+    ro
+        Readout, for the noise of the reset.
+    r, c
+        Row and column of the pixel.
+    phase
+        Phase of the reset, us.
+    start
+        Start of the light's period, us after the epoch.
+    random
+        (2,) uint64, generator; its counter advances.
+    """
     light = px.cell[r, c, PLACE]
     u_rise, u_fall = pr.steady(drive, light)
     error = reset_error(ro.normals, ro.reset_noise, random)
@@ -104,9 +151,28 @@ def reset_pixel(
 def reset_at_once(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
 ) -> None:
-    """Reset the listed pixels of a row that asked at t and are served at once, under a square light: in double.
+    """Reset the listed pixels of a row that are read at the moment of their request, under a square light: in double.
 
-    They are one, but for pixels that are alike.
+    They are one pixel, unless several are alike.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place; ``column`` lists those of the row.
+    drive
+        Square light.
+    ro
+        Readout, for dead time and noise of the reset.
+    r
+        Row.
+    n
+        Number of listed pixels.
+    t
+        Time of request and read, us after the epoch.
+    start
+        Start of a period of the light, us after the epoch.
+    random
+        (2,) uint64, generator; its counter advances.
     """
     for k in range(n):
         c = np.int64(px.column[k])
@@ -126,14 +192,26 @@ def reset_at_once(
 def reset_row(
     px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
 ) -> None:
-    """Give the listed pixels of a row their new references, at the end of the dead time, and next crossings.
+    """Set the new references of the listed pixels of a row, at the end of the dead time, and their next crossings.
 
     Parameters
     ----------
+    px
+        Pixels, changed in place; ``column`` lists those of the row.
+    drive
+        Light.
+    ro
+        Readout, for dead time and noise of the reset.
+    r
+        Row.
+    n
+        Number of listed pixels.
     t
-        When the row is read.
+        Time at which the row is read, us after the epoch.
     start
-        Start of a period of the light not after ``t``.
+        Start of a period of the light not after ``t``, us after the epoch.
+    random
+        (2,) uint64, generator; its counter advances.
     """
     t_live = t + ro.dead_us
     start += floor((t_live - start) / drive.period_us) * drive.period_us
@@ -142,7 +220,7 @@ def reset_row(
         for k in range(n):
             reset_pixel(px, drive, ro, r, np.int64(px.column[k]), phase, start, random)
         return
-    whole = -(-n // LANES) * LANES  # the rest of the batch holds pixels of former rows: harmless
+    whole = -(-n // LANES) * LANES  # the rest of the batch holds pixels of earlier rows, which are not stored
     _load(px.cell[r], px.column, px.batch, whole)
     steady_levels(drive, px.batch, whole)
     levels_at(drive, px.batch, whole, phase)

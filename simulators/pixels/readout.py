@@ -1,10 +1,10 @@
-"""The sensor's loop in compiled form: pixels that cross thresholds, rows that are read, the link that is full.
+"""Compiled loop of the sensor: pixels cross thresholds, rows are read, and the link may be full.
 
-The oldest request is served first; all pixels of a row that wait are read together, with one timestamp, and
-each takes its new reference from the light *then*: what the light did while the pixel waited is lost. A full
-link stops the arbiter, so pixels wait longer. Knows arrays and numbers only; what they mean, and where they
-come from, is said in ``pixels``. Times are microseconds after the epoch, the moment to which the float32
-times of the pixels are relative.
+The oldest request is served first. All waiting pixels of a row are read together, with one timestamp. Each takes its
+new reference from the light *then*: changes of the light while the pixel waited are lost. A full link stops the
+arbiter, so pixels wait longer. Finateu et al. (2020) describe the chip; the timing model here is simpler. This module
+works on arrays and numbers only; ``sensor`` builds them. Times are microseconds after the epoch, the moment to which
+the float32 times of the pixels are relative.
 """
 
 from __future__ import annotations
@@ -52,20 +52,38 @@ from simulators.pixels.sensor_state import (
 )
 
 VECTOR_FROM: Final = 5
-"""Events of a block from which on the sensor sends them as a vector."""
+"""Smallest number of events of a block that the sensor sends as a vector."""
 VECTOR_WORDS: Final = 4
 LONE_WORDS: Final = 3
-"""EVT3 words of an event that is read alone."""
+"""EVT3 words of an event that is read on its own."""
 LONGEST_ROW_WORDS: Final = 512
-"""Room the link must have before a row is read."""
+"""Free words that the link must have before a row is read."""
 
 
 @njit(**JIT)
 def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray) -> Any:
-    """Draw the next background and hot-pixel events; return a number that means nothing.
+    """Draw the next background and hot-pixel events.
 
-    They are drawn many at a time, and their pixels touched: memory then serves many at once, and has them
-    ready when their time comes.
+    Many are drawn at a time, and their pixels are read from memory at once: this is faster than one after the other,
+    and the pixels are in the cache when their events come.
+
+    Parameters
+    ----------
+    px
+        Pixels; ``noise_t`` and ``noise_at`` are filled in.
+    ro
+        Readout, for the noise rates.
+    width
+        Columns of the sensor.
+    after
+        Time of the last event drawn, us after the epoch.
+    random
+        (2,) uint64, generator; its counter advances.
+
+    Returns
+    -------
+    float32
+        A number without meaning, which keeps the compiler from removing the memory reads.
     """
     draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
     touched = np.float32(0.0)
@@ -77,7 +95,7 @@ def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArra
 
 @njit(forceinline=True, **JIT)
 def _place_noise(px: Pixels, at: int, width: int, t: float) -> None:
-    """Let a pixel request a read at t, unless it is dead or waits already."""
+    """Let a pixel request a read at t, unless it is in its dead time or waits already."""
     r, c = (at >> 1) // width, (at >> 1) % width
     if t < px.cell[r, c, T_LIVE] or px.t_next[r, c] <= t:
         return
@@ -92,7 +110,7 @@ def _place_noise(px: Pixels, at: int, width: int, t: float) -> None:
 
 @njit(inline="always", **JIT)
 def _block_words(n: int) -> int:
-    """EVT3 words of n events of one polarity in a block: single events, or a vector triple with its base."""
+    """Return the EVT3 words of n events of one polarity in a block: single events, or a vector triple with its base."""
     return n if n < VECTOR_FROM else VECTOR_WORDS
 
 
@@ -137,7 +155,7 @@ def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: tuple, fir
 
 @njit(forceinline=True, **JIT)
 def _update_blocks(px: Pixels, r: int, t: float) -> None:
-    """Earliest requests of the blocks of a row that were read at t, and of the row."""
+    """Update the earliest requests of the blocks of a row that were read at t, and of the row."""
     t32 = np.float32(t)
     for b in range(px.block_min.shape[1]):
         if px.block_min[r, b] <= t32:
@@ -147,7 +165,7 @@ def _update_blocks(px: Pixels, r: int, t: float) -> None:
 
 @njit(forceinline=True, **JIT)
 def _next_noise(px: Pixels, ro: Readout, width: int, state: NDArray, random: NDArray) -> None:
-    """Go on to the next background or hot-pixel event."""
+    """Advance to the next background or hot-pixel event."""
     queue = int(state[QUEUE])
     if queue + 1 == AHEAD:
         draw_noise(px, ro, width, state[NOISE], random)
@@ -200,6 +218,17 @@ def read_rows(
 
     Parameters
     ----------
+    px
+        Pixels, changed in place.
+    drive
+        Light.
+    ro
+        Dead time, arbiter, link and noise.
+    state
+        (N_STATE,) float64, state of the loop, changed in place. ``state[FULL]`` is 1 if the output was nearly full
+        before ``until``.
+    random
+        (2,) uint64, generator; its counter advances.
     until
         End, us after the epoch, exclusive.
     width
@@ -209,8 +238,8 @@ def read_rows(
 
     Returns
     -------
-    Number of events written. The state and the pixels carry on: calling again goes on exactly there. When
-    the output was nearly full before ``until``, ``state[FULL]`` is 1.
+    int
+        Number of events written. The next call continues exactly there.
     """
     room = out[0].size - width
     start = period_start(drive, state[EPOCH], state[FREE])
@@ -250,12 +279,22 @@ def read_rows(
     return n
 
 
-# ---------------------------------------------------------------- beginning and changing
+# ---------------------------------------------------------------- start and changes
 
 
 @njit(**JIT)
 def see(px: Pixels, drive: Drive, picture: NDArray) -> None:
-    """Take over a picture, (rows, width)."""
+    """Store a picture as the light of the pixels.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place.
+    drive
+        Light.
+    picture
+        (rows, width) float32, share of the light's drive that reaches each pixel.
+    """
     for r in range(picture.shape[0]):
         for c in range(picture.shape[1]):
             px.cell[r, c, PLACE] = pr.place(drive, picture[r, c])
@@ -263,7 +302,23 @@ def see(px: Pixels, drive: Drive, picture: NDArray) -> None:
 
 @njit(**JIT)
 def start_pixels(px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArray, random: NDArray) -> None:
-    """Set every pixel as if its dead time ended now, ``state[FREE]``."""
+    """Reset every pixel as if its dead time ended now, at ``state[FREE]``.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place.
+    drive
+        Light.
+    ro
+        Readout, for dead time and noise of the reset.
+    width
+        Columns of the sensor.
+    state
+        (N_STATE,) float64, state of the loop.
+    random
+        (2,) uint64, generator; its counter advances.
+    """
     t = state[FREE] - ro.dead_us
     start = period_start(drive, state[EPOCH], t)
     for r in range(px.t_next.shape[0]):
@@ -277,9 +332,26 @@ def start_pixels(px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArr
 def redrive(
     px: Pixels, drive: Drive, width: int, t: float, step_us: float, state: NDArray, random: NDArray
 ) -> None:
-    """Let a new light or a new picture take effect at t: references stay, next crossings are found anew.
+    """Apply a new light or a new picture at t: references stay, and next crossings are computed again.
 
-    A pixel that the change itself carries beyond its threshold requests at a random time of the step.
+    A pixel that the change itself carries beyond its threshold requests at a random time within the step.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place.
+    drive
+        New light.
+    width
+        Columns of the sensor.
+    t
+        Time of the change, us after the epoch.
+    step_us
+        Time over which the change is spread.
+    state
+        (N_STATE,) float64, state of the loop.
+    random
+        (2,) uint64, generator; its counter advances.
     """
     batch = px.batch
     start = period_start(drive, state[EPOCH], t)
@@ -294,7 +366,7 @@ def redrive(
         tail.fill_to_end(drive, batch, width)
         for c in range(width):
             if px.t_next[r, c] <= t:
-                continue  # it waits already
+                continue  # it already waits
             cross, on = start + batch[pr.T, c], batch[pr.IS_ON, c]
             u = batch[pr.U, c]
             if u <= batch[pr.ON_AT, c] or u >= batch[pr.OFF_AT, c]:

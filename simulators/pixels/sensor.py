@@ -1,7 +1,11 @@
-"""The sensor: a picture and a flickering light in, contrast events out.
+"""The event sensor: a picture and a flickering light in, contrast events out.
 
-Knows the sensor's fixed pattern and noise, and holds the state that goes on from slice to slice; the loop
-itself is in ``readout``, the photoreceptor in ``photoreceptor``. Knows no optics and no wire format.
+This module builds the sensor's fixed pattern and noise, and holds the state that is kept from slice to slice.
+``readout`` holds the loop, ``photoreceptor`` the pixel's response. Optics and wire format are elsewhere.
+
+The pixel's principle: Lichtsteiner et al. (2008). Threshold mismatch, background events and finite bandwidth: Hu, Liu
+and Delbruck (2021), v2e. Arbiter and readout in an event simulator: Joubert et al. (2021). The models here are this
+project's own.
 
 The same seeds give the same events, however the time is sliced.
 """
@@ -27,26 +31,36 @@ from simulators.world.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world.world import LightState
 
 EPOCH_US: Final = 16384.0
-"""The pixels' times are counted from a multiple of this: float32 then resolves 4 ns."""
+"""The epoch of the pixels' times is a multiple of this; float32 then resolves 4 ns."""
 GAIN_ONE: Final = 1 << sensor_state.ON_BITS
-"""The gain that is no threshold at all, as it is stored."""
+"""Stored gain of a threshold of zero."""
 FIRST_ROOM: Final = 1 << 16
-"""Events that a slice has room for at first; must exceed the longest row."""
+"""Initial size of a slice's arrays; must exceed the longest row."""
 
 PEAK_EVENTS_US: Final = 1066.0
-"""The sensor reads no faster (1.066 GEPS)."""
+"""Largest rate of the readout, events per us (1.066 GEPS; Finateu et al. 2020)."""
 ROW_US: Final = 0.1
 LINK_WORDS_US: Final = 100.0 - 1.0 / 16.0 - 8.0 / 200.0
-"""1.6 Gbit/s of 16-bit words, less those that carry time and counters."""
+"""1.6 Gbit/s of 16-bit words, without those that carry time and counters; words per us."""
 FIFO_WORDS: Final = 65536.0
 RATE_SPREAD: Final = 0.4
-"""Standard deviation of the log of a pixel's background rate."""
+"""Standard deviation of the logarithm of a pixel's background rate."""
 THINNEST_THRESHOLD: Final = 0.2
-"""Lowest threshold the mismatch leads to, as a share of the nominal one."""
+"""Smallest threshold that the mismatch gives, as a share of the nominal one."""
 
 
 class Events(NamedTuple):
-    """Contrast events, in the order they are read: t int64 us of the sensor's clock, x, y uint16, p uint8."""
+    """Contrast events, in the order in which they are read.
+
+    Attributes
+    ----------
+    t
+        (N,) int64, time on the sensor's clock, us.
+    x, y
+        (N,) uint16, column and row.
+    p
+        (N,) uint8, polarity, 1 = ON.
+    """
 
     t: NDArray[np.int64]
     x: NDArray[np.uint16]
@@ -56,9 +70,18 @@ class Events(NamedTuple):
 
 @dataclass(frozen=True)
 class Link:
-    """How fast rows are read and carried away.
+    """Speed of the readout and of the link.
 
-    ``ideal`` reads at once and carries everything: what the pixels alone would give.
+    Attributes
+    ----------
+    row_us
+        Time to read a row, in addition to its events.
+    event_us
+        Time to read an event.
+    words_us
+        16-bit words that the link carries per us.
+    fifo_words
+        Words that can wait for the link.
     """
 
     row_us: float = ROW_US
@@ -68,7 +91,13 @@ class Link:
 
     @classmethod
     def ideal(cls) -> Link:
-        """Neither the arbiter nor the link costs any time."""
+        """Return a link without any delay: it gives what the pixels alone would give.
+
+        Returns
+        -------
+        Link
+            Neither the arbiter nor the link costs any time.
+        """
         return cls(row_us=0.0, event_us=0.0, words_us=1e12, fifo_words=1e15)
 
 
@@ -82,7 +111,7 @@ class Sensor:
     noise
         Fixed pattern and noise.
     settings
-        Thresholds, dead time, time constant.
+        Thresholds, dead time, time constants.
     camera_seed
         Seed of the fixed pattern.
     seed
@@ -119,32 +148,43 @@ class Sensor:
         """Thresholds of this camera's pixels, ON and OFF, (height, width) each, in units of log intensity."""
         gains = self._pixels.gains[:, : self.width, sensor_state.GAINS]
         on, off = gains & np.uint32(GAIN_ONE - 1), gains >> np.uint32(sensor_state.ON_BITS)
-        with np.errstate(divide="ignore"):  # a dead pixel's are infinite
+        with np.errstate(divide="ignore"):  # thresholds of a dead pixel are infinite
             return -np.log(on / GAIN_ONE), -np.log(off / GAIN_ONE)
 
     @property
     def stalled_us(self) -> float:
-        """How long the readout has waited for the link."""
+        """Time for which the readout has waited for the link."""
         return float(self._state[sensor_state.STALL])
 
     @property
     def noise_rates_hz(self) -> NDArray[np.float32]:
-        """Background and hot-pixel events a second of this camera's pixels, (height, width), but for dead times."""
+        """Rates of background and hot-pixel events of this camera's pixels, (height, width), without dead time."""
         rates = _noise_rates(self.width, self.height, self._noise, self.settings, self._camera_seed)
         return rates.reshape(self.height, self.width)
 
     def begin(
         self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
     ) -> None:
-        """Settle under a picture and a light whose phase (in periods) at ``at_us`` is given.
+        """Start under a picture and a light.
 
-        The pixels live through two periods of the light before that, at most 100 ms, so that they begin in the state a
-        sensor is in that has watched the light for long.
+        The pixels run through two periods of the light before that, at most 100 ms. They then begin in the state of a
+        sensor that has seen the light for long.
 
         Parameters
         ----------
         picture
-            (height, width), share of the light's drive that reaches each pixel.
+            (height, width) float32, share of the light's drive that reaches each pixel.
+        light
+            Waveform, frequency and levels.
+        phase
+            Phase of the light at ``at_us``, in periods.
+        at_us
+            Sensor time of the start.
+
+        Raises
+        ------
+        SimulationMisuse
+            If the picture's shape is not that of the sensor.
         """
         warmup_us = min(2.0 * light.period_us, 1e5) if light.high > light.low else 1000.0
         begin_us = at_us - warmup_us
@@ -169,9 +209,23 @@ class Sensor:
     def change(
         self, picture: NDArray[np.float32] | None, light: LightState, phase: float, step_us: float
     ) -> None:
-        """Let a new picture (None: the same) or light take effect now; ``phase`` is the light's phase now.
+        """Apply a new picture or light now.
 
-        What the change itself carries beyond a threshold fires within the next ``step_us``.
+        Parameters
+        ----------
+        picture
+            (height, width) float32, share of the light's drive that reaches each pixel; None: unchanged.
+        light
+            Waveform, frequency and levels.
+        phase
+            Phase of the light now, in periods.
+        step_us
+            Pixels that the change itself carries beyond a threshold fire within this time.
+
+        Raises
+        ------
+        SimulationMisuse
+            If the picture's shape is not that of the sensor.
         """
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
         self._see(picture)
@@ -179,32 +233,42 @@ class Sensor:
         readout.redrive(self._pixels, self._drive, self.width, t, step_us, self._state, self._random)
 
     def _see(self, picture: NDArray[np.float32] | None) -> None:
-        """Take over the picture and find the steady state of each pixel."""
+        """Store the picture in the pixels; None: the present one."""
         if picture is not None:
             if picture.shape != (self.height, self.width):
                 raise SimulationMisuse(
-                    f"A picture of shape {picture.shape} for {self.height} rows of {self.width}."
+                    f"The picture has shape {picture.shape}; the sensor has {self.height} rows of {self.width} pixels."
                 )
             self._picture = np.ascontiguousarray(picture, np.float32)
         readout.see(self._pixels, self._drive, self._picture)
 
     def run(self, until_us: float) -> Events:
-        """Events from where the last call ended up to a time of the sensor's clock.
+        """Return the events from the end of the last call to a time.
+
+        Parameters
+        ----------
+        until_us
+            Time of the sensor's clock, exclusive.
+
+        Returns
+        -------
+        Events
+            In the order in which they are read.
 
         Raises
         ------
         SimulationMisuse
-            When no picture has been shown yet.
+            If no picture has been shown yet.
         """
         if self._drive is None:
-            raise SimulationMisuse("The sensor has seen no picture yet.", remedy="Call begin first.")
+            raise SimulationMisuse("The sensor has not been shown a picture yet.", remedy="Call begin first.")
         expected = int(1.1 * self._rate_us * (until_us - self._now_us))
         found = _Output(FIRST_ROOM + max(expected, 0))
         self._live(until_us, found)
         return found.events()
 
     def _live(self, until_us: float, found: _Output) -> None:
-        """Go on to a time of the sensor's clock."""
+        """Run the sensor up to a time of its clock."""
         begin_us = self._now_us
         while self._now_us < until_us:
             next_epoch = self._state[sensor_state.EPOCH] + EPOCH_US
@@ -237,7 +301,7 @@ class Sensor:
 class _Output:
     """Arrays that events are written to; they grow in place, so that no event is ever held twice.
 
-    Those that are not to be kept are overwritten.
+    If events are not kept, they are overwritten.
     """
 
     def __init__(self, room: int, *, keep: bool = True) -> None:
@@ -250,15 +314,15 @@ class _Output:
 
     @property
     def total(self) -> int:
-        """Events found, kept or not."""
+        """Number of events found, kept or not."""
         return self._overwritten + self.n
 
     def room(self) -> tuple[NDArray[Any], ...]:
-        """What is still free of each array."""
+        """Return the free part of each array."""
         return tuple(array[self.n :] for array in self._arrays)
 
     def grow(self) -> None:
-        """Make half as much room again."""
+        """Enlarge the arrays by half; if events are not kept, start again at the beginning."""
         if self._keep:
             self._resize(len(self._arrays[0]) * 3 // 2)
         else:
@@ -266,7 +330,7 @@ class _Output:
             self.n = 0
 
     def events(self) -> Events:
-        """Give the arrays away, at their right size."""
+        """Return the arrays, cut to their length; they are no longer used here."""
         self._resize(self.n)
         return Events(*self._arrays)
 
@@ -287,7 +351,7 @@ def simulate(
     seed: int = 0,
     link: Link | None = None,
 ) -> Events:
-    """Events of a still picture under a flickering light, from time 0 to ``duration_us``.
+    """Return the events of a still picture under a flickering light, from time 0 to ``duration_us``.
 
     Parameters
     ----------
@@ -295,10 +359,17 @@ def simulate(
         (height, width) float32, share of the light's drive that reaches each pixel (``optics.render``).
     light
         Waveform, frequency and levels.
+    duration_us
+        End, exclusive.
     phase
         Phase of the light at time 0, in periods.
     noise, settings, camera_seed, seed, link
         As ``Sensor`` takes them.
+
+    Returns
+    -------
+    Events
+        In the order in which they are read.
     """
     height, width = picture.shape
     sensor = Sensor(
@@ -311,7 +382,7 @@ def simulate(
 def _make_pixels(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
 ) -> Pixels:
-    """Pixels with the thresholds of that camera; columns padded to whole blocks, which never request."""
+    """Return pixels with the thresholds of a camera; padding pixels, up to whole blocks, never request."""
     blocks = -(-width // BLOCK)
     shape = (height, blocks * BLOCK)
     pattern = np.random.default_rng([camera_seed, 1])
@@ -344,7 +415,7 @@ def _make_pixels(
 
 
 def _dead(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArray[np.bool_]:
-    """Which pixels of that camera are dead, (height, width)."""
+    """Return which pixels of a camera are dead, (height, width)."""
     dead = np.zeros(width * height, np.bool_)
     dead[: round(noise.dead_share * dead.size)] = True
     if dead[0]:
@@ -355,7 +426,7 @@ def _dead(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArr
 def _noise_rates(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
 ) -> NDArray[np.float32]:
-    """Rates of background and hot-pixel events of that camera's pixels, row by row, events/s."""
+    """Return the rates of background and hot-pixel events of a camera's pixels, row by row, events/s."""
     pattern = np.random.default_rng([camera_seed, 2])
     n = width * height
     spread = np.exp(RATE_SPREAD * pattern.standard_normal(n, np.float32) - 0.5 * RATE_SPREAD**2)
@@ -369,7 +440,7 @@ def _noise_rates(
 def _make_readout(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int, link: Link
 ) -> Readout:
-    """Readout with the noise rates of that camera's pixels."""
+    """Return the readout with the noise rates of a camera's pixels."""
     rates = _noise_rates(width, height, noise, settings, camera_seed)
     n = rates.size
     total = float(rates.sum(dtype=np.float64))

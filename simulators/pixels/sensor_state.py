@@ -1,8 +1,8 @@
-"""What a sensor's loop carries on from slice to slice: its pixels, their requests, and where it stands in time.
+"""State of the sensor's loop that is kept from slice to slice: pixels, their requests, and the loop's times.
 
-Names every number and array of that state, and keeps the earliest requests of blocks, rows and groups of rows,
-by which the oldest request is found without looking at every pixel. Knows no physics. Times are microseconds
-after the epoch, the moment to which the float32 times of the pixels are relative.
+This module names every number and array of that state. It also maintains the earliest requests of blocks, rows and
+groups of rows, with which the oldest request is found without a search over all pixels. It contains no physics. Times
+are microseconds after the epoch, the moment to which the float32 times of the pixels are relative.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from simulators.pixels.fast_math import JIT
 BLOCK: Final = 32
 """Pixels of a block: one vector triple of the EVT3 format."""
 GROUP: Final = 24
-"""Rows of a group, for finding the oldest request."""
+"""Rows of a group; groups speed up the search for the oldest request."""
 AHEAD: Final = 256
 """Background and hot-pixel events drawn at a time."""
 
@@ -26,58 +26,115 @@ AHEAD: Final = 256
 FREE: Final = 0  # when the arbiter is free again
 NOISE: Final = 1  # when the next background or hot-pixel event comes (px.noise_t[QUEUE])
 FIFO: Final = 2  # words waiting for the link
-FIFO_T: Final = 3  # as of when
+FIFO_T: Final = 3  # time of that count
 STALL: Final = 4  # time the arbiter has waited for the link
 EPOCH: Final = 5  # sensor time of the epoch
 FULL: Final = 6  # 1 when the last call ended because the output was nearly full
 QUEUE: Final = 7  # position in the queue of background and hot-pixel events
 N_STATE: Final = 8
 
-# Numbers of a pixel, in Pixels.cell: a cache line holds four pixels. Speed is a matter of memory here.
-PLACE: Final = 0  # its light, or its level on the atlas, as photoreceptor.place has it
-GAINS: Final = 1  # as two uint16 (Pixels.gains): see ON_BITS
+# Numbers of a pixel, in Pixels.cell: a cache line holds four pixels, as memory limits the speed.
+PLACE: Final = 0  # its light, or its level on the atlas, from photoreceptor.place
+GAINS: Final = 1  # two uint16 (Pixels.gains); see ON_BITS
 U_REF: Final = 2  # exp(-V) at the last reset
 T_LIVE: Final = 3  # end of the dead time
 N_CELL: Final = 4
 
 ON_BITS: Final = 16
-"""The low bits of a pixel's gains: an ON event comes at U_REF times these / 65536; an OFF event at U_REF divided
-by the high bits / 65536."""
+"""Number of low bits of a pixel's gains. An ON event comes at U_REF times low bits / 65536, an OFF event at U_REF
+divided by high bits / 65536."""
 
 
 class Pixels(NamedTuple):
-    """State and fixed pattern of the pixels, float32; columns are padded to whole blocks."""
+    """State and fixed pattern of the pixels; columns are padded to whole blocks.
 
-    t_next: NDArray[np.float32]  # (rows, columns) next request; inf = none
-    is_on: NDArray[np.uint8]  # (rows, columns) its polarity in bit 0; above, square_tail's digits of U_REF
-    cell: NDArray[np.float32]  # (rows, columns, N_CELL)
-    gains: NDArray[np.uint32]  # the same memory as words
-    block_min: NDArray[np.float32]  # (rows, blocks) earliest request
-    row_min: NDArray[np.float32]  # (rows padded to whole groups,)
+    Attributes
+    ----------
+    t_next
+        (rows, columns) float32, time of the next request, us after the epoch; inf = none.
+    is_on
+        (rows, columns) uint8, polarity of that request in bit 0; above it, the lower digits of U_REF (``square_tail``).
+    cell
+        (rows, columns, N_CELL) float32, further numbers of each pixel.
+    gains
+        (rows, columns, N_CELL) uint32, the same memory as words.
+    block_min
+        (rows, blocks) float32, earliest request of each block.
+    row_min
+        (rows padded to whole groups,) float32, earliest request of each row.
+    group_min
+        (groups,) float32, earliest request of each group of rows.
+    batch
+        (N_BATCH, columns) float32, scratch: the pixels of a row that are processed.
+    column
+        (columns,) uint32, their columns.
+    noise_t
+        (AHEAD,) float64, times of the next background and hot-pixel events, us after the epoch.
+    noise_at
+        (AHEAD,) int64, their pixels: row * width + column, times 2, plus 1 if ON.
+    """
+
+    t_next: NDArray[np.float32]
+    is_on: NDArray[np.uint8]
+    cell: NDArray[np.float32]
+    gains: NDArray[np.uint32]
+    block_min: NDArray[np.float32]
+    row_min: NDArray[np.float32]
     group_min: NDArray[np.float32]
-    batch: NDArray[np.float32]  # (N_BATCH, columns) scratch: the pixels of a row at work
-    column: NDArray[np.uint32]  # (columns,) where they stand
-    noise_t: NDArray[np.float64]  # (AHEAD,) background and hot-pixel events to come: when,
-    noise_at: NDArray[np.int64]  # and at which pixel, row * width + column, times 2, plus 1 if ON
+    batch: NDArray[np.float32]
+    column: NDArray[np.uint32]
+    noise_t: NDArray[np.float64]
+    noise_at: NDArray[np.int64]
 
 
 class Readout(NamedTuple):
-    """Dead time, arbiter, link and temporal noise."""
+    """Dead time, arbiter, link and temporal noise.
+
+    Attributes
+    ----------
+    dead_us
+        Refractory time of a pixel after a read.
+    reset_noise
+        Standard deviation of the reference after a reset, in units of log intensity.
+    row_us, event_us
+        Time to read a row, and additional time for each of its events.
+    link_words_us
+        Words that the link carries per us.
+    fifo_words
+        Words that can wait for the link.
+    noise_rate_us
+        Rate of background and hot-pixel events of all pixels together, events per us.
+    alias
+        (pixels,) uint64, Walker's alias table of the pixels' noise rates; see ``pixel_noise``.
+    normals
+        (4096,) float32, normal deviates.
+    """
 
     dead_us: float
     reset_noise: float
-    row_us: float  # cost of a row read
-    event_us: float  # and of each event in it
+    row_us: float
+    event_us: float
     link_words_us: float
     fifo_words: float
-    noise_rate_us: float  # of all pixels together, events per us
-    alias: NDArray[np.uint64]  # Walker's alias table of the pixels' noise rates, as pixel_noise has it
-    normals: NDArray[np.float32]  # 4096 normal deviates
+    noise_rate_us: float
+    alias: NDArray[np.uint64]
+    normals: NDArray[np.float32]
 
 
 @njit(forceinline=True, **JIT)
 def smallest(values: NDArray) -> float:
-    """Smallest of some numbers; a plain loop, which becomes vector instructions."""
+    """Return the smallest of some numbers; a plain loop, which the compiler vectorises.
+
+    Parameters
+    ----------
+    values
+        (N,), at least one number.
+
+    Returns
+    -------
+    float
+        The minimum.
+    """
     m = values[0]
     for i in range(1, values.size):
         m = min(m, values[i])
@@ -86,7 +143,15 @@ def smallest(values: NDArray) -> float:
 
 @njit(forceinline=True, **JIT)
 def update_row(px: Pixels, r: int) -> None:
-    """Earliest request of a row and of its group, from those of its blocks."""
+    """Update the earliest request of a row and of its group from those of its blocks.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place.
+    r
+        Row.
+    """
     px.row_min[r] = smallest(px.block_min[r])
     g = r // GROUP
     px.group_min[g] = smallest(px.row_min[g * GROUP : (g + 1) * GROUP])
@@ -94,7 +159,17 @@ def update_row(px: Pixels, r: int) -> None:
 
 @njit(forceinline=True, **JIT)
 def retime(px: Pixels, r: int, c: int, before: float) -> None:
-    """Bring the minima up to date after a pixel's request was moved from the time it had before."""
+    """Update the minima after the request of one pixel was moved.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place.
+    r, c
+        Row and column of the pixel.
+    before
+        Time of its request before the move, us after the epoch.
+    """
     b = c // BLOCK
     old = px.block_min[r, b]
     new = px.t_next[r, c]
@@ -112,7 +187,13 @@ def retime(px: Pixels, r: int, c: int, before: float) -> None:
 
 @njit(**JIT)
 def update_minima(px: Pixels) -> None:
-    """Bring all minima up to date with the pixels' requests."""
+    """Update all minima from the pixels' requests.
+
+    Parameters
+    ----------
+    px
+        Pixels, changed in place.
+    """
     rows, blocks = px.block_min.shape
     for r in range(rows):
         for b in range(blocks):
@@ -122,7 +203,7 @@ def update_minima(px: Pixels) -> None:
 
 @njit(forceinline=True, **JIT)
 def _first_equal(values: NDArray, wanted: float) -> int:
-    """Index of the first of the numbers that equals the wanted one."""
+    """Return the index of the first number that equals the wanted one."""
     for i in range(values.size):
         if values[i] == wanted:
             return i
@@ -131,14 +212,37 @@ def _first_equal(values: NDArray, wanted: float) -> int:
 
 @njit(forceinline=True, **JIT)
 def row_at(px: Pixels, oldest: float) -> int:
-    """First row whose earliest request comes at a time, the earliest of all."""
+    """Return the first row whose earliest request is the earliest of all.
+
+    Parameters
+    ----------
+    px
+        Pixels.
+    oldest
+        Time of the earliest request, us after the epoch.
+
+    Returns
+    -------
+    int
+        Row.
+    """
     g = _first_equal(px.group_min, oldest)
     return g * GROUP + _first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
 
 
 @njit(**JIT)
 def move_epoch(px: Pixels, state: NDArray, by_us: float) -> None:
-    """Count times from a later epoch, so that float32 keeps resolving them."""
+    """Move the epoch to a later time, so that float32 keeps resolving the times.
+
+    Parameters
+    ----------
+    px
+        Pixels; all their times are changed.
+    state
+        (N_STATE,) float64, state of the loop, changed in place.
+    by_us
+        How much later the epoch is.
+    """
     shift = np.float32(by_us)
     rows, columns = px.t_next.shape
     for r in range(rows):
@@ -160,7 +264,22 @@ def move_epoch(px: Pixels, state: NDArray, by_us: float) -> None:
 
 @njit(forceinline=True, **JIT)
 def waiting(t_next: NDArray, is_on: NDArray, t32: Any) -> tuple[Any, Any]:
-    """Which pixels of a block wait, a bit each, and which of them are ON."""
+    """Return which pixels of a block wait, a bit each, and which of them are ON.
+
+    Parameters
+    ----------
+    t_next
+        (BLOCK,) float32, next requests, us after the epoch.
+    is_on
+        (BLOCK,) uint8, their polarities in bit 0.
+    t32
+        Present time, float32.
+
+    Returns
+    -------
+    tuple of uint32
+        Bits of waiting pixels, and of those with an ON event.
+    """
     asking, on = np.uint32(0), np.uint32(0)
     for i in range(BLOCK):
         bit = np.uint32(np.uint32(1) << np.uint32(i))
@@ -171,14 +290,38 @@ def waiting(t_next: NDArray, is_on: NDArray, t32: Any) -> tuple[Any, Any]:
 
 @njit(inline="always", **JIT)
 def lowest_bit(bits: Any) -> Any:
-    """Position of the lowest bit set: the exponent of that bit as a float32."""
+    """Return the position of the lowest set bit: the exponent of that bit as a float32.
+
+    x & (~x + 1) isolates the bit (Warren, Hacker's Delight, chapter 2).
+
+    Parameters
+    ----------
+    bits
+        Nonzero word, uint32.
+
+    Returns
+    -------
+    uint32
+        Position, 0 for the least significant bit.
+    """
     alone = bits & (~bits + np.uint32(1))
     return (np.uint32(np.float32(alone).view(np.int32)) >> np.uint32(23)) - np.uint32(127)
 
 
 @njit(inline="always", **JIT)
 def count_bits(bits: Any) -> Any:
-    """Number of bits set."""
+    """Return the number of set bits, by parallel sums within the word (Warren, Hacker's Delight, chapter 5).
+
+    Parameters
+    ----------
+    bits
+        Word, uint32.
+
+    Returns
+    -------
+    uint32
+        Number of bits.
+    """
     b = bits - ((bits >> np.uint32(1)) & np.uint32(0x55555555))
     b = (b & np.uint32(0x33333333)) + ((b >> np.uint32(2)) & np.uint32(0x33333333))
     b = (b + (b >> np.uint32(4))) & np.uint32(0x0F0F0F0F)

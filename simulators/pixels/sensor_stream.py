@@ -1,15 +1,15 @@
-"""What leaves the sensor from one start to one stop: the world's pose and light, as EVT3 words.
+"""One stream of the sensor, from a start to a stop: the world's pose and light, as EVT3 words.
 
-Brings the world, the scene, the pixels and the words together, 2 ms of sensor time a frame. Knows no socket.
+This module connects the world, the scene, the pixels and the words, in frames of 2 ms of sensor time. It uses no
+socket.
 
-A stream's content is a function of the seed, the resting pose, the light's and the camera's settings (where they
-are simulated, of the camera's warmth and of how far the mount has crept), and of how many streams were taken at
-exactly these before: the moment at which it was asked for does not enter. For the light to go on as one physical
-clock all the same, the sensor starts a little after it is asked to, by up to a period of the light, when the light
-has just the phase that the seed has drawn.
+The content of a stream is a function of the seed, the resting pose, the settings of light and camera, and the number
+of earlier streams with exactly these; where they are simulated, also of the camera's temperature and the mount's drift.
+It does not depend on the moment of the request. For this, the sensor starts up to one period of the light after the
+request, when the light has the phase that was drawn from the seed; the light thus remains one physical clock.
 
-The sensor's clock goes on from stream to stream. A stream begins at a multiple of 102.4 ms, so that its words are the
-same whenever it is taken, but for the upper part of the clock.
+The sensor's clock continues from stream to stream. A stream begins at a multiple of 102.4 ms, so that its words are the
+same at any time, except for the upper part of the clock.
 """
 
 from __future__ import annotations
@@ -33,16 +33,26 @@ from simulators.world import mount, temperature
 from simulators.world.world import AxisName, LightState, World
 
 FRAME_US: Final = 2000
-"""Sensor time of a frame."""
+"""Sensor time of a frame, us."""
 START_US: Final = 102_400
-"""A stream begins at a multiple of this: of the 4096 us that TIME_LOW counts, and of the counters' 200 us."""
+"""A stream begins at a multiple of this, which is one of TIME_LOW's 4096 us and of the counters' 200 us."""
 MOVING_SUBSAMPLES: Final = 2
-"""A moving picture is blurred by its motion: coarser cells do."""
+"""Cells per pixel side of a moving picture; its motion blurs it, so coarser cells suffice."""
 
 
 @dataclass(frozen=True)
 class CameraState:
-    """What is set at the camera when a stream starts."""
+    """Settings of the camera when a stream starts.
+
+    Attributes
+    ----------
+    biases
+        Offsets from the factory value, by name.
+    filters
+        Whether each on-chip filter is on, by name.
+    trigger_in
+        Whether the trigger input is enabled.
+    """
 
     biases: Mapping[str, int] = field(default_factory=lambda: dict(FACTORY))
     filters: Mapping[str, bool] = field(default_factory=lambda: dict.fromkeys(FILTERS, False))
@@ -50,19 +60,18 @@ class CameraState:
 
 
 class SensorStream:
-    """A stream that is being taken.
+    """A stream in progress.
 
     Parameters
     ----------
     world
-        Where the axes point and what the light does.
+        Angles of the axes and state of the light.
     camera
         The camera's settings; they hold for the whole stream.
     repeats
-        How many streams were taken at this very pose and these settings before, by ``stream_key``; this one
-        is counted.
+        Number of earlier streams with the same pose and settings, by ``stream_key``; this stream is added to it.
     clock_us
-        Where the sensor's clock stands, us, not wrapped.
+        State of the sensor's clock, us, not wrapped.
     """
 
     def __init__(self, world: World, camera: CameraState, repeats: dict[str, int], clock_us: int = 0) -> None:
@@ -80,7 +89,7 @@ class SensorStream:
         self.start_s = asked_s + ((phase - self._light.phase_at(asked_s)) % 1.0) / self._light.frequency_hz
         self._period_starts_us = -phase * self._light.period_us
         self._begins_us = -(-clock_us // START_US) * START_US
-        self._now_us = 0  # since then
+        self._now_us = 0  # since _begins_us
         self._truth = truth = world.truth_at(asked_s)
         self._crept = mount.crept_arcsec(truth.mount, world.on_s(asked_s))
         self._angles = self._angles_now()
@@ -99,16 +108,22 @@ class SensorStream:
 
     @property
     def clock_us(self) -> int:
-        """Sensor time, not wrapped, up to which the stream has been made."""
+        """Sensor time, not wrapped, up to which the stream has been computed."""
         return self._begins_us + self._now_us
 
     @property
     def covered_s(self) -> float:
-        """World time up to which the stream has been made."""
+        """World time up to which the stream has been computed."""
         return self.start_s + self._now_us * 1e-6
 
     def next_frame(self) -> bytes:
-        """Words of the next 2 ms of sensor time."""
+        """Compute the next 2 ms of sensor time.
+
+        Returns
+        -------
+        bytes
+            EVT3 words, little-endian.
+        """
         end_us = self._now_us + FRAME_US
         self._follow_world()
         events, entered_t = self._filters.apply(self._sensor.run(end_us))
@@ -122,7 +137,7 @@ class SensorStream:
         return words.astype("<u2", copy=False).tobytes()
 
     def _follow_world(self) -> None:
-        """Show the sensor what has changed in the world since the last frame: pose or light."""
+        """Apply changes of pose or light since the last frame to the sensor."""
         now_s = self.covered_s
         angles = self._angles_now()
         light = self._world.light(now_s)
@@ -139,18 +154,18 @@ class SensorStream:
         self._sensor.change(picture, light, phase, FRAME_US)
 
     def _angles_now(self) -> Mapping[AxisName, float]:
-        """Angles at which the camera stands, its mount's own motion included."""
+        """Return the angles at which the camera points, with the mount's own motion."""
         angles = self._world.angles_deg(self.covered_s)
         if not mount.moves(self._truth.mount):
             return angles
         return mount.disturbed(angles, self._truth.mount, self._crept, self._shaking, self._now_us * 1e-6)
 
     def _picture(self, *, moving: bool) -> NDArray[np.float32]:
-        """What the camera sees in the present pose."""
+        """Return the picture in the present pose."""
         return scene.picture(self._truth, self._angles, subsamples=MOVING_SUBSAMPLES if moving else 4)
 
     def _edges(self, first_us: int, end_us: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-        """Times and values of the light's sync edges that reach the trigger input."""
+        """Return times and values of the light's sync edges that reach the trigger input."""
         if not (self._light.sync and self._camera.trigger_in):
             return np.empty(0, np.int64), np.empty(0, np.uint8)
         return sync_edges(self._light, self._period_starts_us, first_us, end_us)
@@ -159,7 +174,24 @@ class SensorStream:
 def sync_edges(
     light: LightState, period_starts_us: float, first_us: int, end_us: int
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Edges of the light's sync line with first_us <= t < end_us: t int64 (us, rounded down), value uint8."""
+    """Return the edges of the light's sync line with first_us <= t < end_us.
+
+    Parameters
+    ----------
+    light
+        Frequency, duty and sync line.
+    period_starts_us
+        Time at which a period of the light begins.
+    first_us, end_us
+        Interval.
+
+    Returns
+    -------
+    t : (N,) int64
+        Times, us, rounded down.
+    value : (N,) uint8
+        Level after each edge.
+    """
     period = light.period_us
     k = np.arange(
         math.floor((first_us - period_starts_us) / period) - 1, (end_us - period_starts_us) / period + 1
@@ -172,7 +204,24 @@ def sync_edges(
 
 
 def stream_key(world: World, camera: CameraState, at_s: float) -> str:
-    """What a stream's content is keyed to, as text: resting pose, light, camera settings; warmth and creep, if any."""
+    """Return the text from which a stream's content is seeded.
+
+    It holds resting pose, light and camera settings; also temperature and drift of the mount, if they are simulated.
+
+    Parameters
+    ----------
+    world
+        Angles of the axes and state of the light.
+    camera
+        The camera's settings.
+    at_s
+        World time of the request.
+
+    Returns
+    -------
+    str
+        JSON with sorted keys.
+    """
     key: dict[str, Any] = {
         "microsteps": dict(world.resting_microsteps(at_s)),
         "settled": world.is_settled(at_s),
@@ -189,6 +238,6 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
 
 
 def _seed(seed: int, key: str, repeat: int) -> np.random.SeedSequence:
-    """Seeds of a stream: the world's seed, a digest of the key, and the count."""
+    """Return the seeds of a stream, from the world's seed, a digest of the key, and the count."""
     digest = hashlib.sha256(key.encode()).digest()
     return np.random.SeedSequence([seed, repeat, *np.frombuffer(digest[:16], "<u4").tolist()])

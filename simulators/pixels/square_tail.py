@@ -1,8 +1,9 @@
-"""A square light in double precision: for the few events that float32's last digits would move by microseconds.
+"""A square light in double precision, for the few events that float32 would misplace by microseconds.
 
-In the tail of an edge u is all but flat: where its logarithm moves by 1e-6 a microsecond, so does an event for an
-error of 1e-6. ``photoreceptor`` works in float32, whose errors of some 1e-7 do no harm anywhere else; what comes in
-a tail is found once more here, and a reference's phase to better than float32 tells the time. Compiled functions.
+In the tail of an edge u is almost flat. Where its logarithm changes by 1e-6 per microsecond, an error of 1e-6 moves an
+event by a microsecond. ``photoreceptor`` works in float32, whose errors of some 1e-7 do no harm elsewhere. Crossings in
+a tail are therefore computed again here; they need references with more digits than float32 has. Compiled functions.
+The equations are those of ``photoreceptor``.
 """
 
 from __future__ import annotations
@@ -19,21 +20,47 @@ from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import JIT, KERNEL
 
 STEEP: Final = 3e-5
-"""Change of ln u in a microsecond from which on float32 is good to some hundredths of one."""
+"""Smallest change of ln u per microsecond at which float32 is good to some hundredths of a microsecond."""
 LEAST_Q_US: Final = 1.0
 TIME_STEP_US: Final = 4.0 / 1024.0
-"""The coarsest float32 steps of a request's time, after the epoch."""
+"""The coarsest step of a float32 time after the epoch, about 4 ns."""
 
 
 @njit(inline="always", **JIT)
 def tail_width(d: Drive) -> float:
-    """How near to its end, relatively, u is where it moves by less than ``STEEP``."""
+    """Return the relative distance of u from its limit below which u changes more slowly than ``STEEP``.
+
+    Parameters
+    ----------
+    d
+        Light.
+
+    Returns
+    -------
+    float
+        Relative distance; 0 if the light is not square.
+    """
     return STEEP * max(d.q_us, LEAST_Q_US) if d.kind == SQUARE else 0.0
 
 
 @njit(inline="always", **JIT)
 def to_end(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
-    """Relative distance of the nearer of a pixel's two targets from where u ends in its part of the period."""
+    """Return how near the nearer of a pixel's two targets is to the limit of u in its part of the period, relatively.
+
+    Parameters
+    ----------
+    d
+        Square light.
+    light
+        Share of the light's drive that reaches the pixel.
+    on_at, off_at
+        Values of u at which an ON and an OFF event come.
+
+    Returns
+    -------
+    float32
+        Relative distance.
+    """
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
     i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
     return min(abs(on_at * i_high - np.float32(1.0)), abs(off_at * i_low - np.float32(1.0)))
@@ -41,7 +68,22 @@ def to_end(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
 
 @njit(**KERNEL)
 def fill_to_end(drive: Drive, batch: NDArray, n: int) -> Any:
-    """Fill in ``TO_END`` of each pixel under a square light; return the smallest."""
+    """Fill in ``TO_END`` of each pixel under a square light.
+
+    Parameters
+    ----------
+    drive
+        Square light.
+    batch
+        (N_BATCH, columns) float32, changed in place.
+    n
+        Number of pixels in the batch.
+
+    Returns
+    -------
+    float32
+        The smallest distance, at most 1.
+    """
     nearest = np.float32(1.0)
     for k in range(n):
         batch[pr.TO_END, k] = to_end(drive, batch[pr.LIGHT, k], batch[pr.ON_AT, k], batch[pr.OFF_AT, k])
@@ -52,7 +94,7 @@ def fill_to_end(drive: Drive, batch: NDArray, n: int) -> Any:
 
 @njit(**JIT)
 def _steady(d: Drive, light: float) -> tuple[float, float]:
-    """Values of u at the rising and the falling edge in the periodic steady state."""
+    """Return u at the rising and the falling edge in the periodic steady state."""
     i_high, i_low = d.ambient + light * d.w_high, d.ambient + light * d.w_low
     decay_high = exp(-i_high * d.high_us / d.q_us)
     decay_low = exp(-i_low * (d.period_us - d.high_us) / d.q_us)
@@ -64,7 +106,22 @@ def _steady(d: Drive, light: float) -> tuple[float, float]:
 
 @njit(**JIT)
 def level(d: Drive, light: float, phase: float) -> float:
-    """Value of u of a pixel at a phase below one period."""
+    """Return u of a pixel at a phase.
+
+    Parameters
+    ----------
+    d
+        Square light.
+    light
+        Share of the light's drive that reaches the pixel.
+    phase
+        Phase below one period, us.
+
+    Returns
+    -------
+    float
+        u in the periodic steady state.
+    """
     u_rise, u_fall = _steady(d, light)
     rising = phase >= d.high_us  # u rises in the low part
     i = d.ambient + light * (d.w_low if rising else d.w_high)
@@ -74,7 +131,24 @@ def level(d: Drive, light: float, phase: float) -> float:
 
 @njit(**JIT)
 def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) -> tuple[float, bool]:
-    """First crossing at or after a phase below one period: its phase (inf = none) and whether it is ON."""
+    """Return the first crossing at or after a phase.
+
+    Parameters
+    ----------
+    d
+        Square light.
+    light
+        Share of the light's drive that reaches the pixel.
+    on_at, off_at
+        Values of u at which an ON and an OFF event come.
+    phase
+        Phase below one period, us.
+
+    Returns
+    -------
+    tuple
+        Phase of the crossing in us (inf = none), and whether it is ON.
+    """
     u_rise, u_fall = _steady(d, light)
     bright, dark = 1.0 / (d.ambient + light * d.w_high), 1.0 / (d.ambient + light * d.w_low)
     can_on, can_off = u_fall <= on_at, u_rise >= off_at
@@ -92,10 +166,30 @@ def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) 
 
 @njit(**JIT)
 def asked_at(d: Drive, light: float, target: float, on: bool, t: float, start: float) -> float:
-    """When u met a target, where a request stands at t to float32's last digit; t where it is no crossing.
+    """Return when u met a target, more exactly than float32 stores a request's time.
 
-    On a steep slope the target tells the moment better than t does, and the light that the pixel sees at the end of
-    its dead time is the next reference.
+    On a steep slope the target determines the moment better than the stored time does. The light that the pixel
+    receives at the end of its dead time sets the next reference.
+
+    Parameters
+    ----------
+    d
+        Square light.
+    light
+        Share of the light's drive that reaches the pixel.
+    target
+        Value of u that was crossed.
+    on
+        Whether the request is ON.
+    t
+        Stored time of the request, us after the epoch.
+    start
+        Start of a period of the light, us after the epoch.
+
+    Returns
+    -------
+    float
+        Time, us after the epoch; ``t`` itself if the request was not a crossing.
     """
     begin = start + floor((t - start) / d.period_us) * d.period_us + (0.0 if on else d.high_us)
     u_rise, u_fall = _steady(d, light)
@@ -105,18 +199,44 @@ def asked_at(d: Drive, light: float, target: float, on: bool, t: float, start: f
     return exact if abs(exact - t) <= TIME_STEP_US else t
 
 
-# A reference's digits beyond float32: its relative error, at most 2^-24, in 63 steps to either side, in bits 1 to 7.
+# Digits of a reference beyond float32: its relative rounding error, at most 2^-24, as -63 to 63 steps in bits 1 to 7.
 
 
 @njit(inline="always", **JIT)
 def lower_digits(u: float, u32: Any) -> Any:
-    """Digits that ``u32`` lacks of u, to be kept beside it."""
+    """Return the digits of u that its float32 value lacks, to be stored beside it.
+
+    Parameters
+    ----------
+    u
+        Reference in double precision.
+    u32
+        The same, rounded to float32.
+
+    Returns
+    -------
+    uint8
+        Digits in bits 1 to 7; bit 0 is free.
+    """
     steps = floor((u / np.float64(u32) - 1.0) * (63.0 * 16777216.0) + 64.5)
     return np.uint8(np.int64(min(max(steps, 1.0), 127.0)) << 1)
 
 
 @njit(inline="always", **JIT)
 def joined(u32: Any, digits: Any) -> float:
-    """Put a reference and its lower digits together; where these are 0, none were kept."""
+    """Return a reference with its lower digits.
+
+    Parameters
+    ----------
+    u32
+        Reference in float32.
+    digits
+        From ``lower_digits``; 0 in bits 1 to 7 if none were stored.
+
+    Returns
+    -------
+    float
+        Reference in double precision.
+    """
     steps = np.int64(digits >> np.uint8(1))
     return np.float64(u32) * (1.0 + ((steps - 64) / (63.0 * 16777216.0) if steps else 0.0))
