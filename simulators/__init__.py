@@ -1,4 +1,5 @@
-"""Simulated devices and the simulated optics: an independent reading of each protocol and of the physics.
+"""Simulated devices and the simulated optics: a second, independent reading of each protocol and of the physics.
 
-Imports nothing of ours but calib.target (the printed pattern). Shares no code with drivers or calib.
+Of Starbench's packages they import only `calib.target` (the printed pattern). They share no code with drivers or
+calib.
 """

@@ -1,11 +1,11 @@
-"""The simulated bench: every device of a station, answering on its own port, in a process of its own.
+"""The simulated bench: all devices of a station in one process, each on its own port.
 
     python -m simulators.bench --folder DIR [--config FILE.json] [--seed N] [--until-eof]
 
-prints one line of JSON once all devices answer: the ports, where the truth is written, and its process id.
-Then it lives until it is told to end (SIGTERM, SIGINT, or the end of standard input with ``--until-eof``), and
-takes its ports away. Each line on standard input is an order for a fault (see `faults`), answered by a line of JSON.
-The truth is for the final comparison, and for nobody who estimates.
+When all devices answer, the program prints one line of JSON: the ports, the path of the truth file, and its
+process id. It runs until SIGTERM or SIGINT arrives, or, with ``--until-eof``, until standard input ends; then it
+removes its ports. Each line on standard input is an order for a fault (see `faults`), answered by a line of JSON.
+The truth file is for the final comparison only; no estimate may use it.
 """
 
 from __future__ import annotations
@@ -45,21 +45,30 @@ from simulators.world.world import AxisMotion, AxisName, LightState, World
 
 
 class Bench:
-    """A gimbal, a light and a camera in one world; entering it makes them answer.
+    """A gimbal, a light and two cameras in one world; they answer inside a ``with`` block.
 
     Parameters
     ----------
     folder
-        Where the ports' links and the truth are put.
+        Folder for the links of the ports and for the truth file.
     config
-        Which devices, in which world.
+        Devices and world; None for the defaults.
     seed
-        Seed of everything random over time.
+        Seed of all randomness.
+
+    Attributes
+    ----------
+    world
+        World of the bench.
+    truth_path
+        Path of the truth file.
+    endpoints
+        Addresses of the devices, by name of the port.
 
     Raises
     ------
     SimulatorError
-        When a port or the truth cannot be written.
+        If a port or the truth file cannot be created.
     """
 
     def __init__(self, folder: Path, config: BenchConfig | None = None, seed: int = 1) -> None:
@@ -104,12 +113,17 @@ class Bench:
         return self
 
     def inject(self, one: FaultOrder) -> None:
-        """Let something go wrong, at once or after the order's time.
+        """Inject a fault, at once or after the order's delay.
+
+        Parameters
+        ----------
+        one
+            The order.
 
         Raises
         ------
         ConfigError
-            When this bench has no such device, or a parameter makes no sense.
+            If this bench has no such device, or a parameter is invalid.
         """
         bring_about = fault_action(one, self._bench_parts)
         if one.after_s <= 0.0:
@@ -131,7 +145,7 @@ class Bench:
         if self._config.ports == "tcp":
             port = TcpPort(name)
         else:
-            from simulators.ports.pseudo_terminal import PseudoTerminal  # not where there are none
+            from simulators.ports.pseudo_terminal import PseudoTerminal  # some platforms have none
 
             port = PseudoTerminal(self._folder / name)
         return SerialDevice(port, dialect, paced=self._config.paced)
@@ -147,62 +161,62 @@ class Bench:
             fresh.replace(self.truth_path)
         except OSError as error:
             raise SimulatorError(
-                f"The truth cannot be written: {error.strerror}.",
+                f"Cannot write the truth file: {error.strerror}.",
                 where=str(self.truth_path),
-                remedy="Choose a folder that can be written to.",
+                remedy="Choose a folder with write permission.",
             ) from error
 
 
 def _warm_up(truth: Truth) -> None:
-    """Have the pixel model's machine code loaded, or compiled, before the first recording asks for it."""
+    """Load or compile the machine code of the pixel model before the first recording needs it."""
     world = World(truth)
     world.set_light(LightState(output=True, sync=True))
     SensorStream(world, CameraState(trigger_in=True), {}).next_frame()
 
 
 def _read_config(path: Path | None) -> BenchConfig:
-    """Read the configuration's file."""
+    """Read the configuration file."""
     if path is None:
         return BenchConfig()
     try:
         given: Any = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigError(f"It cannot be read: {error.strerror}.", where=str(path)) from error
+        raise ConfigError(f"Cannot read the file: {error.strerror}.", where=str(path)) from error
     except ValueError as error:
-        raise ConfigError(f"It is not JSON: {error}.", where=str(path)) from error
+        raise ConfigError(f"The file is not JSON: {error}.", where=str(path)) from error
     if not isinstance(given, dict):
-        raise ConfigError("A mapping of sections is expected.", where=str(path))
+        raise ConfigError("Expected a JSON object of sections.", where=str(path))
     return bench_config(given)
 
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="simulators.bench", description="A simulated calibration bench.")
-    parser.add_argument("--folder", type=Path, required=True, help="where the ports and the truth are put")
-    parser.add_argument("--config", type=Path, help="configuration (JSON)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
-    parser.add_argument("--until-eof", action="store_true", help="end with standard input")
+    parser.add_argument("--folder", type=Path, required=True, help="folder for the ports and the truth file")
+    parser.add_argument("--config", type=Path, help="configuration file (JSON)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of all randomness")
+    parser.add_argument("--until-eof", action="store_true", help="stop when standard input ends")
     return parser.parse_args(words)
 
 
 def _execute(bench: Bench, line: str) -> dict[str, Any]:
-    """Carry out an order, written as JSON or as words, and say what was done."""
+    """Carry out an order, written as JSON or as text, and return what was done."""
     one = fault_order(json.loads(line)) if line.startswith("{") else fault_order_from_text(line)
     bench.inject(one)
     return {"device": one.device, "fault": one.fault, "after_s": one.after_s, **one.parameters}
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the bench until it is told to end.
+    """Run the bench until it is told to stop.
 
     Parameters
     ----------
     words
-        Command line, `sys.argv` if None.
+        Command line; None for `sys.argv`.
 
     Returns
     -------
     int
-        Exit status: 0, or 2 when it cannot start, with one line on standard error that says why.
+        Exit status: 0, or 2 if the bench cannot start; one line on standard error then gives the reason.
     """
     arguments = _arguments(words)
     ending = threading.Event()
@@ -226,5 +240,5 @@ def main(words: Sequence[str] | None = None) -> int:
 
 if __name__ == "__main__":
     status = main()
-    # The warm-up may still be compiling; everything else has ended, and a compiler cannot be interrupted.
+    # Exit at once: the warm-up may still be compiling and cannot be interrupted; everything else has ended.
     os._exit(status)

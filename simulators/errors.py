@@ -1,7 +1,7 @@
-"""Every error the simulators raise; each says what is wrong, where, and what to do.
+"""All errors that the simulators raise. Each says what is wrong, where, and what to do.
 
 SimulatorError
-├── ConfigError        a key or a value of the simulation's configuration
+├── ConfigError        an invalid key or value in the simulation's configuration
 └── SimulationMisuse   a call that makes no physical sense: time going back, an array of the wrong shape
 """
 
@@ -9,7 +9,17 @@ from __future__ import annotations
 
 
 class SimulatorError(Exception):
-    """What is wrong, where, and what to do about it."""
+    """Base class of the simulators' errors.
+
+    Parameters
+    ----------
+    what
+        What is wrong, as a sentence.
+    where
+        Key, file or port; empty if there is none.
+    remedy
+        What to do about it, as a sentence; empty if there is nothing to add.
+    """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         self.what = what
@@ -21,7 +31,7 @@ class SimulatorError(Exception):
 
 
 class ConfigError(SimulatorError):
-    """A key or a value of the configuration that cannot be used; ``where`` names the key."""
+    """An invalid key or value of the configuration; ``where`` names the key."""
 
 
 class SimulationMisuse(SimulatorError):

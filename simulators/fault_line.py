@@ -1,10 +1,10 @@
-"""A fault line in front of any device, real ones included, in a process of its own.
+"""A line with faults in front of any serial device, a real one too, in its own process.
 
     python -m simulators.fault_line --port /dev/serial/by-id/... --baud 115200 --link DIR/NAME [--seed N]
 
-publishes another port, passes everything on between the two, and prints one line of JSON once it does. Each line
-on standard input is then a fault and its parameters (``late delay_s=0.8``), answered by a line of JSON. It ends
-with standard input, or on SIGTERM or SIGINT.
+The program creates a second port and passes all bytes between the two. When it is ready, it prints one line of
+JSON. Each line on standard input is then a fault with its parameters (``late delay_s=0.8``), answered by a line of
+JSON. The program ends when standard input ends, or on SIGTERM or SIGINT.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from simulators.ports.serial_device import SerialDevice
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the line until it is told to end.
+    """Run the line until it is told to stop.
 
     Parameters
     ----------
     words
-        Command line, `sys.argv` if None.
+        Command line; None for `sys.argv`.
 
     Returns
     -------
     int
-        Exit status: 0, or 2 when it cannot start, with one line on standard error that says why.
+        Exit status: 0, or 2 if the line cannot start; one line on standard error then gives the reason.
     """
     parser = argparse.ArgumentParser(
         prog="simulators.fault_line", description="Faults in front of a serial device."
     )
     parser.add_argument("--port", required=True, help="port of the device, as pyserial names it")
-    parser.add_argument("--baud", type=int, required=True, help="its baud rate")
-    parser.add_argument("--link", type=Path, required=True, help="where the other port is published")
-    parser.add_argument("--seed", type=int, default=1, help="seed of chance")
+    parser.add_argument("--baud", type=int, required=True, help="baud rate of the device")
+    parser.add_argument("--link", type=Path, required=True, help="path of the second port")
+    parser.add_argument("--seed", type=int, default=1, help="seed of random faults")
     arguments = parser.parse_args(words)
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -59,7 +59,7 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         bridge = SerialBridge(arguments.port, arguments.baud)
         line = FaultLine(bridge, time.monotonic, np.random.default_rng(arguments.seed))
-        # The device and its own line take their time already.
+        # Not paced: the real line already takes its time.
         with SerialDevice(PseudoTerminal(arguments.link), line, paced=False) as device:
             answer({"link": device.address, "pid": os.getpid()})
             carry_out = partial(_execute, device, line)
@@ -73,7 +73,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _execute(device: SerialDevice, line: FaultLine, text: str) -> dict[str, Any]:
-    """Bring a fault about, and say which."""
+    """Inject a fault and return its name and parameters."""
     one = fault_order_from_text(f"gimbal {text}")
     line_fault_action(one, device, line)()
     return {"fault": one.fault, **one.parameters}

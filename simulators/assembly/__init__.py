@@ -1,1 +1,1 @@
-"""Builders of the bench's simulated stages and lights, by the kinds that the configuration names."""
+"""Builders of the simulated stages and lights, from the configuration."""

@@ -1,6 +1,6 @@
-"""The simulated lights' drivers that a bench can have, by kind, built from their configuration.
+"""Builds the simulated driver of the light from its configuration.
 
-Knows which device a kind stands for; nothing of how one speaks.
+This module knows which device each kind of light stands for; the devices' protocols are in `simulators.lights`.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from simulators.world.world import LightState
 
 
 class LightDriver(Dialect, Protocol):
-    """A light's driver: it answers on a port, and its protection may switch the light off."""
+    """A light's driver: it answers on a port, and faults can be injected into it."""
 
     def clip(self, most_v: float | None) -> None:
-        """Hold levels to come within less than usual, or no more."""
+        """See `Light.clip`."""
         ...
 
     def trip(self) -> None:
-        """Have the protection switch the light off."""
+        """See `Light.trip`."""
         ...
 
     def exchange(self, serial: str) -> None:
-        """Be another driver from now on, fresh from power-up."""
+        """See `Light.exchange`."""
         ...
 
 
@@ -40,11 +40,16 @@ def make_light(
     Parameters
     ----------
     config
-        Its kind and what it says it is.
+        Kind and identity.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     drive
-        Called with what the light does from now on, whenever that changes.
+        Called with the new state of the light whenever it changes.
+
+    Returns
+    -------
+    LightDriver
+        The driver.
     """
     if config.kind == "gardasoft":
         return GardasoftRt(clock, drive)

@@ -1,7 +1,7 @@
-"""The simulated stages that a bench can have, by kind, built from their configuration.
+"""Builds the simulated stages from their configuration.
 
-Knows which device a kind stands for, at which ports it answers, and which controller turns which axis; nothing of
-how one speaks.
+This module knows which controllers each kind of stage has, on which ports they answer, and which controller moves
+which axis; the controllers' protocols are in `simulators.stages`.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from simulators.stages.zaber_model import ZaberModel
 from simulators.world.trajectory import Pointing
 from simulators.world.world import AxisName
 
-#: End stops lie this much beyond the soft limits.
+#: Distance of the end stops beyond the soft limits, degrees.
 _STOP_MARGIN_DEG: Final = 2.0
 
-#: A GRBL axis homes at its upper soft limit, this much below its switch.
+#: A GRBL axis homes at its upper soft limit, this far below its switch, degrees.
 _PULL_OFF_DEG: Final = 1.0
 
 Axes = Mapping[AxisName, AxisConfig]
@@ -38,16 +38,16 @@ Publish = Callable[[AxisName, Pointing], None]
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage, ready to be put on its ports.
+    """A stage, ready to be connected to its ports.
 
     Attributes
     ----------
     dialects
-        Who answers, by the name of the port.
+        Devices, by name of the port on which they answer.
     controllers
-        Who turns an axis.
+        Controllers, by name of the axis.
     ports
-        Name of the port at which an axis's controller answers.
+        Name of the port on which the controller of each axis answers.
     """
 
     dialects: Mapping[str, Dialect]
@@ -61,13 +61,18 @@ def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
     Parameters
     ----------
     kind
-        "zaber", "ximc", "grbl" or "esp301", as the configuration has checked.
+        "zaber", "ximc", "grbl" or "esp301"; the configuration has checked it.
     axes
         Its axes, in the order of their addresses.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     publish
-        Called with an axis's name and every new course of it.
+        Called with the name of an axis and each new course of it.
+
+    Returns
+    -------
+    Stage
+        The stage.
     """
     return _MAKERS[kind](axes, clock, publish)
 
@@ -86,7 +91,7 @@ def _mechanics(axis: AxisConfig, *, home_deg: float = 0.0, notices_stalls: bool 
 
 
 def _zaber(axes: Axes, clock: Clock, publish: Publish) -> Stage:
-    """Chain X-RST controllers on one line."""
+    """Build X-RST controllers chained on one line."""
     controllers = {
         str(name): ZaberController(
             ZaberModel(
@@ -109,7 +114,7 @@ def _zaber(axes: Axes, clock: Clock, publish: Publish) -> Stage:
 
 
 def _ximc(axes: Axes, clock: Clock, publish: Publish) -> Stage:
-    """Give each axis its own controller and port."""
+    """Build one controller with its own port for each axis."""
     controllers = {
         str(name): XimcController(
             XimcModel(
@@ -134,7 +139,7 @@ def _ximc(axes: Axes, clock: Clock, publish: Publish) -> Stage:
 
 
 def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
-    """Turn all axes, lettered X, Y and Z in their order, by one board."""
+    """Build one board for all axes, lettered X, Y and Z in their order."""
     names = dict(zip("XYZ", axes, strict=False))
     models = {
         letter: GrblAxisModel(
@@ -153,7 +158,7 @@ def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
 
 
 def _esp301(axes: Axes, clock: Clock, publish: Publish) -> Stage:
-    """Turn all axes, numbered in their order, by one controller."""
+    """Build one controller for all axes, numbered in their order."""
     names = dict(enumerate(axes, start=1))
     models = [
         EspAxisModel(

@@ -1,1 +1,1 @@
-"""What can go wrong, by name, and how it is brought about."""
+"""Faults of the simulated bench: their catalogue, how they are ordered, and how they are injected."""

@@ -1,9 +1,8 @@
-"""Faults by name: what can go wrong on the simulated bench, and how an order for it is written.
+"""Catalogue of the faults that the simulated bench can inject, and the format of an order for a fault.
 
-Knows the faults_of and checks orders against it; `fault_injection` carries them out.
-
-An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera, frame-camera),
-``fault``, perhaps ``after_s``, and the fault's parameters; or the same as text: ``pan stall share=0.3``.
+An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera or frame-camera),
+``fault``, optionally ``after_s``, and parameters of the fault. The same order as text is ``pan stall share=0.3``.
+This module checks orders against the catalogue; `fault_injection` carries them out.
 """
 
 from __future__ import annotations
@@ -24,7 +23,15 @@ Parameter = float | int | str
 
 @dataclass(frozen=True)
 class Fault:
-    """An entry of the faults_of: what happens, and its parameters with their defaults."""
+    """An entry of the catalogue.
+
+    Attributes
+    ----------
+    what
+        What happens.
+    parameters
+        Parameters of the fault, with their default values.
+    """
 
     what: str
     parameters: Mapping[str, Parameter]
@@ -35,26 +42,26 @@ def _motion(what: str, **parameters: Parameter) -> Fault:
 
 
 AXIS_FAULTS: Final[Mapping[str, Fault]] = {
-    "stall": _motion("the motor is held fast during the next motion", share=0.5),
+    "stall": _motion("the motor is blocked during the next motion", share=0.5),
     "limit": _motion("a limit switch closes during the next motion", share=0.5),
-    "twist": _motion("a pair of axes comes apart during the next motion", share=0.5),
+    "twist": _motion("a lockstep pair of axes loses its alignment during the next motion", share=0.5),
     "restart": _motion("the controller reboots during the next motion", share=0.5),
     "stop_short": _motion("the next motion ends early, as if it had arrived", share=0.5),
-    "no_progress": _motion("the next motion ends early, and the controller says busy for ever", share=0.5),
-    "slip": _motion("the motor stands still while the counter goes on", share=0.5),
-    "creep": _motion("the motor drifts once it has arrived, unknown to the counter", creep_deg_s=0.01),
+    "no_progress": _motion("the next motion ends early; the controller reports busy for ever", share=0.5),
+    "slip": _motion("the motor stands still while the counter continues", share=0.5),
+    "creep": _motion("the motor drifts after it has arrived; the counter does not follow", creep_deg_s=0.01),
     "unplug": _motion("the cable is pulled during the next motion", share=0.5),
-    "press_stop": _motion("somebody presses the emergency stop during the next motion", share=0.5),
-    "stuck_busy": Fault("the controller says busy for ever", {}),
-    "idle_flicker": Fault("the controller says idle while it moves", {"times": 1}),
-    "push": Fault("the shaft is turned from outside, unknown to the counter", {"deg": 0.1}),
+    "press_stop": _motion("the emergency stop is pressed during the next motion", share=0.5),
+    "stuck_busy": Fault("the controller reports busy for ever", {}),
+    "idle_flicker": Fault("the controller reports idle while the axis moves", {"times": 1}),
+    "push": Fault("the shaft is turned from outside; the counter does not notice", {"deg": 0.1}),
     "reboot": Fault("the controller loses power for a moment, now", {}),
     "exchange": Fault(
-        "somebody puts a controller of another serial number in its place", {"serial": "999999"}
+        "a controller with another serial number replaces this controller", {"serial": "999999"}
     ),
-    "emergency_stop": Fault("somebody presses the emergency stop", {}),
-    "release": Fault("somebody releases the emergency stop", {}),
-    "mend": Fault("nothing more goes wrong with this axis", {}),
+    "emergency_stop": Fault("the emergency stop is pressed", {}),
+    "release": Fault("the emergency stop is released", {}),
+    "mend": Fault("clears all faults of this axis", {}),
 }
 
 _LINE_PARAMETERS: Final[Mapping[str, Parameter]] = {
@@ -68,18 +75,18 @@ _LINE_PARAMETERS: Final[Mapping[str, Parameter]] = {
 
 LINE_FAULTS: Final[Mapping[str, Fault]] = {
     **{
-        name: Fault("befalls replies of this port", _LINE_PARAMETERS)
+        name: Fault("affects replies from this port", _LINE_PARAMETERS)
         for name in (*REPLY_FAULTS, "stale", "any")
     },
-    **{name: Fault("befalls requests to this port", _LINE_PARAMETERS) for name in REQUEST_FAULTS},
+    **{name: Fault("affects requests to this port", _LINE_PARAMETERS) for name in REQUEST_FAULTS},
     "baud": Fault("the device listens at another baud rate", {"rate": 9600}),
-    "say": Fault("the host hears something that nobody has asked for", {"text": "!"}),
+    "say": Fault("the host receives an unsolicited text", {"text": "!"}),
     "unplug": Fault("the cable is pulled", {}),
     "replug": Fault("the cable is put back", {}),
-    "mend": Fault("nothing more goes wrong with this port", {}),
+    "mend": Fault("clears all faults of this port", {}),
 }
 
-#: What the factor of a lamp's fault is unless it is said; those without one are not here.
+#: Default factor of each lamp fault that has one.
 _LAMP_FACTORS: Final = {
     "dim": 0.5,
     "wrong_frequency": 0.5,
@@ -96,19 +103,17 @@ _LAMP_CATALOGUE: Final[Mapping[str, Fault]] = {
 
 LIGHT_FAULTS: Final[Mapping[str, Fault]] = {
     **_LAMP_CATALOGUE,
-    "clip": Fault("the light's driver holds levels to come within less than usual", {"most_v": 2.0}),
-    "trip": Fault("the protection of the light's driver switches it off", {}),
-    "exchange": Fault("somebody puts a driver of another serial number in its place", {"serial": "XX9999"}),
+    "clip": Fault("the light's driver limits levels to most_v", {"most_v": 2.0}),
+    "trip": Fault("the protection of the light's driver switches the light off", {}),
+    "exchange": Fault("a driver with another serial number replaces this driver", {"serial": "XX9999"}),
 }
 
 CAMERA_FAULTS: Final[Mapping[str, Fault]] = {
-    "unplug": Fault("the camera goes away; it may be connected again", {}),
-    "fault": Fault("the camera tells of a fault", {"message": "sensor fault"}),
+    "unplug": Fault("the camera disconnects; the host may connect again", {}),
+    "fault": Fault("the camera reports a fault", {"message": "sensor fault"}),
     **{name: Fault(what, {"skip": 0, "count": 1}) for name, what in STREAM_FAULTS.items()},
-    "overflow": Fault(
-        "more events than the sensor's rate controller lets through, from the next recording on", {}
-    ),
-    "mend": Fault("nothing more goes wrong with the camera's stream", {}),
+    "overflow": Fault("the sensor's event rate controller drops events, from the next recording on", {}),
+    "mend": Fault("clears all faults of the camera's stream", {}),
 }
 
 _FRAME_CAMERA: Final[Mapping[str, Fault]] = {
@@ -118,7 +123,17 @@ _FRAME_CAMERA: Final[Mapping[str, Fault]] = {
 
 @dataclass(frozen=True)
 class FaultOrder:
-    """One fault that is to happen, checked against the faults_of."""
+    """An order for one fault, checked against the catalogue.
+
+    Attributes
+    ----------
+    device, fault
+        Device, and name of its fault.
+    parameters
+        All parameters of the fault.
+    after_s
+        Delay before the fault happens, s.
+    """
 
     device: str
     fault: str
@@ -127,12 +142,22 @@ class FaultOrder:
 
 
 def faults_of(device: str) -> Mapping[str, Fault]:
-    """List what can go wrong with a device.
+    """Return the faults of a device.
+
+    Parameters
+    ----------
+    device
+        Name of the device, e.g. ``pan`` or ``light``.
+
+    Returns
+    -------
+    Mapping
+        Entries of the catalogue, by name of the fault.
 
     Raises
     ------
     ConfigError
-        When there is no such device.
+        If there is no such device.
     """
     by_device: dict[str, Mapping[str, Fault]] = {
         **dict.fromkeys(("pan", "tilt", "roll"), AXIS_FAULTS),
@@ -143,18 +168,28 @@ def faults_of(device: str) -> Mapping[str, Fault]:
     }
     if device not in by_device:
         raise ConfigError(
-            f"No device {device!r}.", where="device", remedy=f"Known are: {', '.join(by_device)}."
+            f"Unknown device {device!r}.", where="device", remedy=f"Use one of: {', '.join(by_device)}."
         )
     return by_device[device]
 
 
 def fault_order_from_text(text: str) -> FaultOrder:
-    """Read an order as it is typed.
+    """Read an order from text.
+
+    Parameters
+    ----------
+    text
+        Device, fault and parameters, separated by blanks.
+
+    Returns
+    -------
+    FaultOrder
+        The checked order.
 
     Raises
     ------
     ConfigError
-        When it is no order, or names what is not there.
+        If the text is not an order, or names something unknown.
 
     Examples
     --------
@@ -167,9 +202,9 @@ def fault_order_from_text(text: str) -> FaultOrder:
         raise ConfigError(f"The order cannot be read: {error}.", where=text.strip()) from error
     if len(words) < 2 or any("=" not in word for word in words[2:]):
         raise ConfigError(
-            "An order is a device, a fault and its parameters.",
+            "The order is not complete, or a parameter is not of the form name=value.",
             where=text.strip(),
-            remedy="As in: pan stall share=0.3",
+            remedy="Give a device, a fault and its parameters, as in: pan stall share=0.3",
         )
     given = dict(word.split("=", 1) for word in words[2:])
     return fault_order({"device": words[0], "fault": words[1], **given})
@@ -178,19 +213,31 @@ def fault_order_from_text(text: str) -> FaultOrder:
 def fault_order(given: Mapping[str, Any]) -> FaultOrder:
     """Check an order.
 
+    Parameters
+    ----------
+    given
+        The order as a mapping; values may be text.
+
+    Returns
+    -------
+    FaultOrder
+        The checked order.
+
     Raises
     ------
     ConfigError
-        Naming the key that is missing, unknown, or whose value cannot be.
+        If a key is missing or unknown, or a value is invalid; ``where`` names the key.
     """
     for key in ("device", "fault"):
         if not isinstance(given.get(key), str):
-            raise ConfigError("It is missing, or no text.", where=key)
+            raise ConfigError("The key is missing, or its value is not text.", where=key)
     device, fault = given["device"], given["fault"]
     known = faults_of(device)
     if fault not in known:
         raise ConfigError(
-            f"No fault {fault!r} of {device}.", where="fault", remedy=f"Known are: {', '.join(known)}."
+            f"Unknown fault {fault!r} of {device}.",
+            where="fault",
+            remedy=f"Use one of: {', '.join(known)}.",
         )
     defaults = {"after_s": 0.0, **known[fault].parameters}
     values = dict(defaults)
@@ -198,17 +245,17 @@ def fault_order(given: Mapping[str, Any]) -> FaultOrder:
         if key in {"device", "fault"}:
             continue
         if key not in defaults:
-            raise ConfigError("Unknown key.", where=key, remedy=f"Known are: {', '.join(defaults)}.")
+            raise ConfigError("Unknown key.", where=key, remedy=f"Use one of: {', '.join(defaults)}.")
         values[key] = _like(defaults[key], value, key)
     after_s = float(values.pop("after_s"))
     return FaultOrder(device, fault, values, after_s)
 
 
 def _like(default: Parameter, value: object, where: str) -> Parameter:
-    """Read a value, which may be text, as one of its default's kind."""
+    """Convert a value, which may be text, to the type of its default."""
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise ConfigError(f"A number or text is expected, not {value!r}.", where=where)
+        raise ConfigError(f"Expected a number or text, got {value!r}.", where=where)
     try:
         return type(default)(value)
     except (ValueError, OverflowError):
-        raise ConfigError(f"A number is expected, not {value!r}.", where=where) from None
+        raise ConfigError(f"Expected a number, got {value!r}.", where=where) from None

@@ -1,7 +1,7 @@
-"""How an order for a fault is brought about on a running bench.
+"""Injection of ordered faults into a running bench.
 
-Knows which part of the bench each fault of the catalogue befalls; how a fault works is the parts' own:
-`axis_motion`, `line_faults`, `lamp`, the controllers and the camera.
+The module decides which part of the bench an order affects. The parts implement the faults themselves: axes
+(`axis_motion`), lines (`line_faults`), the lamp, the controllers and the cameras.
 """
 
 from __future__ import annotations
@@ -23,48 +23,82 @@ from simulators.stages.motion_faults import FaultKind, MotionFault
 
 
 class AxisController(Protocol):
-    """What a fault needs of a stage's controller, for one axis."""
+    """Interface of a stage's controller for fault injection, for one axis."""
 
     @property
     def axis(self) -> Axis:
-        """The axis."""
+        """Motion of the axis."""
         ...
 
     def restart(self, t_s: float) -> None:
-        """Lose power, and have it again."""
+        """Power-cycle the controller.
+
+        Parameters
+        ----------
+        t_s
+            Time of the restart, s.
+        """
         ...
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press or release the emergency stop."""
+        """Press or release the emergency stop.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+        released
+            True releases the button.
+        """
         ...
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Be another controller from now on, fresh from power-up."""
+        """Replace the controller by another one, fresh from power-up.
+
+        Parameters
+        ----------
+        serial
+            Serial number of the new controller.
+        t_s
+            Time, s.
+        """
         ...
 
 
 class Light(Protocol):
-    """What a fault needs of the light's driver."""
+    """Interface of the light's driver for fault injection."""
 
     def clip(self, most_v: float | None) -> None:
-        """Hold levels to come within less than usual, or no more."""
+        """Limit levels that are set from now on.
+
+        Parameters
+        ----------
+        most_v
+            Largest level, V; None restores the normal limit.
+        """
         ...
 
     def trip(self) -> None:
-        """Have the protection switch the light off."""
+        """Let the protection switch the light off."""
         ...
 
     def exchange(self, serial: str) -> None:
-        """Be another driver from now on, fresh from power-up."""
+        """Replace the driver by another one, fresh from power-up.
+
+        Parameters
+        ----------
+        serial
+            Serial number of the new driver.
+        """
         ...
 
 
 class Camera(Protocol):
-    """What a fault needs of the camera."""
+    """Interface of the event camera for fault injection."""
 
     @property
     def stream_faults(self) -> StreamFaults:
-        """The way its frames take."""
+        """Faults of the frames that it sends."""
         ...
 
     def unplug(self) -> None:
@@ -72,38 +106,50 @@ class Camera(Protocol):
         ...
 
     def report_fault(self, message: str) -> None:
-        """Tell the host of a fault."""
+        """Report a fault to the host.
+
+        Parameters
+        ----------
+        message
+            Text of the report.
+        """
         ...
 
 
 class FrameCamera(Protocol):
-    """What a fault needs of the frame camera."""
+    """Interface of the frame camera for fault injection."""
 
     def inject_fault(self, fault: str) -> None:
-        """Let it happen from now on."""
+        """Set the fault that lasts from now on.
+
+        Parameters
+        ----------
+        fault
+            Name of the fault.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class BenchParts:
-    """The bench, as far as things can go wrong with it.
+    """The parts of a bench that can have faults.
 
     Attributes
     ----------
     axes
-        Controllers, by axis.
+        Controllers, by name of the axis.
     ports
-        Devices on serial lines, by name.
+        Devices on serial lines, by name of the port.
     lines
-        The lines to them, by the same names.
+        Lines to these devices, by the same names.
     axis_ports
-        Names of the ports at which they answer.
+        Name of the port on which each axis answers.
     light, lamp, camera
-        The light's driver, what hangs on it, and the camera.
+        The light's driver, the lamp behind it, and the event camera.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     frame_camera
-        The other camera, where there is one.
+        The frame camera; None if the bench has none.
     """
 
     axes: Mapping[str, AxisController]
@@ -118,12 +164,24 @@ class BenchParts:
 
 
 def fault_action(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
-    """Give the call that brings a fault about.
+    """Return the call that injects a fault.
+
+    Parameters
+    ----------
+    one
+        The order; its delay is not applied here.
+    parts
+        Parts of the bench.
+
+    Returns
+    -------
+    Callable
+        Injects the fault at once.
 
     Raises
     ------
     ConfigError
-        When this bench has no such device, or a parameter makes no sense.
+        If this bench has no such device, or a parameter is invalid.
     """
     if one.device in parts.ports:
         return _on_port(one, parts)
@@ -141,7 +199,15 @@ def fault_action(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
         act = from_outside.get(one.fault)
         then = None if act is None else lambda t_s: line.schedule(t_s, act)
         return lambda: port.between_exchanges(lambda: _on_axis(one, controller, parts.clock(), then))
-    raise ConfigError(f"This bench has no {one.device}.", where="device")
+    known = [
+        *parts.axes,
+        *parts.ports,
+        "camera",
+        *(["frame-camera"] if parts.frame_camera is not None else []),
+    ]
+    raise ConfigError(
+        f"This bench has no device {one.device!r}.", where="device", remedy=f"Use one of: {', '.join(known)}."
+    )
 
 
 def _on_camera(one: FaultOrder, camera: Camera) -> Callable[[], None]:
@@ -175,12 +241,26 @@ def _on_port(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
 
 
 def line_fault_action(one: FaultOrder, port: SerialDevice, line: FaultLine) -> Callable[[], None]:
-    """Give the call that brings a fault of a line about.
+    """Return the call that injects a fault of a line.
+
+    Parameters
+    ----------
+    one
+        The order.
+    port
+        Device on the line.
+    line
+        Line to the device.
+
+    Returns
+    -------
+    Callable
+        Injects the fault at once.
 
     Raises
     ------
     ConfigError
-        When a parameter makes no sense.
+        If a parameter is invalid.
     """
     if one.fault in {"unplug", "replug"}:
         return port.unplug if one.fault == "unplug" else port.replug
@@ -211,7 +291,9 @@ def _on_light(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
         return lambda: parts.light.clip(most_v)
     factor = float(one.parameters.get("factor", 1.0))
     if factor <= 0.0:
-        raise ConfigError(f"{factor} is not positive.", where="factor")
+        raise ConfigError(
+            f"The factor {factor} is not positive.", where="factor", remedy="Give a factor greater than 0."
+        )
     return lambda: parts.lamp.inject_fault(one.fault, factor)
 
 
@@ -220,7 +302,9 @@ def _line_fault(one: FaultOrder) -> LineFault:
     try:
         re.compile(str(p["pattern"]).encode())
     except re.error as error:
-        raise ConfigError(f"{p['pattern']!r} is no pattern: {error}.", where="pattern") from error
+        raise ConfigError(
+            f"{p['pattern']!r} is not a regular expression: {error}.", where="pattern"
+        ) from error
     return LineFault(
         one.fault,
         count=int(p["count"]) or None,
@@ -233,11 +317,11 @@ def _line_fault(one: FaultOrder) -> LineFault:
 
 
 def _bytes(text: Parameter, where: str) -> bytes:
-    r"""Read a text in which line ends and the like are written as ``\n``."""
+    r"""Encode a text in which line ends and the like are written as ``\n``."""
     try:
         return str(text).encode("latin-1").decode("unicode_escape").encode("latin-1")
     except ValueError as error:
-        raise ConfigError(f"{text!r} cannot be read as bytes: {error}.", where=where) from error
+        raise ConfigError(f"Cannot convert {text!r} to bytes: {error}.", where=where) from error
 
 
 def _on_axis(

@@ -1,6 +1,7 @@
-"""Replies of protocols that guard them, spoilt in just that: checksum wrong or missing, message id another one's.
+"""Faults of replies with a checksum or a message id: wrong checksum, missing checksum, wrong id.
 
-Knows how Zaber's lines and XIMC's answers are sealed, and nothing else of them; other replies pass unchanged.
+The module recognises replies of the Zaber ASCII protocol and answers of the XIMC protocol; all other replies pass
+unchanged.
 """
 
 from __future__ import annotations
@@ -18,7 +19,17 @@ _XIMC_ANSWER: Final = re.compile(rb"([a-z0-9]{4})(.+)..", re.DOTALL)
 
 
 def wrong_checksum(reply: bytes) -> bytes:
-    r"""Change the checksum.
+    r"""Replace the checksum by a wrong one.
+
+    Parameters
+    ----------
+    reply
+        Bytes from the device.
+
+    Returns
+    -------
+    bytes
+        The spoilt reply.
 
     Examples
     --------
@@ -35,7 +46,17 @@ def wrong_checksum(reply: bytes) -> bytes:
 
 
 def missing_checksum(reply: bytes) -> bytes:
-    r"""Leave the checksum out.
+    r"""Remove the checksum.
+
+    Parameters
+    ----------
+    reply
+        Bytes from the device.
+
+    Returns
+    -------
+    bytes
+        The spoilt reply.
 
     Examples
     --------
@@ -48,7 +69,17 @@ def missing_checksum(reply: bytes) -> bytes:
 
 
 def wrong_id(reply: bytes) -> bytes:
-    r"""Answer under the next message id, sealed as it should be; XIMC has none.
+    r"""Replace the message id by the next one, with a correct checksum; XIMC has no ids.
+
+    Parameters
+    ----------
+    reply
+        Bytes from the device.
+
+    Returns
+    -------
+    bytes
+        The spoilt reply.
 
     Examples
     --------
@@ -58,12 +89,12 @@ def wrong_id(reply: bytes) -> bytes:
 
     def another(match: re.Match[bytes]) -> bytes:
         body = b"%s%02d%s" % (match[1], (int(match[2]) + 1) % 100, match[3])
-        return b"@%s:%02X\r\n" % (body, -sum(body) & 0xFF)  # of bytes: they may be garbled already
+        return b"@%s:%02X\r\n" % (body, -sum(body) & 0xFF)  # bytes, not text: they may be garbled already
 
     return _ZABER_REPLY.sub(another, reply)
 
 
 def _has_valid_crc(reply: bytes) -> bool:
-    """Tell whether it is an answer whose last two bytes are the CRC of its data."""
+    """Return whether the last two bytes of an answer are the CRC of its data."""
     match = _XIMC_ANSWER.fullmatch(reply)
     return match is not None and crc16(match[2]).to_bytes(2, "little") == reply[-2:]

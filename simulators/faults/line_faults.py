@@ -1,7 +1,7 @@
-"""Faults of a serial line, between any two ends: replies lost, late, cut, garbled, doubled, and their like.
+"""Faults of a serial line between any two ends: replies lost, late, truncated, garbled, doubled, and others.
 
-Knows bytes and messages, where a message is what a device gives at once; no protocol and no device. A
-`FaultLine` stands in front of a simulated device, or of a real one behind a `SerialBridge`.
+A message is what a device sends at once. A `FaultLine` stands in front of a simulated device, or, with a
+`SerialBridge`, in front of a real one. The module depends on no protocol and on no device.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from simulators.ports.serial_device import Dialect
 
 @dataclass(frozen=True)
 class LineFault:
-    """What is to go wrong with messages to come.
+    """A fault of messages to come.
 
     Attributes
     ----------
     kind
-        One of `REPLY_FAULTS` or `REQUEST_FAULTS`; ``stale``: the reply of before comes in place of this one; or
-        ``any``: one of the reply faults that need no text, drawn for each message.
+        One of `REPLY_FAULTS` or `REQUEST_FAULTS`; ``stale``: the previous reply arrives in place of this one; or
+        ``any``: one of the reply faults without text, drawn for each message.
     count
-        How many messages it befalls; None for all from then on.
+        Number of messages to spoil; None for all from then on.
     skip
-        Messages to let pass before.
+        Number of messages that pass unchanged first.
     chance
-        Probability with which a message is befallen; those spared do not count.
+        Probability with which a message is affected; messages that are not affected do not count.
     delay_s
-        How late a late reply is.
+        Delay of a late reply, s.
     pattern, replacement
-        Regular expression that ``replaced`` looks for in a message, and what it puts there.
+        Regular expression that ``replaced`` searches in a message, and its replacement.
     """
 
     kind: str
@@ -49,7 +49,7 @@ class LineFault:
     replacement: bytes = b""
 
 
-#: What reaches the host of one message: pieces, each with its delay.
+#: What the host receives of one message: pieces, each with its delay in seconds.
 Pieces = list[tuple[float, bytes]]
 
 
@@ -61,26 +61,26 @@ def _garbled(_fault: LineFault, reply: bytes, rng: np.random.Generator) -> Piece
 
 
 def _nul(_fault: LineFault, reply: bytes, rng: np.random.Generator) -> Pieces:
-    """Slip a NUL in, as a disturbed line does."""
+    """Insert a NUL, as a disturbed line does."""
     at = int(rng.integers(len(reply) + 1))
     return [(0.0, reply[:at] + b"\0" + reply[at:])]
 
 
 def _truncated(_fault: LineFault, reply: bytes, rng: np.random.Generator) -> Pieces:
-    """Cut the end off."""
+    """Cut off the end."""
     return [(0.0, reply[: int(rng.integers(len(reply)))])]
 
 
 def _split(fault: LineFault, reply: bytes, _rng: np.random.Generator) -> Pieces:
-    """Give the second half late."""
+    """Delay the second half."""
     half = len(reply) // 2
     return [(0.0, reply[:half]), (fault.delay_s, reply[half:])]
 
 
-#: What a device of another kind says, whatever it is asked.
+#: Answer of a device of another kind to any request.
 _STRANGE: Final = b"?READY\r\n"
 
-#: What befalls a reply, by name.
+#: Faults of a reply, by name.
 REPLY_FAULTS: Final[Mapping[str, Callable[[LineFault, bytes, np.random.Generator], Pieces]]] = {
     "lost": lambda _fault, _reply, _rng: [],
     "late": lambda fault, reply, _rng: [(fault.delay_s, reply)],
@@ -97,24 +97,24 @@ REPLY_FAULTS: Final[Mapping[str, Callable[[LineFault, bytes, np.random.Generator
     "stranger": lambda _fault, _reply, _rng: [(0.0, _STRANGE)],
 }
 
-#: What befalls a request, by name.
+#: Faults of a request, by name.
 REQUEST_FAULTS: Final = ("request_lost", "request_garbled", "echo")
 
-#: Reply faults that ``any`` draws from: those that need no text.
+#: Reply faults from which ``any`` draws: those that need no text.
 _DRAWN: Final = ("lost", "late", "truncated", "garbled", "nul", "doubled", "split")
 
 
 class FaultLine:
-    """A line on which things go wrong, in front of a device.
+    """A line with injected faults, in front of a device.
 
     Parameters
     ----------
     device
-        Who is at the other end.
+        Device at the far end.
     clock
-        Time in seconds.
+        Returns the time in seconds.
     rng
-        Where chance comes from.
+        Source of random faults.
     """
 
     def __init__(self, device: Dialect, clock: Callable[[], float], rng: np.random.Generator) -> None:
@@ -134,42 +134,69 @@ class FaultLine:
 
     @property
     def faults(self) -> tuple[LineFault, ...]:
-        """What is still to go wrong."""
+        """Faults that are still due."""
         return tuple(self._faults)
 
     def inject(self, fault: LineFault) -> None:
-        """Let something go wrong with messages to come.
+        """Add a fault for messages to come.
+
+        Parameters
+        ----------
+        fault
+            The fault.
 
         Raises
         ------
         SimulatorError
-            When there is no such fault.
+            If the kind of the fault is unknown.
         """
         known = [*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"]
         if fault.kind not in known:
-            raise SimulatorError(f"No line fault {fault.kind!r}.", remedy=f"Known are: {', '.join(known)}.")
+            raise SimulatorError(
+                f"Unknown line fault {fault.kind!r}.", remedy=f"Use one of: {', '.join(known)}."
+            )
         self._faults.append(fault)
 
     def say(self, text: bytes) -> None:
-        """Let the host hear something that nobody has asked for."""
+        """Send the host an unsolicited text.
+
+        Parameters
+        ----------
+        text
+            Bytes to send.
+        """
         self._delayed.append((self._clock(), text))
 
     def listen_at(self, baud: int) -> None:
-        """Have the device listen at another baud rate."""
+        """Let the device listen at another baud rate.
+
+        Parameters
+        ----------
+        baud
+            The baud rate.
+        """
         self._other_baud = baud
 
     def schedule(self, t_s: float, act: Callable[[], None]) -> None:
-        """Have something done at a time, between two exchanges."""
+        """Schedule an action; it runs between two exchanges.
+
+        Parameters
+        ----------
+        t_s
+            Time from which the action is due, s.
+        act
+            The action.
+        """
         self._scheduled.append((t_s, act))
 
     def clear(self) -> None:
-        """Let nothing more go wrong; what is late still comes."""
+        """Remove all faults and scheduled actions; late replies still arrive."""
         self._faults.clear()
         self._scheduled.clear()
         self._other_baud = None
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes of the host and give what reaches it at once."""
+        """See `Dialect.receive`."""
         self._run_scheduled()
         echoed = b""
         for fault in self._due(data, REQUEST_FAULTS):
@@ -182,7 +209,7 @@ class FaultLine:
         return echoed + self._apply_reply_faults(self._device.receive(data))
 
     def unsolicited(self) -> bytes:
-        """Give what comes late, and what the device says of its own accord."""
+        """See `Dialect.unsolicited`. Late replies are among the messages."""
         self._run_scheduled()
         now = self._clock()
         due = b"".join(piece for moment, piece in self._delayed if moment <= now)
@@ -190,7 +217,7 @@ class FaultLine:
         return due + self._apply_reply_faults(self._device.unsolicited())
 
     def _run_scheduled(self) -> None:
-        """Do what is due by now."""
+        """Run the actions that are due."""
         now = self._clock()
         due = [act for t_s, act in self._scheduled if t_s <= now]
         self._scheduled = [(t_s, act) for t_s, act in self._scheduled if t_s > now]
@@ -216,7 +243,7 @@ class FaultLine:
         return b"".join(piece for delay, piece in pieces if delay <= 0.0)
 
     def _due(self, message: bytes, kinds: tuple[str, ...]) -> list[LineFault]:
-        """Faults of these kinds that befall a message, counted down."""
+        """Return the faults of these kinds that affect a message, and count them down."""
         due: list[LineFault] = []
         left: list[LineFault] = []
         for fault in self._faults:
@@ -240,38 +267,38 @@ class SerialBridge:
     Parameters
     ----------
     port
-        Its port, as pyserial names it.
+        Port of the device, as pyserial names it.
     baud
-        Its baud rate.
+        Baud rate of the device.
 
     Raises
     ------
     SimulatorError
-        When the port cannot be opened.
+        If the port cannot be opened.
     """
 
     def __init__(self, port: str, baud: int) -> None:
         try:
             self._port = serial.serial_for_url(port, baud, timeout=0)
         except serial.SerialException as error:
-            raise SimulatorError(f"The port cannot be opened: {error}.", where=port) from error
+            raise SimulatorError(f"Cannot open the port: {error}.", where=port) from error
         self._baud = baud
 
     @property
     def baud(self) -> int:
-        """Baud rate of the device, and asked of the host."""
+        """Baud rate of the device; the host must use the same."""
         return self._baud
 
     def receive(self, data: bytes) -> bytes:
-        """Pass bytes on to the device; what it answers comes as it comes."""
+        """See `Dialect.receive`. The bytes go to the device; its answer follows through `unsolicited`."""
         self._port.write(data)
         return b""
 
     def unsolicited(self) -> bytes:
-        """Give what the device has said by now."""
+        """See `Dialect.unsolicited`."""
         heard: bytes = self._port.read(4096)
         return heard
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._port.close()

@@ -1,6 +1,6 @@
-"""Orders typed on a process's standard input, a line each, every one answered by a line of JSON.
+"""Orders on a process's standard input: one order a line, each answered by one line of JSON.
 
-Knows lines and answers; what an order means is the caller's.
+The caller decides what an order means.
 """
 
 from __future__ import annotations
@@ -16,27 +16,35 @@ from simulators.errors import SimulatorError
 
 
 def answer(content: Mapping[str, Any]) -> None:
-    """Print one line of JSON at once."""
+    """Write one line of JSON to standard output, and flush it.
+
+    Parameters
+    ----------
+    content
+        Content of the line.
+    """
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
 
 
 def allow_background() -> None:
-    """Have a process in the background of a terminal go on without orders, instead of being stopped for reading.
+    """Let a background process of a terminal run on without orders.
 
-    To be called from the main thread, before orders are taken.
+    Otherwise the terminal would stop it when it reads its standard input. Call this function
+    from the main thread, before orders are read.
     """
     if hasattr(signal, "SIGTTIN"):
         signal.signal(signal.SIGTTIN, signal.SIG_IGN)
 
 
 def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[], None]) -> None:
-    """Take orders until standard input ends.
+    """Read orders until standard input ends.
 
     Parameters
     ----------
     carry_out
-        Carries one order out and says what was done; what it raises of ours, or ValueError, is the answer.
+        Carries out one order and returns what was done. If it raises SimulatorError or ValueError, the answer is
+        the error's text.
     ended
         Called at the end of standard input.
     """
@@ -55,9 +63,9 @@ def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[
 
 
 def _read() -> bytes:
-    """Read standard input; nothing where there is none to be read."""
+    """Read from standard input; return nothing if it cannot be read."""
     try:
-        # Not sys.stdin: its lock would be held by this thread while the interpreter shuts down.
+        # Not sys.stdin: this thread would hold its lock while the interpreter shuts down.
         return os.read(0, 4096)
     except OSError:
         return b""

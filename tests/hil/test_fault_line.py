@@ -76,5 +76,5 @@ def test_a_device_that_is_not_there_ends_it_in_one_line(tmp_path):
     process = start(str(tmp_path / "nothing"), tmp_path / "spoilt")
     output, errors = process.communicate(timeout=30)
     assert (process.returncode, output) == (2, "")
-    assert "cannot be opened" in errors
+    assert "Cannot open the port" in errors
     assert errors.count("\n") == 1

@@ -98,8 +98,8 @@ def test_ports_left_behind_by_a_killed_bench_are_taken_over(tmp_path):
     [
         ('{"stage": {"pan": {"serial": 5}}}', "stage.pan.serial: Text is expected, not 5."),
         ('{"noise": "loud"}', "noise: Unknown noise level 'loud'."),
-        ("{", "It is not JSON"),
-        ("[1]", "A mapping of sections is expected."),
+        ("{", "The file is not JSON"),
+        ("[1]", "Expected a JSON object of sections."),
     ],
 )
 def test_a_configuration_that_cannot_be_ends_in_one_line(tmp_path, capsys, monkeypatch, config, said):
@@ -184,7 +184,10 @@ def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
         assert not os.path.lexists(endpoints["gimbal"])
     assert say("gimbal replug")["ok"]
     assert os.path.lexists(endpoints["gimbal"])
-    assert say("roll stall") == {"ok": False, "error": "device: This bench has no roll."}
+    assert say("roll stall") == {
+        "ok": False,
+        "error": "device: This bench has no device 'roll'. Use one of: pan, tilt, gimbal, light, camera, frame-camera.",
+    }
     assert not say("{")["ok"]
     assert not say("gimbal replaced pattern=(")["ok"]
     assert not say("light dim factor=-1")["ok"]
