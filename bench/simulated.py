@@ -152,7 +152,7 @@ class SimulatedBench:
         self.close()
 
 
-def rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:
+def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:
     """Make a world to rehearse in, without a process and without devices.
 
     Raises

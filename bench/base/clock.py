@@ -2,8 +2,8 @@
 
 Stop does not travel through the queue of the work: a signal handler (or another thread) calls
 ``request_stop``; the next ``sleep``, or ``check`` between two pieces of work, raises ``Aborted``. An interlock calls
-``interrupt`` in the same way, and the work may ``go_on`` after it. While the bench makes itself safe the clock is
-shielded, so that the way to safety is not itself interrupted. ``quiet_s`` tells whether the work still waits,
+``interrupt`` in the same way, and the work may ``clear_interruption`` after it. While the bench makes itself safe the clock is
+shielded, so that the way to safety is not itself interrupted. ``inactive_s`` tells whether the work still waits,
 checks or asks the time (as waits do that must not be interrupted): where a driver hangs it does neither. A virtual
 clock is the same, but its time passes only where somebody waits.
 """
@@ -114,7 +114,7 @@ class BenchClock:
         if self._woken.is_set() and not self._shields:
             self._give_way()
 
-    def quiet_s(self) -> float:
+    def inactive_s(self) -> float:
         """How long the work has neither waited, nor checked, nor asked the time, s; 0 while it waits."""
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
@@ -136,7 +136,7 @@ class BenchClock:
             self._interruption = reason
             self._woken.set()
 
-    def go_on(self) -> None:
+    def clear_interruption(self) -> None:
         """Forget an interruption; a stop stays asked for."""
         self._interruption = None
         self._woken.clear()

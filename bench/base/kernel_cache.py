@@ -15,7 +15,7 @@ VARIABLE = "NUMBA_CACHE_DIR"
 _BESIDE = Path(__file__).parents[2] / "calib"
 
 
-def keep_kernels_somewhere(environ: MutableMapping[str, str], *, beside: Path = _BESIDE) -> None:
+def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESIDE) -> None:
     """Name a folder for compiled kernels where numba would find none.
 
     It is one of the user's own in the system's folder for temporary files, kept for the next call; where somebody else

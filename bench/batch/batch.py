@@ -24,12 +24,12 @@ from bench.batch.batch_requests import Desk, Request, refusal
 from bench.batch.batch_summary import RUNS, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
-from bench.records.folder_lock import hold_folder
+from bench.records.folder_lock import lock_folder
 from bench.records.history import History, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import JOURNAL, is_sealed
 from bench.records.run_index import QUEUE_COPY
-from bench.records.storage import make_folder, storing, sync_folder, write_whole
+from bench.records.storage import make_folder, storage_errors, sync_folder, write_atomic
 from bench.records.unsynced_journal import UnsyncedJournal
 from sequences.queue import Queue
 from sequences.reader import Located, check_document
@@ -95,7 +95,7 @@ class Batch:
             When the disk does not take it.
         """
         make_folder(self.folder / RUNS)
-        lock = hold_folder(self.folder)
+        lock = lock_folder(self.folder)
         try:
             self._keep_queue()
             path = self.folder / JOURNAL
@@ -113,7 +113,7 @@ class Batch:
     def _keep_queue(self) -> None:
         copy = self.folder / QUEUE_COPY
         if not copy.exists():
-            write_whole(copy, self._queue.text)
+            write_atomic(copy, self._queue.text)
         elif copy.read_bytes() != self._queue.text:
             raise RunFolderError(
                 "This folder belongs to another queue.",
@@ -316,6 +316,6 @@ def _set_aside_unbegun(run: Path) -> None:
     number = 1
     while (aside := run.with_name(f"{run.name}.unbegun-{number}")).exists():
         number += 1
-    with storing(run):
+    with storage_errors(run):
         run.rename(aside)
         sync_folder(run.parent)

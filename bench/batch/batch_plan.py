@@ -14,7 +14,7 @@ from typing import Any
 
 from bench.base.errors import ScriptError
 from bench.batch.schedule import Bounds, Item, Slot, bounds_of, items_of, look_ahead
-from bench.plan.plan import Plan, load, plan
+from bench.plan.plan import Plan, load_documents, make_plan
 from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, JobFile, Queue
 from sequences.reader import Located, read_document
@@ -86,7 +86,9 @@ def _in_full(job: JobConfig, base: Path) -> JobConfig:
 def job_faults(job: JobConfig) -> list[str]:
     """Say what is wrong with the files a job names; empty when nothing is."""
     try:
-        return [str(fault) for fault in plan(*load(job.sequence, job.station, job.settings)).faults]
+        return [
+            str(fault) for fault in make_plan(*load_documents(job.sequence, job.station, job.settings)).faults
+        ]
     except ScriptError as error:
         return error.faults
 
@@ -103,7 +105,7 @@ def _key(job: JobConfig) -> tuple[str, str, tuple[tuple[str, str], ...]]:
 
 @functools.lru_cache(maxsize=256)
 def _plan_of(sequence: str, station: str, settings: tuple[tuple[str, str], ...]) -> Plan:
-    return plan(*load(sequence, station, dict(settings)))
+    return make_plan(*load_documents(sequence, station, dict(settings)))
 
 
 def planned_s(job: JobConfig) -> float:

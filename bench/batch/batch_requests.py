@@ -22,11 +22,11 @@ from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_plan import job_faults
 from bench.batch.batch_record import BatchEvent, BatchRecord
-from bench.records.folder_lock import is_worked_on
+from bench.records.folder_lock import is_locked
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
-from bench.records.storage import is_temporary, make_folder, remove, storing, write_whole
+from bench.records.storage import is_temporary, make_folder, remove, storage_errors, write_atomic
 from sequences.queue import JobConfig, Key
 
 REQUESTS = "requests"
@@ -105,7 +105,7 @@ class Desk:
 
     def drain(self) -> None:
         """Answer every request that lies there, oldest first. Raises StorageError."""
-        with storing(self._path):
+        with storage_errors(self._path):
             if not self._path.is_dir():
                 return
             for path in sorted(p for p in self._path.iterdir() if not is_temporary(p)):
@@ -166,9 +166,9 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
         )
     make_folder(folder / REQUESTS)
     path = folder / REQUESTS / f"{time.time_ns():020d}-{request.id}.json"
-    write_whole(path, request.model_dump_json().encode() + b"\n")
+    write_atomic(path, request.model_dump_json().encode() + b"\n")
     deadline = time.monotonic() + patience_s
-    while time.monotonic() < deadline and (path.exists() is False or is_worked_on(folder)):
+    while time.monotonic() < deadline and (path.exists() is False or is_locked(folder)):
         if not path.exists():
             return _answer_in(folder, request.id)
         time.sleep(POLL_S / 2)

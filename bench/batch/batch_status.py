@@ -18,9 +18,9 @@ from bench.batch.batch_record import BatchRecord
 from bench.batch.batch_summary import RUNS, read_batch
 from bench.batch.schedule import Item, look_ahead
 from bench.plan.plan_text import duration_text
-from bench.records.folder_lock import is_worked_on
+from bench.records.folder_lock import is_locked
 from bench.records.run_folder import JOURNAL
-from bench.records.storage import storing
+from bench.records.storage import storage_errors
 from bench.run.status import read_status
 
 FOLLOW_S = 1.0
@@ -107,7 +107,7 @@ def read_batch_status(
         When there is no batch, or it cannot be read.
     """
     record = read_batch(folder)
-    running = is_worked_on(folder)
+    running = is_locked(folder)
     done = tuple(
         (key, end.how, end.why)
         for key, end in record.ends.items()
@@ -132,9 +132,9 @@ def follow_batch(folder: Path, sleep: Callable[[float], None] = time.sleep) -> I
     """Look at a batch again whenever a run of it begins or ends, until no process works on it."""
     seen = -1
     while True:
-        with storing(folder):
+        with storage_errors(folder):
             size = (folder / JOURNAL).stat().st_size
-        running = is_worked_on(folder)
+        running = is_locked(folder)
         if size != seen or not running:
             seen = size
             yield read_batch_status(folder)

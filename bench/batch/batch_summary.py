@@ -18,7 +18,7 @@ from bench.batch.schedule import Item, in_order
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, PLAN, REPORT
 from bench.records.run_index import QUEUE_COPY, IndexedRun, read_run
-from bench.records.storage import storing, write_whole
+from bench.records.storage import storage_errors, write_atomic
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, hours_after, trends_of
 from sequences.errors import DocumentFaults
@@ -71,8 +71,8 @@ def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
         When the disk does not take them.
     """
     summary = summarise(folder, record)
-    write_whole(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
-    write_whole(folder / PAGE, render_batch(summary).encode())
+    write_atomic(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
+    write_atomic(folder / PAGE, render_batch(summary).encode())
     return summary
 
 
@@ -188,7 +188,7 @@ def _request(data: Mapping[str, Any]) -> dict[str, Any]:
 def _poses(run: Path) -> int | None:
     """How many poses a run was to record; None where its plan is not there."""
     try:
-        with storing(run / PLAN):
+        with storage_errors(run / PLAN):
             return len(json.loads((run / PLAN).read_text(encoding="utf-8"))["poses"])
     except (BenchError, ValueError, KeyError):
         return None

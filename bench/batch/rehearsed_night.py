@@ -19,7 +19,7 @@ from bench.batch.batch import Batch
 from bench.batch.batch_plan import WORKER_S
 from bench.batch.schedule import Item
 from bench.batch.supervisor import WorkerEnd
-from bench.records.storage import make_folder, storing
+from bench.records.storage import make_folder, storage_errors
 from bench.rehearsal.rehearsal import rehearse_run
 from sequences.queue import Queue
 from sequences.reader import Located
@@ -59,7 +59,7 @@ def rehearse_batch(
         When the disk does not take it.
     """
     make_folder(folder)
-    with storing(folder):
+    with storage_errors(folder):
         if any(folder.iterdir()):
             raise RunFolderError(
                 "The folder is not empty; a rehearsal is not gone on with.",
@@ -68,7 +68,7 @@ def rehearse_batch(
             )
     with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=_memory()) as place:
         summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say)
-        with storing(folder):
+        with storage_errors(folder):
             shutil.copytree(place, folder, dirs_exist_ok=True)
     return summary
 

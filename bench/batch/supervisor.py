@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Protocol
 
 from bench.base.clock import Aborted, BenchClock
-from bench.records.folder_lock import is_worked_on
+from bench.records.folder_lock import is_locked
 from bench.records.run_folder import STATION_COPY
 from bench.run.crash_log import note_crash
 from bench.run.heartbeat import SUPERVISOR, Sign, open_process, read_sign
@@ -129,7 +129,7 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
     Aborted
         When a stop was asked for; the worker has ended by then.
     """
-    if not is_worked_on(folder):
+    if not is_locked(folder):
         return 0.0
     silent_s, _ = _watched(_Orphan(folder), folder, clock, say)
     return silent_s
@@ -205,7 +205,7 @@ class _Orphan:
     ended_by_us: bool = field(default=False, init=False)
 
     def gone(self) -> bool:
-        return not is_worked_on(self.folder)
+        return not is_locked(self.folder)
 
     def send(self, number: signal.Signals) -> None:
         sign = read_sign(self.folder)

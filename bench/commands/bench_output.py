@@ -38,13 +38,13 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
 
 def write_station(path: Path, name: str, stage: str, camera: str | None, found: Discovery) -> int:
     """Write a new station file; never over another."""
-    from bench.records.storage import write_whole
+    from bench.records.storage import write_atomic
     from bench.stations.placeholders import ASK
     from bench.stations.station_draft import draft_station
 
     if path.exists():
         raise UsageError("There is a file of this name.", where=str(path), remedy="Choose another.")
-    write_whole(path, draft_station(name, found, stage=stage, camera=camera).encode())
+    write_atomic(path, draft_station(name, found, stage=stage, camera=camera).encode())
     click.echo(
         f"Written: {path}. Replace every {ASK}, check scales and limits, then: starbench plan three_pose -s {path}"
     )

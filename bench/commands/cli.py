@@ -133,8 +133,7 @@ def plan(
     """
     from bench.batch.batch_plan import is_queue
     from bench.commands.engine_output import show_plan
-    from bench.plan.plan import load
-    from bench.plan.plan import plan as make_plan
+    from bench.plan.plan import load_documents, make_plan
 
     if is_queue(sequence):
         from bench.commands.batch_output import refuse_extra, show_night
@@ -143,7 +142,7 @@ def plan(
         return show_night(Path(sequence), begin=begin, as_json=as_json)
     if station is None:
         raise click.UsageError("Missing option '--station' / '-s'.")
-    planned = make_plan(*load(sequence, station, _settings(settings)))
+    planned = make_plan(*load_documents(sequence, station, _settings(settings)))
     return show_plan(planned, suggest=suggest, as_json=as_json)
 
 
@@ -288,11 +287,11 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit; every foreseen error is one message, never a traceback."""
     # Our matrices are small: more threads than one cost three times the time. Before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from bench.base.kernel_cache import keep_kernels_somewhere
-    from bench.terminal.encoding import say_what_can_be_said
+    from bench.base.kernel_cache import set_kernel_cache
+    from bench.terminal.encoding import replace_unencodable
 
-    keep_kernels_somewhere(os.environ)
-    say_what_can_be_said(sys.stdout, sys.stderr)
+    set_kernel_cache(os.environ)
+    replace_unencodable(sys.stdout, sys.stderr)
     words = sys.argv[1:] if arguments is None else arguments
     sys.exit(_guarded(lambda: cli.main(args=words, prog_name="starbench", standalone_mode=False), words))
 

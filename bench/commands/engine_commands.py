@@ -285,7 +285,7 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
     from datetime import UTC, datetime
 
     from bench.base.errors import UsageError
-    from bench.terminal.signals import interrupts_that_hold
+    from bench.terminal.signals import reliable_interrupts
     from drivers.camera.formats import event_conversion
 
     kind = kind or event_conversion.kind_of_name(output)
@@ -295,7 +295,7 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
             where=str(output),
             remedy="Let it end in .raw, .hdf5, .h5 or .npz, or say it by --as.",
         )
-    with interrupts_that_hold():
+    with reliable_interrupts():
         written = event_conversion.convert(
             source,
             output,

@@ -139,7 +139,7 @@ class RunFolder(_Path):
     def check(self, path: Path) -> None:
         """Refuse what is missing, files, batches where a run is wanted, and folders of something else."""
         from bench.batch.batch_summary import is_batch
-        from bench.records.folder_lock import is_worked_on
+        from bench.records.folder_lock import is_locked
         from bench.records.run_folder import JOURNAL
 
         where = str(path)
@@ -154,7 +154,7 @@ class RunFolder(_Path):
         if is_batch(path):
             if not self._batch:
                 raise UsageError("This is a batch, not a run.", where=where, remedy=_batch_remedy(path))
-        elif self._journal and not (path / JOURNAL).is_file() and not is_worked_on(path):
+        elif self._journal and not (path / JOURNAL).is_file() and not is_locked(path):
             raise UsageError(
                 "This is not a run folder: it has no journal.jsonl.", where=where, remedy=_inside(path)
             )

@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
 from bench.evidence.sshsig import KEY_TYPE, encode_public_key, fingerprint
-from bench.records.storage import make_folder, open_to_lock, storing, write_whole
+from bench.records.storage import make_folder, open_to_lock, storage_errors, write_atomic
 from drivers import file_lock
 
 NAMESPACE = "starbench-report@v1"
@@ -85,7 +85,7 @@ class Signer:
     valid_after: datetime | None = None
     valid_before: datetime | None = None
 
-    def objection(self, namespace: str, when: datetime) -> str | None:
+    def rejection(self, namespace: str, when: datetime) -> str | None:
         """Say why this key may not sign for ``namespace`` at ``when``; None when it may."""
         if self.namespaces and not any(fnmatchcase(namespace, pattern) for pattern in self.namespaces):
             return f"the key is trusted for {', '.join(self.namespaces)}, not for {namespace}"
@@ -118,7 +118,7 @@ def ensure_key(
         When it cannot be read or made.
     """
     make_folder(folder)
-    with storing(folder):
+    with storage_errors(folder):
         lock = open_to_lock(folder)
         try:
             file_lock.lock(lock, wait=True)  # two runs started at once must not make two keys
@@ -157,11 +157,11 @@ def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes 
         serialization.Encoding.PEM, serialization.PrivateFormat.OpenSSH, protection
     )
     make_folder(folder)
-    with storing(folder):
+    with storage_errors(folder):
         folder.chmod(0o700)
-    write_whole(path.with_suffix(".pub"), f"{key.public_text} {principal}\n".encode())
+    write_atomic(path.with_suffix(".pub"), f"{key.public_text} {principal}\n".encode())
     trust(folder, key.signers_line)
-    write_whole(path, secret, mode=0o600)
+    write_atomic(path, secret, mode=0o600)
     return key
 
 
@@ -170,7 +170,7 @@ def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = N
     path = folder / KEY_FILE
     if not path.exists():
         raise EvidenceError("There is no key.", where=str(path), remedy="Make one with `starbench keys`.")
-    with storing(path):
+    with storage_errors(path):
         _refuse_readable_by_others(path)
         secret = path.read_bytes()
     private = _opened(secret, path, ask_passphrase)
@@ -191,12 +191,12 @@ def trust(folder: Path, line: str) -> Signer:
     """
     signer = _read_signer(line.strip())
     path = folder / SIGNERS_FILE
-    with storing(path):
+    with storage_errors(path):
         present = path.read_text(encoding="utf-8") if path.exists() else ""
     if line.strip() not in present.splitlines():
         separator = "" if not present or present.endswith("\n") else "\n"
         make_folder(folder)
-        write_whole(path, f"{present}{separator}{line.strip()}\n".encode())
+        write_atomic(path, f"{present}{separator}{line.strip()}\n".encode())
     return signer
 
 
@@ -289,7 +289,7 @@ def _opened(secret: bytes, path: Path, ask_passphrase: Callable[[Path], bytes] |
 
 
 def _principal_of(public_path: Path) -> str:
-    with storing(public_path):
+    with storage_errors(public_path):
         fields = public_path.read_text(encoding="utf-8").split()
     principal = fields[2] if len(fields) > 2 else ""
     if not _PRINCIPAL.fullmatch(principal):

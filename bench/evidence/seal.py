@@ -19,7 +19,7 @@ from bench.evidence.keys import NAMESPACE, BenchKey
 from bench.evidence.sshsig import sign
 from bench.records.captures import CAPTURES
 from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder
-from bench.records.storage import sha256_of, storing, sync_file
+from bench.records.storage import sha256_of, storage_errors, sync_file
 
 INSTRUCTIONS = "VERIFY.txt"
 NOT_LISTED = frozenset({MANIFEST, SIGNATURE})
@@ -79,7 +79,7 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
     text = _INSTRUCTIONS.format(principal=key.principal, namespace=NAMESPACE, fingerprint=key.fingerprint)
     folder.write_atomic(INSTRUCTIONS, text.encode())
     _sync_what_others_wrote(folder.path)
-    manifest = manifest_of(folder.path)
+    manifest = make_manifest(folder.path)
     folder.write_atomic(MANIFEST, manifest)
     folder.write_atomic(SIGNATURE, sign(key.private, manifest, NAMESPACE))
     _make_read_only(folder.path)
@@ -88,15 +88,15 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
 
 def _sync_what_others_wrote(path: Path) -> None:
     """Make last what was not synced when it was written, as the log of the lines: a seal must not outlive its files."""
-    with storing(path):
-        for name, kind in listing(path).items():
+    with storage_errors(path):
+        for name, kind in list_files(path).items():
             if kind == "file" and not name.startswith(
                 f"{CAPTURES}/"
             ):  # those were synced before the journal told of them
                 sync_file(path / name)
 
 
-def manifest_of(path: Path) -> bytes:
+def make_manifest(path: Path) -> bytes:
     """Hash every file of a folder, and list them as ``sha256sum`` does, sorted by name.
 
     Raises
@@ -107,8 +107,8 @@ def manifest_of(path: Path) -> bytes:
         When a file cannot be read.
     """
     lines = []
-    with storing(path):
-        for name, kind in sorted(listing(path).items()):
+    with storage_errors(path):
+        for name, kind in sorted(list_files(path).items()):
             line = f"{'0' * 64}  {name}"
             if kind != "file" or not _LINE.fullmatch(line) or name.encode(errors="replace") != name.encode():
                 raise EvidenceError(
@@ -144,7 +144,7 @@ def read_manifest(manifest: bytes) -> dict[str, str]:
     return hashes
 
 
-def listing(path: Path) -> dict[str, str]:
+def list_files(path: Path) -> dict[str, str]:
     """Everything below a folder but folders: name, with ``/``, to ``file``, ``link`` or ``special file``.
 
     Links are not followed.
@@ -164,7 +164,7 @@ def _refuse(error: OSError) -> None:
 
 
 def _make_read_only(path: Path) -> None:
-    with storing(path):
+    with storage_errors(path):
         for folder_name, _, files in os.walk(path, topdown=False):
             folder = Path(folder_name)
             for name in files:

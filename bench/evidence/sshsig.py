@@ -84,7 +84,7 @@ def read_signature(armoured: bytes) -> SshSignature:
         ) from error
 
 
-def holds(signature: SshSignature, message: bytes) -> bool:
+def is_valid(signature: SshSignature, message: bytes) -> bool:
     """Whether the signature is that of this message under the key it names itself."""
     key = Ed25519PublicKey.from_public_bytes(_strings(signature.public_key, 2)[1])
     data = _signed_data(message, signature.namespace.encode(), signature.hash_name.encode())

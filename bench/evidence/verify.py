@@ -17,12 +17,12 @@ from typing import Any
 from bench import __version__
 from bench.base.errors import EvidenceError, RunFolderError
 from bench.evidence.keys import NAMESPACE, Signer
-from bench.evidence.seal import NOT_LISTED, listing, read_manifest
-from bench.evidence.sshsig import fingerprint, holds, read_signature
+from bench.evidence.seal import NOT_LISTED, list_files, read_manifest
+from bench.evidence.sshsig import fingerprint, is_valid, read_signature
 from bench.records.captures import stored_captures
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, MANIFEST, REPORT, RESULTS, SIGNATURE
-from bench.records.storage import sha256_of, storing
+from bench.records.storage import sha256_of, storage_errors
 
 _LARGEST_SEAL_BYTES = 64 << 20
 _LARGEST_TEXT_BYTES = 1 << 30
@@ -135,7 +135,7 @@ def verify_run(
             "This is not a run folder.", where=str(folder), remedy="Name the folder a run was written to."
         )
     check = _Check(folder)
-    with storing(folder):
+    with storage_errors(folder):
         manifest = check.signature(list(signers), when or datetime.now(UTC))
         check.files(manifest)
         told = check.journal()
@@ -187,7 +187,7 @@ class _Check:
                 self.fault(
                     "signature", SIGNATURE, f"it is a signature for {signature.namespace!r}, not for a report"
                 )
-            if not holds(signature, manifest):
+            if not is_valid(signature, manifest):
                 self.fault("signature", SIGNATURE, f"it is not the signature of this {MANIFEST}")
             self._key(signature.public_key, signers, when)
         except EvidenceError as error:
@@ -200,7 +200,7 @@ class _Check:
 
     def _key(self, public_key: bytes, signers: list[Signer], when: datetime) -> None:
         known = [signer for signer in signers if signer.public_key == public_key]
-        objections = [signer.objection(NAMESPACE, when) for signer in known]
+        objections = [signer.rejection(NAMESPACE, when) for signer in known]
         if None in objections:
             self.signer = known[objections.index(None)].principal
         elif known:
@@ -210,7 +210,7 @@ class _Check:
 
     def files(self, manifest: Mapping[str, str]) -> None:
         """Check that exactly the listed files are there, unchanged."""
-        found = listing(self.folder)
+        found = list_files(self.folder)
         for name, kind in sorted(found.items()):
             if kind != "file":
                 self.fault("link" if kind == "link" else "added", name, f"a {kind} in place of a file")

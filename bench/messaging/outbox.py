@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import StorageError
-from bench.records.storage import make_folder, storing
+from bench.records.storage import make_folder, storage_errors
 from drivers import file_lock
 
 OUTBOX = "outbox.sqlite3"
@@ -201,7 +201,7 @@ class Outbox:
     @contextmanager
     def _alone(self) -> Iterator[bool]:
         """Whether this process alone delivers, for as long as the block lasts."""
-        with storing(self.path):
+        with storage_errors(self.path):
             lock = os.open(self._home / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             try:

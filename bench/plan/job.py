@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import ScriptError
-from bench.plan.plan import Plan, load, plan
+from bench.plan.plan import Plan, load_documents, make_plan
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.views.camera_kinds import CameraKind, camera_kind
@@ -78,14 +78,14 @@ class Job:
         operator: str | None,
         settings: Mapping[str, str] | None = None,
     ) -> Job:
-        """Read, check and unfold a sequence on a station, as ``plan.load`` takes them.
+        """Read, check and unfold a sequence on a station, as `bench.plan.plan.load_documents` takes them.
 
         Raises
         ------
         ScriptError
             With everything that is wrong with either.
         """
-        planned = plan(*load(sequence, station, settings))
+        planned = make_plan(*load_documents(sequence, station, settings))
         if planned.faults:
             raise ScriptError([str(fault) for fault in planned.faults])
         return cls.from_plan(planned, seed=seed, operator=operator)

@@ -15,7 +15,7 @@ from typing import Any
 
 from bench.base.errors import ScriptError
 from bench.plan.script_check import angle_faults, check_script
-from bench.stations.placeholders import unfilled
+from bench.stations.placeholders import find_placeholders
 from bench.stations.station import Station, load_station
 from bench.stations.station_cameras import FrameCameraConfig
 from bench.stations.station_stages import AxisConfig
@@ -39,7 +39,7 @@ from sequences.script import (
 from sequences.tree import Fault
 
 SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
-DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep)
+SEQUENCE_DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep)
 
 # Allowances, as measured on the simulated bench; a real one adds to them what its devices take.
 PREFLIGHT_S = 1.1
@@ -169,7 +169,7 @@ class Plan:
         return said
 
 
-def load(
+def load_documents(
     sequence: str, station: str, settings: Mapping[str, str] | None = None
 ) -> tuple[Located[Sequence], Located[Station]]:
     """Read a sequence and a station, each a path or the name of a shipped one.
@@ -216,13 +216,13 @@ def _by_document(settings: Mapping[str, str]) -> tuple[dict[str, str], dict[str,
     return found["sequence"], found["station"]
 
 
-def plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
+def make_plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
     """Plan a run: never raises for what is wrong with it, that stands in the plan's faults."""
     script, faults = unfold(sequence)
     findings = check_script(sequence, script, station.value)
     estimate = _Estimate(station.value)
-    last = next((step for step in reversed(script) if isinstance(step, DEVICE_STEPS)), None)
-    elapsed_s = estimate.readying_s() if last is not None else 0.0
+    last = next((step for step in reversed(script) if isinstance(step, SEQUENCE_DEVICE_STEPS)), None)
+    elapsed_s = estimate.preparation_s() if last is not None else 0.0
     steps: list[PlannedStep] = []
     for step in script:
         duration_s = estimate.add(step)
@@ -234,7 +234,7 @@ def plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
         sequence=sequence,
         station=station,
         steps=tuple(steps),
-        faults=tuple(sorted({*faults, *findings.faults, *unfilled(station.tree)})),
+        faults=tuple(sorted({*faults, *findings.faults, *find_placeholders(station.tree)})),
         remarks=findings.remarks,
         duration_s=elapsed_s,
         size_bytes=estimate.size_bytes,
@@ -260,7 +260,7 @@ class _Estimate:
         self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
         self._frequency_hz: float | None = None
 
-    def readying_s(self) -> float:
+    def preparation_s(self) -> float:
         """Time before the first step: devices opened and asked, references found over the whole range."""
         ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
         return PREFLIGHT_S + self._travel_s(ranges) + HOMING_EXTRA_S

@@ -12,13 +12,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.storage import open_to_lock, storing
+from bench.records.storage import open_to_lock, storage_errors
 from drivers import file_lock
 
 _LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
 
 
-def hold_folder(path: Path) -> int:
+def lock_folder(path: Path) -> int:
     """Hold a folder against other processes, for as long as the descriptor returned is open.
 
     Raises
@@ -28,7 +28,7 @@ def hold_folder(path: Path) -> int:
     StorageError
         When it cannot be locked.
     """
-    with storing(path):
+    with storage_errors(path):
         lock = open_to_lock(path)
     try:
         _lock_exclusively(lock)
@@ -44,7 +44,7 @@ def hold_folder(path: Path) -> int:
     return lock
 
 
-def is_worked_on(path: Path) -> bool:
+def is_locked(path: Path) -> bool:
     """Whether a process holds a run folder at this moment. Leaves no trace there.
 
     Raises
@@ -52,7 +52,7 @@ def is_worked_on(path: Path) -> bool:
     StorageError
         When the folder cannot be read.
     """
-    with storing(path):
+    with storage_errors(path):
         probe = open_to_lock(path)
         try:
             file_lock.lock(probe, shared=True)

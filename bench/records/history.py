@@ -181,7 +181,7 @@ class RunLog:
 
         When this returns the line lasts, but for lines that tell of the way only: those last with the next one.
         """
-        write = self.journal.note if _on_the_way(event, data) else self.journal.append
+        write = self.journal.append_unsynced if _on_the_way(event, data) else self.journal.append
         with self._lock:
             _take(self.history, write(event, **data))
 

@@ -8,7 +8,7 @@ stands without its hash, so that no canonical form has to be agreed upon and a s
 
 ``prev`` is the hash of the line before, 64 zeros in the first. A line is written once the thing it tells
 has happened and lasts; what is not in the journal has not happened. Lines that only tell of the way there
-(``note``) are synced with the next one that counts. The journal knows nothing of what events mean.
+(``append_unsynced``) are synced with the next one that counts. The journal knows nothing of what events mean.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
-from bench.records.storage import BYTES, storing, sync_folder, write_all
+from bench.records.storage import O_BINARY, storage_errors, sync_folder, write_all
 
 FIRST_PREV = "0" * 64
 CLOCK_JUMP_S = 2.0
@@ -86,8 +86,8 @@ class Journal:
         self._monotonic = monotonic
         self._clock_offset_s: float | None = None
         self._lock = threading.RLock()
-        with storing(path):
-            self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | BYTES)
+        with storage_errors(path):
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | O_BINARY)
 
     @classmethod
     def create(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
@@ -109,9 +109,9 @@ class Journal:
         StorageError
             When it cannot be made.
         """
-        with storing(path):
+        with storage_errors(path):
             try:
-                os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BYTES, 0o644))
+                os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY, 0o644))
             except FileExistsError:
                 raise RunFolderError(
                     "A journal exists already.", where=str(path), remedy="Resume that run."
@@ -132,7 +132,7 @@ class Journal:
         """
         entries, torn = read_journal(path)
         if torn:
-            with storing(path):
+            with storage_errors(path):
                 os.truncate(path, path.stat().st_size - len(torn))
         return cls(path, entries, torn, utc_now=utc_now, monotonic=monotonic)
 
@@ -169,7 +169,7 @@ class Journal:
         """
         return self._put(event, data, synced=True)
 
-    def note(self, event: str, **data: Any) -> Entry:
+    def append_unsynced(self, event: str, **data: Any) -> Entry:
         """Write one line that need not last before the next one appended does: both are synced together then.
 
         A process that dies loses nothing of it; a cut of power may take the lines noted last. As ``append`` otherwise.
@@ -230,7 +230,7 @@ class Journal:
         return entry
 
     def _write(self, data: bytes, *, synced: bool) -> None:
-        with storing(self.path):
+        with storage_errors(self.path):
             size = os.fstat(self._descriptor).st_size
             try:
                 write_all(self._descriptor, data)
@@ -256,7 +256,7 @@ class Journal:
             raise
 
 
-def lines_since(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]:
+def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]:
     """Look at the whole lines after so many bytes of a journal, unverified: for whoever waits for one of them.
 
     Parameters
@@ -276,7 +276,7 @@ def lines_since(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
     StorageError
         When the file cannot be read.
     """
-    with storing(path), path.open("rb") as stream:
+    with storage_errors(path), path.open("rb") as stream:
         stream.seek(offset)
         for line in stream:
             try:
@@ -308,7 +308,7 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     """
     entries: list[Entry] = []
     begin = 0
-    with storing(path), path.open("rb") as stream:
+    with storage_errors(path), path.open("rb") as stream:
         for line in stream:
             if not line.endswith(b"\n"):
                 return entries, line

@@ -19,7 +19,7 @@ from typing import Any
 from bench.base.errors import JournalBroken
 from bench.records.journal import Entry, Journal, read_journal
 from bench.records.run_folder import MANIFEST, is_sealed
-from bench.records.storage import make_folder, open_to_lock, sha256_of, storing
+from bench.records.storage import make_folder, open_to_lock, sha256_of, storage_errors
 from drivers import file_lock
 
 LEDGER = "ledger.jsonl"
@@ -123,12 +123,12 @@ class Ledger:
         JournalBroken, StorageError
             As ``begin``.
         """
-        with storing(folder):
+        with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
         with self._held() as journal:
             journal.append(ENDED, number=number, how=how, seal=seal)
 
-    def knows(self, place: Mapping[str, Any]) -> bool:
+    def contains(self, place: Mapping[str, Any]) -> bool:
         """Whether a run stands in this ledger where ``begin`` put it; another bench's may have its number and name.
 
         Raises JournalBroken, StorageError.
@@ -158,7 +158,7 @@ class Ledger:
             manifest = Path(run.folder) / MANIFEST
             if run.seal is None:
                 continue
-            with storing(manifest):
+            with storage_errors(manifest):
                 if not manifest.is_file():
                     found.append(f"run {run.number} ({run.run_id}): its folder is gone from {run.folder}")
                 elif sha256_of(manifest) != run.seal:
@@ -169,7 +169,7 @@ class Ledger:
     def _held(self) -> Iterator[Journal]:
         """Hold the ledger against other processes, and open it for a line."""
         make_folder(self.path.parent)
-        with storing(self.path):
+        with storage_errors(self.path):
             lock = open_to_lock(self.path.parent)
         try:
             file_lock.lock(lock, wait=True)

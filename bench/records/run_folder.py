@@ -18,16 +18,16 @@ from typing import Any, Self
 
 from bench.base.errors import RunFolderError, StorageError
 from bench.records.captures import CAPTURES, Capture, capture_name, stored_captures
-from bench.records.folder_lock import hold_folder
+from bench.records.folder_lock import lock_folder
 from bench.records.journal import Journal
 from bench.records.storage import (
     is_temporary,
     make_folder,
-    put_in_place,
+    move_into_place,
     sha256_of,
-    storing,
+    storage_errors,
     sync_folder,
-    write_whole,
+    write_atomic,
 )
 
 JOURNAL = "journal.jsonl"
@@ -114,7 +114,7 @@ class RunFolder:
         """
         path = path.absolute()
         make_folder(path)
-        lock = hold_folder(path)
+        lock = lock_folder(path)
         try:
             _refuse_occupied(path)
             _refuse_full(path, bytes_needed + _RESERVE_BYTES)
@@ -137,8 +137,8 @@ class RunFolder:
             No permission, or no space.
         """
         path = path.absolute()
-        refuse_unresumable(path)
-        lock = hold_folder(path)
+        require_resumable(path)
+        lock = lock_folder(path)
         try:
             if not (path / _RESERVE).exists():  # given back when the disk was full
                 _keep_reserve(path)
@@ -169,22 +169,22 @@ class RunFolder:
         """
         path = self._place(name)
         make_folder(path.parent)
-        write_whole(path, data)
+        write_atomic(path, data)
         return path
 
-    def part_of(self, name: str) -> Path:
+    def part_path(self, name: str) -> Path:
         """Where somebody else writes a file (a camera, HDF5) that ``commit`` then puts in place.
 
         What an earlier try left there is removed.
         """
         part = self._place(name).with_name(PurePosixPath(name).name + _PART)
         make_folder(part.parent)
-        with storing(part), suppress(FileNotFoundError):
+        with storage_errors(part), suppress(FileNotFoundError):
             part.unlink()
         return part
 
     def commit(self, name: str) -> Capture:
-        """Sync the file written at ``part_of(name)``, hash it and give it its name.
+        """Sync the file written at ``part_path(name)``, hash it and give it its name.
 
         Raises
         ------
@@ -201,20 +201,20 @@ class RunFolder:
                 where=str(path),
                 remedy="Record the pose again as a further attempt.",
             )
-        with storing(part):
+        with storage_errors(part):
             capture = Capture(name, part.stat().st_size, sha256_of(part))
-        put_in_place(part, path)
+        move_into_place(part, path)
         return capture
 
-    def capture_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> Path:
+    def capture_part_path(self, pose_index: int, attempt: int, ending: str = ".raw") -> Path:
         """Where the camera writes a recording until it is whole. Both numbers from 1."""
-        return self.part_of(capture_name(pose_index, attempt, ending))
+        return self.part_path(capture_name(pose_index, attempt, ending))
 
     def commit_capture(self, pose_index: int, attempt: int, ending: str = ".raw") -> Capture:
         """Give a whole recording its name; then it can be told to the journal. As ``commit``."""
         return self.commit(capture_name(pose_index, attempt, ending))
 
-    def set_part_aside(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
+    def quarantine_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
         """Keep what there is of a recording that could not be completed, in ``quarantine/``.
 
         Returns
@@ -231,8 +231,8 @@ class RunFolder:
         part = path.with_name(path.name + _PART)
         if not part.exists():
             return None
-        with storing(part):
-            return str(self.set_aside(part).relative_to(self.path))
+        with storage_errors(part):
+            return str(self.quarantine(part).relative_to(self.path))
 
     def recover(self, journal: Journal) -> RecoveryNotes:
         """Put a folder in order after a crash: what is whole and told stays, all else is set aside.
@@ -248,7 +248,7 @@ class RunFolder:
         told = stored_captures(journal.entries)
         found: dict[str, list[str]] = {"intact": [], "changed": [], "interrupted": [], "unnamed": []}
         make_folder(self.path / CAPTURES)
-        with storing(self.path):
+        with storage_errors(self.path):
             for path in [p for p in self.path.rglob("*") if is_temporary(p)]:
                 path.unlink()
             for path in sorted((self.path / CAPTURES).iterdir()):
@@ -256,7 +256,7 @@ class RunFolder:
                 state = _state_of(path, told.get(name))
                 found[state].append(name)
                 if state != "intact":
-                    self.set_aside(path)
+                    self.quarantine(path)
         return RecoveryNotes(
             intact=tuple(told[name] for name in found["intact"]),
             missing=tuple(sorted(set(told) - set(found["intact"]) - set(found["changed"]))),
@@ -267,7 +267,7 @@ class RunFolder:
 
     def release_reserve(self) -> None:
         """Give back the space kept for telling the journal that the disk is full."""
-        with storing(self.path), suppress(FileNotFoundError):
+        with storage_errors(self.path), suppress(FileNotFoundError):
             (self.path / _RESERVE).unlink()
             sync_folder(self.path)
 
@@ -294,7 +294,7 @@ class RunFolder:
                 )
         return self.path.joinpath(*parts)
 
-    def set_aside(self, path: Path) -> Path:
+    def quarantine(self, path: Path) -> Path:
         """Move what cannot be vouched for to ``quarantine/``, never over another; return its place. Raises OSError."""
         aside = self.path / QUARANTINE
         make_folder(aside)
@@ -317,7 +317,7 @@ def _state_of(path: Path, capture: Capture | None) -> str:
     return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
 
 
-def refuse_unresumable(path: Path) -> None:
+def require_resumable(path: Path) -> None:
     """Refuse a folder with no run in it that could go on. Raises RunFolderError."""
     if not path.is_dir():
         raise RunFolderError("There is no such run folder.", where=str(path), remedy="Check the path.")
@@ -350,7 +350,7 @@ def _refuse_occupied(path: Path) -> None:
 
 
 def _refuse_full(path: Path, bytes_needed: int) -> None:
-    with storing(path):
+    with storage_errors(path):
         free = shutil.disk_usage(path).free
     if free < bytes_needed:
         raise StorageError(
@@ -362,4 +362,4 @@ def _refuse_full(path: Path, bytes_needed: int) -> None:
 
 def _keep_reserve(path: Path) -> None:
     # Zeros would do on most file systems, but not on those that compress or leave holes.
-    write_whole(path / _RESERVE, os.urandom(_RESERVE_BYTES))
+    write_atomic(path / _RESERVE, os.urandom(_RESERVE_BYTES))

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, StorageError
-from bench.records.folder_lock import is_worked_on
+from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, is_sealed
-from bench.records.storage import make_folder, storing
+from bench.records.storage import make_folder, storage_errors
 
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
@@ -99,7 +99,7 @@ def run_folders(root: Path) -> list[Path]:
     """
     if not root.is_dir():
         raise StorageError("There is no such folder.", where=str(root), remedy="Name one that holds runs.")
-    with storing(root):
+    with storage_errors(root):
         found = [path for pattern in ("", "*/", "*/*/") for path in root.glob(pattern + JOURNAL)]
     return sorted(path.parent for path in found if not (path.parent / QUEUE_COPY).exists())
 
@@ -183,7 +183,7 @@ class RunIndex:
             raise
         except sqlite3.DatabaseError:  # it is an index: what does not hold is made anew
             for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
-                with storing(self.path):
+                with storage_errors(self.path):
                     (self.path.parent / name).unlink(missing_ok=True)
             return _connect(self.path)
 
@@ -212,7 +212,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
     """Give the row of a run, made anew where its journal has changed."""
-    with storing(folder):
+    with storage_errors(folder):
         found = (folder / JOURNAL).stat()
     stamp = (found.st_size, found.st_mtime_ns)
     kept = index.execute("SELECT size, mtime_ns FROM runs WHERE folder = ?", (str(folder),)).fetchone()
@@ -227,7 +227,7 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
     )
     return IndexedRun(
         folder=str(folder),
-        how=ended or ("running" if is_worked_on(folder) else "cut off"),
+        how=ended or ("running" if is_locked(folder) else "cut off"),
         sealed=is_sealed(folder),
         parameters={name: (value, sigma) for name, value, sigma in rows},
         **facts,
@@ -260,7 +260,7 @@ def read_run(folder: Path) -> IndexedRun:
     ended = facts.pop("ended")
     return IndexedRun(
         folder=str(folder),
-        how=ended or ("running" if is_worked_on(folder) else "cut off"),
+        how=ended or ("running" if is_locked(folder) else "cut off"),
         sealed=is_sealed(folder),
         parameters=_parameters(history),
         **facts,

@@ -1,7 +1,7 @@
 """Writing so that it lasts: whole files or none, synced with their folder, failures in plain words.
 
 Knows the file system and nothing of runs. Every file of ours goes to disk through here or through the
-journal; whoever writes elsewhere (a camera, HDF5) has its file put in place by ``put_in_place``.
+journal; whoever writes elsewhere (a camera, HDF5) has its file put in place by ``move_into_place``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ HASH_CHUNK_BYTES = 1 << 20
 TEMPORARY = ".tmp"
 
 _FOLDERS_OPEN = hasattr(os, "O_DIRECTORY")
-BYTES = getattr(os, "O_BINARY", 0)
+O_BINARY = getattr(os, "O_BINARY", 0)
 """Flag of ``os.open``: without it Windows writes two bytes for each line feed."""
 _TO_SYNC = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
 """Windows syncs no file that is open for reading alone."""
@@ -31,7 +31,7 @@ _NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno
 
 
 @contextmanager
-def storing(where: Path) -> Iterator[None]:
+def storage_errors(where: Path) -> Iterator[None]:
     """Turn an OSError of the block into a StorageError that says what to do.
 
     Parameters
@@ -101,7 +101,7 @@ def make_folder(folder: Path) -> None:
     StorageError
         When one of them is a file, or cannot be made.
     """
-    with storing(folder):
+    with storage_errors(folder):
         missing = [p for p in (folder, *folder.parents) if not p.exists()]
         for path in reversed(missing):
             path.mkdir(exist_ok=True)
@@ -117,7 +117,7 @@ def write_all(descriptor: int, data: bytes) -> None:
         view = view[os.write(descriptor, view) :]
 
 
-def write_whole(path: Path, data: bytes, *, mode: int = 0o644) -> None:
+def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
     """Write a file so that its name holds either all of ``data`` or what it held before.
 
     Temporary file beside it, fsync, rename, fsync of the folder.
@@ -128,7 +128,7 @@ def write_whole(path: Path, data: bytes, *, mode: int = 0o644) -> None:
         Disk full, no permission, or any other failure; ``path`` is as before.
     """
     part = path.with_name(f".{path.name}{TEMPORARY}")
-    with storing(path):
+    with storage_errors(path):
         part.unlink(missing_ok=True)
         try:
             _write_new(part, data, mode)
@@ -149,11 +149,11 @@ def remove(path: Path) -> None:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a file is one that ``write_whole`` was writing when its process died."""
+    """Whether a file is one that ``write_atomic`` was writing when its process died."""
     return path.name.startswith(".") and path.name.endswith(TEMPORARY)
 
 
-def put_in_place(part: Path, path: Path) -> None:
+def move_into_place(part: Path, path: Path) -> None:
     """Give a file written by somebody else its final name: fsync, rename, fsync of the folder.
 
     Raises
@@ -161,7 +161,7 @@ def put_in_place(part: Path, path: Path) -> None:
     StorageError
         When it cannot be synced or renamed.
     """
-    with storing(part):
+    with storage_errors(part):
         sync_file(part)
         part.rename(path)
         sync_folder(path.parent)
@@ -177,7 +177,7 @@ def sha256_of(path: Path) -> str:
 
 
 def _write_new(path: Path, data: bytes, mode: int) -> None:
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BYTES, mode)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY, mode)
     try:
         write_all(descriptor, data)
         os.fsync(descriptor)

@@ -17,7 +17,7 @@ from typing import Any
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.plan.job import Job, calibration_options
-from bench.plan.plan import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load, plan
+from bench.plan.plan import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load_documents, make_plan
 from bench.records.history import Event, History, RunLog, replay
 from bench.records.journal import Journal
 from bench.records.run_folder import JOURNAL, PLAN, RESULTS, SEQUENCE_COPY, STATION_COPY, RunFolder
@@ -158,7 +158,7 @@ def rehearse_run(
     RunFolderError, StorageError
         When the folder cannot be used.
     """
-    planned = _without_this_room(plan(*load(sequence, station, settings)))
+    planned = _without_this_room(make_plan(*load_documents(sequence, station, settings)))
     task = Job.from_plan(planned, seed=seed, operator=operator)
     job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, clock)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.base.clock import BenchClock
 from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
-from bench.simulated import rehearsed_world
+from bench.simulated import make_rehearsed_world
 from bench.stations.devices import Devices
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraConfig
@@ -60,7 +60,7 @@ class VirtualDevices(Devices):
     def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
         self._simulation = None
         self._clock = clock
-        self._world = rehearsed_world(_configuration(station), seed)
+        self._world = make_rehearsed_world(_configuration(station), seed)
         self.stage = VirtualStage({name: axis.limits for name, axis in station.axes.items()}, clock)
         self.light = VirtualLight(clock)
         simulated = station.needs_simulated_bench and not isinstance(station.camera, FrameCameraConfig)

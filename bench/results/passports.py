@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import UsageError
-from bench.records.storage import storing, write_whole
+from bench.records.storage import storage_errors, write_atomic
 from calib.engine import Calibration
 from calib.errors import InputMismatch
 from calib.model.passport import Passport
@@ -33,7 +33,7 @@ def read_passport(path: Path) -> Passport:
     """
     if not path.is_file():
         raise UsageError("There is no such passport.", where=str(path), remedy="Check the path.")
-    with storing(path):
+    with storage_errors(path):
         if path.stat().st_size > _LARGEST_BYTES:
             raise UsageError("This file is too large for a passport.", where=str(path))
         text = path.read_bytes()
@@ -57,7 +57,7 @@ def write_passport(path: Path, passport: Passport) -> None:
     """
     if path.exists():
         raise UsageError("A file of this name exists.", where=str(path), remedy="Choose another name.")
-    write_whole(path, (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode())
+    write_atomic(path, (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode())
 
 
 def passport_of_run(

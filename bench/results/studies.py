@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from bench.base.errors import UsageError
-from bench.plan.plan import Plan, load, plan
-from bench.records.storage import storing
+from bench.plan.plan import Plan, load_documents, make_plan
+from bench.records.storage import storage_errors
 from bench.stations.station import Station
 from calib.engine import CalibrationOptions
 from calib.errors import DegenerateViews, TooFewStars
@@ -68,7 +68,7 @@ def expectation(station: Station, *, noise_px: float | None = None) -> ExpectedB
 
 def poses_deg(sequence: str, station: str) -> tuple[list[dict[str, float]], Station]:
     """Take the poses that a sequence records, as the engine names them, and the station."""
-    planned = plan(*load(sequence, station))
+    planned = make_plan(*load_documents(sequence, station))
     poses = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
     return poses, planned.station.value
 
@@ -173,5 +173,5 @@ def write_plot(study: Study, path: Path) -> None:
         axes.set_title(f"{name}: rms {study.z_rms[name]:.2f}", fontsize=10)
         axes.set_yticks([])
     figure.supxlabel("error in stated sigmas; the line is the normal distribution")
-    with storing(path):
+    with storage_errors(path):
         figure.savefig(path, format="svg", metadata={"Date": None})

@@ -86,7 +86,7 @@ class Attempts:
     def lose(self, step: RecordStep, why: str) -> None:
         """Keep, aside, what there is of a recording at work that was not completed, and tell of it."""
         pose, attempt = step.pose, self._log.history.next_attempt(step.pose.index)
-        kept = self._folder.set_part_aside(pose.index, attempt, self._ending)
+        kept = self._folder.quarantine_part(pose.index, attempt, self._ending)
         self._log.tell(
             Event.ATTEMPT_LOST, pose=pose.index, pose_name=pose.name, attempt=attempt, why=why, kept=kept
         )

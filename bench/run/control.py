@@ -25,11 +25,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.folder_lock import is_worked_on
+from bench.records.folder_lock import is_locked
 from bench.records.history import Event, History, RunLog
-from bench.records.journal import lines_since
+from bench.records.journal import lines_after
 from bench.records.run_folder import JOURNAL
-from bench.records.storage import is_temporary, make_folder, remove, storing, sync_folder, write_whole
+from bench.records.storage import is_temporary, make_folder, remove, storage_errors, sync_folder, write_atomic
 from bench.run.heartbeat import CONTROL, HEARTBEAT
 from sequences.schema import Answer
 
@@ -187,12 +187,12 @@ class Inbox:
 
     def _drain(self, why_not: str) -> None:
         """Answer every command that lies there, oldest first; not taken where ``why_not`` says so."""
-        with storing(self._path):
+        with storage_errors(self._path):
             if not self._path.is_dir():  # an operator tidied up
                 return
             names = sorted(p for p in self._path.iterdir() if not is_temporary(p) and p.name != HEARTBEAT)
         for path in names:
-            with storing(path), suppress(FileNotFoundError):  # taken back by its sender at this moment
+            with storage_errors(path), suppress(FileNotFoundError):  # taken back by its sender at this moment
                 self._answer(path, why_not)
                 remove(path)
 
@@ -225,7 +225,7 @@ def _read(path: Path) -> Command | None:
 def remove_inbox(folder: Path) -> None:
     """Remove the inbox of a run that takes no more commands; before a seal there must be none."""
     path = folder / CONTROL
-    with storing(path):
+    with storage_errors(path):
         for _ in range(10):  # a command may arrive while the folder is being emptied
             if not path.exists():
                 return
@@ -259,19 +259,19 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
         When it cannot be written.
     """
     inbox = folder / CONTROL
-    if not is_worked_on(folder) or not inbox.is_dir():
+    if not is_locked(folder) or not inbox.is_dir():
         raise RunFolderError(
             "No process works on this run.",
             where=str(folder),
             remedy="See `starbench status`; a run that was cut off goes on with `starbench resume`.",
         )
     path = inbox / f"{time.time_ns():020d}-{command.id}{_SUFFIX}"
-    with storing(folder):
+    with storage_errors(folder):
         begin = (
             (folder / JOURNAL).stat().st_size
         )  # the answer comes after it; long journals are not read again
     try:
-        write_whole(path, command.model_dump_json().encode() + b"\n")
+        write_atomic(path, command.model_dump_json().encode() + b"\n")
     except StorageError as error:
         if inbox.is_dir():
             raise
@@ -285,7 +285,7 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
         answer = _answer_in(folder, command.id, begin)
         if answer is not None:
             return answer
-        if not path.exists() and not is_worked_on(folder):
+        if not path.exists() and not is_locked(folder):
             break
         time.sleep(POLL_S)
     path.unlink(missing_ok=True)
@@ -300,7 +300,7 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
 
 
 def _answer_in(folder: Path, command_id: str, begin: int) -> dict[str, Any] | None:
-    told = lines_since(folder / JOURNAL, begin)
+    told = lines_after(folder / JOURNAL, begin)
     answers = (data for event, data in told if event == Event.COMMANDED and data.get("id") == command_id)
     return next(answers, None)
 

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench.records.run_folder import RunFolder
-from bench.records.storage import storing, write_whole
+from bench.records.storage import storage_errors, write_atomic
 
 CRASH_LOG = "crash.txt"
 
@@ -25,7 +25,7 @@ def crash_log(folder: Path) -> Iterator[None]:
     """Let a crash of this process inside the block be written to ``crash.txt``; an empty one is removed at the end."""
     path = folder / CRASH_LOG
     outer = faulthandler.is_enabled()
-    with storing(path):
+    with storage_errors(path):
         file = path.open("wb")
     try:
         faulthandler.enable(file)
@@ -35,7 +35,7 @@ def crash_log(folder: Path) -> Iterator[None]:
         if outer:
             faulthandler.enable(sys.__stderr__ or 2)
         file.close()
-        with storing(path):
+        with storage_errors(path):
             path.unlink(missing_ok=True)
 
 
@@ -48,7 +48,7 @@ def note_crash(folder: Path, what: str) -> None:
         When it cannot be written.
     """
     if folder.is_dir():
-        write_whole(folder / CRASH_LOG, f"{what}\n".encode())
+        write_atomic(folder / CRASH_LOG, f"{what}\n".encode())
 
 
 def read_crash(folder: Path) -> str | None:
@@ -60,7 +60,7 @@ def read_crash(folder: Path) -> str | None:
         When the file cannot be read.
     """
     path = folder / CRASH_LOG
-    with storing(path):
+    with storage_errors(path):
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else []
     return lines[0] if lines else None
 
@@ -74,7 +74,7 @@ def put_away(folder: RunFolder) -> None:
         When it cannot be moved.
     """
     path = folder.path / CRASH_LOG
-    with storing(path):
+    with storage_errors(path):
         if read_crash(folder.path):
-            folder.set_aside(path)
+            folder.quarantine(path)
         path.unlink(missing_ok=True)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.base.clock import BenchClock
-from bench.records.storage import storing
+from bench.records.storage import storage_errors
 
 CONTROL = "control"
 HEARTBEAT = ".heartbeat"
@@ -76,12 +76,12 @@ class Pulse:
         if self.standing_s() > (UNHURRIED_S if self._may_take_long() else WORKING_S):
             return
         sign = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
-        with storing(self._path), suppress(FileNotFoundError):
+        with storage_errors(self._path), suppress(FileNotFoundError):
             self._path.write_bytes(sign.encode())
 
     def standing_s(self) -> float:
         """How long the work has not been seen to go on, s."""
-        return min(self._clock.quiet_s(), time.monotonic() - self._since_s)
+        return min(self._clock.inactive_s(), time.monotonic() - self._since_s)
 
     def lost_supervisor(self) -> bool:
         """Whether the process that watched this one is gone; told once."""

@@ -21,7 +21,7 @@ from typing import Protocol
 
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
-from bench.records.storage import storing
+from bench.records.storage import storage_errors
 from bench.stations.station_interlocks import (
     CameraTemperatureConfig,
     DeviceLostConfig,
@@ -120,7 +120,7 @@ class DiskSpace:
 
     def why(self, *, held: bool) -> str:
         """Say why it holds. Raises StorageError."""
-        with storing(self.folder):
+        with storage_errors(self.folder):
             free_gb = shutil.disk_usage(self.folder).free / 1e9
         wanted_gb = self.config.release_gb if held else self.config.min_free_gb
         return f"{free_gb:.3g} GB are free, {wanted_gb:g} GB are wanted" if free_gb < wanted_gb else ""
@@ -245,7 +245,7 @@ class Interlocks:
         with self._lock:
             self._guarding = state in GUARDED
             if not self._guarding:
-                self._clock.go_on()
+                self._clock.clear_interruption()
 
     def left_off(self) -> None:
         """Let nothing interrupt what is between two states."""
@@ -276,7 +276,7 @@ class Interlocks:
         """Give the interlock that has just interrupted the work; the clock goes on."""
         with self._lock:
             trip, self._interrupting = self._interrupting, None
-            self._clock.go_on()
+            self._clock.clear_interruption()
         assert trip is not None
         return trip
 

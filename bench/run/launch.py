@@ -36,7 +36,7 @@ from bench.records.run_folder import (
     SEQUENCE_COPY,
     STATION_COPY,
     RunFolder,
-    refuse_unresumable,
+    require_resumable,
 )
 from bench.results.result import Outcome, software
 from bench.run.control import remove_inbox
@@ -96,7 +96,7 @@ def start_run(
     operator
         Who runs it.
     settings
-        What is set otherwise than the files say (``plan.load``); the run folder keeps both files with that in them.
+        What is set otherwise than the files say (`bench.plan.plan.load_documents`); the run folder keeps both files with that in them.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         crash = read_crash(folder.path)
         ledger = _ledger(launch)
         place = history.ledger
-        if not ledger.knows(place):  # begun on another bench, or without a ledger
+        if not ledger.contains(place):  # begun on another bench, or without a ledger
             place = _begin(ledger, job, folder.path)
         with _ending(ledger, place, folder.path) as ending:
             if history.ended == "finished":
@@ -186,7 +186,7 @@ def read_intentions(folder_path: Path) -> list[str]:
     RunFolderError, JournalBroken, ScriptError
         As ``resume_run``.
     """
-    refuse_unresumable(folder_path)
+    require_resumable(folder_path)
     job, history = _job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
     return intentions(job, history, read_crash(folder_path))
 

@@ -14,7 +14,7 @@ from bench.base.clock import BenchClock
 from bench.plan.job import Job, ScriptStep
 from bench.records.history import Event, RunLog
 from bench.records.run_folder import RunFolder
-from bench.records.storage import storing
+from bench.records.storage import storage_errors
 from bench.results.result import ResultWriter
 from bench.run.holding import Holding
 from bench.run.interlocks import Interlocks, interlocks_of
@@ -152,7 +152,7 @@ class StateWork:
         before = self._position()
         light = self.devices.light.read()
         kind = self._job.camera_kind
-        part = self._folder.capture_part(pose.index, attempt, kind.ending)
+        part = self._folder.capture_part_path(pose.index, attempt, kind.ending)
         facts = kind.record(self.devices.camera, part, self.step, self._job.frequency_hz(self.step))
         after = self._position()
         capture = self._folder.commit_capture(pose.index, attempt, kind.ending)
@@ -286,11 +286,11 @@ class StateWork:
         self._rate_heeded = len(self._log.history.attempts)
         if self._job.camera_kind.name != "event":
             return 0.0
-        part = self._folder.part_of(PROBE)
+        part = self._folder.part_path(PROBE)
         try:
             facts = cast("EventCamera", self.devices.camera).record(part, duration_s)
         finally:
-            with storing(part):
+            with storage_errors(part):
                 part.unlink(missing_ok=True)
         return self._rate_mev_s(asdict(facts))
 

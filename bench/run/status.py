@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.folder_lock import is_worked_on
+from bench.records.folder_lock import is_locked
 from bench.records.history import Event, History, replay
 from bench.records.journal import Entry, read_journal
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
-from bench.records.storage import storing
+from bench.records.storage import storage_errors
 from bench.run.interlocks import words
 from bench.run.machine import END_STATES
 from bench.terminal.progress import clock_text
@@ -113,9 +113,9 @@ def follow(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterato
     """Look at a run again and again while a process works on it; the last look is at how it ended."""
     seen = -1
     while True:
-        with storing(folder):
+        with storage_errors(folder):
             size = (folder / JOURNAL).stat().st_size
-        if size != seen or not is_worked_on(folder):
+        if size != seen or not is_locked(folder):
             seen, status = size, read_status(folder)
             yield status
             if not status.running:
@@ -125,7 +125,7 @@ def follow(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterato
 
 def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
     history, plan = replay(entries), _plan_of(folder)
-    running, sealed = is_worked_on(folder), is_sealed(folder)
+    running, sealed = is_locked(folder), is_sealed(folder)
     names = {pose["index"]: pose["name"] for pose in plan["poses"]}
     held_by = _held_by(history) if running else ""
     going_on = running and not history.ended
@@ -156,7 +156,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
 
 def _plan_of(folder: Path) -> Mapping[str, Any]:
     try:
-        with storing(folder / PLAN):
+        with storage_errors(folder / PLAN):
             plan: dict[str, Any] = json.loads((folder / PLAN).read_text(encoding="utf-8"))
         return {name: plan[name] for name in ("poses", "steps", "duration_s", "simulated")}
     except (StorageError, ValueError, KeyError, TypeError) as error:

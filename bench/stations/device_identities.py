@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 
 from bench.stations import station_lights, station_stages
 from bench.stations.station import Station
-from bench.stations.station_fields import SIMULATED
+from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.device_hold import DeviceHold
 
 
@@ -33,13 +33,15 @@ def serial_devices(station: Station) -> tuple[str, ...]:
     if isinstance(station.light, station_lights.ScpiLightConfig):
         found.append((station.light.port, "generator", station.light.serial))
     real = [
-        f"{family} {serial}" for port, family, serial in found if serial and not port.startswith(SIMULATED)
+        f"{family} {serial}"
+        for port, family, serial in found
+        if serial and not port.startswith(SIMULATED_PREFIX)
     ]
     return tuple(dict.fromkeys(real))
 
 
 @contextmanager
-def held(station: Station) -> Iterator[None]:
+def hold_serial_devices(station: Station) -> Iterator[None]:
     """Keep the serial devices of a station to this process, for as long as the block lasts.
 
     Raises

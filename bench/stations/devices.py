@@ -14,9 +14,9 @@ from bench.base.clock import BenchClock
 from bench.base.errors import SimulationError
 from bench.simulated import SimulatedBench
 from bench.stations import station_cameras, station_lights, station_stages
-from bench.stations.device_identities import held
+from bench.stations.device_identities import hold_serial_devices
 from bench.stations.station import Station
-from bench.stations.station_fields import SIMULATED
+from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.camera import EventCamera
 from drivers.camera.frame_cameras import OpenCvFrameCamera
 from drivers.camera.frames import FrameCamera
@@ -68,7 +68,7 @@ class Devices:
         with ExitStack() as opened:
             if station.needs_simulated_bench:
                 self._simulation = opened.enter_context(SimulatedBench(station.simulation or {}, seed))
-            opened.enter_context(held(station))
+            opened.enter_context(hold_serial_devices(station))
             self.stage: Stage = _open_stage(station, self._port, clock, wire_log)
             opened.callback(self.stage.close)
             self.light: Light = _open_light(station, self._port, clock, wire_log)
@@ -110,12 +110,12 @@ class Devices:
 
     def _port(self, name: str) -> str:
         """Give the real name of a port: that of the simulated bench's, where it is one of those."""
-        if not name.startswith(SIMULATED):
+        if not name.startswith(SIMULATED_PREFIX):
             return name
         assert self._simulation is not None
-        endpoint = self._simulation.endpoints.get(name.removeprefix(SIMULATED))
+        endpoint = self._simulation.endpoints.get(name.removeprefix(SIMULATED_PREFIX))
         if endpoint is None:
-            known = ", ".join(SIMULATED + e for e in self._simulation.endpoints)
+            known = ", ".join(SIMULATED_PREFIX + e for e in self._simulation.endpoints)
             raise SimulationError(f"The simulated bench has no {name}.", remedy=f"It has {known}.")
         return endpoint
 
@@ -135,7 +135,7 @@ def make_orphans_safe(station: Station, clock: BenchClock) -> list[str]:
         ("stage", station.stage.ports, _stop_stage),
         ("light", station.light.ports, _switch_off),
     ):
-        if not any(port.startswith(SIMULATED) for port in ports):
+        if not any(port.startswith(SIMULATED_PREFIX) for port in ports):
             try:
                 make_safe(station, clock)
             except DriverError as error:

@@ -16,7 +16,7 @@ NO_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
 _ALL = frozenset({ASK, NO_PORT, NO_SOURCE})
 
 
-def unfilled(station: Tree) -> list[Fault]:
+def find_placeholders(station: Tree) -> list[Fault]:
     """Find every value of a drafted station file that nobody has filled in yet, each at its line."""
     return [
         Fault(station.file, *station.spot(path), path_text(path), f"still to be filled in (it says {text}).")

@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
-from bench.stations.station_fields import SIMULATED, Positive, Serial, Text
+from bench.stations.station_fields import SIMULATED_PREFIX, Positive, Serial, Text
 from bench.stations.station_interlocks import InterlocksConfig
 from bench.stations.station_lights import LightConfig
 from bench.stations.station_messages import MessagesConfig
@@ -27,7 +27,7 @@ from calib.target import StarTarget
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name, StrictModel
 
-SHIPPED = Path(__file__).parent
+SHIPPED_STATIONS = Path(__file__).parent
 
 
 class TargetConfig(StrictModel):
@@ -134,7 +134,7 @@ class Station(StrictModel):
     def needs_simulated_bench(self) -> bool:
         """Whether any device of it is one of the simulated bench's."""
         ports = (*self.stage.ports, *self.light.ports, *self.camera.ports)
-        return any(port.startswith(SIMULATED) for port in ports)
+        return any(port.startswith(SIMULATED_PREFIX) for port in ports)
 
     @property
     def is_simulated(self) -> bool:
@@ -152,4 +152,4 @@ def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -
     DocumentFaults
         With every fault found.
     """
-    return read_document(find_document(name_or_path, SHIPPED), Station, settings)
+    return read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
-SIMULATED = "sim:"
+SIMULATED_PREFIX = "sim:"
 SIMULATED_PORTS = (
     "sim:gimbal",
     "sim:gimbal-pan",
@@ -21,7 +21,7 @@ SIMULATED_PORTS = (
 
 def _simulated_or_real(port: str, info: ValidationInfo) -> str:
     """Let a simulated port pass only where the station has a simulation to give it."""
-    if not port.startswith(SIMULATED):
+    if not port.startswith(SIMULATED_PREFIX):
         return port
     if port not in SIMULATED_PORTS:
         known = ", ".join(SIMULATED_PORTS)

@@ -20,7 +20,7 @@ _PLAIN = {
 }
 
 
-def say_what_can_be_said(*streams: TextIO | None) -> None:
+def replace_unencodable(*streams: TextIO | None) -> None:
     """Let streams replace signs that their encoding lacks, instead of failing at them."""
     codecs.register_error(_NAME, _replaced)
     for stream in streams:

@@ -40,7 +40,7 @@ def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
 
 
 @contextmanager
-def interrupts_that_hold() -> Iterator[None]:
+def reliable_interrupts() -> Iterator[None]:
     """Let SIGTERM break the block off as Ctrl-C does, with all cleaning up, and let no interrupt be lost (main thread).
 
     Python drops what is raised while it clears objects away; where files are written piece by piece, that is often.

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from bench.base.clock import BenchClock
 from bench.plan.job import Job
-from bench.plan.plan import load, plan
+from bench.plan.plan import load_documents, make_plan
 from bench.records.journal import Journal, read_journal
 from bench.rehearsal.rehearsal import RehearsedJob, rehearse_job
 from bench.rehearsal.virtual_devices import VirtualDevices
@@ -70,7 +70,7 @@ def one_run(folder: Path) -> dict[str, float]:
     """Run the sequence once; return milliseconds and syncs a pose."""
     sequence = folder / "sequence.yaml"
     sequence.write_text(SEQUENCE, encoding="utf-8")
-    task = Job.from_plan(plan(*load(str(sequence), "simulated")), seed=1, operator=None)
+    task = Job.from_plan(make_plan(*load_documents(str(sequence), "simulated")), seed=1, operator=None)
     clock, syncs = Unhurried(), Syncs()
     job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, clock)
     os.fsync, cpu_s = syncs, time.process_time()

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from bench.commands.cli import main
-from bench.stations.station import SHIPPED
+from bench.stations.station import SHIPPED_STATIONS
 
 SEQUENCE = (Path(__file__).parents[2] / "sequences" / "three_pose.yaml").read_text()
-STATION = (SHIPPED / "simulated.yaml").read_text()
+STATION = (SHIPPED_STATIONS / "simulated.yaml").read_text()
 
 
 @pytest.fixture(autouse=True)

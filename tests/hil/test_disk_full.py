@@ -41,7 +41,7 @@ def record_until_full(folder, journal, first):
     pose = first
     while True:
         try:
-            part = folder.capture_part(pose, 1)
+            part = folder.capture_part_path(pose, 1)
             part.write_bytes(os.urandom(150_000))
             capture = folder.commit_capture(pose, 1)
             journal.append(CAPTURE_STORED, pose=pose, **capture.as_data())

@@ -15,7 +15,7 @@ from running import end_when, entering, journal, numbers, results, starbench, st
 
 from bench.batch.batch_plan import read_queue
 from bench.batch.rehearsed_night import rehearse_batch
-from bench.stations.station import SHIPPED
+from bench.stations.station import SHIPPED_STATIONS
 from bench.views.pictures import measure_pictures, picture_gates
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
@@ -254,7 +254,7 @@ def test_a_network_camera_that_falls_silent_is_given_up_within_its_deadline(tmp_
 
 @pytest.mark.slow
 def test_a_frame_camera_of_another_number_is_refused_before_anything_moves(tmp_path, home):
-    text = (SHIPPED / "simulated_frames.yaml").read_text()
+    text = (SHIPPED_STATIONS / "simulated_frames.yaml").read_text()
     station = tmp_path / "station.yaml"
     station.write_text(
         text.replace("source: sim:frame-camera", "source: sim:frame-camera\n  serial: 8A0A3C5F")
@@ -310,7 +310,7 @@ def test_each_fault_of_the_camera_is_noticed_and_over_when_it_is_mended(
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["unplug", "frozen"])
 def test_a_fault_in_mid_run_ends_it_in_our_words_and_safely(tmp_path, home, fault):
-    text = (SHIPPED / "simulated_frames.yaml").read_text()
+    text = (SHIPPED_STATIONS / "simulated_frames.yaml").read_text()
     station = tmp_path / "station.yaml"
     order = f"{{faults: [{{device: frame-camera, fault: {fault}, after_s: 11}}]}}"
     station.write_text(text.replace("simulation: {}", f"simulation: {order}"))

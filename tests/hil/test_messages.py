@@ -9,7 +9,7 @@ from servers import MailServer, WebServer, serving
 
 from bench.messaging.messages import channels_of, send
 from bench.messaging.outbox import DeliveryFailed, Message
-from bench.stations.station import SHIPPED
+from bench.stations.station import SHIPPED_STATIONS
 from bench.stations.station_messages import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 MESSAGE = Message(
@@ -129,7 +129,7 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     with serving(WebServer()) as server:
         port, url = server.server_port, server.url
     station.write_text(
-        (SHIPPED / "simulated.yaml").read_text() + f"\nmessages: {{webhooks: [{{url: '{url}'}}]}}\n"
+        (SHIPPED_STATIONS / "simulated.yaml").read_text() + f"\nmessages: {{webhooks: [{{url: '{url}'}}]}}\n"
     )
     said = starbench("run", "three_pose", "-s", station, "--seed", 7, "-o", folder, home=home)
     assert said.returncode == 0, said.stderr

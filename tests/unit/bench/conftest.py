@@ -56,7 +56,7 @@ def make_a_run(path, *, serial="00050423"):
         for pose, attempts in ((1, 2), (2, 1)):
             told = []
             for attempt in range(1, attempts + 1):
-                folder.capture_part(pose, attempt).write_bytes(f"recording {pose} {attempt}".encode())
+                folder.capture_part_path(pose, attempt).write_bytes(f"recording {pose} {attempt}".encode())
                 capture = folder.commit_capture(pose, attempt)
                 journal.append(CAPTURE_STORED, pose=pose, attempt=attempt, **capture.as_data())
                 told.append({"attempt": attempt, "capture": capture.name, "sha256": capture.sha256})

@@ -1,7 +1,7 @@
 """What a verification found, and a folder sealed again by whoever holds a key."""
 
 from bench.evidence.keys import NAMESPACE
-from bench.evidence.seal import manifest_of
+from bench.evidence.seal import make_manifest
 from bench.evidence.sshsig import sign
 
 
@@ -10,5 +10,5 @@ def kinds(verification):
 
 
 def reseal(folder, key, namespace=NAMESPACE):
-    (folder / "SHA256SUMS").write_bytes(manifest := manifest_of(folder))
+    (folder / "SHA256SUMS").write_bytes(manifest := make_manifest(folder))
     (folder / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, namespace))

@@ -8,9 +8,9 @@ import pytest
 
 from bench.base.clock import BenchClock
 from bench.plan.job import Job
-from bench.plan.plan import load, plan
+from bench.plan.plan import load_documents, make_plan
 from bench.stations import devices
-from bench.stations.station import SHIPPED, Station
+from bench.stations.station import SHIPPED_STATIONS, Station
 from bench.views.camera_kinds import EventKind, FrameKind, camera_kind
 from bench.views.measure import Measurement
 from bench.views.pictures import measure_pictures, picture_gates, picture_refusals
@@ -22,7 +22,7 @@ from drivers.camera.image_folder import FolderFrameCamera
 from sequences.reader import check_document
 from sequences.script import Gates, LightStep
 
-FRAMES = (SHIPPED / "simulated_frames.yaml").read_text(encoding="utf-8")
+FRAMES = (SHIPPED_STATIONS / "simulated_frames.yaml").read_text(encoding="utf-8")
 STEADY = """\
 format: starbench/sequence/1
 name: Steady
@@ -55,17 +55,17 @@ def test_the_station_s_camera_decides_which_kind_a_run_is_of():
 
 
 def test_a_flicker_burns_steadily_at_its_brighter_level_for_a_frame_camera():
-    job = Job.from_plan(plan(*load("three_pose", "simulated_frames")), seed=1, operator=None)
+    job = Job.from_plan(make_plan(*load_documents("three_pose", "simulated_frames")), seed=1, operator=None)
     [flicker] = [s.flicker for s in job.steps if isinstance(s, LightStep) and s.flicker is not None]
     settings = job.light_settings(flicker)
     assert (settings.waveform, settings.high_v) == ("steady", 5.0)
     assert job.camera_name == "opencv"
-    event = Job.from_plan(plan(*load("three_pose", "simulated")), seed=1, operator=None)
+    event = Job.from_plan(make_plan(*load_documents("three_pose", "simulated")), seed=1, operator=None)
     assert event.light_settings(flicker).waveform == "square"
 
 
 def test_a_plan_says_that_a_flicker_will_be_none():
-    planned = plan(*load("three_pose", "simulated_frames"))
+    planned = make_plan(*load_documents("three_pose", "simulated_frames"))
     assert not planned.faults
     assert [r.message for r in planned.remarks] == [
         "the station's camera takes pictures: the light burns steadily instead."
@@ -74,9 +74,9 @@ def test_a_plan_says_that_a_flicker_will_be_none():
 
 
 def test_a_sequence_of_steady_light_is_for_frame_cameras_alone(steady):
-    for_frames = plan(*load(steady, "simulated_frames"))
+    for_frames = make_plan(*load_documents(steady, "simulated_frames"))
     assert (for_frames.faults, for_frames.remarks) == ((), ())
-    for_events = plan(*load(steady, "simulated"))
+    for_events = make_plan(*load_documents(steady, "simulated"))
     assert {f.message for f in for_events.faults} == {
         "an event camera sees nothing of a steady light: let it flicker (waveform: square)."
     }

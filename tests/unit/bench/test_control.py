@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.folder_lock import is_worked_on
+from bench.records.folder_lock import is_locked
 from bench.records.history import Attempt, Event, History, RunLog, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
@@ -199,7 +199,7 @@ def test_what_else_is_to_be_looked_at_is_looked_at_in_every_round(run):
 
 def test_a_command_to_a_run_that_ends_at_this_moment_is_said_to_be_too_late(run, monkeypatch):
     folder, log, clock = run
-    write = control.write_whole
+    write = control.write_atomic
 
     def too_late(path, data):
         inbox.close()
@@ -213,8 +213,8 @@ def test_a_command_to_a_run_that_ends_at_this_moment_is_said_to_be_too_late(run,
 def test_a_run_that_nobody_works_on_takes_no_command(tmp_path):
     with RunFolder.create(tmp_path / "run") as folder:
         Journal.create(folder.journal_path, **CLOCKS).close()
-        assert is_worked_on(folder.path)
-    assert not is_worked_on(tmp_path / "run")
+        assert is_locked(folder.path)
+    assert not is_locked(tmp_path / "run")
     with pytest.raises(RunFolderError, match="No process works on this run"):
         send(tmp_path / "run", command("hold"))
 
@@ -225,7 +225,7 @@ def test_to_ask_whether_a_run_is_worked_on_does_not_keep_others_from_it(tmp_path
 
     def ask():
         while not stop.is_set():
-            is_worked_on(tmp_path / "run")
+            is_locked(tmp_path / "run")
 
     asking = threading.Thread(target=ask)
     asking.start()
@@ -235,7 +235,7 @@ def test_to_ask_whether_a_run_is_worked_on_does_not_keep_others_from_it(tmp_path
     finally:
         stop.set()
         asking.join()
-    assert not is_worked_on(tmp_path / "run")
+    assert not is_locked(tmp_path / "run")
 
 
 @given(st.binary(max_size=200) | st.dictionaries(st.text(), st.text()).map(lambda v: json.dumps(v).encode()))

@@ -100,7 +100,7 @@ def run_once(path, acknowledged, key=None):
             done = {e.data["pose"] for e in journal.entries if e.event == CAPTURE_STORED}
             for pose in range(1, POSES + 1):
                 if pose not in done:
-                    folder.capture_part(pose, 1).write_bytes(recording(pose))
+                    folder.capture_part_path(pose, 1).write_bytes(recording(pose))
                     capture = folder.commit_capture(pose, 1)
                     journal.append(CAPTURE_STORED, pose=pose, **capture.as_data())
                     acknowledged[pose] = capture

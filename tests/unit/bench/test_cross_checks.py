@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.plan.plan import load
-from bench.plan.plan import plan as make_plan
+from bench.plan.plan import load_documents, make_plan
 from bench.results.cross_checks import gimbal, halves
 from bench.results.studies import expectation
 from calib.engine import CalibrationOptions, calibrate
@@ -15,7 +14,7 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
 
 @pytest.fixture(scope="module")
 def views():
-    bench = expectation(make_plan(*load("nine_pose", "simulated")).station.value)
+    bench = expectation(make_plan(*load_documents("nine_pose", "simulated")).station.value)
     rng = np.random.default_rng(3)
     seen = []
     for pan, tilt in POSES:

@@ -7,7 +7,7 @@ import pytest
 
 from bench.base.clock import BenchClock
 from bench.stations import devices
-from bench.stations.station import SHIPPED, Station
+from bench.stations.station import SHIPPED_STATIONS, Station
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
 from drivers.light.gardasoft import GardasoftLight
@@ -21,7 +21,7 @@ from drivers.stage.zaber_axis import ZaberAxis
 from sequences.reader import check_document
 from sequences.script import Flicker
 
-EXAMPLE = (SHIPPED / "example_evk4.yaml").read_text(encoding="utf-8")
+EXAMPLE = (SHIPPED_STATIONS / "example_evk4.yaml").read_text(encoding="utf-8")
 MOTION = "limits_deg: [-9, 8], speed_deg_s: 5, acceleration_deg_s2: 20, tolerance_deg: 0.01"
 LIMITS = AxisLimits(-9, 8, 5, 20)
 

@@ -7,7 +7,7 @@ import pytest
 
 from bench.commands.bench_output import show_devices
 from bench.commands.cli import station_new
-from bench.plan.plan import load, plan
+from bench.plan.plan import load_documents, make_plan
 from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
 from bench.stations.placeholders import ASK
@@ -107,10 +107,10 @@ def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
 def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path):
     path = tmp_path / "bench.yaml"
     path.write_text(draft_station("Cellar", Discovery((), (), ()), stage="zaber_ascii"))
-    told = [str(fault) for fault in plan(*load("three_pose", str(path))).faults]
+    told = [str(fault) for fault in make_plan(*load_documents("three_pose", str(path))).faults]
     assert len(told) == 6  # two ports, four serial numbers
     column = path.read_text().splitlines()[8].index(ASK) + 1
     assert f"{path}:9:{column}: stage.axes.pan.serial: still to be filled in (it says {ASK})." in told
     filled = path.read_text().replace(ASK, "00051").replace("CHOOSE-A-PORT", "usb-0")
     path.write_text(filled)
-    assert plan(*load("three_pose", str(path))).faults == ()
+    assert make_plan(*load_documents("three_pose", str(path))).faults == ()

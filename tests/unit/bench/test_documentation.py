@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.plan.plan import load, plan
+from bench.plan.plan import load_documents, make_plan
 from bench.plan.script_check import check_script
 from bench.stations.station import Station, load_station
 from sequences.flatten import flatten
@@ -66,7 +66,7 @@ def test_every_setting_is_named_in_the_document(words):
 
 
 def test_every_key_of_a_plan_is_named_in_the_document():
-    made = plan(*load("three_pose", "simulated")).to_dict()
+    made = make_plan(*load_documents("three_pose", "simulated")).to_dict()
     keys = {*made, *made["poses"][0], *made["steps"][1], "line", "column", "path", "message"}
     assert sorted(key for key in keys if f"`{key}`" not in DOCS["sequences"]) == []
 

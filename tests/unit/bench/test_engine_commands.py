@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bench.commands.cli import main
-from bench.plan.plan import load
-from bench.plan.plan import plan as make_plan
+from bench.plan.plan import load_documents, make_plan
 from bench.results.studies import expectation, expected_worth, suggested_poses
 from calib.studies.predicted_views import predicted_view
 
@@ -19,7 +18,7 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
 def points(tmp_path_factory):
     """Point files of five imagined views with 0.03 px of noise, and the truth they were made of."""
     folder = tmp_path_factory.mktemp("points")
-    bench = expectation(make_plan(*load("three_pose", "simulated")).station.value)
+    bench = expectation(make_plan(*load_documents("three_pose", "simulated")).station.value)
     rng = np.random.default_rng(4)
     for number, (pan, tilt) in enumerate(POSES, 1):
         view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, str(number))
@@ -147,12 +146,12 @@ def test_a_plan_says_what_its_poses_will_be_worth_and_suggests_better_ones(capsy
     told = json.loads(say(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
     assert 0.1 < told["expected"]["sigma"]["fx"] < 10
     assert len(told["suggested"]) == 2
-    planned = make_plan(*load("three_pose", "simulated"))
+    planned = make_plan(*load_documents("three_pose", "simulated"))
     limits = planned.station.value.axes
     for pose in suggested_poses(planned, 2):
         for axis, words in limits.items():
             assert words.limits_deg[0] <= pose[f"{axis}_deg"] <= words.limits_deg[1]
-    nine = expected_worth(make_plan(*load("nine_pose", "simulated")))
+    nine = expected_worth(make_plan(*load_documents("nine_pose", "simulated")))
     assert nine is not None
     assert nine.map.worst_px < told["expected"]["worst_px"]
 

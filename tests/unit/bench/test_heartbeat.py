@@ -18,7 +18,7 @@ class StandingClock(BenchClock):
 
     quiet = 0.0
 
-    def quiet_s(self):
+    def inactive_s(self):
         return self.quiet
 
 
@@ -74,9 +74,9 @@ def test_waiting_for_the_disk_is_no_hang(pulse, tmp_path, letter, given):
 def test_a_clock_is_quiet_only_while_nobody_waits_or_checks():
     clock = BenchClock()
     time.sleep(0.05)
-    assert clock.quiet_s() >= 0.05
+    assert clock.inactive_s() >= 0.05
     clock.check()
-    assert clock.quiet_s() < 0.05
+    assert clock.inactive_s() < 0.05
 
 
 def test_a_wait_that_is_not_to_be_interrupted_asks_the_time_and_is_a_sign_of_life():
@@ -85,9 +85,9 @@ def test_a_wait_that_is_not_to_be_interrupted_asks_the_time_and_is_a_sign_of_lif
     watcher = threading.Thread(target=clock.monotonic)  # not the work's own asking
     watcher.start()
     watcher.join()
-    assert clock.quiet_s() >= 100.0
+    assert clock.inactive_s() >= 100.0
     clock.monotonic()
-    assert clock.quiet_s() < 100.0
+    assert clock.inactive_s() < 100.0
 
 
 @pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 x", b"1 2 3 4", b"\xff\xfe"])

@@ -20,7 +20,7 @@ def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_pat
             (1, 2, True),
             (3, 1, None),
         ):
-            journal.note(
+            journal.append_unsynced(
                 Event.CAPTURE_STORED,
                 pose=pose,
                 pose_name=f"p{pose}",
@@ -28,7 +28,7 @@ def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_pat
                 capture=f"{pose}-{attempt}",
             )
             if accepted is not None:
-                journal.note(Event.ATTEMPT_CHECKED, pose=pose, attempt=attempt, accepted=accepted)
+                journal.append_unsynced(Event.ATTEMPT_CHECKED, pose=pose, attempt=attempt, accepted=accepted)
         history = replay(journal.entries)
     assert {p: a.stored["capture"] for p, a in history.accepted().items()} == {1: "1-2", 2: "2-2"}
     assert [a.accepted for a in history.attempts_at(2)] == [False, True]
@@ -38,8 +38,8 @@ def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_pat
 
 def test_what_was_never_stored_cannot_have_been_looked_at(tmp_path):
     with Journal.create(tmp_path / "j", **CLOCKS) as journal:
-        journal.note(Event.CAPTURE_STORED, pose=1, pose_name="p", attempt=1)
-        journal.note(Event.ATTEMPT_CHECKED, pose=1, attempt=2, accepted=True)
+        journal.append_unsynced(Event.CAPTURE_STORED, pose=1, pose_name="p", attempt=1)
+        journal.append_unsynced(Event.ATTEMPT_CHECKED, pose=1, attempt=2, accepted=True)
         with pytest.raises(JournalBroken, match="pose 1, attempt 2"):
             replay(journal.entries)
 

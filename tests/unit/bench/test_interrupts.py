@@ -8,7 +8,7 @@ import weakref
 
 import pytest
 
-from bench.terminal.signals import interrupts_that_hold
+from bench.terminal.signals import reliable_interrupts
 
 
 class _Cleared:
@@ -34,7 +34,7 @@ def test_an_interrupt_that_falls_into_clearing_up_is_raised_again():
         return kept
 
     before = sys.unraisablehook
-    with pytest.raises(KeyboardInterrupt), interrupts_that_hold():
+    with pytest.raises(KeyboardInterrupt), reliable_interrupts():
         work()
     assert sys.unraisablehook is before
 
@@ -45,7 +45,7 @@ def test_being_ended_breaks_off_as_an_interrupt_does():
         threading.Event().wait(60)
 
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), interrupts_that_hold():
+    with pytest.raises(KeyboardInterrupt), reliable_interrupts():
         work()
     assert signal.getsignal(signal.SIGTERM) is before
 
@@ -53,6 +53,6 @@ def test_being_ended_breaks_off_as_an_interrupt_does():
 def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):
     told = []
     monkeypatch.setattr(sys, "unraisablehook", told.append)
-    with interrupts_that_hold():
+    with reliable_interrupts():
         _cleared_up_with(ValueError)
     assert [one.exc_type for one in told] == [ValueError]

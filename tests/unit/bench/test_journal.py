@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
-from bench.records.journal import CLOCK_JUMPED, FIRST_PREV, Journal, lines_since, read_journal
+from bench.records.journal import CLOCK_JUMPED, FIRST_PREV, Journal, lines_after, read_journal
 
 START = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=UTC)
 
@@ -261,7 +261,7 @@ def test_after_a_failed_sync_nothing_more_is_written(three_lines, clocks, monkey
 
 def test_a_noted_line_is_there_at_once_and_synced_with_the_next_one(path, clocks, synced):
     with Journal.create(path, **clocks.kwargs()) as journal:
-        journal.note("on_the_way")
+        journal.append_unsynced("on_the_way")
         assert synced == [path.parent]
         assert [entry.event for entry in read_journal(path)[0]] == ["on_the_way"]
         journal.append("counts")
@@ -284,7 +284,7 @@ def test_blocks_that_never_reached_the_disk_take_lines_that_were_not_synced_and_
             journal.append("counts", text="x" * data.draw(st.integers(0, 300)), number=number)
         synced, lasting = path.stat().st_size, len(journal.entries)
         for number in range(data.draw(st.integers(1, 8))):
-            journal.note("way", text="y" * data.draw(st.integers(0, 900)), number=number)
+            journal.append_unsynced("way", text="y" * data.draw(st.integers(0, 900)), number=number)
     written = bytearray(path.read_bytes())
     for begin in range(synced // 512 * 512, len(written), 512):
         if data.draw(st.booleans()):
@@ -380,4 +380,4 @@ def test_lines_since_a_moment_are_whole_ones_and_nothing_of_the_one_before(three
     size = three_lines.stat().st_size
     with three_lines.open("ab") as file:
         file.write(b'{"seq":3,"event":"x","n":1}\n{"seq":4,"event":"y"')
-    assert list(lines_since(three_lines, size - 10)) == [("x", {"n": 1})]
+    assert list(lines_after(three_lines, size - 10)) == [("x", {"n": 1})]

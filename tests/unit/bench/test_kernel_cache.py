@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.kernel_cache import VARIABLE, keep_kernels_somewhere
+from bench.base.kernel_cache import VARIABLE, set_kernel_cache
 
 ROOT = Path(__file__).parents[3]
 
@@ -27,11 +27,11 @@ def closed(tmp_path, monkeypatch):
 
 def test_where_both_usual_places_are_closed_a_private_folder_is_named_and_named_again(closed):
     environ = {"XDG_CACHE_HOME": str(closed)}
-    keep_kernels_somewhere(environ, beside=closed)
+    set_kernel_cache(environ, beside=closed)
     folder = Path(environ[VARIABLE])
     assert folder.stat().st_mode & 0o777 == 0o700
     again = {"XDG_CACHE_HOME": str(closed)}
-    keep_kernels_somewhere(again, beside=closed)
+    set_kernel_cache(again, beside=closed)
     assert again[VARIABLE] == str(folder)
 
 
@@ -41,7 +41,7 @@ def test_the_usual_place_is_left_where_there_is_one(closed, tmp_path, usual):
     if usual == "told":
         environ[VARIABLE] = "elsewhere"
     before = dict(environ)
-    keep_kernels_somewhere(environ, beside=tmp_path if usual == "beside" else closed)
+    set_kernel_cache(environ, beside=tmp_path if usual == "beside" else closed)
     assert environ == before
 
 
@@ -57,7 +57,7 @@ def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_p
         planted.mkdir()
         planted.chmod(0o777 if how == "open to others" else 0o700)
     environ = {"XDG_CACHE_HOME": str(closed)}
-    keep_kernels_somewhere(environ, beside=closed)
+    set_kernel_cache(environ, beside=closed)
     named = Path(environ[VARIABLE])
     assert named != planted
     assert named.stat().st_mode & 0o777 == 0o700

@@ -173,8 +173,8 @@ def test_the_made_key_is_trusted_for_reports_alone(home, key):
     (signer,) = read_signers(home / "allowed_signers")
     assert fingerprint(signer.public_key) == key.fingerprint
     assert signer.principal == "bench1@lab.example"
-    assert signer.objection("starbench-report@v1", NOW) is None
-    assert "not for file" in signer.objection("file", NOW)
+    assert signer.rejection("starbench-report@v1", NOW) is None
+    assert "not for file" in signer.rejection("file", NOW)
 
 
 @pytest.mark.parametrize(
@@ -189,9 +189,9 @@ def test_the_made_key_is_trusted_for_reports_alone(home, key):
         ('valid-before="20260601Z" ', "expired 2026-06-01 00:00"),
     ],
 )
-def test_options_of_a_trusted_key_are_heeded(tmp_path, options, objection):
-    found = read_one(tmp_path, f"bench1@lab {options}{LINE} comment").objection("starbench-report@v1", NOW)
-    assert (found is None) if objection is None else (objection in found)
+def test_options_of_a_trusted_key_are_heeded(tmp_path, options, rejection):
+    found = read_one(tmp_path, f"bench1@lab {options}{LINE} comment").rejection("starbench-report@v1", NOW)
+    assert (found is None) if rejection is None else (rejection in found)
 
 
 @pytest.mark.parametrize(

@@ -47,13 +47,13 @@ def test_a_run_that_was_resumed_stands_as_it_ended_last(ledger, tmp_path):
 
 
 def test_a_run_is_known_where_it_was_entered_and_not_by_another_of_its_number_and_name(ledger, tmp_path):
-    assert not ledger.knows({"number": 1})
+    assert not ledger.contains({"number": 1})
     place = begin(ledger)
-    assert ledger.knows(place)
-    assert not ledger.knows({})
+    assert ledger.contains(place)
+    assert not ledger.contains({})
     other = begin(Ledger(tmp_path / "another bench", **CLOCKS), camera="00050999")
     assert other["number"] == place["number"]
-    assert not ledger.knows(other)
+    assert not ledger.contains(other)
 
 
 def test_runs_of_a_camera_are_counted_as_they_stand(ledger, tmp_path):

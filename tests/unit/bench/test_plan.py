@@ -13,25 +13,25 @@ from bench.base.errors import ScriptError
 from bench.plan.plan import (
     POSE_BYTES,
     REPORT_BYTES,
-    load,
-    plan,
+    load_documents,
+    make_plan,
     travel_s,
 )
 from bench.plan.plan_text import duration_text, render_plan
-from bench.stations.station import SHIPPED, Station
+from bench.stations.station import SHIPPED_STATIONS, Station
 from bench.views.recording_window import periods_in_window, recording_duration_s
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence
 
 SEQUENCES = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
-STATION_TEXT = (SHIPPED / "simulated.yaml").read_text(encoding="utf-8")
+STATION_TEXT = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
 STATION = check_document(STATION_TEXT.encode(), "b.yaml", Station)
 HEAD = "format: starbench/sequence/1\nname: test\n"
 
 
 def planned(text: str, station=STATION):
-    return plan(check_document((HEAD + text).encode(), "s.yaml", Sequence), station)
+    return make_plan(check_document((HEAD + text).encode(), "s.yaml", Sequence), station)
 
 
 def faults(text: str, station=STATION) -> list[str]:
@@ -49,13 +49,13 @@ GOOD = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: 2}
 @pytest.mark.parametrize("path", SEQUENCES, ids=lambda path: path.stem)
 @pytest.mark.parametrize("station", ["simulated", "example_evk4"])
 def test_every_shipped_sequence_runs_on_every_shipped_station(path, station):
-    made = plan(*load(path.stem, station))
+    made = make_plan(*load_documents(path.stem, station))
     assert (made.faults, made.remarks) == ((), ())
     assert len(made.poses) == {"three_pose": 3, "nine_pose": 9, "turntable": 7}[path.stem]
 
 
 def test_the_paper_s_sequence_is_two_periods_of_60_hz_at_three_poses():
-    made = plan(*load("three_pose", "simulated"))
+    made = make_plan(*load_documents("three_pose", "simulated"))
     records = [step for step in made.script if hasattr(step, "window_ms")]
     assert {periods_in_window(step.window_ms, 60) for step in records} == {2}
     assert [pose.name for pose in made.poses] == ["left", "right", "below"]
@@ -209,7 +209,10 @@ def test_a_frequency_the_lamp_is_too_fast_for_is_a_fault_too():
 def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
     begin, end = STATION_TEXT.index("    tilt:"), STATION_TEXT.index("light:\n")
     turntable = check_document((STATION_TEXT[:begin] + STATION_TEXT[end:]).encode(), "b.yaml", Station)
-    found = {path.stem: plan(load(path.stem, "simulated")[0], turntable).faults for path in SEQUENCES}
+    found = {
+        path.stem: make_plan(load_documents(path.stem, "simulated")[0], turntable).faults
+        for path in SEQUENCES
+    }
     assert found["turntable"] == ()
     assert {fault.path for fault in found["three_pose"]} == {f"poses.three[{i}].tilt_deg" for i in range(3)}
 
@@ -288,7 +291,7 @@ def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
         .replace("simulation: {}", "simulation: {}\ndisc: {}")  # 23
     )
     with pytest.raises(ScriptError) as caught:
-        load(str(sequence), str(station))
+        load_documents(str(sequence), str(station))
     assert len(caught.value.faults) == 23, str(caught.value)
     assert all(line.startswith((f"{sequence}:", f"{station}:")) for line in caught.value.faults)
     assert caught.value.exit_status == 2
@@ -300,7 +303,7 @@ def test_angles_are_compared_with_the_station_even_in_a_sequence_that_has_other_
         HEAD + "poses: {a: [{pan_deg: 99}, {pan_deg: x}, {roll_deg: 1}, {pan_deg: 1e999}]}\nsteps: [mvoe]\n"
     )
     with pytest.raises(ScriptError) as caught:
-        load(str(sequence), "simulated")
+        load_documents(str(sequence), "simulated")
     assert [fault.partition(": ")[2] for fault in caught.value.faults] == [
         "poses.a[1].pan_deg: must be a number (got 'x').",
         "poses.a[3].pan_deg: must be a finite number (got '1e999').",
@@ -314,7 +317,7 @@ def test_a_good_sequence_is_unfolded_before_a_bad_station_is_reported(tmp_path):
     sequence = tmp_path / "s.yaml"
     sequence.write_text(HEAD + "steps: [move]\n")
     with pytest.raises(ScriptError) as caught:
-        load(str(sequence), str(tmp_path / "none.yaml"))
+        load_documents(str(sequence), str(tmp_path / "none.yaml"))
     assert ["no pose to move to" in fault or "no such file" in fault for fault in caught.value.faults] == [
         True,
         True,
@@ -322,20 +325,20 @@ def test_a_good_sequence_is_unfolded_before_a_bad_station_is_reported(tmp_path):
 
 
 def test_the_plan_as_json_is_plain_and_names_no_place_of_this_machine():
-    made = plan(*load("nine_pose", "simulated"))
+    made = make_plan(*load_documents("nine_pose", "simulated"))
     text = json.dumps(made.to_dict(), allow_nan=False)
     assert str(Path.cwd()) not in text
-    assert str(SHIPPED.parent) not in text
+    assert str(SHIPPED_STATIONS.parent) not in text
     data = json.loads(text)
     assert (data["runnable"], data["simulated"], len(data["poses"])) == (True, True, 9)
     document = check_document((HEAD + "steps: [solve]\n").encode(), "folder/s.yaml", Sequence)
-    fault = plan(document, STATION).to_dict()["faults"][0]
+    fault = make_plan(document, STATION).to_dict()["faults"][0]
     assert (fault["file"], fault["line"], fault["path"]) == ("s.yaml", 3, "steps[0].solve")
     assert data["steps"][-1]["done_after_s"] == pytest.approx(data["duration_s"])
 
 
 def test_the_plan_for_people_shows_every_step_its_time_and_the_sums():
-    text = render_plan(plan(*load("three_pose", "simulated")))
+    text = render_plan(make_plan(*load_documents("three_pose", "simulated")))
     assert text.startswith("Three poses on Simulated bench (SIMULATED)\n")
     assert "    2  move to pan -6, tilt 2 deg (left)" in text
     assert "light square 60 Hz, 50 % duty" in text
@@ -367,7 +370,7 @@ def test_a_sequence_with_other_numbers_is_planned_or_refused_never_anything_else
         if data.draw(st.integers(0, 5)) == 0:
             text = text[: number.start()] + data.draw(numbers) + text[number.end() :]
     try:
-        made = plan(check_document(text.encode(), "s.yaml", Sequence), STATION)
+        made = make_plan(check_document(text.encode(), "s.yaml", Sequence), STATION)
     except DocumentFaults as error:
         event(f"refused by the reader: {len(error.faults)}")
         return

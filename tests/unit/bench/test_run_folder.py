@@ -26,7 +26,7 @@ def begin_journal(folder):
 
 
 def record(folder, pose, attempt, data):
-    folder.capture_part(pose, attempt).write_bytes(data)
+    folder.capture_part_path(pose, attempt).write_bytes(data)
     return folder.commit_capture(pose, attempt)
 
 
@@ -209,7 +209,7 @@ def test_a_run_is_not_resumed_on_a_full_disk_nor_left_locked(run, journal, monke
 
 
 def test_a_capture_gets_its_name_when_whole_with_its_hash(run):
-    part = run.capture_part(1, 2)
+    part = run.capture_part_path(1, 2)
     part.write_bytes(b"abc")
     assert visible(run.path) == ["captures/pose-001-attempt-2.raw.part"]
     capture = run.commit_capture(1, 2)
@@ -229,7 +229,7 @@ def test_the_names_of_new_folders_are_synced(tmp_path, synced):
 
 
 def test_a_capture_is_synced_before_and_after_it_gets_its_name(run, monkeypatch):
-    part = run.capture_part(1, 1)
+    part = run.capture_part_path(1, 1)
     part.write_bytes(b"abc")
     calls = []
     real_fsync, real_rename = os.fsync, type(part).rename
@@ -250,15 +250,15 @@ def test_a_capture_is_synced_before_and_after_it_gets_its_name(run, monkeypatch)
 
 def test_a_capture_is_never_written_over(run):
     record(run, 1, 1, b"first")
-    run.capture_part(1, 1).write_bytes(b"second")
+    run.capture_part_path(1, 1).write_bytes(b"second")
     with pytest.raises(RunFolderError, match="never written over"):
         run.commit_capture(1, 1)
     assert (run.path / capture_name(1, 1)).read_bytes() == b"first"
 
 
 def test_a_part_left_by_an_earlier_try_is_removed(run):
-    run.capture_part(1, 1).write_bytes(b"half")
-    assert not run.capture_part(1, 1).exists()
+    run.capture_part_path(1, 1).write_bytes(b"half")
+    assert not run.capture_part_path(1, 1).exists()
 
 
 def test_committing_what_was_not_recorded_is_an_error(run):
@@ -279,7 +279,7 @@ def test_a_whole_told_capture_stays(run, journal):
 
 
 def test_a_half_written_recording_is_set_aside(run, journal):
-    run.capture_part(2, 1).write_bytes(b"half")
+    run.capture_part_path(2, 1).write_bytes(b"half")
     assert run.recover(journal).interrupted == ("captures/pose-002-attempt-1.raw.part",)
     assert (run.path / "quarantine/pose-002-attempt-1.raw.part.1").read_bytes() == b"half"
     assert not list((run.path / "captures").iterdir())

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from bench.base.clock import BenchClock
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
-from bench.evidence.seal import listing, manifest_of, read_manifest, seal
-from bench.evidence.sshsig import encode_public_key, holds, read_signature, sign
+from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
+from bench.evidence.sshsig import encode_public_key, is_valid, read_signature, sign
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.run.launch import Launch, _seal_finished
@@ -52,9 +52,11 @@ def test_a_signature_holds_for_its_message_and_namespace_alone(key):
     signature = read_signature(sign(key.private, b"message", "a@v1"))
     assert signature.namespace == "a@v1"
     assert signature.public_key == encode_public_key(key.private.public_key())
-    assert holds(signature, b"message")
-    assert not holds(signature, b"messagE")
-    assert not holds(type(signature)(signature.public_key, "b@v1", "sha512", signature.signature), b"message")
+    assert is_valid(signature, b"message")
+    assert not is_valid(signature, b"messagE")
+    assert not is_valid(
+        type(signature)(signature.public_key, "b@v1", "sha512", signature.signature), b"message"
+    )
 
 
 @given(data=st.data())
@@ -68,7 +70,7 @@ def test_a_changed_signature_is_refused_or_does_not_hold(key, data):
     except EvidenceError:
         return
     # base64 has spare bits and the armour's line ends may change; then it is the very same signature
-    assert not holds(signature, b"message") or signature == read_signature(bytes(good))
+    assert not is_valid(signature, b"message") or signature == read_signature(bytes(good))
 
 
 def repacked(armoured, change):
@@ -150,7 +152,7 @@ def test_those_commands_find_what_was_done_to_it(sealed, home):
     (sealed / "added.txt").unlink()
     (sealed / "results.json").write_text("{}")
     assert run_instructions(sealed, signers) == [0, 1, 0]
-    (sealed / "SHA256SUMS").write_bytes(manifest_of(sealed))
+    (sealed / "SHA256SUMS").write_bytes(make_manifest(sealed))
     assert run_instructions(sealed, signers) == [255, 0, 0]
 
 
@@ -227,7 +229,7 @@ def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "scandir", scandir)
     with pytest.raises(StorageError, match="exports: No permission"):
-        manifest_of(tmp_path)
+        make_manifest(tmp_path)
 
 
 def test_everything_is_listed_with_what_it_is(tmp_path):
@@ -237,7 +239,7 @@ def test_everything_is_listed_with_what_it_is(tmp_path):
     (tmp_path / "a" / "to-folder").symlink_to("b")
     (tmp_path / "dangling").symlink_to("nowhere")
     os.mkfifo(tmp_path / "pipe")
-    assert listing(tmp_path) == {
+    assert list_files(tmp_path) == {
         "a/b/file": "file",
         "a/to-file": "link",
         "a/to-folder": "link",

@@ -52,12 +52,12 @@ def test_the_first_signal_ends_a_long_wait():
 def test_all_who_wait_are_woken_and_what_was_taken_back_wakes_nobody():
     clock = BenchClock()
     clock.interrupt("door")
-    clock.go_on()
+    clock.clear_interruption()
     clock.sleep(0.01)
     clock.interrupt("door")
     with pytest.raises(Interrupted):
         clock.sleep(60)
-    clock.go_on()
+    clock.clear_interruption()
     ended = []
 
     def wait():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.stations.station import SHIPPED, Station, load_station
+from bench.stations.station import SHIPPED_STATIONS, Station, load_station
 from bench.stations.station_lights import ScpiLightConfig
 from calib.target import StarTarget
 from drivers.light import LightSettings
@@ -11,7 +11,7 @@ from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.script import Flicker
 
-SIMULATED = (SHIPPED / "simulated.yaml").read_text(encoding="utf-8")
+SIMULATED = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
 
 
 def faults(text: str) -> list[str]:
@@ -43,7 +43,7 @@ def test_the_simulated_station_has_the_simulated_bench_s_devices():
 
 
 def test_every_shipped_station_reads_without_a_fault():
-    shipped = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+    shipped = sorted(path.stem for path in SHIPPED_STATIONS.glob("*.yaml"))
     assert shipped == ["example_evk4", "simulated", "simulated_frames"]
     assert [load_station(name).value.is_simulated for name in shipped] == [False, True, True]
 
@@ -211,13 +211,15 @@ def test_every_family_of_stages_can_be_described_and_handed_to_its_driver(family
     from drivers.stage.grbl import GrblAxis
     from drivers.stage.ximc import XimcAxis
 
-    text = (SHIPPED / "example_evk4.yaml").read_text()
+    text = (SHIPPED_STATIONS / "example_evk4.yaml").read_text()
     before, rest = text.split("stage:\n")
     path = tmp_path / "b.yaml"
     path.write_text(before + "stage:" + FAMILIES[family] + "\nlight:\n" + rest.split("light:\n")[1])
     station = load_station(str(path)).value
     make = {"ximc": XimcAxis, "grbl": GrblAxis, "esp30x": EspAxis}[family]
-    axes = [make(name=name, limits=axis.limits, **axis.driver_options()) for name, axis in station.axes.items()]
+    axes = [
+        make(name=name, limits=axis.limits, **axis.driver_options()) for name, axis in station.axes.items()
+    ]
     assert axes[0].limits.highest_deg == 9
     assert axes[0].name == "pan"
     assert not station.is_simulated

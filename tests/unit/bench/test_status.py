@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from bench.base.errors import RunFolderError
-from bench.plan.plan import load, plan
+from bench.plan.plan import load_documents, make_plan
 from bench.records.history import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
@@ -17,7 +17,7 @@ BEGUN = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 
 @pytest.fixture(scope="module")
 def planned():
-    return plan(*load("three_pose", "simulated")).to_dict()
+    return make_plan(*load_documents("three_pose", "simulated")).to_dict()
 
 
 class Run:

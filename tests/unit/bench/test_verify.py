@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bench.base.errors import RunFolderError
 from bench.evidence.keys import NAMESPACE, Signer, create_key, read_signers
-from bench.evidence.seal import manifest_of, seal
+from bench.evidence.seal import make_manifest, seal
 from bench.evidence.sshsig import read_signature, sign
 from bench.evidence.verify import verify_run
 from tests.unit.bench.resealed import kinds, reseal
@@ -84,7 +84,7 @@ def test_an_added_file_is_found(sealed, signers, name):
 
 def test_a_list_made_again_under_the_old_signature_is_found(sealed, signers):
     (sealed / "results.json").write_bytes((sealed / "results.json").read_bytes().replace(b"run-1", b"run-2"))
-    (sealed / "SHA256SUMS").write_bytes(manifest_of(sealed))
+    (sealed / "SHA256SUMS").write_bytes(make_manifest(sealed))
     assert kinds(verify_run(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
 
 
