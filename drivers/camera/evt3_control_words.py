@@ -93,7 +93,7 @@ def idle_us(words: Any, start: int, i: int, state: Any, high_before: int) -> int
         if word >> 12 == 0x6:
             return _TICK_US * ticks
         if word >> 12 == 0x8:
-            if word & 0xFFF != state[S.HIGH]:  # the one after it set the time
+            if word & 0xFFF != state[S.HIGH]:  # the TIME_HIGH after it set the time
                 return _TICK_US * max(ticks - 1, 0)
             ticks += 1
             if ticks > _MAX_TICKS:

@@ -214,7 +214,7 @@ class OpenCvFrameCamera:
         if self._lock is not None:
             self._lock.release()
 
-    # ------------------------------------------------------------- inside
+    # ------------------------------------------------------------- internals
 
     @property
     def _is_live(self) -> bool:
@@ -322,7 +322,7 @@ class _FrozenCheck:
 
     def _frozen(self, what: str) -> RecordingFailed:
         return RecordingFailed(
-            f"{what}: it has frozen, or sends buffered frames.",
+            f"{what}: the camera has frozen, or sends buffered frames.",
             where=self._where,
             remedy="Restart the camera; choose exposure and compression that leave the sensor's noise visible.",
         )

@@ -161,7 +161,7 @@ class MetavisionEvk4:
         if device is None:
             seen = ", ".join(camera.serial for camera in discover()) or "none"
             raise CameraNotFound(
-                f"Camera {serial or 'with any serial number'} cannot be opened{reason}; connected cameras: {seen}.",
+                f"Cannot open {f'camera {serial}' if serial else 'any camera'}{reason}; connected cameras: {seen}.",
                 remedy="Check the camera's cable and power, the serial number in the station file, the udev rules, "
                 "and that no other program uses the camera.",
             )
@@ -281,7 +281,7 @@ class MetavisionEvk4:
         # Logging starts before the stream does, or its first buffers would be missing.
         try:
             logs = stream.log_raw_data(str(path))
-        except RuntimeError as error:  # its header is asked of the camera
+        except RuntimeError as error:  # the HAL reads the header's values from the camera
             raise self._lost(error) from error
         if not logs:
             raise RecordingFailed(
@@ -339,7 +339,7 @@ class MetavisionEvk4:
             check_space(path)
             raise RecordingFailed(error.what, where=error.where, remedy="Record it again.") from error
 
-    # ------------------------------------------------------------- the rest
+    # ------------------------------------------------------------- internals
 
     @property
     def _where(self) -> str:
@@ -372,7 +372,7 @@ class MetavisionEvk4:
         cause = (
             error.what
             if isinstance(error, CameraError)
-            else f"The camera is disconnected ({_reason(error)})."
+            else f"The connection to the camera is lost ({_reason(error)})."
         )
         return CameraLost(cause + kept, where=self._where, remedy=_RECONNECT)
 

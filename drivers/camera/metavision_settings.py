@@ -100,7 +100,7 @@ def read_monitoring(device: Any, call: str) -> float | None:
         return None
     try:
         return float(getattr(monitoring, call)())
-    except RuntimeError:  # how the HAL says "not implemented by this camera"
+    except RuntimeError:  # the HAL's sign of "not implemented by this camera"
         return None
 
 

@@ -174,7 +174,7 @@ class NeuromorphicEvk4:
                     for found in discover()
                 )
             raise CameraNotFound(
-                f"Camera {serial or 'with any serial number'} cannot be opened ({error}); "
+                f"Cannot open {f'camera {serial}' if serial else 'any camera'} ({error}); "
                 f"connected EVK4: {seen or 'none'}.",
                 remedy="Check the camera's cable and power and the serial number in the station file; on Linux, run "
                 "neuromorphic-drivers-install-udev-rules once.",
@@ -338,12 +338,12 @@ class NeuromorphicEvk4:
     def _measured(self, call: str) -> float | None:
         try:
             return float(getattr(self._device, call)())
-        except RuntimeError:  # how it says that a measurement did not succeed
+        except RuntimeError:  # the package's sign of a failed measurement
             return None
 
     def _lost(self, error: Exception) -> CameraLost:
         return CameraLost(
-            f"The camera is disconnected ({error}).",
+            f"The connection to the camera is lost ({error}).",
             where=self._where,
             remedy="Check the camera's cable and power, then resume the run.",
         )

@@ -154,7 +154,7 @@ def _size(fields: Mapping[str, str], where: str) -> tuple[int, int]:
             remedy='Add a line such as "% geometry 1280x720" to a copy of the file.',
         )
     if len(set(sizes.values())) > 1:
-        stated = ", ".join(f"{key} says {width} x {height}" for key, (width, height) in sizes.items())
+        stated = ", ".join(f"{key} states {width} x {height}" for key, (width, height) in sizes.items())
         raise NotARecording(f"The header contradicts itself: {stated}.", where=where, remedy=_COPY_AGAIN)
     return next(iter(sizes.values()))
 

@@ -14,9 +14,11 @@ from drivers.errors import RecordingFailed
 FULL_BYTES: Final = 1 << 20
 """A disk with less free space than this counts as full."""
 
-_BINARY: Final = getattr(os, "O_BINARY", 0)  # only Windows knows other files
+_BINARY: Final = getattr(os, "O_BINARY", 0)  # only Windows has text files
 _FOLDERS_OPEN: Final = hasattr(os, "O_DIRECTORY")
-_TO_SYNC: Final = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR  # Windows syncs no file open for reading alone
+_TO_SYNC: Final = (
+    os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
+)  # Windows cannot sync a file that is open for reading
 
 _REMEDIES: Final = {
     errno.EEXIST: ("The file exists already", "Recordings are never overwritten: choose another name."),
@@ -121,7 +123,7 @@ def check_new(path: Path) -> None:
             code = errno.ENOENT
         elif not os.access(path.parent, os.W_OK):
             code = errno.EACCES
-    except OSError as error:  # a folder above it that may not be looked into
+    except OSError as error:  # no permission on a parent folder
         raise recording_write_error(path, error) from error
     if code:
         raise recording_write_error(path, OSError(code, os.strerror(code)))

@@ -119,7 +119,7 @@ def check_duration(duration_s: float, *, where: str) -> None:
         raise RecordingFailed(
             f"A recording of {duration_s} s is not possible.",
             where=where,
-            remedy="Request a duration above 0 s, at least some milliseconds.",
+            remedy="Request a finite duration above 0 s.",
         )
 
 

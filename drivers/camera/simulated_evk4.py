@@ -235,7 +235,7 @@ class SimulatedEvk4Camera:
         """Close the connection, which also ends the stream."""
         self._line.close()
 
-    # ------------------------------------------------------------- asking
+    # ------------------------------------------------------------- requests
 
     @property
     def _where(self) -> str:

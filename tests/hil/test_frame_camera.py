@@ -286,7 +286,7 @@ def test_a_night_of_a_frame_camera_can_be_rehearsed(tmp_path):
 FAULTS = {
     "unplug": (CameraLost, "cannot open the video source|sends no more frames"),
     "silence": (CameraLost, "cannot open the video source|sends no more frames"),
-    "frozen": (RecordingFailed, "it has frozen, or sends buffered frames"),
+    "frozen": (RecordingFailed, "the camera has frozen, or sends buffered frames"),
 }
 
 

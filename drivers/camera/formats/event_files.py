@@ -51,7 +51,7 @@ TRIGGER_TYPE: Final = np.dtype(
 INDEX_TYPE: Final = np.dtype([("id", "<u8"), ("ts", "<i8")])
 
 _ASCII: Final = h5py.string_dtype("ascii")  # the only kind of attribute that Metavision reads
-_NOT_THERE: Final = ("evt", "plugin_name")  # keys that make no sense outside RAW
+_NOT_THERE: Final = ("evt", "plugin_name")  # keys without meaning outside RAW
 
 
 @dataclass(frozen=True)

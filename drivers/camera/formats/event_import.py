@@ -188,7 +188,7 @@ def _whole(values: Any, dtype: type[np.generic]) -> Any:
         raise ValueError(
             f"an array of {values.dtype} with {values.ndim} dimensions is not a list of whole numbers"
         )
-    cast = np.ascontiguousarray(values, dtype)  # as it is where it can stay so: there may be millions
+    cast = np.ascontiguousarray(values, dtype)  # no copy if none is needed: there may be millions
     if cast is not values and not np.array_equal(cast, values):
         raise ValueError(f"some numbers do not fit into {np.dtype(dtype)}")
     return cast

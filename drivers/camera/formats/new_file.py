@@ -78,7 +78,7 @@ def _name(part: Path, path: Path) -> None:
         os.link(part, path)
     except FileExistsError:
         raise _exists(path) from None
-    except OSError:  # a file system without links
+    except OSError:  # a file system without hard links
         if path.exists():
             raise _exists(path) from None
         part.rename(path)

@@ -165,7 +165,7 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
         (b"% evt 3.0\n% end\n", "does not state the sensor's size"),
         (
             b"% format EVT3;height=720;width=1280\n% geometry 640x480\n",
-            "format says 1280 x 720, geometry says 640 x 480",
+            "format states 1280 x 720, geometry states 640 x 480",
         ),
         (b"% format EVT3;height=0;width=1280\n", "invalid size of the sensor: '1280' x '0'"),
         (b"% format EVT3;height=4000;width=1280\n", "'4000'"),

@@ -36,7 +36,7 @@ def test_connected_cameras_are_listed(devices):
 
 @pytest.mark.usefixtures("devices")
 def test_a_camera_that_is_not_there_is_told_with_those_that_are(clock):
-    with pytest.raises(CameraNotFound, match=f"00099999 cannot be opened; connected cameras: {SERIAL}"):
+    with pytest.raises(CameraNotFound, match=f"Cannot open camera 00099999; connected cameras: {SERIAL}"):
         MetavisionEvk4.open(serial="00099999", clock=clock)
 
 
@@ -48,7 +48,7 @@ def test_no_camera_at_all_is_told(devices, clock):
 
 def test_the_vendors_reason_for_not_opening_is_passed_on(devices, clock):
     devices[SERIAL] = RuntimeError("\n------\nMetavision HAL exception\n\nError 103000: device busy\n")
-    with pytest.raises(CameraNotFound, match=r"cannot be opened \(Error 103000: device busy\)"):
+    with pytest.raises(CameraNotFound, match=r"Cannot open camera [0-9]+ \(Error 103000: device busy\)"):
         MetavisionEvk4.open(serial=SERIAL, clock=clock)
 
 
