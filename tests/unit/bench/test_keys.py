@@ -178,7 +178,7 @@ def test_the_made_key_is_trusted_for_reports_alone(home, key):
 
 
 @pytest.mark.parametrize(
-    ("options", "objection"),
+    ("options", "rejection"),
     [
         ("", None),
         ('namespaces="a,starbench-*" ', None),
