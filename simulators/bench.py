@@ -34,12 +34,12 @@ from simulators.errors import ConfigError, SimulatorError
 from simulators.faults.catalogue import FaultOrder, fault_order, fault_order_from_text
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.faults.orders import allow_background, answer, take_orders
+from simulators.faults.orders import allow_background, print_answer, take_orders
 from simulators.lights.lamp import Lamp
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.ports.serial_device import Dialect, Port, SerialDevice
 from simulators.ports.tcp_port import TcpPort
-from simulators.world.trajectory import Pointing
+from simulators.world.load import LoadTrajectory
 from simulators.world.truth import Truth
 from simulators.world.world import AxisMotion, AxisName, LightState, World
 
@@ -108,16 +108,16 @@ class Bench:
             self.endpoints = {name: port.address for name, port in ports.items()}
             self.endpoints |= {"camera": camera.address, "frame-camera": frame_camera.address}
             self._running = stack.pop_all()
-        for one in self._config.faults:
-            self.inject(one)
+        for order in self._config.faults:
+            self.inject(order)
         return self
 
-    def inject(self, one: FaultOrder) -> None:
+    def inject(self, order: FaultOrder) -> None:
         """Inject a fault, at once or after the order's delay.
 
         Parameters
         ----------
-        one
+        order
             The order.
 
         Raises
@@ -125,11 +125,11 @@ class Bench:
         ConfigError
             If this bench has no such device, or a parameter is invalid.
         """
-        bring_about = fault_action(one, self._bench_parts)
-        if one.after_s <= 0.0:
-            bring_about()
+        action = fault_action(order, self._bench_parts)
+        if order.after_s <= 0.0:
+            action()
             return
-        timer = threading.Timer(one.after_s, bring_about)
+        timer = threading.Timer(order.after_s, action)
         timer.daemon = True
         self._running.callback(timer.cancel)
         timer.start()
@@ -150,9 +150,9 @@ class Bench:
             port = PseudoTerminal(self._folder / name)
         return SerialDevice(port, dialect, paced=self._config.paced)
 
-    def _publish_axis(self, name: AxisName, pointing: Pointing) -> None:
+    def _publish_axis(self, name: AxisName, pointing: LoadTrajectory) -> None:
         motion = AxisMotion(pointing.angle_deg, pointing.settled_from_s, round(pointing.rest))
-        self.world.set_axis(name, motion, since_s=pointing.course.start_s)
+        self.world.set_axis(name, motion, since_s=pointing.motor.start_s)
 
     def _write_truth(self) -> None:
         fresh = self.truth_path.with_suffix(".part")
@@ -200,9 +200,9 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 def _execute(bench: Bench, line: str) -> dict[str, Any]:
     """Carry out an order, written as JSON or as text, and return what was done."""
-    one = fault_order(json.loads(line)) if line.startswith("{") else fault_order_from_text(line)
-    bench.inject(one)
-    return {"device": one.device, "fault": one.fault, "after_s": one.after_s, **one.parameters}
+    order = fault_order(json.loads(line)) if line.startswith("{") else fault_order_from_text(line)
+    bench.inject(order)
+    return {"device": order.device, "fault": order.fault, "after_s": order.after_s, **order.parameters}
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -227,7 +227,7 @@ def main(words: Sequence[str] | None = None) -> int:
         arguments.folder.mkdir(parents=True, exist_ok=True)
         with Bench(arguments.folder, _read_config(arguments.config), arguments.seed) as bench:
             ready = {"endpoints": bench.endpoints, "truth": str(bench.truth_path), "pid": os.getpid()}
-            answer(ready)
+            print_answer(ready)
             threading.Thread(target=_warm_up, args=(bench.world.truth,), name="warm-up", daemon=True).start()
             ended = ending.set if arguments.until_eof else lambda: None
             threading.Thread(target=take_orders, args=(partial(_execute, bench), ended), daemon=True).start()

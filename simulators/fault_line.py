@@ -1,4 +1,4 @@
-"""A line with faults in front of any serial device, a real one too, in its own process.
+"""A line with faults in front of any serial device, including a real one, in its own process.
 
     python -m simulators.fault_line --port /dev/serial/by-id/... --baud 115200 --link DIR/NAME [--seed N]
 
@@ -26,7 +26,7 @@ from simulators.errors import SimulatorError
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import line_fault_action
 from simulators.faults.line_faults import FaultLine, SerialBridge
-from simulators.faults.orders import allow_background, answer, take_orders
+from simulators.faults.orders import allow_background, print_answer, take_orders
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 
@@ -61,7 +61,7 @@ def main(words: Sequence[str] | None = None) -> int:
         line = FaultLine(bridge, time.monotonic, np.random.default_rng(arguments.seed))
         # Not paced: the real line already takes its time.
         with SerialDevice(PseudoTerminal(arguments.link), line, paced=False) as device:
-            answer({"link": device.address, "pid": os.getpid()})
+            print_answer({"link": device.address, "pid": os.getpid()})
             carry_out = partial(_execute, device, line)
             threading.Thread(target=take_orders, args=(carry_out, ending.set), daemon=True).start()
             ending.wait()
@@ -74,9 +74,9 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _execute(device: SerialDevice, line: FaultLine, text: str) -> dict[str, Any]:
     """Inject a fault and return its name and parameters."""
-    one = fault_order_from_text(f"gimbal {text}")
-    line_fault_action(one, device, line)()
-    return {"fault": one.fault, **one.parameters}
+    order = fault_order_from_text(f"gimbal {text}")
+    line_fault_action(order, device, line)()
+    return {"fault": order.fault, **order.parameters}
 
 
 if __name__ == "__main__":

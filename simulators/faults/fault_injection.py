@@ -163,12 +163,12 @@ class BenchParts:
     frame_camera: FrameCamera | None = None
 
 
-def fault_action(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
+def fault_action(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     """Return the call that injects a fault.
 
     Parameters
     ----------
-    one
+    order
         The order; its delay is not applied here.
     parts
         Parts of the bench.
@@ -183,22 +183,22 @@ def fault_action(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     ConfigError
         If this bench has no such device, or a parameter is invalid.
     """
-    if one.device in parts.ports:
-        return _on_port(one, parts)
-    if one.device == "camera":
-        return _on_camera(one, parts.camera)
-    if one.device == "frame-camera" and (frame_camera := parts.frame_camera) is not None:
-        return lambda: frame_camera.inject_fault(one.fault)
-    if one.device in parts.axes:
-        name = parts.axis_ports[one.device]
-        controller, port, line = parts.axes[one.device], parts.ports[name], parts.lines[name]
+    if order.device in parts.ports:
+        return _on_port(order, parts)
+    if order.device == "camera":
+        return _on_camera(order, parts.camera)
+    if order.device == "frame-camera" and (frame_camera := parts.frame_camera) is not None:
+        return lambda: frame_camera.inject_fault(order.fault)
+    if order.device in parts.axes:
+        name = parts.axis_ports[order.device]
+        controller, port, line = parts.axes[order.device], parts.ports[name], parts.lines[name]
         from_outside: dict[str, Callable[[], None]] = {
             "unplug": port.unplug,
             "press_stop": lambda: controller.emergency_stop(parts.clock()),
         }
-        act = from_outside.get(one.fault)
+        act = from_outside.get(order.fault)
         then = None if act is None else lambda t_s: line.schedule(t_s, act)
-        return lambda: port.between_exchanges(lambda: _on_axis(one, controller, parts.clock(), then))
+        return lambda: port.between_exchanges(lambda: _on_axis(order, controller, parts.clock(), then))
     known = [
         *parts.axes,
         *parts.ports,
@@ -206,30 +206,32 @@ def fault_action(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
         *(["frame-camera"] if parts.frame_camera is not None else []),
     ]
     raise ConfigError(
-        f"This bench has no device {one.device!r}.", where="device", remedy=f"Use one of: {', '.join(known)}."
+        f"This bench has no device {order.device!r}.",
+        where="device",
+        remedy=f"Use one of: {', '.join(known)}.",
     )
 
 
-def _on_camera(one: FaultOrder, camera: Camera) -> Callable[[], None]:
-    if one.fault == "unplug":
+def _on_camera(order: FaultOrder, camera: Camera) -> Callable[[], None]:
+    if order.fault == "unplug":
         return camera.unplug
-    if one.fault == "fault":
-        return lambda: camera.report_fault(str(one.parameters["message"]))
-    if one.fault == "mend":
+    if order.fault == "fault":
+        return lambda: camera.report_fault(str(order.parameters["message"]))
+    if order.fault == "mend":
         return camera.stream_faults.clear
-    if one.fault == "overflow":
+    if order.fault == "overflow":
         return partial(setattr, camera.stream_faults, "overflows", True)
-    fault = StreamFault(one.fault, int(one.parameters["skip"]), int(one.parameters["count"]))
+    fault = StreamFault(order.fault, int(order.parameters["skip"]), int(order.parameters["count"]))
     return lambda: camera.stream_faults.inject(fault)
 
 
-def _on_port(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
-    port = parts.ports[one.device]
-    if one.fault in LIGHT_FAULTS:
-        act = _on_light(one, parts)
+def _on_port(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
+    port = parts.ports[order.device]
+    if order.fault in LIGHT_FAULTS:
+        act = _on_light(order, parts)
         return lambda: port.between_exchanges(act)
-    act = line_fault_action(one, port, parts.lines[one.device])
-    if one.fault == "mend" and one.device == "light":
+    act = line_fault_action(order, port, parts.lines[order.device])
+    if order.fault == "mend" and order.device == "light":
 
         def mend_both() -> None:
             act()
@@ -240,12 +242,12 @@ def _on_port(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     return act
 
 
-def line_fault_action(one: FaultOrder, port: SerialDevice, line: FaultLine) -> Callable[[], None]:
+def line_fault_action(order: FaultOrder, port: SerialDevice, line: FaultLine) -> Callable[[], None]:
     """Return the call that injects a fault of a line.
 
     Parameters
     ----------
-    one
+    order
         The order.
     port
         Device on the line.
@@ -262,43 +264,43 @@ def line_fault_action(one: FaultOrder, port: SerialDevice, line: FaultLine) -> C
     ConfigError
         If a parameter is invalid.
     """
-    if one.fault in {"unplug", "replug"}:
-        return port.unplug if one.fault == "unplug" else port.replug
-    act = _on_line(one, line)
+    if order.fault in {"unplug", "replug"}:
+        return port.unplug if order.fault == "unplug" else port.replug
+    act = _on_line(order, line)
     return lambda: port.between_exchanges(act)
 
 
-def _on_line(one: FaultOrder, line: FaultLine) -> Callable[[], None]:
-    if one.fault == "mend":
+def _on_line(order: FaultOrder, line: FaultLine) -> Callable[[], None]:
+    if order.fault == "mend":
         return line.clear
-    if one.fault == "baud":
-        rate = int(one.parameters["rate"])
+    if order.fault == "baud":
+        rate = int(order.parameters["rate"])
         return lambda: line.listen_at(rate)
-    if one.fault == "say":
-        text = _bytes(one.parameters["text"], "text")
+    if order.fault == "say":
+        text = _bytes(order.parameters["text"], "text")
         return lambda: line.say(text)
-    fault = _line_fault(one)
+    fault = _line_fault(order)
     return lambda: line.inject(fault)
 
 
-def _on_light(one: FaultOrder, parts: BenchParts) -> Callable[[], None]:
-    if one.fault == "trip":
+def _on_light(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
+    if order.fault == "trip":
         return parts.light.trip
-    if one.fault == "exchange":
-        return lambda: parts.light.exchange(str(one.parameters["serial"]))
-    if one.fault == "clip":
-        most_v = float(one.parameters["most_v"])
+    if order.fault == "exchange":
+        return lambda: parts.light.exchange(str(order.parameters["serial"]))
+    if order.fault == "clip":
+        most_v = float(order.parameters["most_v"])
         return lambda: parts.light.clip(most_v)
-    factor = float(one.parameters.get("factor", 1.0))
+    factor = float(order.parameters.get("factor", 1.0))
     if factor <= 0.0:
         raise ConfigError(
             f"The factor {factor} is not positive.", where="factor", remedy="Give a factor greater than 0."
         )
-    return lambda: parts.lamp.inject_fault(one.fault, factor)
+    return lambda: parts.lamp.inject_fault(order.fault, factor)
 
 
-def _line_fault(one: FaultOrder) -> LineFault:
-    p = one.parameters
+def _line_fault(order: FaultOrder) -> LineFault:
+    p = order.parameters
     try:
         re.compile(str(p["pattern"]).encode())
     except re.error as error:
@@ -306,7 +308,7 @@ def _line_fault(one: FaultOrder) -> LineFault:
             f"{p['pattern']!r} is not a regular expression: {error}.", where="pattern"
         ) from error
     return LineFault(
-        one.fault,
+        order.fault,
         count=int(p["count"]) or None,
         skip=int(p["skip"]),
         chance=float(p["chance"]),
@@ -325,32 +327,32 @@ def _bytes(text: Parameter, where: str) -> bytes:
 
 
 def _on_axis(
-    one: FaultOrder, controller: AxisController, now: float, then: Callable[[float], None] | None
+    order: FaultOrder, controller: AxisController, now: float, then: Callable[[float], None] | None
 ) -> None:
-    axis, p = controller.axis, one.parameters
+    axis, p = controller.axis, order.parameters
     if "skip" in p:
         axis.arm(
             MotionFault(
-                cast("FaultKind", one.fault),
+                cast("FaultKind", order.fault),
                 share=float(p.get("share", 1.0)),
                 creep_deg_s=float(p.get("creep_deg_s", 0.0)),
                 skip=int(p["skip"]),
                 then=then,
             )
         )
-    elif one.fault == "stuck_busy":
+    elif order.fault == "stuck_busy":
         axis.stuck_busy = True
-    elif one.fault == "idle_flicker":
+    elif order.fault == "idle_flicker":
         axis.report_false_idle(int(p["times"]))
-    elif one.fault == "push":
+    elif order.fault == "push":
         axis.push(float(p["deg"]) * axis.mechanics.counts_per_deg, now)
-    elif one.fault == "reboot":
+    elif order.fault == "reboot":
         controller.restart(now)
-    elif one.fault == "exchange":
+    elif order.fault == "exchange":
         controller.exchange(str(p["serial"]), now)
-    elif one.fault == "mend":
+    elif order.fault == "mend":
         axis.arm(None)
         axis.report_false_idle(0)
         axis.stuck_busy = False
     else:
-        controller.emergency_stop(now, released=one.fault == "release")
+        controller.emergency_stop(now, released=order.fault == "release")

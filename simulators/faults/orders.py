@@ -15,7 +15,7 @@ from typing import Any
 from simulators.errors import SimulatorError
 
 
-def answer(content: Mapping[str, Any]) -> None:
+def print_answer(content: Mapping[str, Any]) -> None:
     """Write one line of JSON to standard output, and flush it.
 
     Parameters
@@ -56,9 +56,9 @@ def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[
             if not text:
                 continue
             try:
-                answer({"ok": True, **carry_out(text)})
+                print_answer({"ok": True, **carry_out(text)})
             except (SimulatorError, ValueError) as error:
-                answer({"ok": False, "error": str(error)})
+                print_answer({"ok": False, "error": str(error)})
     ended()
 
 

@@ -146,7 +146,7 @@ class GardasoftRt:
         Parameters
         ----------
         most_v
-            Limit as a drive voltage, V, of `FULL_DRIVE_V`; None restores the normal limit.
+            Limit as a drive voltage, V, where `FULL_DRIVE_V` is 100 %; None restores the normal limit.
         """
         self._max_percent = _MAX_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 

@@ -17,7 +17,8 @@ from typing import cast
 
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.motion_faults import MotionEvent, MotionFault, Noticed
-from simulators.world.trajectory import Course, Pointing
+from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import MotorTrajectory
 
 #: Distance that homing runs past the sensor before it returns to it, degrees.
 _HOMING_OVERRUN_DEG = 0.1
@@ -36,16 +37,16 @@ class Axis:
     now_s
         Time of power-up, s.
     publish
-        Called with each new course of the load; this is how the world learns where the axis points.
+        Called with each new trajectory of the load; this is how the world learns where the axis points.
 
     Attributes
     ----------
     commanded
-        Course that the controller commands, motor counts from the true zero of the load.
+        Trajectory that the controller commands, motor counts from the true zero of the load.
     motor
-        Course of the shaft, in the same counts.
+        Trajectory of the shaft, in the same counts.
     pointing
-        Course of the load.
+        Trajectory of the load.
     stuck_busy
         Whether the controller reports busy for ever.
     """
@@ -54,7 +55,7 @@ class Axis:
         self,
         mechanics: Mechanics,
         now_s: float = 0.0,
-        publish: Callable[[Pointing], None] = lambda _pointing: None,
+        publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
         self.mechanics = mechanics
         self._publish = publish
@@ -68,7 +69,7 @@ class Axis:
         self._false_idle_replies = 0
         self.stuck_busy = False
         self._event: MotionEvent | None = None
-        self.commanded = self.motor = Course.resting(now_s, start)
+        self.commanded = self.motor = MotorTrajectory.resting(now_s, start)
         self.pointing = self._follow_motor(start, 0.0)
 
     # ------------------------------------------------------------------ queries
@@ -247,8 +248,8 @@ class Axis:
         self._abandon_homing(t_s)
         self._event = None
         load, offset = self._load(t_s)
-        self.commanded = Course.resting(t_s, float(round(self.commanded.position(t_s))))
-        self.motor = Course.resting(t_s, float(round(self.motor.position(t_s))))
+        self.commanded = MotorTrajectory.resting(t_s, float(round(self.commanded.position(t_s))))
+        self.motor = MotorTrajectory.resting(t_s, float(round(self.motor.position(t_s))))
         self.pointing = self._follow_motor(load, offset)
 
     def home(
@@ -356,7 +357,7 @@ class Axis:
         first = present._replace(
             start_s=t_s, position=present.position_at(t_s) + counts, velocity=present.velocity_at(t_s)
         )
-        self.motor = Course((first, *begun))
+        self.motor = MotorTrajectory((first, *begun))
         self.pointing = self._follow_motor(load, offset)
 
     # ------------------------------------------------------------------ internals
@@ -366,13 +367,13 @@ class Axis:
 
     def _load(self, t_s: float) -> tuple[float, float]:
         """Return the position of the load, and its side of the backlash."""
-        return self.pointing.load(t_s), self.pointing.offsets[self.pointing.course.index(t_s)]
+        return self.pointing.load(t_s), self.pointing.offsets[self.pointing.motor.index(t_s)]
 
-    def _follow_motor(self, load: float, offset: float) -> Pointing:
-        """Let the load follow the motor from now on, and publish its course."""
+    def _follow_motor(self, load: float, offset: float) -> LoadTrajectory:
+        """Let the load follow the motor from now on, and publish its trajectory."""
         m = self.mechanics
         backlash = m.backlash_deg * m.counts_per_deg
-        pointing = Pointing.following(self.motor, load, offset, backlash, m.counts_per_deg, m.settle_s)
+        pointing = LoadTrajectory.following(self.motor, load, offset, backlash, m.counts_per_deg, m.settle_s)
         self._publish(pointing)
         return pointing
 
@@ -384,11 +385,11 @@ class Axis:
             self.motor.position(t_s),
             self.motor.velocity(t_s) if t_s < self.motor.end_s else 0.0,
         )
-        self.commanded = Course.through(
+        self.commanded = MotorTrajectory.through(
             t_s, self.commanded.position(t_s), self.commanded.velocity(t_s), stations, acceleration
         )
         shifted = [(station + lost, speed) for station, speed in stations]
-        self.motor = Course.through(t_s, begin, velocity, shifted, acceleration)
+        self.motor = MotorTrajectory.through(t_s, begin, velocity, shifted, acceleration)
         self._event = None
         if self._armed is not None and self._armed.skip > 0:
             self._armed = replace(self._armed, skip=self._armed.skip - 1)

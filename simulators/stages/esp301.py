@@ -22,7 +22,7 @@ from typing import Final
 from simulators.stages.axis_motion import Axis
 from simulators.stages.esp301_errors import EspError, error_text
 from simulators.stages.mechanics import Mechanics
-from simulators.world.trajectory import Pointing
+from simulators.world.load import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
@@ -124,7 +124,7 @@ class EspController:
     clock
         Returns the time in seconds.
     publish
-        Called with the number of an axis and each new course of it.
+        Called with the number of an axis and each new trajectory of it.
     baud
         Baud rate of the port: 19200 on RS-232, 921600 on USB.
 
@@ -138,13 +138,13 @@ class EspController:
         self,
         models: list[EspAxisModel],
         clock: Callable[[], float],
-        publish: Callable[[int, Pointing], None] = lambda _number, _pointing: None,
+        publish: Callable[[int, LoadTrajectory], None] = lambda _number, _pointing: None,
         baud: int = 19_200,
     ) -> None:
         self._clock = clock
         self.baud = baud
 
-        def publisher(number: int) -> Callable[[Pointing], None]:
+        def publisher(number: int) -> Callable[[LoadTrajectory], None]:
             return lambda pointing: publish(number, pointing)
 
         self.axes = {

@@ -25,7 +25,7 @@ from simulators.stages.grbl_planner import (
     must_be_positive,
 )
 from simulators.stages.grbl_settings import factory_settings, format_setting
-from simulators.world.trajectory import Pointing
+from simulators.world.load import LoadTrajectory
 
 State = Literal["Idle", "Run", "Jog", "Home", "Alarm"]
 
@@ -49,7 +49,7 @@ class GrblController:
     clock
         Returns the time in seconds.
     publish
-        Called with the letter of an axis and each new course of it.
+        Called with the letter of an axis and each new trajectory of it.
     pull_off_deg
         Distance from the switch at which homing ends, degrees.
 
@@ -65,7 +65,7 @@ class GrblController:
         self,
         models: Mapping[str, GrblAxisModel],
         clock: Callable[[], float],
-        publish: Callable[[str, Pointing], None] = lambda _letter, _pointing: None,
+        publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,
         pull_off_deg: float = 1.0,
     ) -> None:
         self._clock = clock

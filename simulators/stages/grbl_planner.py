@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 from simulators.stages.axis_motion import Axis
 from simulators.stages.mechanics import Mechanics
-from simulators.world.trajectory import Pointing
+from simulators.world.load import LoadTrajectory
 
 HOMING_FEED, HOMING_SEEK, PULL_OFF = 24, 25, 27
 STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130
@@ -87,7 +87,7 @@ class Planner:
     now_s
         Time of power-up, s.
     publish
-        Called with the letter of an axis and each new course of it.
+        Called with the letter of an axis and each new trajectory of it.
 
     Attributes
     ----------
@@ -102,12 +102,12 @@ class Planner:
         models: Mapping[str, GrblAxisModel],
         settings: Mapping[int, float],
         now_s: float,
-        publish: Callable[[str, Pointing], None],
+        publish: Callable[[str, LoadTrajectory], None],
     ) -> None:
         self._settings = settings
         self._order = list(models)
 
-        def publisher(letter: str) -> Callable[[Pointing], None]:
+        def publisher(letter: str) -> Callable[[LoadTrajectory], None]:
             return lambda pointing: publish(letter, pointing)
 
         self.axes = {one: Axis(model.mechanics, now_s, publisher(one)) for one, model in models.items()}

@@ -30,7 +30,7 @@ from simulators.stages.ximc_protocol import (
     to_counts,
     to_steps,
 )
-from simulators.world.trajectory import Pointing
+from simulators.world.load import LoadTrajectory
 
 _BYTE_TIMEOUT_S: Final = 0.4
 
@@ -86,7 +86,7 @@ class XimcController:
     clock
         Returns the time in seconds.
     publish
-        Called with each new course of the axis.
+        Called with each new trajectory of the axis.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class XimcController:
         self,
         model: XimcModel,
         clock: Callable[[], float],
-        publish: Callable[[Pointing], None] = lambda _pointing: None,
+        publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
         self.model = model
         self._clock = clock

@@ -7,7 +7,7 @@ r"""Simulated controllers chained on one line, which speak the Zaber ASCII proto
 The checksum (LRC) is the two's complement of the sum of all bytes between the first character and the colon.
 A request with a wrong checksum is not answered. `zaber_controller` executes the commands.
 
-Source: Zaber's ASCII Protocol Manual, firmware 7.
+Reference: Zaber's ASCII Protocol Manual, firmware 7.
 """
 
 from __future__ import annotations
@@ -130,9 +130,9 @@ class ZaberChain:
         """See `Dialect.unsolicited`. These are alerts at the end of motions."""
         now = self._clock()
         return b"".join(
-            _frame("!", f"{address:02d} 1 {one.status(now)} {_flag(one, now)}", one)
-            for address, one in enumerate(self.controllers, start=1)
-            if one.awake(now) and one.came_to_rest(now)
+            _frame("!", f"{address:02d} 1 {controller.status(now)} {_flag(controller, now)}", controller)
+            for address, controller in enumerate(self.controllers, start=1)
+            if controller.awake(now) and controller.came_to_rest(now)
         )
 
     def _answers(self, line: bytes) -> bytes:
@@ -140,27 +140,27 @@ class ZaberChain:
         if request is None:
             return b""
         return b"".join(
-            self._answer(address, one, request)
-            for address, one in enumerate(self.controllers, start=1)
-            if request.device in {0, address} and one.awake(self._clock())
+            self._answer(address, controller, request)
+            for address, controller in enumerate(self.controllers, start=1)
+            if request.device in {0, address} and controller.awake(self._clock())
         )
 
-    def _answer(self, address: int, one: ZaberController, request: Request) -> bytes:
+    def _answer(self, address: int, controller: ZaberController, request: Request) -> bytes:
         now = self._clock()
         try:
-            verdict, data = "OK", one.execute(request.axis, request.words, now)
+            verdict, data = "OK", controller.execute(request.axis, request.words, now)
         except CommandRejected as refusal:
             verdict, data = "RJ", refusal.reason
         message_id = f"{request.message_id} " if request.message_id else ""
-        status = f"{verdict} {one.status(now)} {_flag(one, now)}"
-        return _frame("@", f"{address:02d} {request.axis} {message_id}{status} {data}", one)
+        status = f"{verdict} {controller.status(now)} {_flag(controller, now)}"
+        return _frame("@", f"{address:02d} {request.axis} {message_id}{status} {data}", controller)
 
 
-def _flag(one: ZaberController, now: float) -> str:
+def _flag(controller: ZaberController, now: float) -> str:
     """Return the highest warning flag, or "--"."""
-    return (one.warnings(now) or ["--"])[0]
+    return (controller.warnings(now) or ["--"])[0]
 
 
-def _frame(kind: str, body: str, one: ZaberController) -> bytes:
-    end = f":{checksum(body)}" if one.checksums else ""
+def _frame(kind: str, body: str, controller: ZaberController) -> bytes:
+    end = f":{checksum(body)}" if controller.checksums else ""
     return f"{kind}{body}{end}\r\n".encode("ascii")

@@ -1,7 +1,7 @@
 """One controller of the Zaber X-RST kind with its axis: settings, warning flags and commands.
 
-`zaber` handles frames and checksums; `axis_motion` moves the axis. Source: Zaber's ASCII Protocol Manual, firmware
-7; the ranks of the warning flags were compared with Zaber's own library (zaber-motion).
+`zaber` handles frames and checksums; `axis_motion` moves the axis. Reference: Zaber's ASCII Protocol Manual, firmware
+7; the warning flags are those of Zaber's own library (zaber-motion).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from simulators.stages.axis_motion import Axis
 from simulators.stages.zaber_model import SPEED_UNIT, ZaberModel, setting_range
-from simulators.world.trajectory import Pointing
+from simulators.world.load import LoadTrajectory
 
 #: Warning flags by rank: a reply carries the highest active one.
 _RANK = "FF FH FV FO FD FC FM FN FQ FI FS FB FP FE FT WL WP WV WT WS WM WR WH NC NI NT NU NR"
@@ -53,7 +53,7 @@ class ZaberController:
     now_s
         Time of power-up, s.
     publish
-        Called with each new course of the axis.
+        Called with each new trajectory of the axis.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class ZaberController:
         self,
         model: ZaberModel,
         now_s: float = 0.0,
-        publish: Callable[[Pointing], None] = lambda _pointing: None,
+        publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
         self.model = model
         self.axis = Axis(model.mechanics, now_s, publish)

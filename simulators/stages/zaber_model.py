@@ -1,6 +1,6 @@
 """A Zaber controller of the X-RST kind: identity, factory settings, and ranges and units of settings.
 
-Source: Zaber's ASCII Protocol Manual, firmware 7.
+Reference: Zaber's ASCII Protocol Manual, firmware 7.
 """
 
 from __future__ import annotations
