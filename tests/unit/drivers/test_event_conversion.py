@@ -65,8 +65,8 @@ def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first
     events, triggers = stream()
     between, end = tmp_path / f"between{ENDINGS[first]}", tmp_path / f"end{ENDINGS[second]}"
     convert(raw, between, first, utc_now=lambda: NOW)
-    told = convert(between, end, second, utc_now=lambda: NOW)
-    assert (told.events, told.triggers, told.moved_events) == (5000, 40, 0)
+    summary = convert(between, end, second, utc_now=lambda: NOW)
+    assert (summary.events, summary.triggers, summary.moved_events) == (5000, 40, 0)
     if second == "raw":
         found = RawFile.open(end).read()
     else:

@@ -63,27 +63,29 @@ def test_triggers_have_time_edge_and_channel():
 
 def test_more_triggers_than_the_buffer_holds_all_arrive():
     words = [high(0), low(0), *[trigger(k % 2) for k in range(10_000)]]
-    _, edges, told = decode(*words)
+    _, edges, statistics = decode(*words)
     assert [value for _, value, _ in edges] == [k % 2 for k in range(10_000)]
-    assert told.triggers == 10_000
+    assert statistics.triggers == 10_000
 
 
 def test_events_before_the_first_time_are_dropped_and_counted():
-    found, edges, told = decode(row(5), event(3), base(0), vector12(7), trigger(1), high(1), low(2), event(4))
+    found, edges, statistics = decode(
+        row(5), event(3), base(0), vector12(7), trigger(1), high(1), low(2), event(4)
+    )
     assert found == [(4098, 4, 5, 0)]
     assert edges == []
-    assert told.unplaced_events == 1 + 3 + 1
+    assert statistics.unplaced_events == 1 + 3 + 1
 
 
 def test_events_before_the_first_row_or_base_are_dropped_and_counted():
-    found, _, told = decode(high(1), low(2), event(3), row(0), vector12(7))
-    assert (found, told.unplaced_events) == ([], 4)
+    found, _, statistics = decode(high(1), low(2), event(3), row(0), vector12(7))
+    assert (found, statistics.unplaced_events) == ([], 4)
 
 
 def test_events_in_rows_of_another_kind_are_skipped():
-    found, _, told = decode(high(0), low(0), 0x1000 | 5, event(3), row(6), event(4))
+    found, _, statistics = decode(high(0), low(0), 0x1000 | 5, event(3), row(6), event(4))
     assert found == [(0, 4, 6, 0)]
-    assert told.unplaced_events == 1
+    assert statistics.unplaced_events == 1
 
 
 @pytest.mark.parametrize("x", [0, 5, WIDTH - 32, WIDTH - 31, WIDTH - 20])
@@ -116,7 +118,10 @@ def test_triples_of_vectors_are_the_same_wherever_they_stand(x, counting):
         ((row(0), event(1), event(WIDTH)), "column 1280 lies outside the sensor of 1280 x 720"),
         ((row(HEIGHT),), "Row 720 lies outside the sensor of 1280 x 720"),
         ((row(0), event(WIDTH)), "column 1280 lies outside the sensor of 1280 x 720"),
-        ((row(0), base(WIDTH - 4), vector12(0b10000)), "vector that begins at column 1276 holds events beyond"),
+        (
+            (row(0), base(WIDTH - 4), vector12(0b10000)),
+            "vector that begins at column 1276 holds events beyond",
+        ),
         ((row(0), base(WIDTH - 4), vector8(0b10000)), "vector that begins at column 1276 "),
         ((row(0), base(2047), vector12(1)), "vector that begins at column 2047 "),
         ((row(0), base(WIDTH - 20), vector12(1), vector12(1 << 8)), "vector that begins at column 1272 "),

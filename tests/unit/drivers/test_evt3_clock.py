@@ -17,9 +17,9 @@ def test_a_new_time_high_starts_at_its_first_microsecond():
 
 
 def test_the_clock_wraps_after_24_bits_and_times_go_on():
-    found, _, told = decode(high(0xFFF), low(0xFFF), row(0), event(0), high(0), low(3), event(1))
+    found, _, statistics = decode(high(0xFFF), low(0xFFF), row(0), event(0), high(0), low(3), event(1))
     assert [t for t, *_ in found] == [LOOP_US - 1, LOOP_US + 3]
-    assert told.gap_count == 0
+    assert statistics.gap_count == 0
 
 
 def test_every_further_wrap_counts():
@@ -28,9 +28,9 @@ def test_every_further_wrap_counts():
 
 
 def test_time_low_stepping_back_by_some_microseconds_is_no_wrap():
-    found, _, told = decode(high(1), low(20), row(0), event(0), low(9), event(1))
+    found, _, statistics = decode(high(1), low(20), row(0), event(0), low(9), event(1))
     assert [t for t, *_ in found] == [4116, 4105]
-    assert told.back_steps == 1
+    assert statistics.back_steps == 1
 
 
 def test_every_back_step_is_counted_and_a_repeated_time_is_none():
@@ -79,22 +79,22 @@ def test_time_high_stepping_back_is_refused():
 
 
 def test_time_high_leaping_forward_is_a_gap():
-    told = decode(high(10), low(100), high(12), low(0))[2]
-    assert told.gaps == ((10 * 4096 + 100, 12 * 4096),)
-    assert told.loss_messages() == ("Words are missing from 41060 to 49152 us of the sensor's clock.",)
+    statistics = decode(high(10), low(100), high(12), low(0))[2]
+    assert statistics.gaps == ((10 * 4096 + 100, 12 * 4096),)
+    assert statistics.loss_messages() == ("Words are missing from 41060 to 49152 us of the sensor's clock.",)
 
 
 def test_gaps_beyond_the_kept_ones_are_counted():
     words = [word for k in range(100) for word in (high(2 * k), low(0))]
-    told = decode(*words)[2]
-    assert (told.gap_count, len(told.gaps)) == (99, 64)
-    assert told.loss_messages()[-1] == "35 more gaps follow."
+    statistics = decode(*words)[2]
+    assert (statistics.gap_count, len(statistics.gaps)) == (99, 64)
+    assert statistics.loss_messages()[-1] == "35 more gaps follow."
 
 
 def test_a_leap_over_the_wrap_is_a_gap_and_one_turn():
-    told = decode(high(0xFFE), low(0), high(1), low(5))[2]
-    assert told.gap_count == 1
-    assert told.last_t_us == LOOP_US + 4096 + 5
+    statistics = decode(high(0xFFE), low(0), high(1), low(5))[2]
+    assert statistics.gap_count == 1
+    assert statistics.last_t_us == LOOP_US + 4096 + 5
 
 
 def test_a_time_low_before_the_first_time_high_is_no_time():
@@ -102,9 +102,9 @@ def test_a_time_low_before_the_first_time_high_is_no_time():
 
 
 def test_events_between_the_first_time_high_and_its_time_low_are_at_its_start():
-    found, _, told = decode(row(3), high(2), event(7, 1), low(5), event(8))
+    found, _, statistics = decode(row(3), high(2), event(7, 1), low(5), event(8))
     assert found == [(8192, 7, 3, 1), (8197, 8, 3, 0)]
-    assert told.first_t_us == 8197
+    assert statistics.first_t_us == 8197
 
 
 def test_the_clock_covered_counts_from_the_first_time_word():

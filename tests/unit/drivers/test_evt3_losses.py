@@ -14,8 +14,8 @@ def test_rate_controller_counts_add_up_with_and_without_the_last_four_bits(parts
         *others(0x016, 4000, parts=parts),
         *others(0x016, 1, parts=parts),
     ]
-    found, _, told = decode(high(0), low(0), *words, row(0), event(1))
-    assert (told.rate_controller_in, told.rate_controller_out) == (5000, 4001)
+    found, _, statistics = decode(high(0), low(0), *words, row(0), event(1))
+    assert (statistics.rate_controller_in, statistics.rate_controller_out) == (5000, 4001)
     assert len(found) == 1
 
 
@@ -33,14 +33,14 @@ def reported(*windows, parts=3):
 
 @pytest.mark.parametrize("parts", [2, 3])
 def test_a_stream_that_has_what_the_sensor_counted_has_lost_nothing(parts):
-    told = reported((3, 3), (0, 0), (7, 7), parts=parts)
-    assert (told.lost_events, told.mismatched_windows, told.loss_messages()) == (0, 0, ())
+    statistics = reported((3, 3), (0, 0), (7, 7), parts=parts)
+    assert (statistics.lost_events, statistics.mismatched_windows, statistics.loss_messages()) == (0, 0, ())
 
 
 def test_events_that_the_sensor_counted_and_that_did_not_arrive_are_lost():
-    told = reported((2, 6), (3, 3), (7, 7), (0, 1))
-    assert (told.lost_events, told.mismatched_windows) == (5, 2)
-    assert "5 events are missing" in told.loss_messages()[0]
+    statistics = reported((2, 6), (3, 3), (7, 7), (0, 1))
+    assert (statistics.lost_events, statistics.mismatched_windows) == (5, 2)
+    assert "5 events are missing" in statistics.loss_messages()[0]
 
 
 @pytest.mark.parametrize(
@@ -51,8 +51,8 @@ def test_parts_of_a_payload_out_of_their_order_count_nowhere(stray):
 
 
 def test_a_report_that_did_not_arrive_leaves_an_odd_window():
-    told = reported((3, 3), (9, 4))
-    assert (told.lost_events, told.mismatched_windows) == (0, 1)
+    statistics = reported((3, 3), (9, 4))
+    assert (statistics.lost_events, statistics.mismatched_windows) == (0, 1)
 
 
 def test_windows_over_several_pieces_are_counted_whole():
@@ -68,8 +68,8 @@ def test_rate_controller_counts_use_28_bits():
 
 
 def test_payloads_of_other_subtypes_count_nowhere():
-    told = decode(*others(0x016, 3), *others(0x0FF, 77), 0xD000, 0xF123, 0xF456)[2]
-    assert told.rate_controller_out == 3
+    statistics = decode(*others(0x016, 3), *others(0x0FF, 77), 0xD000, 0xF123, 0xF456)[2]
+    assert statistics.rate_controller_out == 3
 
 
 def test_a_sensor_that_does_not_report_its_rate_controller_is_not_taken_for_zero():

@@ -89,12 +89,12 @@ def streams(draw):
 @given(streams())
 def test_a_stream_decodes_to_what_was_put_in(stream):
     words, events, triggers, passed = stream
-    found, edges, told = decode(*words)
+    found, edges, statistics = decode(*words)
     assert found == events
     assert edges == triggers
-    assert (told.events, told.on_events) == (len(events), sum(p for *_, p in events))
-    assert (told.rate_controller_out or 0) == passed
-    assert (told.gap_count, told.unplaced_events) == (0, 0)
+    assert (statistics.events, statistics.on_events) == (len(events), sum(p for *_, p in events))
+    assert (statistics.rate_controller_out or 0) == passed
+    assert (statistics.gap_count, statistics.unplaced_events) == (0, 0)
 
 
 @given(streams(), st.lists(st.integers(0, 200), max_size=6), st.integers(32, 80))
@@ -144,18 +144,18 @@ def sparse_words(rng, n):
 @pytest.mark.parametrize("seed", range(4))
 def test_long_stretches_of_a_sparse_stream_decode_as_their_words_one_by_one(seed):
     words = sparse_words(np.random.default_rng(seed), 6000)
-    found, edges, told = decode(*words, max_events=700)
+    found, edges, statistics = decode(*words, max_events=700)
     one_by_one = Evt3Decoder(WIDTH, HEIGHT)
     pieces = [decode(word, decoder=one_by_one) for word in words]
     assert found == [one for piece in pieces for one in piece[0]]
     assert edges == [one for piece in pieces for one in piece[1]]
-    assert told == one_by_one.statistics()
-    assert told.back_steps > 0
+    assert statistics == one_by_one.statistics()
+    assert statistics.back_steps > 0
     tallied, counted = Evt3Decoder(WIDTH, HEIGHT), Evt3Decoder(WIDTH, HEIGHT)
     image, expected = np.zeros((2, 2, HEIGHT, WIDTH), np.uint16)
     tallied.tally(words)
     counted.count(words, image)
-    assert tallied.statistics() == counted.statistics() == told
+    assert tallied.statistics() == counted.statistics() == statistics
     for _, x, y, p in found:
         expected[p, y, x] += 1
     assert np.array_equal(image, expected)
