@@ -1,1 +1,1 @@
-"""Events to images: the flicker of the light, whole periods of it, and one image a recording."""
+"""Events to images: the flicker of the light, a window of whole periods, and one set of images for each recording."""

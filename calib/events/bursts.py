@@ -1,6 +1,6 @@
-"""When within a flicker period the events come: whole-period windows, the folded rate, and bursts.
+"""When in a flicker period the events come: a window of whole periods, the folded rate, and the bursts.
 
-Knows times and polarities of events and the light's `Flicker`; nothing of where in the image they lie.
+The module uses times and polarities of events and the light's `Flicker`. It does not use pixel positions.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from calib.events.flicker import Flicker
 
 #: Share of a period that a window may lack and still count as whole: 33 ms at 60 Hz are two periods less 1 %.
 PERIOD_TOLERANCE = 0.03
-#: Bins in which one period's event rate is looked at.
+#: Number of bins of the folded rate.
 FOLD_BINS = 512
-#: Share of a burst's events that its gate holds.
+#: Share of a burst's events that lie in its window.
 BURST_SHARE = 0.98
 
 
 class BurstWindow(NamedTuple):
-    """When, within a period, one polarity's burst of events comes.
+    """Part of the flicker period in which the burst of one polarity comes.
 
     Attributes
     ----------
     start_us
-        Begin of a burst on the sensor's clock, us; the others follow every period.
+        Start of the first burst on the sensor's clock, us. The next bursts start one period later each.
     length_us
         Length, us.
     """
@@ -39,7 +39,24 @@ class BurstWindow(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def folded_rate(t: Any, p: Any, start_us: float, period_us: float) -> Any:
-    """Return the (2, FOLD_BINS) histogram of OFF and ON events over one period, from a begin on."""
+    """Count the events over the phase of one period (epoch folding).
+
+    Parameters
+    ----------
+    t
+        (N,) int64, times of the events, us.
+    p
+        (N,) uint8, polarities: 1 is ON, 0 is OFF.
+    start_us
+        Time of phase 0, us.
+    period_us
+        Period, us.
+
+    Returns
+    -------
+    array
+        (2, `FOLD_BINS`) float64, number of OFF events (row 0) and ON events (row 1) in each bin.
+    """
     folded = np.zeros((2, FOLD_BINS))
     for i in range(t.size):
         turns = (t[i] - start_us) / period_us
@@ -49,7 +66,25 @@ def folded_rate(t: Any, p: Any, start_us: float, period_us: float) -> Any:
 
 
 def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float) -> BurstWindow:
-    """Shortest stretch of the period that holds `BURST_SHARE` of what rises above the background."""
+    """Find the shortest part of the period that holds the share `BURST_SHARE` of a burst.
+
+    The background is the lower quartile of the bins. A bin counts by what exceeds it by more than three standard
+    deviations of a Poisson count.
+
+    Parameters
+    ----------
+    folded
+        (`FOLD_BINS`,) float64, events of one polarity in each bin, a row of `folded_rate`.
+    start_us
+        Time of phase 0, us.
+    period_us
+        Period, us.
+
+    Returns
+    -------
+    BurstWindow
+        The whole period if no bin exceeds the background.
+    """
     background = np.percentile(folded, 25)
     excess = np.maximum(folded - background - 3.0 * np.sqrt(background), 0.0)
     if excess.sum() == 0.0:
@@ -59,7 +94,7 @@ def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float)
     ends = np.searchsorted(total, total[begins] + BURST_SHARE * total[FOLD_BINS])
     first = int(np.argmin(ends - begins))
     last = int(ends[first])
-    # The first events of a burst are few, and matter most: reach back to where it begins.
+    # The first events of a burst are few and matter most: extend the window back to where the burst starts.
     quiet = np.flatnonzero(np.roll(excess[::-1], first) == 0.0)
     first -= (int(quiet[0]) if quiet.size else 0) + 1
     bin_us = period_us / FOLD_BINS
@@ -72,36 +107,45 @@ def whole_period_window(
     window_us: tuple[float, float] | None,
     periods: int | None,
 ) -> tuple[float, float, int]:
-    """Choose begin, end (us) and number of the whole periods of a recording to use.
+    """Choose a window of whole periods within a recording.
 
-    Where the recording holds more than these, the window begins just before an edge of the light, so that no
-    burst is cut.
+    If the recording is longer than the window, the window starts just before an edge of the light, so that it
+    cuts no burst.
 
     Parameters
     ----------
     t
-        (N,) times of the events, us.
+        (N,) int64, times of the events, us.
     flicker
         Period and phase of the light.
     window_us
-        Begin and end of the recording; by default those of its events.
+        Start and end of the recording, us; None for the first and the last event.
     periods
-        Number of periods wanted; by default as many as there are.
+        Number of periods wanted; None for as many as the recording holds.
+
+    Returns
+    -------
+    start_us, end_us : float
+        Start and end of the window, us.
+    periods : int
+        Number of periods in the window.
 
     Raises
     ------
     TooFewEvents
-        When there are no events, or not as many periods.
+        If there are no events, or fewer periods than wanted.
     """
     if t.size == 0:
-        raise TooFewEvents("It holds no events.", where="event image", remedy="Check that the light is on.")
-    begin, end = window_us if window_us is not None else (float(t[0]), float(t[-1]) + 1.0)
-    there = int((end - begin) / flicker.period_us + PERIOD_TOLERANCE)
-    wanted = there if periods is None else periods
-    if wanted < 1 or there < wanted:
         raise TooFewEvents(
-            f"{(end - begin) / 1000:.2f} ms hold {there} whole periods of {flicker.period_us / 1000:.2f} ms, "
-            f"{max(wanted, 1)} wanted.",
+            "The recording holds no events.", where="event image", remedy="Check that the light is on."
+        )
+    begin, end = window_us if window_us is not None else (float(t[0]), float(t[-1]) + 1.0)
+    available = int((end - begin) / flicker.period_us + PERIOD_TOLERANCE)
+    wanted = available if periods is None else periods
+    if wanted < 1 or available < wanted:
+        raise TooFewEvents(
+            f"{(end - begin) / 1000:.2f} ms hold {available} whole periods of {flicker.period_us / 1000:.2f} ms; "
+            f"{max(wanted, 1)} are needed.",
             where="event image",
             remedy="Record for longer.",
         )

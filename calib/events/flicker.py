@@ -1,6 +1,6 @@
-"""The light's flicker: its period and phase, from trigger edges or from the events themselves.
+"""Period and phase of the light's flicker, from trigger edges or from the events themselves.
 
-Knows times and polarities only; it never sees where in the image an event lies.
+The module uses times and polarities only. It does not use pixel positions.
 """
 
 from __future__ import annotations
@@ -13,41 +13,40 @@ from numpy.typing import NDArray
 
 from calib.errors import FlickerNotFound, TooFewEvents
 
-#: An edge further than this share of the period from its place in the train is no edge of it.
+#: Largest distance of an edge from its place in the train, as a share of the period.
 EDGE_TOLERANCE = 0.15
-#: Narrowest and number of bins in which the stream's rate is looked at.
+#: Least width of the bins of the event rate, us, and their largest number.
 RATE_BIN_US, RATE_BINS = 100.0, 20_000
-#: Power a period needs, in units of the power of as many events at random times.
+#: Least power of a period, in units of the mean power of as many events at random times.
 SIGNIFICANCE = 30.0
-#: Power the fundamental has at least, beside the strongest harmonic of a burst of events.
+#: Least power of the fundamental, as a share of the power of its strongest harmonic.
 FUNDAMENTAL_SHARE = 0.4
-#: Harmonics that sharpen the frequency once it is found.
+#: Number of harmonics that refine the frequency.
 HARMONICS = 8
-#: Bins in which one period is folded to find where the light rises.
-FOLD_BINS = 256
+#: Number of bins of the folded rate in which the light's rising edge is found.
+ONSET_BINS = 256
 
 
 @dataclass(frozen=True)
 class Flicker:
-    """A periodic light as the sensor's clock sees it.
+    """A periodic light, on the sensor's clock.
 
     Attributes
     ----------
     period_us
         Period, us.
     phase_us
-        Time of the first rising edge, us, on the sensor's clock; the others follow every period.
+        Time of the first rising edge, us. The next edges follow one period later each.
     duty
-        Share of the period between a rising edge and the falling one after it; nan where no falling edge
-        was seen.
+        Share of the period between a rising edge and the next falling edge; nan if no falling edge was recorded.
     jitter_us
-        Rms distance of the edges used from the fitted train, us; nan where they are too few to say.
+        Rms distance of the edges used from the fitted train, us; nan if there are too few edges.
     edges
-        Number of rising edges used (periods covered, where the events told the period).
+        Number of rising edges used. If the period comes from the events: number of periods covered.
     missing
-        Rising edges that the train expects between its first and last, but that were not there.
+        Number of rising edges missing between the first and the last edge of the train.
     extra
-        Edges of either direction that do not belong to the train, and were left out.
+        Number of edges of either direction that do not fit the train and were left out.
     source
         ``"triggers"`` or ``"events"``.
     """
@@ -67,7 +66,17 @@ class Flicker:
         return 1e6 / self.period_us
 
     def lag_us(self, other: Flicker) -> float:
-        """How much later this light rises than another, us, within half a period; for comparing two sources.
+        """Return how much later this light rises than another one. This compares two sources of one flicker.
+
+        Parameters
+        ----------
+        other
+            The flicker to compare with. Its period is used.
+
+        Returns
+        -------
+        float
+            Lag, us, between minus and plus half a period.
 
         Examples
         --------
@@ -80,7 +89,17 @@ class Flicker:
         return float(behind - other.period_us * np.round(behind / other.period_us))
 
     def rising_edges_us(self, start_us: float, end_us: float) -> NDArray[np.float64]:
-        """Return the times of the rising edges in ``start_us <= t < end_us``, us.
+        """Return the times of the rising edges within an interval.
+
+        Parameters
+        ----------
+        start_us, end_us
+            Start and end of the interval, us. The end does not belong to it.
+
+        Returns
+        -------
+        array
+            (K,) float64, times, us.
 
         Examples
         --------
@@ -98,24 +117,29 @@ def flicker_from_triggers(
 ) -> Flicker:
     """Fit a periodic train of edges to the times of the light's sync signal.
 
-    Missing edges leave gaps and are counted; edges that do not fit (bounces, crosstalk) are left out and
-    counted. The train is t = phase + k period for rising edges, and the same later by duty * period for
-    falling ones, by least squares over the edges that fit.
+    Rising edge k is expected at t = phase + k * period, and the falling edge after it at duty * period later. Period,
+    phase and duty are fitted by least squares to the edges that fit. Missing edges are counted. Edges that do not
+    fit (bounces, crosstalk) are left out and counted.
 
     Parameters
     ----------
     t_us
-        (N,) times of the edges, us, not falling.
+        (N,) int64, times of the edges, us, in ascending order.
     value
-        (N,) 1 for a rising edge, 0 for a falling one.
+        (N,) int, 1 for a rising edge, 0 for a falling one.
     expected_hz
-        Frequency set at the light; where given, one edge is enough, and a train that differs from it by more
-        than 15 % is refused.
+        Frequency set at the light, Hz, if known. Then one edge is enough, and a train that differs from this
+        frequency by more than `EDGE_TOLERANCE` is refused.
+
+    Returns
+    -------
+    Flicker
+        With the source ``"triggers"``.
 
     Raises
     ------
     FlickerNotFound
-        When fewer edges than needed are there, or they make no train.
+        If there are too few edges, or they are not periodic.
     """
     t = np.asarray(t_us, np.float64)
     is_rising = np.asarray(value) == 1
@@ -124,8 +148,8 @@ def flicker_from_triggers(
     extra = t.size - rising[0].size - falling[0].size
     if rising[0].size == 0 or extra > max(2, t.size // 2):
         raise FlickerNotFound(
-            f"{t.size} trigger edges make no periodic train: {rising[0].size} rising and "
-            f"{falling[0].size} falling ones fit.",
+            f"{t.size} trigger edges are not periodic: only {rising[0].size} rising and "
+            f"{falling[0].size} falling ones fit a period.",
             where="triggers",
             remedy="Check the sync cable and that the light flickers.",
         )
@@ -149,35 +173,49 @@ def flicker_from_events(
 ) -> Flicker:
     """Estimate the flicker from the events, for recordings without triggers.
 
-    The power of the ON rate and of the OFF rate at each frequency are added; both are trains of bursts, whose
-    fundamental is as strong as any harmonic, so the lowest strong frequency is the flicker's. The rising edge
-    is where the ON events of the folded period begin. Best given the slice that is imaged: an error of the
-    period grows into one of the phase over a longer time.
+    The power spectra of the ON rate and of the OFF rate are added. Both rates are trains of bursts, whose fundamental
+    is about as strong as any harmonic, so the lowest strong frequency is the flicker's. The power of the first
+    harmonics together then refines the frequency, as in the Z^2_n statistic of Buccheri et al. (1983). The light
+    rises where the ON events of the folded period start.
+
+    The events should be those of the slice that is imaged, because an error of the period grows into an error of
+    the phase over time.
 
     Parameters
     ----------
-    t_us, p
-        (N,) times, us, not falling, and polarities (1 = ON).
+    t_us
+        (N,) int64, times of the events, us, in ascending order.
+    p
+        (N,) int, polarities: 1 is ON, 0 is OFF.
     band_hz
-        Frequencies looked at.
+        Lowest and highest frequency searched, Hz.
+
+    Returns
+    -------
+    Flicker
+        With the source ``"events"``; its jitter is nan.
 
     Raises
     ------
     TooFewEvents
-        When there are not events enough to speak of a rate.
+        If there are fewer than 100 events.
     FlickerNotFound
-        When no period stands out, or fewer than two periods are covered.
+        If no period stands out, or the events cover fewer than two periods.
     """
     t = np.asarray(t_us, np.float64)
     if t.size < 100:
-        raise TooFewEvents(f"{t.size} events.", where="flicker", remedy="Check that the light is on.")
+        raise TooFewEvents(
+            f"{t.size} events; at least 100 are needed to find the flicker.",
+            where="flicker",
+            remedy="Check that the light is on.",
+        )
     is_on = np.asarray(p) > 0
     start, span = float(t[0]), float(t[-1] - t[0])
     bin_us = max(RATE_BIN_US, span / RATE_BINS)
     bins = int(span / bin_us) + 1
     rates = [np.bincount(((t[m] - start) / bin_us).astype(np.int64), minlength=bins) for m in (is_on, ~is_on)]
     period = 1e6 / _search_frequency(np.array(rates, float), bin_us, band_hz)
-    on, off = (_onset(_fold(t[m] - start, period)) for m in (is_on, ~is_on))
+    on, off = (_onset(_folded(t[m] - start, period)) for m in (is_on, ~is_on))
     return Flicker(
         period_us=period,
         phase_us=start + on * period,
@@ -191,7 +229,10 @@ def flicker_from_events(
 
 
 def _period_guess(t: NDArray[np.float64], rising: NDArray[np.bool_], expected_hz: float | None) -> float:
-    """Median distance of neighbouring edges of one direction; the frequency set, where they are too few."""
+    """Return the median distance of neighbouring edges of one direction, us.
+
+    If an expected frequency is given, only distances near its period count; a single edge gives that period.
+    """
     distances = np.concatenate([np.diff(t[rising]), np.diff(t[~rising])])
     distances = distances[distances > 0]
     if expected_hz is not None:
@@ -202,7 +243,7 @@ def _period_guess(t: NDArray[np.float64], rising: NDArray[np.bool_], expected_hz
             return 1e6 / expected_hz
     if not distances.size:
         raise FlickerNotFound(
-            f"{t.size} trigger edges: a period needs two of one direction.",
+            f"{t.size} trigger edges; a period needs at least two edges of one direction.",
             where="triggers",
             remedy="Record at least two periods, and check that the camera's trigger input is enabled.",
         )
@@ -210,10 +251,10 @@ def _period_guess(t: NDArray[np.float64], rising: NDArray[np.bool_], expected_hz
 
 
 def _train(t: NDArray[np.float64], period: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pick the edges of one direction that lie on a train; return their times and their counts of periods.
+    """Select the edges of one direction that fit a periodic train; return their times and their numbers of periods.
 
-    It starts at the edge that most of its neighbours agree with and reaches out in steps, sharpening the
-    period on the way, so that a guess that is a little off does not lose count.
+    The search starts at the edge that agrees with most of its neighbours and extends in steps. Each step refits the
+    period, so that the count stays right although the first guess of the period is slightly wrong.
     """
     if t.size == 0:
         return t, t
@@ -237,7 +278,10 @@ def _fit_trains(
     falling: tuple[NDArray[np.float64], NDArray[np.float64]],
     period: float,
 ) -> tuple[float, float, float, float]:
-    """Least squares for period, phase of rising and of falling edges; rms residual beside them, us."""
+    """Fit period, phase of the rising edges and phase of the falling edges by least squares.
+
+    Returns them, and the rms residual, all in us. The period stays fixed if neither direction has two edges.
+    """
     t = np.concatenate([rising[0], falling[0]])
     k = np.concatenate([rising[1], falling[1]])
     is_rising = np.arange(t.size) < rising[0].size
@@ -260,17 +304,20 @@ def _fit_trains(
 
 
 def _check_expected(period_us: float, expected_hz: float | None) -> None:
-    """Refuse a train that is not the light's."""
+    """Refuse a train whose frequency is not the one set at the light."""
     if expected_hz is not None and abs(period_us * expected_hz / 1e6 - 1.0) > EDGE_TOLERANCE:
         raise FlickerNotFound(
-            f"The triggers come at {1e6 / period_us:.3f} Hz, the light is set to {expected_hz:.3f} Hz.",
+            f"The triggers come at {1e6 / period_us:.3f} Hz, but the light is set to {expected_hz:.3f} Hz.",
             where="triggers",
             remedy="Check the sync cable and the light's settings.",
         )
 
 
 def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[float, float]) -> float:
-    """Return the flicker's frequency, Hz, from the (2, bins) rates of ON and OFF events."""
+    """Return the flicker's frequency, Hz, from the (2, bins) numbers of ON and OFF events.
+
+    The power is divided by the number of events: its mean is 1 for events at random times.
+    """
     bins = rates.shape[1]
     span_s = bins * bin_us * 1e-6
     lowest, highest = max(band_hz[0], 1.8 / span_s), min(band_hz[1], 0.4e6 / bin_us)
@@ -281,7 +328,7 @@ def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[
     band = np.flatnonzero((frequencies >= lowest) & (frequencies <= highest))
     if band.size < 3:
         raise FlickerNotFound(
-            f"{1000 * span_s:.1f} ms of events cover no two periods in {band_hz[0]:g} to {band_hz[1]:g} Hz.",
+            f"{1000 * span_s:.1f} ms of events cover fewer than two periods of {band_hz[0]:g} to {band_hz[1]:g} Hz.",
             where="events",
             remedy="Record for longer.",
         )
@@ -290,7 +337,7 @@ def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[
     strongest = power[peaks].max(initial=0.0)
     if strongest < SIGNIFICANCE:
         raise FlickerNotFound(
-            f"No period stands out between {lowest:.0f} and {highest:.0f} Hz.",
+            f"No period stands out in the events between {lowest:.0f} and {highest:.0f} Hz.",
             where="events",
             remedy="Check that the light flickers, or wire its sync output to the trigger input.",
         )
@@ -302,7 +349,7 @@ def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[
 def _harmonic_power(
     rates: NDArray[np.float64], bin_us: float, frequencies_hz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Power of the first harmonics of each frequency together."""
+    """Return the sum of the powers of the first harmonics of each frequency, (frequencies,)."""
     times = np.arange(rates.shape[1]) * (bin_us * 1e-6)
     power = np.zeros(frequencies_hz.size)
     for harmonic in range(1, HARMONICS + 1):
@@ -313,18 +360,18 @@ def _harmonic_power(
     return power
 
 
-def _fold(t_us: NDArray[np.float64], period_us: float) -> NDArray[np.float64]:
-    """Histogram of the events over one period, `FOLD_BINS` bins."""
+def _folded(t_us: NDArray[np.float64], period_us: float) -> NDArray[np.float64]:
+    """Count the events over the phase of one period, in `ONSET_BINS` bins."""
     turns = t_us / period_us
-    at = ((turns - np.floor(turns)) * FOLD_BINS).astype(np.int64)
-    return np.bincount(np.minimum(at, FOLD_BINS - 1), minlength=FOLD_BINS).astype(float)
+    at = ((turns - np.floor(turns)) * ONSET_BINS).astype(np.int64)
+    return np.bincount(np.minimum(at, ONSET_BINS - 1), minlength=ONSET_BINS).astype(float)
 
 
 def _onset(folded: NDArray[np.float64]) -> float:
-    """Phase, in periods, where the burst that holds the folded histogram's peak begins."""
+    """Return the phase, in periods, at which the burst with the highest bin starts."""
     excess = np.maximum(folded - np.percentile(folded, 25), 0.0)
     peak = int(np.argmax(excess))
     back = np.roll(excess[::-1], peak + 1)
     quiet = np.flatnonzero(back < 0.1 * excess[peak])
     steps = int(quiet[0]) - 1 if quiet.size else 0
-    return ((peak - steps) % FOLD_BINS) / FOLD_BINS
+    return ((peak - steps) % ONSET_BINS) / ONSET_BINS

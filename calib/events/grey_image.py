@@ -1,7 +1,4 @@
-"""Any image as 8 bits a pixel, for the tag detector and for people to look at.
-
-Knows brightness only, not what is in the image.
-"""
+"""Conversion of any image to 8 bits a pixel, for the tag detector and for display."""
 
 from __future__ import annotations
 
@@ -10,22 +7,27 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
 
-#: Darkest and brightest share of the pixels that the stretch may clip.
+#: Share of the pixels that may be clipped at each end of the grey scale.
 CLIPPED_SHARE = 0.005
 
 
 def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Stretch an image to 0..255 between its darkest and brightest half percent.
+    """Stretch an image to 0..255 between its quantiles `CLIPPED_SHARE` and 1 - `CLIPPED_SHARE`.
 
     Parameters
     ----------
     image
-        (H, W) of any integer or floating type; nan is taken for the darkest.
+        (H, W) of any integer or floating type; nan counts as the darkest value.
+
+    Returns
+    -------
+    array
+        (H, W) uint8; all 0 if the image is constant or holds no finite value.
 
     Raises
     ------
     InputMismatch
-        When it is not one plane, or empty.
+        If the image does not have two axes, or is empty.
 
     Examples
     --------
@@ -34,7 +36,7 @@ def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     """
     if image.ndim != 2 or image.size == 0:
         raise InputMismatch(
-            f"An image of shape {image.shape}.", where="picture", remedy="Give one grey plane (H, W)."
+            f"The image has shape {image.shape}.", where="picture", remedy="Give one grey plane (H, W)."
         )
     values = np.asarray(image, np.float32)
     sample = values if values.size < 4_000_000 else values[::2, ::2]

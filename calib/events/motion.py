@@ -1,6 +1,6 @@
-"""Whether the camera stood still: stars of the first half of a recording against those of the second.
+"""Whether the camera stood still: stars in the first half of a recording are compared with those in the second.
 
-Knows how to halve a window of whole periods, and how to compare two views of one pose.
+The module splits a window of whole periods into halves and compares two views of one pose.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from calib.errors import TooFewEvents, TooFewStars
 from calib.events.event_image import SliceFacts
 from calib.view import View
 
-#: Shift between the halves from which a pose counts as moving, px; repeated recordings of a pose at rest
-#: differ by 0.006 to 0.02 px a star, and far less in the mean.
+#: Shift between the halves from which a pose counts as moving, px. Repeated recordings of a pose at rest differ by
+#: 0.006 to 0.02 px a star, and far less in the mean.
 MOVING_PX = 0.05
-#: Stars that both halves must show.
+#: Least number of stars that both halves must show.
 MIN_COMMON = 8
 
 
 class Motion(NamedTuple):
-    """Mean shift of the stars from the first half to the second.
+    """Typical shift of the stars from the first half to the second.
 
     Attributes
     ----------
     shift_px
-        (x, y) px.
+        Median shift along x and y, px.
     sigma_px
-        1-sigma of each, px, from the scatter of the stars' shifts.
+        Standard uncertainty of each component, px, from the scatter of the stars' shifts.
     stars
-        Stars compared.
+        Number of stars compared.
     """
 
     shift_px: tuple[float, float]
@@ -49,17 +49,31 @@ class Motion(NamedTuple):
 
 
 def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Begin and end, us, of the first and the second half of a slice, each of whole periods.
+    """Split the window of a slice into two halves of whole periods.
 
-    Where their number is odd, the one in the middle belongs to neither.
+    If the number of periods is odd, the middle period belongs to neither half.
+
+    Parameters
+    ----------
+    facts
+        Facts of the whole slice.
+
+    Returns
+    -------
+    first, second : tuple of float
+        Start and end of each half, us.
 
     Raises
     ------
     TooFewEvents
-        When the slice is one period long.
+        If the slice is one period long.
     """
     if facts.periods < 2:
-        raise TooFewEvents("One period has no halves of whole periods.", where="motion", remedy="Record two.")
+        raise TooFewEvents(
+            "The slice holds one period; two are needed to compare its halves.",
+            where="motion",
+            remedy="Record at least two periods.",
+        )
     half = (facts.end_us - facts.start_us) / facts.periods * (facts.periods // 2)
     return (facts.start_us, facts.start_us + half), (facts.end_us - half, facts.end_us)
 
@@ -67,20 +81,33 @@ def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, f
 def motion_between(first: View, second: View) -> Motion:
     """Compare the stars that two views of one pose share.
 
+    Medians are used instead of means, so that single wrong stars do not matter. The median absolute deviation times
+    1.4826 is the standard deviation of normal noise; the median of normal noise is sqrt(pi / 2) = 1.2533 times as
+    uncertain as its mean.
+
+    Parameters
+    ----------
+    first, second
+        Views of the first and the second half.
+
+    Returns
+    -------
+    Motion
+        Shift from the first view to the second.
+
     Raises
     ------
     TooFewStars
-        When they share fewer than `MIN_COMMON`.
+        If the views share fewer than `MIN_COMMON` stars.
     """
     _, a, b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
     if a.size < MIN_COMMON:
         raise TooFewStars(
-            f"The halves share {a.size} stars; {MIN_COMMON} are needed.",
+            f"The halves of the recording share {a.size} stars; {MIN_COMMON} are needed.",
             where=f"view {first.name}",
             remedy="Record for longer.",
         )
     shifts = second.points_px[b] - first.points_px[a]
-    mean = np.median(shifts, axis=0)
-    # 1.4826 makes the median deviation a sigma; a median is 1.2533 times as uncertain as a mean.
-    sigma = 1.2533 * 1.4826 * np.median(np.abs(shifts - mean), axis=0) / np.sqrt(a.size)
-    return Motion((float(mean[0]), float(mean[1])), (float(sigma[0]), float(sigma[1])), int(a.size))
+    median = np.median(shifts, axis=0)
+    sigma = 1.2533 * 1.4826 * np.median(np.abs(shifts - median), axis=0) / np.sqrt(a.size)
+    return Motion((float(median[0]), float(median[1])), (float(sigma[0]), float(sigma[1])), int(a.size))

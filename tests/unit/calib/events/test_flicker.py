@@ -114,7 +114,7 @@ def test_edges_that_make_no_train_are_refused(t, value):
 
 
 def test_a_train_of_another_frequency_than_the_lights_is_refused():
-    with pytest.raises(FlickerNotFound, match=r"50\.000 Hz, the light is set to 60"):
+    with pytest.raises(FlickerNotFound, match=r"50\.000 Hz, but the light is set to 60"):
         flicker_from_triggers(*edges(20_000, 0, 10), expected_hz=60)
 
 

@@ -1,0 +1,172 @@
+"""One pass over the events of a window: all sums that event images are made of, one value a pixel.
+
+The compiled loop is here, apart from the images that users see (`calib.events.event_image`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from calib.events.bursts import FOLD_BINS, BurstWindow, burst_window, folded_rate
+
+
+class PixelSums(NamedTuple):
+    """Sums over the events of each pixel, all (H, W).
+
+    Attributes
+    ----------
+    last_polarity
+        int8, polarity of the last event: +1 ON, -1 OFF, 0 if there was none.
+    on_count, off_count
+        uint32, number of events of each polarity.
+    on_fired, off_fired
+        uint16, number of bursts in which the pixel fired.
+    on_burst, off_burst
+        int32, number of the last burst in which the pixel fired, from 1; -1 if there was none.
+    on_latency
+        float32, us, sum over the ON bursts of the time from the start of the burst to the pixel's first ON event.
+    lock_in
+        float32, sum of polarity times cosine of the flicker's phase.
+    """
+
+    last_polarity: NDArray[np.int8]
+    on_count: NDArray[np.uint32]
+    off_count: NDArray[np.uint32]
+    on_fired: NDArray[np.uint16]
+    off_fired: NDArray[np.uint16]
+    on_burst: NDArray[np.int32]
+    off_burst: NDArray[np.int32]
+    on_latency: NDArray[np.float32]
+    lock_in: NDArray[np.float32]
+
+    @classmethod
+    def empty(cls, size: tuple[int, int]) -> PixelSums:
+        """Return the sums before the first event.
+
+        Parameters
+        ----------
+        size
+            Width and height of the sensor, px.
+
+        Returns
+        -------
+        PixelSums
+            All 0; numbers of bursts -1.
+        """
+        shape = (size[1], size[0])
+        return cls(
+            np.zeros(shape, np.int8),
+            np.zeros(shape, np.uint32),
+            np.zeros(shape, np.uint32),
+            np.zeros(shape, np.uint16),
+            np.zeros(shape, np.uint16),
+            np.full(shape, -1, np.int32),
+            np.full(shape, -1, np.int32),
+            np.zeros(shape, np.float32),
+            np.zeros(shape, np.float32),
+        )
+
+    def mean_latency_us(self) -> NDArray[np.float32]:
+        """Return the mean latency of each pixel's first ON events.
+
+        Returns
+        -------
+        array
+            (H, W) float32, us; nan where no ON burst held an event.
+        """
+        mean = np.full(self.on_latency.shape, np.nan, np.float32)
+        np.divide(self.on_latency, self.on_fired, out=mean, where=self.on_fired > 0)
+        return mean
+
+
+def accumulate(
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    size: tuple[int, int],
+    start_us: float,
+    period_us: float,
+) -> tuple[PixelSums, BurstWindow, BurstWindow]:
+    """Find the bursts within the period, and sum up the events of each pixel.
+
+    The phase 0 of the lock-in sum is the phase at which the ON rate minus the OFF rate of the whole image is largest
+    at the flicker's frequency.
+
+    Parameters
+    ----------
+    t
+        (N,) int64, times of the events of the window, us, in ascending order; N >= 1.
+    x, y
+        (N,) uint16, columns and rows, px.
+    p
+        (N,) uint8, polarities: 1 is ON, 0 is OFF.
+    size
+        Width and height of the sensor, px.
+    start_us
+        Start of the window, us.
+    period_us
+        Period of the flicker, us.
+
+    Returns
+    -------
+    sums : PixelSums
+        (H, W) sums.
+    on_window, off_window : BurstWindow
+        Parts of the period that hold the ON burst and the OFF burst.
+    """
+    off_rate, on_rate = folded_rate(t, p, start_us, period_us)
+    on_window = burst_window(on_rate, start_us, period_us)
+    off_window = burst_window(off_rate, start_us, period_us)
+    wave = np.exp(2j * np.pi * (np.arange(FOLD_BINS) + 0.5) / FOLD_BINS)
+    response_us = start_us + float(np.angle((on_rate - off_rate) @ wave)) / (2 * np.pi) * period_us
+    sums = PixelSums.empty(size)
+    _add_events(t, x, y, p, period_us, response_us, on_window, off_window, sums)
+    return sums, on_window, off_window
+
+
+@njit(cache=True, error_model="numpy")
+def _add_events(
+    t: Any,
+    x: Any,
+    y: Any,
+    p: Any,
+    period: float,
+    response_us: float,
+    on: BurstWindow,
+    off: BurstWindow,
+    sums: PixelSums,
+) -> None:
+    """Add every event to all sums; what depends on the time alone is computed once for events that share a time."""
+    seen = t[0] - 1
+    on_turns = off_turns = on_late = off_late = wave = 0.0
+    for i in range(t.size):
+        if t[i] != seen:
+            seen = t[i]
+            on_turns = np.floor((seen - on.start_us) / period)
+            off_turns = np.floor((seen - off.start_us) / period)
+            on_late = seen - on.start_us - on_turns * period
+            off_late = seen - off.start_us - off_turns * period
+            wave = np.cos(2.0 * np.pi * (seen - response_us) / period)
+        r, c = y[i], x[i]
+        if p[i]:
+            sums.on_count[r, c] += 1
+            sums.last_polarity[r, c] = 1
+            sums.lock_in[r, c] += wave
+            burst = np.int32(on_turns + 1)
+            if on_late <= on.length_us and sums.on_burst[r, c] != burst:
+                sums.on_burst[r, c] = burst
+                sums.on_fired[r, c] += 1
+                sums.on_latency[r, c] += on_late
+        else:
+            sums.off_count[r, c] += 1
+            sums.last_polarity[r, c] = -1
+            sums.lock_in[r, c] -= wave
+            burst = np.int32(off_turns + 1)
+            if off_late <= off.length_us and sums.off_burst[r, c] != burst:
+                sums.off_burst[r, c] = burst
+                sums.off_fired[r, c] += 1
