@@ -147,6 +147,8 @@ class FrameCamera(Protocol):
 def to_grey(image: NDArray[Any], *, where: str) -> Frame:
     """Return the grey values of an image of one, three (BGR) or four channels (BGRA).
 
+    Colours are weighted as OpenCV does it, by ITU-R BT.601.
+
     Parameters
     ----------
     image

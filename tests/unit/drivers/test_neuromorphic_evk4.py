@@ -94,7 +94,8 @@ def test_a_machine_without_usb_says_so_instead_of_having_no_cameras(package, clo
 def test_a_camera_that_cannot_be_opened_is_told_with_those_that_are_there(package, clock):
     package.trouble = "Device not found"
     with pytest.raises(
-        CameraNotFound, match=rf"\(Device not found\); connected EVK4: {SERIAL}, without serial number \(access"
+        CameraNotFound,
+        match=rf"\(Device not found\); connected EVK4: {SERIAL}, without serial number \(access",
     ):
         NeuromorphicEvk4.open(serial="1", clock=clock, utc_now=lambda: NOW)
 
