@@ -22,7 +22,7 @@ from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
 from simulators.stages.zaber_controller import ZaberController
 from simulators.stages.zaber_model import ZaberModel
-from simulators.world.trajectory import Pointing
+from simulators.world.load import LoadTrajectory
 from simulators.world.world import AxisName
 
 #: Distance of the end stops beyond the soft limits, degrees.
@@ -33,7 +33,7 @@ _PULL_OFF_DEG: Final = 1.0
 
 Axes = Mapping[AxisName, AxisConfig]
 Clock = Callable[[], float]
-Publish = Callable[[AxisName, Pointing], None]
+Publish = Callable[[AxisName, LoadTrajectory], None]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
     clock
         Returns the time in seconds.
     publish
-        Called with the name of an axis and each new course of it.
+        Called with the name of an axis and each new trajectory of it.
 
     Returns
     -------

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from simulators.errors import SimulationMisuse
 from simulators.pixels import photoreceptor as pr
+from simulators.pixels.atlas_lookup import between, branch_crossing
 from simulators.pixels.biases import PixelSettings
 from simulators.pixels.drive import LN_BRIGHT, LN_DARK, SQUARE, T_DARK, Drive, make_drive
 from simulators.pixels.fast_math import JIT, KERNEL
@@ -185,7 +186,7 @@ def _branch_times(
 ) -> None:
     """Compute when a pixel crosses AT_ONCE targets, a step apart; whole microseconds of the phase plus ``offset``."""
     for k in range(AT_ONCE):
-        times[k] = np.int32(pr.branch_crossing(drive, level, first + np.float32(k) * step, off) + offset)
+        times[k] = np.int32(branch_crossing(drive, level, first + np.float32(k) * step, off) + offset)
 
 
 @njit(**JIT)
@@ -205,7 +206,7 @@ def _cycle_events(
             j = np.uint32(np.int32(level))
             f = level - np.float32(j)
             for off in range(2):
-                turn = pr.between(d.turns[LN_DARK if off else LN_BRIGHT], j, f)
+                turn = between(d.turns[LN_DARK if off else LN_BRIGHT], j, f)
                 ref = reference[r, c]
                 step = steps[off, r, c]
                 here = np.int64((turn - ref if off else ref - turn) / step)

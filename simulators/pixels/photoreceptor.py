@@ -7,11 +7,11 @@ u = exp(-V) of the receptor's output V = ln I (in the steady state),
 
 is linear. It equals q dV/dt = I - exp(V): a capacitance that the photocurrent charges and a transistor below threshold
 discharges. The time constant is q / I, so ON edges are fast and OFF edges slow. That the bandwidth grows in proportion
-to the light is a property of real pixels (Lichtsteiner et al. 2008; modelled in v2e, Hu, Liu and Delbruck 2021).
-An ON or OFF event comes when V has changed by a threshold from its value at the last reset (Lichtsteiner et al. 2008).
+to the light is a property of real pixels (Lichtsteiner et al. 2008; modelled in v2e, Hu, Liu and Delbruck 2021). An ON
+or OFF event comes when V has changed by a threshold from its value at the last reset (Lichtsteiner et al. 2008).
 
-Under a square light u is a pair of exponentials and everything is closed form. Under any other light with one rise and
-one fall a period, u comes from an atlas of periodic steady states, tabulated over light and phase.
+Under a square light u is a pair of exponentials and everything is closed form; it is computed here. Under any other
+light with one rise and one fall a period, u comes from an atlas of periodic steady states; see ``atlas_lookup``.
 
 Compiled functions over a batch of pixels: a float32 array of N_BATCH rows, one number of a pixel each. A phase is in
 microseconds after the start of a period of the light.
@@ -19,7 +19,6 @@ microseconds after the start of a period of the light.
 
 from __future__ import annotations
 
-import math
 from math import floor, log
 from typing import Any, Final
 
@@ -27,21 +26,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.pixels.drive import (
-    ATLAS_BINS,
-    ATLAS_LEVELS,
-    BENT,
-    EDGE_BEND,
-    LEAST,
-    LN_BRIGHT,
-    LN_DARK,
-    SMOOTH,
-    SQUARE,
-    T_BRIGHT,
-    T_DARK,
-    WHEN_STEPS,
-    Drive,
-)
+from simulators.pixels.atlas_lookup import smooth_crossing, smooth_level
+from simulators.pixels.drive import ATLAS_LEVELS, BENT, LEAST, SMOOTH, SQUARE, Drive
 from simulators.pixels.fast_math import JIT, KERNEL, exp32, log32
 
 # Rows of a batch.
@@ -61,9 +47,6 @@ _ONE: Final = np.float32(1.0)
 _NEVER: Final = np.float32(np.inf)
 _HUGE: Final = np.float32(1e30)
 _TINY: Final = np.float32(1e-30)
-_ROOT_2: Final = np.float32(math.sqrt(2.0))
-_HALF: Final = np.float32(0.5)
-_NEXT: Final = np.uint32(1)
 
 
 @njit(**JIT)
@@ -175,7 +158,7 @@ def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> An
         u in the periodic steady state.
     """
     if d.kind != SQUARE:
-        return _smooth_level(d, u_rise, phase, d.kind == BENT)
+        return smooth_level(d, u_rise, phase, d.kind == BENT)
     return _square_level(d, light, u_rise, u_fall, phase)
 
 
@@ -202,7 +185,7 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
         Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
     """
     if d.kind != SQUARE:
-        return _smooth_crossing(d, u_rise, on_at, off_at, phase, d.kind == BENT)
+        return smooth_crossing(d, u_rise, on_at, off_at, phase, d.kind == BENT)
     return _square_crossing(d, light, u_rise, u_fall, on_at, off_at, phase)
 
 
@@ -223,10 +206,10 @@ def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     """
     if drive.kind == SMOOTH:
         for k in range(n):
-            batch[U, k] = _smooth_level(drive, batch[U_RISE, k], phase, False)
+            batch[U, k] = smooth_level(drive, batch[U_RISE, k], phase, False)
     elif drive.kind == BENT:
         for k in range(n):
-            batch[U, k] = _smooth_level(drive, batch[U_RISE, k], phase, True)
+            batch[U, k] = smooth_level(drive, batch[U_RISE, k], phase, True)
     else:
         for k in range(n):
             batch[U, k] = _square_level(drive, batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k], phase)
@@ -250,12 +233,12 @@ def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     if drive.kind == SMOOTH:
         for k in range(n):
             on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
-            found = _smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, False)
+            found = smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, False)
             batch[T, k], batch[IS_ON, k] = found
     elif drive.kind == BENT:
         for k in range(n):
             on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
-            found = _smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, True)
+            found = smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, True)
             batch[T, k], batch[IS_ON, k] = found
     else:
         for k in range(n):
@@ -264,9 +247,6 @@ def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
             batch[T, k], batch[IS_ON, k] = _square_crossing(
                 drive, light, u_rise, u_fall, on_at, off_at, phase
             )
-
-
-# ---------------------------------------------------------------- square
 
 
 @njit(inline="always", **JIT)
@@ -319,178 +299,3 @@ def _square_crossing(
     cross = max(begin + np.float32(d.q_us) * end * log32(ratio), begin, np.float32(phase))
     never = not (in_now or in_next) or u_start == end
     return _NEVER if never else cross, now_on if in_now else next_on
-
-
-# ---------------------------------------------------------------- smooth
-
-
-@njit(inline="always", **JIT)
-def _smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
-    """Interpolate u at a phase on the atlas."""
-    x = _bin_at(drive, np.float32(phase), bent)
-    i = np.int32(x)
-    g = x - np.float32(i)
-    here, there = drive.atlas[i], drive.atlas[i + 1]
-    j = np.uint32(np.int32(max(level, _ZERO)))
-    f = level - np.float32(j)
-    a = here[j] + f * (here[j + _NEXT] - here[j])
-    b = there[j] + f * (there[j + _NEXT] - there[j])
-    return exp32(a + g * (b - a)) if level >= _ZERO else np.float32(1.0 / drive.ambient)
-
-
-@njit(inline="always", **JIT)
-def between(table: NDArray, j: Any, f: Any) -> Any:
-    """Interpolate between the entries j and j + 1 of a table.
-
-    Parameters
-    ----------
-    table
-        (N,) float32.
-    j
-        Index of the lower entry.
-    f
-        Fraction of the way to the next entry.
-
-    Returns
-    -------
-    float32
-        Interpolated value.
-    """
-    return table[j] + f * (table[j + _NEXT] - table[j])
-
-
-@njit(inline="always", **JIT)
-def _on_curve(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
-    """Return the phase near ``at`` at which the atlas, as ``_smooth_level`` interpolates it, meets the target.
-
-    Each event takes its reference where the last one left it. If the two came from curves that differ slightly, the
-    difference would add up from event to event.
-    """
-    period = np.float32(d.period_us)
-    later = period if at >= period else _ZERO
-    i = np.uint32(np.int32(_bin_at(d, at - later, False)))
-    share = _share(d, i, j, f, target)
-    start, length = d.grid[i], d.grid[i + _NEXT] - d.grid[i]
-    return later + start + share * length if abs(share - _HALF) <= _ONE else at
-
-
-@njit(inline="always", **JIT)
-def _share(d: Drive, i: Any, j: Any, f: Any, target: Any) -> Any:
-    """Return where in bin i a curve meets the target, 0 at its start and 1 at its end."""
-    c = i * np.uint32(ATLAS_LEVELS) + j
-    here, there = between(d.flat, c, f), between(d.flat, c + np.uint32(ATLAS_LEVELS), f)
-    return (target - here) / (there - here)
-
-
-@njit(**JIT)
-def _sought(d: Drive, j: Any, f: Any, target: Any, first: Any, last: Any, off: Any) -> Any:
-    """Return the phase at which a curve meets the target on a branch, by bisection.
-
-    Newton's method does not serve here: a curve with edges has no slope at them.
-    """
-    bins = np.int64(ATLAS_BINS)
-    period = np.float32(d.period_us)
-    low = np.int64(_bin_at(d, first - (period if first >= period else _ZERO), True))
-    low += bins if first >= period else 0
-    high = np.int64(_bin_at(d, last - (period if last >= period else _ZERO), True)) + 1
-    high += bins if last >= period else 0
-    while high - low > 1:
-        middle = (low + high) // 2
-        c = np.uint32(middle % bins) * np.uint32(ATLAS_LEVELS) + j
-        if (between(d.flat, c, f) >= target) == off:
-            high = middle
-        else:
-            low = middle
-    i = np.uint32(low % bins)
-    share = min(max(_share(d, i, j, f, target), _ZERO), _ONE)
-    later = period if low >= bins else _ZERO
-    return later + d.grid[i] + share * (d.grid[i + _NEXT] - d.grid[i])
-
-
-@njit(inline="always", **JIT)
-def _bin_at(d: Drive, phase: Any, bent: bool) -> Any:
-    """Return the position of a phase below one period among the atlas's bins, with its fraction."""
-    bins = np.float32(ATLAS_BINS)
-    if not bent:
-        x = phase * np.float32(ATLAS_BINS / d.period_us)
-    else:
-        low = phase >= np.float32(d.high_us)
-        since = phase - np.float32(d.high_us) if low else phase
-        part = np.float32(d.period_us - d.high_us) if low else np.float32(d.high_us)
-        s = log32(_ONE + since / part * np.float32(math.expm1(EDGE_BEND)))
-        x = s * np.float32(ATLAS_BINS / 2 / EDGE_BEND) + (np.float32(ATLAS_BINS / 2) if low else _ZERO)
-    return min(max(x, _ZERO), bins - np.float32(0.001))
-
-
-@njit(inline="always", **JIT)
-def _tabled(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark: Any, off: Any) -> Any:
-    """Return the phase of a crossing from ``Drive.when``, to about a tenth of a microsecond."""
-    above, below = max(target - bright, _ZERO), max(dark - target, _ZERO)
-    root = np.sqrt(min(above, below) / max(dark - bright, _TINY))
-    s = (root if above <= below else _ROOT_2 - root) * np.float32(WHEN_STEPS / math.sqrt(2.0))
-    k = np.uint32(np.int32(s))
-    g = s - np.float32(k)
-    i = (j + (np.uint32(ATLAS_LEVELS) if off else np.uint32(0))) * np.uint32(WHEN_STEPS + 2) + k
-    here, there = between(d.when, i, g), between(d.when, i + np.uint32(WHEN_STEPS + 2), g)
-    return here + f * (there - here)
-
-
-@njit(inline="always", **JIT)
-def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
-    """Return the phase at which a pixel's ln u meets a target on one branch of the atlas.
-
-    Parameters
-    ----------
-    d
-        Light with an atlas.
-    level
-        Level of the pixel on the atlas.
-    target
-        ln u that is crossed.
-    off
-        Whether the branch rises (OFF); else it falls (ON).
-
-    Returns
-    -------
-    float32
-        Phase, us; may exceed a period.
-    """
-    j = np.uint32(np.int32(level))
-    f = level - np.float32(j)
-    bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
-    return _tabled(d, j, f, target, bright, dark, off)
-
-
-@njit(inline="always", **JIT)
-def _smooth_crossing(
-    d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
-) -> tuple[Any, Any]:
-    """Return phase and polarity of a pixel's next crossing: on the present branch of the curve, or on the one after it.
-
-    ``Drive.when`` holds the phase of a crossing over the light and the height of the target between the curve's
-    extremes. The height has a scale that grows as the root of the distance from either extreme; the phase is smooth in
-    it.
-    """
-    j = np.uint32(np.int32(max(level, _ZERO)))
-    f = level - np.float32(j)
-    bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
-    t_bright, t_dark = between(d.turns[T_BRIGHT], j, f), between(d.turns[T_DARK], j, f)
-    period = np.float32(d.period_us)
-    turn = period if np.float32(phase) < t_dark else _ZERO  # the period that begins in the dark
-    now = np.float32(phase) + turn
-    rising = now >= t_bright
-    on_ln, off_ln = log32(on_at), log32(off_at)
-    can_on, can_off = on_ln >= bright, off_ln <= dark
-    in_now = can_off if rising else can_on
-    off = rising == in_now
-    never = not (can_on or can_off) or level < _ZERO
-    target = off_ln if off else on_ln
-    if bent:
-        cross = _sought(
-            d, j, f, target, t_bright if off else t_dark, t_dark + period if off else t_bright, off
-        )
-    else:
-        cross = _on_curve(d, j, f, target, _tabled(d, j, f, target, bright, dark, off))
-    cross = max(cross, now if in_now else _ZERO)
-    cross += (period if rising and not in_now else _ZERO) - turn
-    return _NEVER if never else cross, _ZERO if off else _ONE

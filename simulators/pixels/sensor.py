@@ -1,7 +1,7 @@
 """The event sensor: a picture and a flickering light in, contrast events out.
 
-This module builds the sensor's fixed pattern and noise, and holds the state that is kept from slice to slice.
-``readout`` holds the loop, ``photoreceptor`` the pixel's response. Optics and wire format are elsewhere.
+This module holds the state that is kept from slice to slice. ``fixed_pattern`` draws the camera's pixels, ``readout``
+holds the loop, and ``photoreceptor`` the pixel's response. Optics and wire format are elsewhere.
 
 The pixel's principle: Lichtsteiner et al. (2008). Threshold mismatch, background events and finite bandwidth: Hu, Liu
 and Delbruck (2021), v2e. Arbiter and readout in an event simulator: Joubert et al. (2021). The models here are this
@@ -24,16 +24,14 @@ from simulators.errors import SimulationMisuse
 from simulators.pixels import readout, sensor_state
 from simulators.pixels.biases import PixelSettings
 from simulators.pixels.drive import Drive, make_drive
-from simulators.pixels.photoreceptor import N_BATCH
+from simulators.pixels.fixed_pattern import GAIN_ONE, draw_noise_rates, make_pixels
 from simulators.pixels.pixel_noise import fill_alias
-from simulators.pixels.sensor_state import BLOCK, GROUP, Pixels, Readout
+from simulators.pixels.sensor_state import Readout
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world.world import LightState
 
 EPOCH_US: Final = 16384.0
 """The epoch of the pixels' times is a multiple of this; float32 then resolves 4 ns."""
-GAIN_ONE: Final = 1 << sensor_state.ON_BITS
-"""Stored gain of a threshold of zero."""
 FIRST_ROOM: Final = 1 << 16
 """Initial size of a slice's arrays; must exceed the longest row."""
 
@@ -43,10 +41,6 @@ ROW_US: Final = 0.1
 LINK_WORDS_US: Final = 100.0 - 1.0 / 16.0 - 8.0 / 200.0
 """1.6 Gbit/s of 16-bit words, without those that carry time and counters; words per us."""
 FIFO_WORDS: Final = 65536.0
-RATE_SPREAD: Final = 0.4
-"""Standard deviation of the logarithm of a pixel's background rate."""
-THINNEST_THRESHOLD: Final = 0.2
-"""Smallest threshold that the mismatch gives, as a share of the nominal one."""
 
 
 class Events(NamedTuple):
@@ -134,7 +128,7 @@ class Sensor:
         self.width, self.height = width, height
         self.settings = settings if settings is not None else PixelSettings()
         self._noise, self._camera_seed = noise, camera_seed
-        self._pixels = _make_pixels(width, height, noise, self.settings, camera_seed)
+        self._pixels = make_pixels(width, height, noise, self.settings, camera_seed)
         self._readout = _make_readout(width, height, noise, self.settings, camera_seed, link or Link())
         self._state = np.zeros(sensor_state.N_STATE)
         self._random = np.random.default_rng(seed).integers(1, 2**63, 2, dtype=np.uint64)
@@ -159,7 +153,7 @@ class Sensor:
     @property
     def noise_rates_hz(self) -> NDArray[np.float32]:
         """Rates of background and hot-pixel events of this camera's pixels, (height, width), without dead time."""
-        rates = _noise_rates(self.width, self.height, self._noise, self.settings, self._camera_seed)
+        rates = draw_noise_rates(self.width, self.height, self._noise, self.settings, self._camera_seed)
         return rates.reshape(self.height, self.width)
 
     def begin(
@@ -379,69 +373,11 @@ def simulate(
     return sensor.run(duration_us)
 
 
-def _make_pixels(
-    width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
-) -> Pixels:
-    """Return pixels with the thresholds of a camera; padding pixels, up to whole blocks, never request."""
-    blocks = -(-width // BLOCK)
-    shape = (height, blocks * BLOCK)
-    pattern = np.random.default_rng([camera_seed, 1])
-
-    def share(threshold: float) -> NDArray[np.uint32]:
-        spread = 1.0 + noise.mismatch * pattern.standard_normal((height, width), np.float32)
-        gain = np.exp(-threshold * np.maximum(spread, THINNEST_THRESHOLD))
-        return np.clip(np.rint(gain * GAIN_ONE), 1, GAIN_ONE - 1).astype(np.uint32)
-
-    cell = np.zeros((*shape, sensor_state.N_CELL), np.float32)
-    cell[:, :, sensor_state.U_REF] = 1.0
-    gains = cell.view(np.uint32)
-    gains[:, :width, sensor_state.GAINS] = share(settings.threshold_on)
-    gains[:, :width, sensor_state.GAINS] |= share(settings.threshold_off) << np.uint32(sensor_state.ON_BITS)
-    gains[:, :width, sensor_state.GAINS][_dead(width, height, noise, camera_seed)] = 0  # beyond any threshold
-    groups = -(-height // GROUP)
-    return Pixels(
-        t_next=np.full(shape, np.inf, np.float32),
-        is_on=np.zeros(shape, np.uint8),
-        cell=cell,
-        gains=gains,
-        block_min=np.full((height, blocks), np.inf, np.float32),
-        row_min=np.full(groups * GROUP, np.inf, np.float32),
-        group_min=np.full(groups, np.inf, np.float32),
-        batch=np.zeros((N_BATCH, shape[1]), np.float32),
-        column=np.zeros(shape[1], np.uint32),
-        noise_t=np.zeros(sensor_state.AHEAD),
-        noise_at=np.zeros(sensor_state.AHEAD, np.int64),
-    )
-
-
-def _dead(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArray[np.bool_]:
-    """Return which pixels of a camera are dead, (height, width)."""
-    dead = np.zeros(width * height, np.bool_)
-    dead[: round(noise.dead_share * dead.size)] = True
-    if dead[0]:
-        np.random.default_rng([camera_seed, 3]).shuffle(dead)
-    return dead.reshape(height, width)
-
-
-def _noise_rates(
-    width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
-) -> NDArray[np.float32]:
-    """Return the rates of background and hot-pixel events of a camera's pixels, row by row, events/s."""
-    pattern = np.random.default_rng([camera_seed, 2])
-    n = width * height
-    spread = np.exp(RATE_SPREAD * pattern.standard_normal(n, np.float32) - 0.5 * RATE_SPREAD**2)
-    rates: NDArray[np.float32] = noise.background_hz * settings.background_gain * spread
-    hot = pattern.choice(n, round(noise.hot_share * n), replace=False)
-    rates[hot] = noise.hot_hz
-    rates[_dead(width, height, noise, camera_seed).ravel()] = 0.0
-    return rates
-
-
 def _make_readout(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int, link: Link
 ) -> Readout:
     """Return the readout with the noise rates of a camera's pixels."""
-    rates = _noise_rates(width, height, noise, settings, camera_seed)
+    rates = draw_noise_rates(width, height, noise, settings, camera_seed)
     n = rates.size
     total = float(rates.sum(dtype=np.float64))
     alias = np.zeros(n, np.uint64)

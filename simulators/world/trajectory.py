@@ -1,8 +1,7 @@
-"""Trajectories: the position of a motor between two commands, and the angle of the load on it.
+"""Trajectories of a motor: its position over time between two commands.
 
-A motor follows trapezoidal ramps. The load follows with a first-order lag, behind the play of a gear. All objects are
-immutable, so that any thread may read them. Positions are motor counts from the true zero of the load; times are those
-of the caller's clock.
+A motor follows trapezoidal ramps. Objects are immutable, so that any thread may read them. Positions are motor counts
+from the true zero of the load; times are those of the caller's clock.
 """
 
 from __future__ import annotations
@@ -10,11 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple, Self
-
-#: A load within this of its final angle has settled: 0.05 arc seconds, a thousandth of a pixel.
-SETTLED_DEG = 0.05 / 3600.0
 
 
 class Leg(NamedTuple):
@@ -82,7 +77,7 @@ def _trapezoid(distance: float, entry: float, speed: float, acceleration: float)
 
 
 class Piece(NamedTuple):
-    """An interval of constant acceleration; the last one of a course lasts until the next command.
+    """An interval of constant acceleration; the last one of a trajectory lasts until the next command.
 
     Attributes
     ----------
@@ -132,7 +127,7 @@ class Piece(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Course:
+class MotorTrajectory:
     """Position of a motor over time, from one command to the next.
 
     Attributes
@@ -145,7 +140,7 @@ class Course:
 
     @classmethod
     def resting(cls, t_s: float, position: float) -> Self:
-        """Return the course of a motor that stands still.
+        """Return the trajectory of a motor that stands still.
 
         Parameters
         ----------
@@ -264,7 +259,7 @@ class Course:
         return self.at(t_s).velocity_at(t_s)
 
     def until(self, t_s: float, creep: float = 0.0) -> Self:
-        """Return the course that stops abruptly at a time, on a whole count.
+        """Return the trajectory that stops abruptly at a time, on a whole count.
 
         Parameters
         ----------
@@ -279,7 +274,7 @@ class Course:
         return type(self)((*kept, Piece(t_s, float(round(self.position(t_s))), creep, 0.0)))
 
     def first_beyond(self, lowest: float, highest: float) -> float | None:
-        """Return the time at which the course first leaves a range.
+        """Return the time at which the trajectory first leaves a range.
 
         Parameters
         ----------
@@ -289,7 +284,7 @@ class Course:
         Returns
         -------
         float or None
-            Time; None if the course stays inside.
+            Time; None if the trajectory stays inside.
         """
         for index, piece in enumerate(self.pieces):
             ends_s = self.pieces[index + 1].start_s if index + 1 < len(self.pieces) else piece.start_s
@@ -309,126 +304,3 @@ def _time_to(position: float, piece: Piece) -> float:
     root = math.sqrt(max(0.0, v * v + 2.0 * a * distance))
     speed_sum = v + side * root
     return max(0.0, 2.0 * distance / speed_sum) if speed_sum != 0.0 else 0.0
-
-
-@dataclass(frozen=True)
-class Pointing:
-    """Angle of the load while its motor follows a course.
-
-    The load x follows the motor q with a first-order lag, ``settle_s dx/dt = q - x``. For each piece this has a closed
-    form: a parabola behind the motor's, and an exponential decay of the load's initial distance from it.
-
-    Attributes
-    ----------
-    course
-        Course of the motor.
-    offsets
-        Load minus motor at rest, counts, for each piece: half the play of the gear, with the sign of the side that
-        the load came from.
-    loads
-        Position of the load at the start of each piece, counts.
-    counts_per_deg, settle_s
-        Scale, and time constant of the lag.
-    """
-
-    course: Course
-    offsets: tuple[float, ...]
-    loads: tuple[float, ...]
-    counts_per_deg: float
-    settle_s: float
-
-    @classmethod
-    def following(
-        cls,
-        course: Course,
-        load: float,
-        offset: float,
-        backlash: float,
-        counts_per_deg: float,
-        settle_s: float,
-    ) -> Self:
-        """Return the motion of a load whose motor follows a course.
-
-        Parameters
-        ----------
-        course
-            Course of the motor.
-        load
-            Position of the load at the start, counts.
-        offset
-            Load minus motor at the start, counts, from the play of the gear.
-        backlash
-            Play of the gear, counts.
-        counts_per_deg
-            Scale, motor counts per degree of the load.
-        settle_s
-            Time constant of the lag; 0 for none.
-        """
-        offsets: list[float] = []
-        loads: list[float] = [load]
-        ends = [piece.start_s for piece in course.pieces[1:]]
-        for piece, end_s in zip(course.pieces, [*ends, course.end_s], strict=True):
-            middle = piece.velocity_at((piece.start_s + end_s) / 2.0)
-            if backlash != 0.0 and middle != 0.0:
-                offset = -math.copysign(backlash / 2.0, middle)
-            offsets.append(offset)
-            loads.append(_follow(piece, offset, loads[-1], end_s, settle_s))
-        return cls(course, tuple(offsets), tuple(loads[:-1]), counts_per_deg, settle_s)
-
-    @property
-    def rest(self) -> float:
-        """Position at which the load comes to rest, counts."""
-        return self.course.rest + self.offsets[-1]
-
-    @cached_property
-    def settled_from_s(self) -> float:
-        """Time from which on the load is within `SETTLED_DEG` of its final angle; infinite if the motor drifts."""
-        if self.course.pieces[-1].velocity != 0.0:
-            return math.inf
-        residual = abs(self.loads[-1] - self.rest) / self.counts_per_deg
-        if residual <= SETTLED_DEG:
-            return self.course.end_s
-        return self.course.end_s + self.settle_s * math.log(residual / SETTLED_DEG)
-
-    def load(self, t_s: float) -> float:
-        """Return the position of the load at a time.
-
-        Parameters
-        ----------
-        t_s
-            Time.
-
-        Returns
-        -------
-        float
-            Position, counts.
-        """
-        index = self.course.index(t_s)
-        return _follow(self.course.pieces[index], self.offsets[index], self.loads[index], t_s, self.settle_s)
-
-    def angle_deg(self, t_s: float) -> float:
-        """Return the angle of the load at a time.
-
-        Parameters
-        ----------
-        t_s
-            Time.
-
-        Returns
-        -------
-        float
-            Angle; exactly the final one once the load has settled.
-        """
-        load = self.rest if t_s >= self.settled_from_s else self.load(t_s)
-        return load / self.counts_per_deg
-
-
-def _follow(piece: Piece, offset: float, load: float, t_s: float, settle_s: float) -> float:
-    """Solve settle_s dx/dt = q - x over a piece of constant acceleration."""
-    motor = piece.position_at(t_s) + offset
-    if settle_s <= 0.0:
-        return motor
-    lag = settle_s * settle_s * piece.acceleration
-    steady = motor - settle_s * piece.velocity_at(t_s) + lag
-    steady_at_start = piece.position + offset - settle_s * piece.velocity + lag
-    return steady + (load - steady_at_start) * math.exp(-max(0.0, t_s - piece.start_s) / settle_s)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from simulators.stages.axis_motion import Axis
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.motion_faults import MotionEvent, MotionFault
-from simulators.world.trajectory import SETTLED_DEG, ramp
+from simulators.world.load import SETTLED_DEG
+from simulators.world.trajectory import ramp
 
 SCALE = 6400.0
 SPEED = 40.0 * SCALE
@@ -95,14 +96,14 @@ def test_a_new_target_in_motion_is_reached_without_a_jump():
     assert one.counter(22.0) == -5.0 * SCALE
 
 
-def test_every_new_course_is_published_and_joins_the_one_before():
-    courses = []
-    one = Axis(Mechanics(SCALE, -20.0, 20.0), 0.0, courses.append)
+def test_every_new_trajectory_is_published_and_joins_the_one_before():
+    trajectories = []
+    one = Axis(Mechanics(SCALE, -20.0, 20.0), 0.0, trajectories.append)
     one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
     one.stop(20.1, ACCELERATION)
-    assert [one.course.start_s for one in courses] == [0.0, 20.0, 20.1]
-    assert courses[2].angle_deg(20.1) == pytest.approx(courses[1].angle_deg(20.1))
-    assert courses[1].angle_deg(20.4) > courses[2].angle_deg(20.4)
+    assert [one.motor.start_s for one in trajectories] == [0.0, 20.0, 20.1]
+    assert trajectories[2].angle_deg(20.1) == pytest.approx(trajectories[1].angle_deg(20.1))
+    assert trajectories[1].angle_deg(20.4) > trajectories[2].angle_deg(20.4)
 
 
 def test_stop_brakes_within_the_acceleration():

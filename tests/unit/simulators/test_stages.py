@@ -10,7 +10,7 @@ from simulators.assembly.stages import Stage, make_stage
 from simulators.config import bench_config
 from simulators.ports.serial_device import Dialect
 from simulators.stages.ximc_protocol import crc16
-from simulators.world.trajectory import Pointing
+from simulators.world.load import LoadTrajectory
 
 
 class Built:
@@ -19,7 +19,7 @@ class Built:
     def __init__(self, kind: str, **changes) -> None:
         config = bench_config({"stage": {"kind": kind, "pan": {**changes}, "tilt": {}}})
         self.now_s = 0.0
-        self.pointing: dict[str, Pointing] = {}
+        self.pointing: dict[str, LoadTrajectory] = {}
         self.stage: Stage = make_stage(kind, config.axes, lambda: self.now_s, self.pointing.__setitem__)
 
     def say(self, port: str, *messages: bytes) -> bytes:
