@@ -14,7 +14,7 @@ import click
 import pytest
 
 from bench.base.errors import StorageError
-from bench.batch.batch_plan import plan_night
+from bench.batch.batch_plan import plan_batch
 from bench.commands.cli import cli, main
 from bench.commands.help_text import EXAMPLES
 from bench.commands.output import tell_error
@@ -143,7 +143,7 @@ def test_a_queue_in_the_documents_is_one_that_can_be_planned(document):
     assert len(shown) == 2
     for text in shown:
         queue = check_document(text.encode(), "shown", Queue).value
-        assert plan_night(queue, datetime(2026, 3, 1, 18, tzinfo=UTC)).slots
+        assert plan_batch(queue, datetime(2026, 3, 1, 18, tzinfo=UTC)).slots
 
 
 @pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
@@ -276,7 +276,7 @@ def test_a_reader_that_has_gone_is_no_error():
 
 
 def test_signs_that_a_stream_cannot_show_are_told_in_others():
-    program = "from bench.terminal.encoding import say_what_can_be_said as s; import sys; s(sys.stdout);"
+    program = "from bench.terminal.encoding import replace_unencodable as s; import sys; s(sys.stdout);"
     program += "print('3345.3 \u00b1 1.2, \u22120.9, \u674e')"
     said = subprocess.run(
         [sys.executable, "-c", program],

@@ -64,7 +64,7 @@ def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_p
 
 
 def test_the_command_line_asks_before_numba_is_imported():
-    program = "import sys, bench.base.kernel_cache as k; k.keep_kernels_somewhere = lambda e: print('numba' in sys.modules);"
+    program = "import sys, bench.base.kernel_cache as k; k.set_kernel_cache = lambda e: print('numba' in sys.modules);"
     program += "from bench.commands.cli import main; main(['--version'])"
     said = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True

@@ -24,7 +24,7 @@ for number in range(400):
             try:
                 clock.sleep(0.0)
             except Interrupted:
-                clock.go_on()
+                clock.clear_interruption()
             clock.sleep(1e-6)
     except Aborted:
         stopped += 1
