@@ -1,22 +1,32 @@
-"""Every error the engine raises; each says what is wrong, where, and what to do.
+"""All errors that the engine raises. Each says what is wrong, where, and what to do.
 
 CalibrationError
-├── TargetNotFound      no tag, or an ambiguous one, in an event image
-│   └── StarsUnnamed    stars are there, but nothing tells which they are
-├── TooFewStars         a view with too few stars to constrain anything
-├── TooFewEvents        a slice too empty, or without whole flicker periods, to make an image of
-├── FlickerNotFound     no usable triggers and no periodicity in the stream
-├── DegenerateViews     views that do not constrain the camera: too few, same pose twice, parallel axes
-├── PassportContradicted  views that contradict what is known of the collimator
-├── NotConverged        refinement ended without reaching an optimum
-└── InputMismatch       shapes, sizes, ids or options that contradict each other
+├── TargetNotFound        the image shows no target, or a wrong or ambiguous tag
+│   └── StarsUnnamed      the image shows stars, but neither the tag nor a pose identifies them
+├── TooFewStars           too few stars to fit or compare anything
+├── TooFewEvents          too few events, or no whole flicker period, for an image
+├── FlickerNotFound       neither the triggers nor the events show a period
+├── DegenerateViews       views that do not determine the camera: too few, twice the same pose, parallel axes
+├── PassportContradicted  views that contradict the collimator's passport
+├── NotConverged          an adjustment that did not reach its optimum
+└── InputMismatch         shapes, sizes, ids or options that contradict each other
 """
 
 from __future__ import annotations
 
 
 class CalibrationError(Exception):
-    """What is wrong, where, and what to do about it."""
+    """Base class of the engine's errors.
+
+    Parameters
+    ----------
+    what
+        What is wrong, a sentence.
+    where
+        The view, file or step concerned; may be empty.
+    remedy
+        What to do about it, a sentence; may be empty.
+    """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         self.what = what
@@ -28,36 +38,36 @@ class CalibrationError(Exception):
 
 
 class TargetNotFound(CalibrationError):
-    """No tag, or an ambiguous one, was found."""
+    """The image shows no target, or a wrong or ambiguous tag."""
 
 
 class StarsUnnamed(TargetNotFound):
-    """Stars were found, but nothing tells which they are."""
+    """The image shows stars, but neither the tag nor an expected pose identifies them."""
 
 
 class TooFewStars(CalibrationError):
-    """Too few stars were found."""
+    """There are too few stars to fit or compare anything."""
 
 
 class TooFewEvents(CalibrationError):
-    """The slice is too empty, or too short, to make an image of."""
+    """There are too few events, or no whole flicker period, for an image."""
 
 
 class FlickerNotFound(CalibrationError):
-    """Neither triggers nor the stream tell the flicker's phase."""
+    """Neither the triggers nor the events show the period of the flicker."""
 
 
 class DegenerateViews(CalibrationError):
-    """These views do not constrain the camera."""
+    """The views do not determine the camera."""
 
 
 class PassportContradicted(CalibrationError):
-    """The views contradict what is known of the collimator."""
+    """The views contradict the collimator's passport."""
 
 
 class NotConverged(CalibrationError):
-    """The refinement did not reach an optimum."""
+    """The adjustment did not reach its optimum."""
 
 
 class InputMismatch(CalibrationError):
-    """Inputs that contradict each other."""
+    """The inputs contradict each other."""

@@ -1,12 +1,13 @@
-"""The star target: where its stars lie, how they are numbered, and how bright it is printed.
+"""The star target: positions of its stars, their ids, and the printed brightness.
 
-Knows the printed pattern only: no camera, no collimator, no image. The pattern is a grid of squares; a star
-of alternating black and white segments surrounds every inner node, cut to the square cell of half a pitch
-around it, and an AprilTag of family 36h11 stands in place of some squares, inside a white ring as wide as
-half a square.
+The module describes the printed pattern only: no camera, no collimator, no image. The pattern is a grid of squares.
+Every inner node of the grid has a star of alternating black and white segments, cut to the square cell of half a
+pitch around the node. An AprilTag of family 36h11 (Olson 2011) takes the place of some squares, inside a white ring
+that is half a square wide. Star patterns with an AprilTag for calibration are from Schöps et al. (2020),
+arXiv:1912.02908; the collimator of arXiv:2512.16092 shows one.
 
-Target frame: the plane Z = 0, X right along the columns, Y down along the rows, millimetres; node (0, 0), the
-inner node of the first column and row, is the origin.
+Target frame: the plane Z = 0, in millimetres; X points right along the columns, Y down along the rows. The origin is
+node (0, 0), the inner node of the first column and row.
 """
 
 from __future__ import annotations
@@ -28,7 +29,23 @@ TAG_MODULES = 8
 
 
 class TargetLayout(NamedTuple):
-    """All that `reflectance_at` needs, in a form that numba compiles: plain numbers and one small array."""
+    """The pattern as `reflectance_at` takes it: plain numbers and one small array, which numba can compile.
+
+    Attributes
+    ----------
+    pitch_mm
+        Distance of neighbouring stars, mm.
+    columns, rows
+        Number of columns and rows of nodes.
+    segments
+        Number of segments of a star.
+    tag_column, tag_row
+        Node at the upper left corner of the tag.
+    tag_squares
+        Side of the tag, squares.
+    tag_modules
+        (8, 8) uint8, modules of the tag with its border: 1 is white.
+    """
 
     pitch_mm: float
     columns: int
@@ -47,12 +64,12 @@ class StarTarget:
     Parameters
     ----------
     squares_x, squares_y
-        Number of squares along X and Y; stars stand at the inner nodes, one fewer each way.
+        Number of squares along X and Y. Stars are at the inner nodes, one fewer in each direction.
     pitch_mm
         Distance of neighbouring stars, mm.
     segments
-        Segments of a star, black and white counted together; a multiple of 4, so that a star keeps its look
-        when turned by half a turn.
+        Number of segments of a star, black and white together. It is a multiple of 4, so that a star looks the
+        same after half a turn.
     tag_id
         Number of the AprilTag in family 36h11, 0 to 586.
     tag_square
@@ -63,7 +80,7 @@ class StarTarget:
     Raises
     ------
     InputMismatch
-        When the numbers make no printable target.
+        If no such target can be printed.
 
     Examples
     --------
@@ -90,21 +107,21 @@ class StarTarget:
             raise InputMismatch(fault, where="star target", remedy="Describe the target as it is printed.")
 
     def _fault(self) -> str:
-        """Say what makes the target unprintable, or nothing."""
+        """Return why the target cannot be printed; empty if it can."""
         if self.squares_x < 2 or self.squares_y < 2:
             return f"{self.squares_x} x {self.squares_y} squares have no inner node."
         if not (math.isfinite(self.pitch_mm) and self.pitch_mm > 0):
-            return f"A pitch of {self.pitch_mm} mm."
+            return f"The pitch is {self.pitch_mm} mm; it must be a positive number."
         if self.segments < 4 or self.segments % 4:
-            return f"{self.segments} segments: a star has a multiple of 4."
+            return f"A star has {self.segments} segments; the number must be a multiple of 4."
         if not 0 <= self.tag_id <= 586:
-            return f"Tag {self.tag_id}: family 36h11 has 0 to 586."
+            return f"Tag {self.tag_id} does not exist; family 36h11 has tags 0 to 586."
         fits = all(
             first >= 1 and first + self.tag_squares <= squares - 1
             for first, squares in zip(self.tag_square, (self.squares_x, self.squares_y), strict=True)
         )
         if self.tag_squares < 1 or not fits:
-            return f"A tag of {self.tag_squares} squares at square {self.tag_square} does not lie inside."
+            return f"A tag of {self.tag_squares} squares at square {self.tag_square} does not lie inside the target."
         return ""
 
     @property
@@ -126,13 +143,13 @@ class StarTarget:
 
     @property
     def tag_corners_mm(self) -> NDArray[np.float64]:
-        """(4, 2) corners of the tag's black border, mm: upper left, upper right, lower right, lower left."""
+        """(4, 2) float64, mm, corners of the tag's black border: upper left, upper right, lower right, lower left."""
         centre, half = np.array(self.tag_centre_mm), self.tag_squares * self.pitch_mm / 2.0
         return centre + half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
     @cached_property
     def _ids_by_node(self) -> NDArray[np.int64]:
-        """(rows, columns) id of the star at each node, -1 where there is none; row by row without gaps."""
+        """(rows, columns) int64, id of the star at each node, -1 if there is none; numbered row by row without gaps."""
         present = np.ones((self.rows, self.columns), bool)
         column, row = self.tag_square
         side = self.tag_squares + 1
@@ -143,28 +160,49 @@ class StarTarget:
 
     @cached_property
     def _nodes_by_id(self) -> NDArray[np.int64]:
-        """(number of stars, 2) column and row of each star."""
+        """(stars, 2) int64, column and row of each star."""
         return np.argwhere(self._ids_by_node >= 0)[:, ::-1].copy()
 
     @property
     def ids(self) -> NDArray[np.int64]:
-        """(number of stars,) int64, every id that exists, rising."""
+        """(stars,) int64, ids of all stars of the target, in ascending order."""
         return np.arange(len(self._nodes_by_id))
 
     def id_at(self, column: ArrayLike, row: ArrayLike) -> NDArray[np.int64]:
-        """Id of the star at each node, int64 in the broadcast shape; -1 where no star is printed."""
+        """Return the ids of the stars at nodes.
+
+        Parameters
+        ----------
+        column, row
+            Columns and rows of the nodes, int, of any shapes that broadcast; nodes outside of the target are allowed.
+
+        Returns
+        -------
+        array
+            int64, ids, in the broadcast shape; -1 where no star is printed.
+        """
         columns, rows = np.broadcast_arrays(np.asarray(column, np.int64), np.asarray(row, np.int64))
         inside = (columns >= 0) & (columns < self.columns) & (rows >= 0) & (rows < self.rows)
         ids = self._ids_by_node[np.where(inside, rows, 0), np.where(inside, columns, 0)]
         return np.where(inside, ids, -1)
 
     def node_of(self, ids: ArrayLike) -> NDArray[np.int64]:
-        """(N, 2) int64 column and row of each star.
+        """Return the nodes of stars.
+
+        Parameters
+        ----------
+        ids
+            (N,) int, ids of the stars.
+
+        Returns
+        -------
+        array
+            (N, 2) int64, column and row of each star.
 
         Raises
         ------
         InputMismatch
-            When a star of that number is not on the target.
+            If an id does not exist on the target.
         """
         wanted = np.atleast_1d(np.asarray(ids, np.int64))
         unknown = wanted[(wanted < 0) | (wanted >= len(self._nodes_by_id))]
@@ -173,12 +211,28 @@ class StarTarget:
         return self._nodes_by_id[wanted]
 
     def positions_mm(self, ids: ArrayLike) -> NDArray[np.float64]:
-        """(N, 2) float64 X and Y of each star, mm. Raises `InputMismatch` as `node_of` does."""
+        """Return the positions of stars on the target plane.
+
+        Parameters
+        ----------
+        ids
+            (N,) int, ids of the stars.
+
+        Returns
+        -------
+        array
+            (N, 2) float64, X and Y of each star, mm.
+
+        Raises
+        ------
+        InputMismatch
+            If an id does not exist on the target.
+        """
         return np.asarray(self.node_of(ids) * self.pitch_mm, np.float64)
 
     @cached_property
     def layout(self) -> TargetLayout:
-        """The pattern as `reflectance_at` takes it."""
+        """The pattern in the form that `reflectance_at` takes."""
         family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
         modules = family.generateImageMarker(self.tag_id, TAG_MODULES, borderBits=1) > 0
         column, row = self.tag_square
@@ -194,10 +248,20 @@ class StarTarget:
         )
 
     def reflectance(self, x_mm: ArrayLike, y_mm: ArrayLike) -> NDArray[np.float64]:
-        """Return the printed brightness at points of the target plane, 0 (black) or 1 (white).
+        """Return the printed brightness at points of the target plane.
 
-        The result has the broadcast shape of the inputs. The paper outside the stars' cells is white; at a
-        star's very centre, where segments meet, the value is that of one of them.
+        The paper outside of the stars' cells is white. At the centre of a star, where all segments meet, the value
+        is that of one of them.
+
+        Parameters
+        ----------
+        x_mm, y_mm
+            X and Y of the points, mm, of any shapes that broadcast.
+
+        Returns
+        -------
+        array
+            float64, 0 (black) or 1 (white), in the broadcast shape.
         """
         x, y = np.broadcast_arrays(np.asarray(x_mm, float), np.asarray(y_mm, float))
         values = _reflectances(x.ravel(), y.ravel(), self.layout)
@@ -206,14 +270,19 @@ class StarTarget:
 
 @njit(cache=True, error_model="numpy")
 def reflectance_at(x_mm: float, y_mm: float, layout: TargetLayout) -> float:
-    """Return the printed brightness at one point, 0 or 1, for code that numba compiles.
+    """Return the printed brightness at one point, for code that numba compiles.
 
     Parameters
     ----------
     x_mm, y_mm
-        Point of the target plane, mm.
+        X and Y of the point on the target plane, mm.
     layout
-        `StarTarget.layout`.
+        Pattern, from `StarTarget.layout`.
+
+    Returns
+    -------
+    float
+        0 (black) or 1 (white).
     """
     column, row = x_mm / layout.pitch_mm, y_mm / layout.pitch_mm
     tag_x, tag_y = column - layout.tag_column, row - layout.tag_row
@@ -226,7 +295,7 @@ def reflectance_at(x_mm: float, y_mm: float, layout: TargetLayout) -> float:
     node_x, node_y = math.floor(column + 0.5), math.floor(row + 0.5)
     if not (0 <= node_x < layout.columns and 0 <= node_y < layout.rows):
         return 1.0
-    # Segments are counted from +Y, and the first of them is white.
+    # Segments are counted from +Y. The first one is white.
     turns = math.atan2(row - node_y, column - node_x) / (2.0 * math.pi) - 0.25
     segment = math.floor(layout.segments * (turns - math.floor(turns)))
     return 1.0 if segment % 2 == 0 else 0.0

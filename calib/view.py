@@ -1,4 +1,4 @@
-"""A view: the stars found in one pose, where they lie in the image and on the target."""
+"""A view: the stars detected in one pose, with their points in the image and on the target."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ class View:
     Attributes
     ----------
     name
-        The pose's name.
+        Name of the pose.
     image_size
         Width and height of the sensor, px.
     ids
-        (N,) int64, ids of the stars on the target, all different.
+        (N,) int64, ids of the stars on the target. No id occurs twice.
     points_px
-        (N, 2) float64, image points; pixel centres at integers, as OpenCV has them.
+        (N, 2) float64, px, image points u, v. Pixel centres are at integers, as in OpenCV.
     target_mm
-        (N, 2) float64, positions on the target plane (Z = 0).
+        (N, 2) float64, mm, positions X, Y on the target plane (Z = 0).
     covariances_px2
-        (N, 2, 2) float64, covariance of each image point, px^2.
+        (N, 2, 2) float64, px^2, covariance of each image point.
 
     Raises
     ------
     InputMismatch
-        When shapes disagree, a number is not finite, or an id stands twice.
+        If shapes disagree, a number is not finite, or an id occurs twice.
     """
 
     name: str
@@ -46,11 +46,13 @@ class View:
         n = len(self.ids)
         shapes = (self.points_px.shape, self.target_mm.shape, self.covariances_px2.shape)
         if shapes != ((n, 2), (n, 2), (n, 2, 2)):
-            raise InputMismatch(f"{n} ids, but arrays of shapes {shapes}.", where=f"view {self.name}")
+            raise InputMismatch(
+                f"The view has {n} ids, but its arrays have shapes {shapes}.", where=f"view {self.name}"
+            )
         if len(np.unique(self.ids)) != n:
-            raise InputMismatch("A star stands twice in it.", where=f"view {self.name}")
+            raise InputMismatch("The view holds a star twice.", where=f"view {self.name}")
         if not all(np.isfinite(a).all() for a in (self.points_px, self.target_mm, self.covariances_px2)):
-            raise InputMismatch("It holds numbers that are not finite.", where=f"view {self.name}")
+            raise InputMismatch("The view holds numbers that are not finite.", where=f"view {self.name}")
 
     def __len__(self) -> int:
         """Number of stars."""

@@ -55,7 +55,7 @@ def folded_rate(t: Any, p: Any, start_us: float, period_us: float) -> Any:
     Returns
     -------
     array
-        (2, `FOLD_BINS`) float64, number of OFF events (row 0) and ON events (row 1) in each bin.
+        (2, FOLD_BINS) float64, number of OFF events (row 0) and ON events (row 1) in each bin.
     """
     folded = np.zeros((2, FOLD_BINS))
     for i in range(t.size):
@@ -74,7 +74,7 @@ def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float)
     Parameters
     ----------
     folded
-        (`FOLD_BINS`,) float64, events of one polarity in each bin, a row of `folded_rate`.
+        (FOLD_BINS,) float64, events of one polarity in each bin, a row of `folded_rate`.
     start_us
         Time of phase 0, us.
     period_us

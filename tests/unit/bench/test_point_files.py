@@ -36,7 +36,7 @@ def test_coordinates_with_pixel_centres_at_integers_are_not_shifted(tmp_path):
         ("1 2 x 4 5\n", r"image1\.txt:1: Not a number"),
         ("1 2 nan 4 5\n", r"image1\.txt:1: A number is not finite"),
         ("1 2 3 4 5.5\n", r"image1\.txt:1: .*whole"),
-        ("1 2 3 4 5\n6 7 8 9 5\n", "stands twice"),
+        ("1 2 3 4 5\n6 7 8 9 5\n", "a star twice"),
         ("\n# nothing\n", "holds no points"),
         ("1 2 3 4 1e300\n", r"image1\.txt:1: .*whole"),
         ("5 5 3 4 1\n-1.5 2 3 4 5\n", r"1 of 2 points lie outside .* at \(-1\.5, 2\)"),
