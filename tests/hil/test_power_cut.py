@@ -43,14 +43,14 @@ pose = sum(e.event == CAPTURE_STORED for e in journal.entries)
 print("ready", flush=True)
 while True:
     pose += 1
-    folder.capture_part(pose, 1).write_bytes(hashlib.sha256(str(pose).encode()).digest() * 300)
+    folder.capture_part_path(pose, 1).write_bytes(hashlib.sha256(str(pose).encode()).digest() * 300)
     capture = folder.commit_capture(pose, 1)
     for number in range(NOTES):  # lines that last with the next one that counts
-        journal.note("on_the_way", number=number, text="x" * 900)
+        journal.append_unsynced("on_the_way", number=number, text="x" * 900)
     journal.append(CAPTURE_STORED, pose=pose, attempt=1, **capture.as_data())
     print(pose, flush=True)
     for number in range(NOTES):
-        journal.note("on_the_way", number=number, text="y" * 900)
+        journal.append_unsynced("on_the_way", number=number, text="y" * 900)
 """
 
 
