@@ -1,7 +1,7 @@
-"""Time comes in from outside: drivers wait through a clock they are given.
+"""The clock through which drivers wait; whoever opens a driver passes it in.
 
-The bench hands in a clock whose ``sleep`` raises as soon as the operator asks to stop, so that every
-wait of a driver is a safe point; a virtual clock makes a night pass in seconds.
+The bench passes a clock whose ``sleep`` raises as soon as the operator asks to stop, so a driver can be stopped at each
+of its waits. With a virtual clock, a night passes in seconds.
 """
 
 from __future__ import annotations
@@ -11,24 +11,36 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What a driver needs of time."""
+    """The time that a driver reads and waits by."""
 
     def monotonic(self) -> float:
-        """Seconds since some fixed moment, never going back."""
+        """Return the time since a fixed moment; it never goes back.
+
+        Returns
+        -------
+        float
+            Time, in seconds.
+        """
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Wait; may raise what the owner of the clock chooses to interrupt the wait."""
+        """Wait; the owner of the clock may interrupt the wait by an exception of its own.
+
+        Parameters
+        ----------
+        seconds
+            Length of the wait, in seconds.
+        """
         ...
 
 
 class SystemClock:
-    """The machine's own time."""
+    """The monotonic clock of the operating system."""
 
     def monotonic(self) -> float:
-        """Seconds of the system's monotonic clock."""
+        """See `Clock.monotonic`."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Wait that long."""
+        """See `Clock.sleep`. A negative time is no wait."""
         time.sleep(max(0.0, seconds))

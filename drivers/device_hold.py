@@ -1,8 +1,8 @@
-"""Keeps a device to one process by who it is: a kernel's lock on a small file named after it. Touches no device.
+"""Reserve a device for one process: a lock of the kernel on a small file that is named after the device.
 
-A port's lock does not know a device that is reached by another port as well: over a network, by a second cable, by
-another name. The lock vanishes with its process, however that ended; the empty file stays, and means nothing. Whoever
-reaches the same device must name it alike.
+A lock on a port is not enough, because one device can be reached by several ports: over a network, by a second cable,
+under another name. Every user of a device must therefore name it alike. The lock vanishes with its process, however
+the process ended. The empty file stays, and its presence means nothing. This module touches no device.
 """
 
 from __future__ import annotations
@@ -20,13 +20,19 @@ from drivers import file_lock
 from drivers.errors import DriverError, PortBusy, PortDenied
 
 FOLDER_MODE: Final = 0o1777
-"""Devices are shared by the users of a computer: anybody may hold one, nobody may remove another's file."""
+"""All users of a computer share its devices: everybody may lock one, nobody may remove another user's file."""
 FOLDER_VARIABLE: Final = "STARBENCH_LOCKS"
-"""Names another folder: one that containers share, or one that a test has for itself."""
+"""Environment variable that names another folder: one that containers share, or one for a single test."""
 
 
 def locks_folder() -> Path:
-    """Where the files lie: one place for all users of this computer."""
+    """Return the folder of the lock files, the same one for all users of this computer.
+
+    Returns
+    -------
+    Path
+        The folder that ``STARBENCH_LOCKS`` names, else ``starbench-devices`` in the system's temporary folder.
+    """
     if folder := os.environ.get(FOLDER_VARIABLE):
         return Path(folder)
     base = Path(tempfile.gettempdir()) if sys.platform == "win32" else Path("/tmp")  # noqa: S108 - TMPDIR may differ between users
@@ -34,21 +40,26 @@ def locks_folder() -> Path:
 
 
 class DeviceHold:
-    """A device held by this process, until ``release`` or the end of the process.
+    """A device reserved for this process, until ``release`` or the end of the process.
 
     Parameters
     ----------
     device
-        What tells this device from every other one: family and serial number, or its real path.
+        Unique name of the device: family and serial number, or its real path.
     folder
-        Where the lock's file is put; None for ``locks_folder()``.
+        Folder of the lock file; None for ``locks_folder()``.
+
+    Attributes
+    ----------
+    BUSY, DENIED
+        Errors that are raised; a subclass may name errors of its own family.
 
     Raises
     ------
     PortBusy
-        When another process, or another opener in this one, holds the device.
+        Another process, or another part of this one, holds the device.
     PortDenied
-        When the lock's file cannot be made.
+        The lock file cannot be made.
     """
 
     BUSY: ClassVar[type[DriverError]] = PortBusy
@@ -64,27 +75,28 @@ class DeviceHold:
         except BlockingIOError as error:
             self.release()
             raise self.BUSY(
-                "Another program of this bench holds it, perhaps by another port.",
+                "Another program of this bench holds it, perhaps through another port.",
                 where=device,
                 remedy="End the other run, or the program that uses it, then try again.",
             ) from error
         except OSError as error:
             self.release()
             raise self.DENIED(
-                f"The lock that keeps it to one program cannot be made: {error.strerror}.",
+                f"The lock file of a device cannot be made: {error.strerror}.",
                 where=str(path),
-                remedy=f"Remove that file, let everybody write in its folder, or name another by {FOLDER_VARIABLE}.",
+                remedy="Remove this file, let all users write in its folder, or name another folder in"
+                f" {FOLDER_VARIABLE}.",
             ) from error
 
     def release(self) -> None:
-        """Let others hold the device; once more does no harm."""
+        """Give the device free for others. A second call does nothing."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
 
 
 def _file_name(device: str) -> str:
-    """Give a name that can be read, and is another one for every other camera.
+    """Return a readable file name that is different for every device.
 
     Examples
     --------
@@ -97,12 +109,12 @@ def _file_name(device: str) -> str:
 
 def _make_folder(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    with suppress(PermissionError):  # somebody else's, who has set it so already
+    with suppress(PermissionError):  # the folder of another user, who has set its mode
         folder.chmod(FOLDER_MODE)
 
 
 def _open(path: Path) -> int:
-    """Open the lock's file for whoever comes, never through a link."""
+    """Open the lock file for every user, never through a symbolic link."""
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
     try:
         descriptor = os.open(path, flags, 0o666)

@@ -1,50 +1,50 @@
-"""Every error a driver raises; each says what is wrong, where, and what the operator should do.
+"""Every error that a driver raises. Each says what is wrong, where, and what the operator should do.
 
 DriverError
 ├── PortError                 the line to the device
 │   ├── PortNotFound          no such port
 │   ├── PortBusy              another program holds it
 │   ├── PortDenied            no permission
-│   └── PortLost              it was there and is gone: unplugged, powered off, closed by the peer
-├── ReplyError                the device and we do not understand each other
-│   ├── ReplyTimeout          no (complete) answer before the deadline
-│   └── ReplyGarbled          an answer that breaks the protocol: checksum, id, address, form
+│   └── PortLost              it was open and is gone: unplugged, powered off, closed by the other end
+├── ReplyError                a reply that cannot be used
+│   ├── ReplyTimeout          no (complete) reply before the deadline
+│   └── ReplyGarbled          a reply that breaks the protocol: checksum, id, address, form
 ├── DeviceRefused             a well-formed refusal of a command
 ├── WrongDevice               another device (serial number, model) than the station file names
 ├── StageError
-│   ├── NotHomed              absolute motion asked of an axis without a reference
-│   ├── OutsideLimits         a target outside the soft limits; nothing was sent
+│   ├── NotHomed              an absolute move of an axis without a reference
+│   ├── OutsideLimits         a target or setting outside the limits; nothing was sent
 │   ├── MoveFailed            stalled, hit a limit, stopped short, interrupted, slipped
 │   └── MoveTimeout           still busy after the deadline for that distance and speed
 ├── LightError
-│   ├── SettingRefused        the light did not take, or clipped, a setting
-│   └── LightFault            lamp open, over-temperature, output lost
+│   ├── SettingRefused        the light did not accept a setting, or changed it
+│   └── LightFault            the light does not do what it was set to do
 ├── CameraError
 │   ├── CameraNotFound        no camera, or none with that serial number
 │   ├── CameraBusy            another process holds it
-│   ├── CameraLost            it went away
-│   ├── CameraSettingRefused  a bias, filter or region it did not take
+│   ├── CameraLost            it was connected and is gone
+│   ├── CameraSettingRefused  a bias, filter or region that the camera did not accept
 │   ├── CameraSoftwareMissing the vendor's software is not installed
 │   └── RecordingFailed       a recording that could not be completed; the partial file is named
-└── RecordingFileError        a RAW file
+└── RecordingFileError        a recording's file that cannot be read
     ├── NotARecording         no RAW header, or not EVT3
-    └── RecordingCorrupt      malformed at a byte offset
+    └── RecordingCorrupt      malformed data at a byte offset
 """
 
 from __future__ import annotations
 
 
 class DriverError(Exception):
-    """What is wrong, where, and what to do about it.
+    """Base of all errors of drivers: what is wrong, where, and what to do.
 
     Parameters
     ----------
     what
-        One sentence: what is wrong.
+        What is wrong, in one sentence.
     where
-        The device, port or file it concerns.
+        Device, port or file that the error concerns.
     remedy
-        One sentence: what the operator should do.
+        What the operator should do, in one sentence.
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
@@ -77,63 +77,63 @@ class PortLost(PortError):
 
 
 class ReplyError(DriverError):
-    """The device's answer cannot be used."""
+    """The device's reply cannot be used."""
 
 
 class ReplyTimeout(ReplyError):
-    """No complete answer before the deadline."""
+    """No complete reply came before the deadline."""
 
 
 class ReplyGarbled(ReplyError):
-    """An answer that breaks the protocol."""
+    """A reply breaks the protocol."""
 
 
 class DeviceRefused(DriverError):
-    """The device refused a command in good form."""
+    """The device refused a command."""
 
 
 class WrongDevice(DriverError):
-    """Another device answers than the one the station file names."""
+    """The device that answers is not the one that the station file names."""
 
 
 class StageError(DriverError):
-    """A stage cannot do, or did not do, what was asked."""
+    """A stage cannot do, or did not do, what it was told to do."""
 
 
 class NotHomed(StageError):
-    """Absolute motion was asked of an axis without a reference."""
+    """An axis without a reference cannot move to an absolute angle."""
 
 
 class OutsideLimits(StageError):
-    """A target outside the soft limits; nothing was sent."""
+    """A target or a setting lies outside the limits; nothing was sent."""
 
 
 class MoveFailed(StageError):
-    """A move ended elsewhere than at its target."""
+    """A move did not end at its target."""
 
 
 class MoveTimeout(StageError):
-    """A move was still going on after its deadline."""
+    """A move had not ended by its deadline."""
 
 
 class LightError(DriverError):
-    """A light cannot do, or did not do, what was asked."""
+    """A light cannot do, or did not do, what it was told to do."""
 
 
 class SettingRefused(LightError):
-    """The light did not take a setting, or took another value."""
+    """The light did not accept a setting, or changed its value."""
 
 
 class LightFault(LightError):
-    """The light reports a fault."""
+    """The light does not do what it was set to do."""
 
 
 class CameraError(DriverError):
-    """A camera cannot do, or did not do, what was asked."""
+    """A camera cannot do, or did not do, what it was told to do."""
 
 
 class CameraNotFound(CameraError):
-    """No camera, or none with that serial number."""
+    """There is no camera, or none with that serial number."""
 
 
 class CameraBusy(CameraError):
@@ -141,11 +141,11 @@ class CameraBusy(CameraError):
 
 
 class CameraLost(CameraError):
-    """The camera went away."""
+    """The camera was connected and is gone."""
 
 
 class CameraSettingRefused(CameraError):
-    """A bias, filter or region the camera did not take."""
+    """The camera did not accept a bias, a filter or a region."""
 
 
 class CameraSoftwareMissing(CameraError):
@@ -161,16 +161,18 @@ class RecordingFileError(DriverError):
 
 
 class NotARecording(RecordingFileError):
-    """No RAW header, or not EVT3."""
+    """A file has no RAW header, or holds no EVT3 data."""
 
 
 class RecordingCorrupt(RecordingFileError):
-    """Malformed data at a byte offset.
+    """Data are malformed at a byte offset.
 
     Parameters
     ----------
+    what, where, remedy
+        See `DriverError`.
     offset
-        Byte offset in the file of the first malformed word.
+        Position of the first malformed word in the file, in bytes.
     """
 
     def __init__(self, what: str, *, offset: int, where: str = "", remedy: str = "") -> None:

@@ -1,6 +1,6 @@
-"""Knows how this platform locks an open file against other processes: flock, or msvcrt where there is none.
+"""Lock an open file against other processes: by flock, or by msvcrt on Windows.
 
-Either lock is the kernel's, and vanishes with its process, however that ended. Touches no file's content.
+Both locks belong to the kernel and vanish with their process, however it ended. No file's content is touched.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ except ImportError:  # Windows
     _PAUSE_S: Final = 0.02
 
     def _take(descriptor: int, *, shared: bool, wait: bool) -> None:  # noqa: ARG001
-        """Lock the first byte. There is no shared lock: those who would share take turns."""
+        """Lock the first byte. Windows has no shared lock, so those who would share it take turns."""
         while True:
             os.lseek(descriptor, 0, os.SEEK_SET)
             try:
@@ -40,23 +40,23 @@ else:
 
 
 def lock(descriptor: int, *, shared: bool = False, wait: bool = False) -> None:
-    """Lock an open file until it is closed. A second lock of the same descriptor does no harm.
+    """Lock an open file until it is closed. Locking the same descriptor again does no harm.
 
     Parameters
     ----------
     descriptor
-        Of the open file; where there is no flock, one that may be written to.
+        Descriptor of the open file; on Windows the file must be open for writing.
     shared
-        Whether it may be shared with others that share it.
+        Allow other shared locks of the same file.
     wait
-        Whether to wait for whoever holds it, however long.
+        Wait, without limit, until no other process holds the lock.
 
     Raises
     ------
     BlockingIOError
-        When another process holds it.
+        Another process holds the lock.
     OSError
-        When it cannot be locked at all.
+        The file cannot be locked.
     """
     try:
         _take(descriptor, shared=shared, wait=wait)

@@ -1,16 +1,15 @@
-"""Knows how requests and replies share one line: one lock, deadlines, resynchronising, unsolicited lines.
+"""Share one line between requests and replies: one lock, deadlines, resynchronising, unsolicited lines.
 
-Knows no protocol, and opens nothing: a driver hands in a port, how it resynchronises, and what it takes
-for an unsolicited message.
+This module implements no protocol and opens no port. A driver passes in the open port, a function that resynchronises
+the line, and a function that recognises unsolicited messages.
 
-A reply that is late, cut or garbled leaves the line *out of step*: the next reply might be an old one. The
-link then lets the driver resynchronise before the next request goes out, so that no value ever answers
-another question than the one asked.
+A reply that is late, cut or garbled leaves the line *out of step*: the next reply might be an old one. The link then
+resynchronises before it sends the next request, so no reply is ever taken for the answer to another request.
 
-The wait for a reply is the wire's own time and is bounded by its deadline; it is not a safe point, because
-an exchange broken off in the middle would leave the line out of step. Drivers wait *between* exchanges
-through their clock. An urgent exchange (a stop) skips resynchronising, and so waits for one exchange of
-another thread at most (with its resynchronising, when the line was out of step).
+The wait for a reply runs on the system's own clock and ends at its deadline. The operator cannot interrupt it, because
+an exchange that is broken off would leave the line out of step; drivers wait *between* exchanges, through their clock.
+An urgent exchange (a stop) is sent without resynchronising. It therefore waits for one exchange of another thread at
+most, together with the resynchronising of that exchange when the line was out of step.
 """
 
 from __future__ import annotations
@@ -26,74 +25,119 @@ from drivers.serial_port import Port
 from drivers.wire_log import Direction, WireLog
 
 LONGEST_LINE = 4096
-"""A line longer than this is a device that babbles, or another protocol."""
+"""Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
 
 T = TypeVar("T")
 
 
-class Incoming:
-    """What arrives in answer to one request, up to its deadline. Handed to a ``receive`` function."""
+class ReplyReader:
+    """Reads the reply to one request, up to its deadline. A ``read_reply`` function gets it from the link.
+
+    Parameters
+    ----------
+    link
+        The line, held by this thread.
+    deadline_s
+        Longest time for the whole reply, in seconds from now.
+    """
 
     def __init__(self, link: Link, deadline_s: float) -> None:
         self._link = link
         self._deadline_s = deadline_s
         self._end = time.monotonic() + deadline_s
 
-    def line(self) -> bytes:
-        """Return the next line with its terminator, unsolicited ones routed away.
+    def read_line(self) -> bytes:
+        """Read the next line that is no unsolicited message.
 
-        Raises ReplyTimeout at the deadline, ReplyGarbled when a line grows without end.
+        Returns
+        -------
+        bytes
+            The line with its terminator.
+
+        Raises
+        ------
+        ReplyTimeout
+            No complete line came before the deadline.
+        ReplyGarbled
+            The line is longer than ``LONGEST_LINE``.
         """
         while True:
             line = self._link.take_line()
             if line is None:
-                self._more()
-            elif not self._link.route(line):
+                self._wait_for_more()
+            elif not self._link.route_unsolicited(line):
                 return line
 
-    def exactly(self, count: int) -> bytes:
-        """Return the next ``count`` bytes. Raises ReplyTimeout at the deadline."""
+    def read_exactly(self, count: int) -> bytes:
+        """Read a number of bytes.
+
+        Parameters
+        ----------
+        count
+            Number of bytes.
+
+        Returns
+        -------
+        bytes
+            The next ``count`` bytes.
+
+        Raises
+        ------
+        ReplyTimeout
+            Fewer bytes came before the deadline.
+        """
         while True:
             data = self._link.take(count)
             if data is not None:
                 return data
-            self._more()
+            self._wait_for_more()
 
-    def _more(self) -> None:
+    def _wait_for_more(self) -> None:
         remaining = self._end - time.monotonic()
-        if remaining <= 0 or not self._link.fill(remaining):
+        if remaining <= 0 or not self._link.receive(remaining):
             have = self._link.unread
             cut = f"; only {have[:40]!r} came" if have else ""
             raise ReplyTimeout(
                 f"no complete reply within {self._deadline_s:g} s{cut}.",
                 where=self._link.name,
-                remedy="See that the device is on, and that its baud rate is the station file's.",
+                remedy="Check that the device is switched on and that the station file has its baud rate.",
             )
 
 
-def _nothing_unsolicited(_line: bytes) -> bool:
+def no_unsolicited(_line: bytes) -> bool:
+    """Take no line as unsolicited: for protocols without such messages.
+
+    Returns
+    -------
+    bool
+        Always False.
+    """
     return False
 
 
 class Link:
-    """A line to one device (or a chain of them), shared by threads, one exchange at a time.
+    """A line to one device or a chain of devices. Threads share it; one exchange is made at a time.
 
     Parameters
     ----------
     port
         The open port.
     clock
-        Gives the times of the wire log.
+        Gives the times in the wire log.
     resynchronise
-        Brings the line back into step: throws away what is old and proves, with a request whose answer
-        cannot be mistaken, that the next reply will be the next request's. Called with the lock held;
-        may use ``drain`` and urgent exchanges; raises ReplyError when it cannot.
+        Brings the line back into step; see ``drivers.retry.resynchronise``. It is called with the lock held, may call
+        ``drain`` and make urgent exchanges, and raises ReplyError when it fails.
     terminator
         End of a line.
     unsolicited
-        Told each line; returns True when it took the line as a message that answers no request.
+        Gets each line; returns True when the line is a message that answers no request.
     wire_log
-        Told every byte.
+        Records every byte; None for no record.
+
+    Attributes
+    ----------
+    lock
+        While a thread holds it, no other thread can send.
     """
 
     def __init__(
@@ -103,7 +147,7 @@ class Link:
         clock: Clock,
         resynchronise: Callable[[], None],
         terminator: bytes = b"\n",
-        unsolicited: Callable[[bytes], bool] = _nothing_unsolicited,
+        unsolicited: Callable[[bytes], bool] = no_unsolicited,
         wire_log: WireLog | None = None,
     ) -> None:
         self.lock = threading.RLock()
@@ -123,56 +167,79 @@ class Link:
 
     @property
     def unread(self) -> bytes:
-        """What has arrived and was taken by nobody yet."""
+        """Bytes that have arrived and that nobody has taken yet."""
         return bytes(self._buffer)
 
     def exchange(
-        self, request: bytes, receive: Callable[[Incoming], T], *, deadline_s: float, urgent: bool = False
+        self,
+        request: bytes,
+        read_reply: Callable[[ReplyReader], T],
+        *,
+        deadline_s: float,
+        urgent: bool = False,
     ) -> T:
-        """Send a request and receive its reply, alone on the line.
+        """Send a request and read its reply, alone on the line.
 
         Parameters
         ----------
         request
             The bytes to send.
-        receive
-            Reads the reply and understands it; raises ReplyGarbled for what is none.
+        read_reply
+            Reads and parses the reply; raises ReplyGarbled when the bytes are no reply to this request.
         deadline_s
             Longest wait for the whole reply, in seconds.
         urgent
-            Send at once, without resynchronising first. For stops, whose reply can be told from others.
+            Send at once, without resynchronising. For stops, whose reply cannot be mistaken for another one.
 
         Returns
         -------
-        What ``receive`` returned.
+        T
+            What ``read_reply`` returned.
 
         Raises
         ------
         ReplyTimeout, ReplyGarbled
             The line is then resynchronised before the next request.
         PortLost
+            The port is gone.
         """
         with self.lock:
             if not urgent:
-                self.come_into_step()
+                self.bring_into_step()
             in_step_before = self._in_step
             # Whatever ends this exchange early, an interrupt included, leaves a reply unread.
             self._in_step = False
             self.send(request)
-            reply = receive(Incoming(self, deadline_s))
+            reply = read_reply(ReplyReader(self, deadline_s))
             self._in_step = in_step_before
             return reply
 
     def send(self, data: bytes) -> None:
-        """Send bytes that have no reply. Raises PortLost."""
+        """Send bytes that have no reply.
+
+        Parameters
+        ----------
+        data
+            The bytes to send.
+
+        Raises
+        ------
+        PortLost
+            The port is gone.
+        """
         with self.lock:
             self._note(">", data)
             self._port.write(data)
 
-    def come_into_step(self) -> None:
-        """See that nothing old lies on the line; resynchronise when something does, or when in doubt.
+    def bring_into_step(self) -> None:
+        """Resynchronise when an old reply is unread, or may still come.
 
-        Raises ReplyError, PortLost.
+        Raises
+        ------
+        ReplyError
+            The line could not be resynchronised.
+        PortLost
+            The port is gone.
         """
         with self.lock:
             self._take_strays()
@@ -180,38 +247,69 @@ class Link:
                 self._resynchronise()
                 self._in_step = True
 
-    def distrust(self) -> None:
-        """Resynchronise before the next request: a reply was understood but cannot be right."""
+    def mark_out_of_step(self) -> None:
+        """Resynchronise before the next request: a reply had the right form, but cannot be right."""
         self._in_step = False
 
     def drain(self, quiet_s: float, limit_s: float) -> bytes:
-        """Throw away what arrives until nothing has for ``quiet_s``; for ``limit_s`` at most.
+        """Throw away what arrives until the line is silent.
 
-        Returns what was thrown away. Raises ReplyGarbled when the device does not fall silent.
+        Parameters
+        ----------
+        quiet_s
+            How long nothing may arrive before the line counts as silent, in seconds.
+        limit_s
+            Longest wait for that silence, in seconds.
+
+        Returns
+        -------
+        bytes
+            What was thrown away.
+
+        Raises
+        ------
+        ReplyGarbled
+            The device did not fall silent.
         """
         with self.lock:
             end = time.monotonic() + limit_s
-            while self.fill(quiet_s):
+            while self.receive(quiet_s):
                 if time.monotonic() > end:
                     self._buffer.clear()
                     raise ReplyGarbled(
                         f"the device talks without pause for {limit_s:g} s.",
                         where=self.name,
-                        remedy="See that the station file names the device's port and baud rate.",
+                        remedy="Check the port and the baud rate in the station file.",
                     )
             thrown = bytes(self._buffer)
             self._buffer.clear()
             return thrown
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         with self.lock:
             self._port.close()
 
-    # ------------------------------------------------------------ for Incoming
+    # ------------------------------------------------------------ for ReplyReader
 
-    def fill(self, timeout_s: float) -> bool:
-        """Wait for bytes and keep them; False when none came in time. Raises PortLost."""
+    def receive(self, timeout_s: float) -> bool:
+        """Wait for bytes and keep them as unread.
+
+        Parameters
+        ----------
+        timeout_s
+            Longest wait for the first byte, in seconds.
+
+        Returns
+        -------
+        bool
+            Whether any byte came.
+
+        Raises
+        ------
+        PortLost
+            The port is gone.
+        """
         data = self._port.read(timeout_s)
         if data:
             self._note("<", data)
@@ -219,7 +317,18 @@ class Link:
         return bool(data)
 
     def take(self, count: int) -> bytes | None:
-        """Take that many bytes, or None when there are fewer."""
+        """Take a number of unread bytes.
+
+        Parameters
+        ----------
+        count
+            Number of bytes.
+
+        Returns
+        -------
+        bytes or None
+            The bytes; None when fewer are unread.
+        """
         if len(self._buffer) < count:
             return None
         data = bytes(self._buffer[:count])
@@ -227,9 +336,17 @@ class Link:
         return data
 
     def take_line(self) -> bytes | None:
-        """Take one line with its terminator, or None when there is none yet.
+        """Take one unread line.
 
-        Raises ReplyGarbled for one without end, which is thrown away: who goes on receiving must not meet it again.
+        Returns
+        -------
+        bytes or None
+            The line with its terminator; None when no complete line is unread.
+
+        Raises
+        ------
+        ReplyGarbled
+            The line is too long. It is thrown away, so that the next call does not find it again.
         """
         end = self._buffer.find(self._terminator)
         if end < 0 and len(self._buffer) <= LONGEST_LINE:
@@ -240,23 +357,34 @@ class Link:
             raise ReplyGarbled(
                 f"a line of more than {LONGEST_LINE} bytes: {begins!r}...",
                 where=self.name,
-                remedy="See that the station file names the device's port and baud rate.",
+                remedy="Check the port and the baud rate in the station file.",
             )
         return self.take(end + len(self._terminator))
 
-    def route(self, line: bytes) -> bool:
-        """Offer a line to the handler of unsolicited ones."""
+    def route_unsolicited(self, line: bytes) -> bool:
+        """Pass a line to the handler of unsolicited messages.
+
+        Parameters
+        ----------
+        line
+            The line with its terminator.
+
+        Returns
+        -------
+        bool
+            Whether the handler took it.
+        """
         return self._unsolicited(line)
 
     # ------------------------------------------------------------ inside
 
     def _take_strays(self) -> None:
         """Route unsolicited lines that came since the last exchange; anything else is a late reply."""
-        self.fill(0.0)
+        self.receive(0.0)
         while self._buffer:
             try:
                 line = self.take_line()
-                understood = line is not None and self.route(line)
+                understood = line is not None and self.route_unsolicited(line)
             except ReplyGarbled:
                 understood = False
             if not understood:

@@ -1,8 +1,8 @@
-"""Knows how a serial port is kept to one program: flock, then TIOCEXCL. Touches nothing but the open port.
+"""Reserve an open serial port for one program: by flock, then by TIOCEXCL.
 
-Two locks, because neither is enough: flock is advisory, so a program that does not ask walks past it;
-TIOCEXCL makes the kernel refuse every further open, but not one by root. Both vanish with the process
-that took them, however it ended, so no stale lock can be left behind.
+Two locks are taken, because one is not enough. flock is advisory: a program that does not ask for it ignores it.
+TIOCEXCL makes the kernel refuse every further open, except by root. Both vanish with the process that took them,
+however it ended, so no stale lock is left behind. Nothing but the open port is touched.
 """
 
 from __future__ import annotations
@@ -16,41 +16,58 @@ try:
     import termios
 except ImportError:  # Windows opens every serial port exclusively by itself.
 
-    def keep_to_ourselves(descriptor: int) -> None:
-        """Nothing to do: the system has locked the port at opening."""
+    def lock_exclusively(descriptor: int) -> None:
+        """Do nothing: the system has locked the port at opening."""
 
-    def let_others_in(descriptor: int) -> None:
-        """Nothing to do: the system unlocks the port at closing."""
+    def unlock(descriptor: int) -> None:
+        """Do nothing: the system unlocks the port at closing."""
 
-    def keep_lines_up_after_closing(descriptor: int) -> None:
-        """Nothing to do: the system has no such setting."""
+    def disable_hang_up_on_close(descriptor: int) -> None:
+        """Do nothing: the system has no such setting."""
 
 else:
 
-    def keep_to_ourselves(descriptor: int) -> None:
-        """Lock an open port; raises BlockingIOError when another program has it locked.
+    def lock_exclusively(descriptor: int) -> None:
+        """Lock an open port. Locking the same descriptor again does no harm.
 
-        A second flock of the same descriptor does no harm.
+        Parameters
+        ----------
+        descriptor
+            File descriptor of the open port.
+
+        Raises
+        ------
+        BlockingIOError
+            Another program has locked the port.
+        """
+        file_lock.lock(descriptor)
+        # A device that is no terminal has no TIOCEXCL; the flock still holds.
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(descriptor, termios.TIOCEXCL)
+
+    def unlock(descriptor: int) -> None:
+        """Release the kernel's exclusive lock, which belongs to the terminal and not to the descriptor.
 
         Parameters
         ----------
         descriptor
             File descriptor of the open port.
         """
-        file_lock.lock(descriptor)
-        # A device that is no terminal has no TIOCEXCL; flock holds all the same.
-        with contextlib.suppress(OSError):
-            fcntl.ioctl(descriptor, termios.TIOCEXCL)
-
-    def let_others_in(descriptor: int) -> None:
-        """Give the kernel's lock back: it sticks to the terminal, not to the descriptor."""
         with contextlib.suppress(OSError):
             fcntl.ioctl(descriptor, termios.TIOCNXCL)
 
-    def keep_lines_up_after_closing(descriptor: int) -> None:
-        """Clear HUPCL: closing then leaves DTR alone, and a board that resets on DTR does not reset.
+    def disable_hang_up_on_close(descriptor: int) -> None:
+        """Clear HUPCL: closing then leaves DTR as it is, so a board that resets on DTR does not reset.
 
-        Raises termios.error when the port has gone.
+        Parameters
+        ----------
+        descriptor
+            File descriptor of the open port.
+
+        Raises
+        ------
+        termios.error
+            The port is gone.
         """
         attributes = termios.tcgetattr(descriptor)
         if attributes[2] & termios.HUPCL:

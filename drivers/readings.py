@@ -1,41 +1,50 @@
-"""Knows when a value read over a line is believed: when two readings in a row agree. Touches no device.
+"""Decide when a value that was read over a line is believed: when consecutive readings agree. Touches no device.
 
-A checksum of eight bits lets one in 256 of heavily garbled replies pass, and SCPI has none at all.
+A checksum of eight bits lets one in 256 heavily garbled replies pass, and most text protocols have no checksum.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 from drivers.errors import ReplyGarbled
 
-_READINGS = 5
+_MOST_READINGS = 5
 
 T = TypeVar("T")
 
 
-def agreeing(read: Callable[[], T], *, what: str, where: str) -> T:
-    """Read until two readings in a row are equal, and return them; five times at most.
+def read_until_agreed(read: Callable[[], T], *, what: str, where: str) -> T:
+    """Read until two consecutive readings are equal, at most five times.
 
     Parameters
     ----------
     read
         Reads once.
-    what, where
-        What is read, and from which device, for the message.
+    what
+        Name of the value, for the message.
+    where
+        Name of the device, for the message.
+
+    Returns
+    -------
+    T
+        The value of the two equal readings.
 
     Raises
     ------
     ReplyGarbled
-        When no two readings in a row are equal; and whatever ``read`` raises.
+        No two consecutive readings are equal. Exceptions of ``read`` pass through.
 
+    Examples
+    --------
     >>> values = iter([5, 7, 7])
-    >>> agreeing(lambda: next(values), what="the value", where="")
+    >>> read_until_agreed(lambda: next(values), what="the value", where="")
     7
     """
     before = read()
-    for _ in range(_READINGS - 1):
+    for _ in range(_MOST_READINGS - 1):
         now = read()
         if now == before:
             return now
@@ -44,57 +53,77 @@ def agreeing(read: Callable[[], T], *, what: str, where: str) -> T:
 
 
 class Reading(NamedTuple):
-    """A position read at some time, in seconds, of an axis that moved or stood."""
+    """One reading of an axis.
+
+    Attributes
+    ----------
+    t_s
+        Time of the reading, in seconds.
+    position_deg
+        Position, in degrees.
+    moving
+        Whether the axis was moving.
+    """
 
     t_s: float
     position_deg: float
     moving: bool
 
 
-def agreeing_position(
+def read_position_until_agreed(
     read: Callable[[], Reading], *, tolerance_deg: float, speed_deg_s: float, what: str, where: str
 ) -> float:
-    """Read a position until the readings bear each other out; five times at most.
+    """Read a position until consecutive readings agree, at most five times.
 
-    Of an axis that stands, two equal readings in a row do, or the middle one of three within the tolerance
-    (a servo trembles); of one that moves, two that lie no further apart than it can have come.
+    Of an axis at rest, two equal readings agree, or three within the tolerance (a servo trembles): the median counts.
+    Of a moving axis, two readings agree when the axis can have moved from one to the other in the time between them.
 
     Parameters
     ----------
     read
         Reads once.
     tolerance_deg
-        How far a standing axis may tremble.
+        Largest tremble of an axis at rest, in degrees.
     speed_deg_s
-        The highest speed of the axis.
-    what, where
-        What is read, and from which device, for the message.
+        Highest speed of the axis, in degrees per second.
+    what
+        Name of the value, for the message.
+    where
+        Name of the device, for the message.
+
+    Returns
+    -------
+    float
+        Position, in degrees.
 
     Raises
     ------
     ReplyGarbled
-        When they do not; and whatever ``read`` raises.
+        The readings do not agree. Exceptions of ``read`` pass through.
     """
     readings = [read()]
-    for _ in range(_READINGS - 1):
+    for _ in range(_MOST_READINGS - 1):
         readings.append(read())
-        before, now = readings[-2:]
-        if before.moving or now.moving:
-            reach_deg = tolerance_deg + speed_deg_s * (now.t_s - before.t_s)
-            if abs(now.position_deg - before.position_deg) <= reach_deg:
-                return now.position_deg
-        elif now.position_deg == before.position_deg:
-            return now.position_deg
-        elif len(readings) > 2:
-            low, middle, high = sorted(reading.position_deg for reading in readings[-3:])
-            if high - low <= tolerance_deg:
-                return middle
+        if (position_deg := _agreed(readings, tolerance_deg, speed_deg_s)) is not None:
+            return position_deg
     raise _disagreement(what, where)
+
+
+def _agreed(readings: Sequence[Reading], tolerance_deg: float, speed_deg_s: float) -> float | None:
+    """Return the position on which the latest readings agree; None when they do not."""
+    before, now = readings[-2:]
+    if before.moving or now.moving:
+        reach_deg = tolerance_deg + speed_deg_s * (now.t_s - before.t_s)
+        return now.position_deg if abs(now.position_deg - before.position_deg) <= reach_deg else None
+    if now.position_deg == before.position_deg:
+        return now.position_deg
+    low, *middle, high = sorted(reading.position_deg for reading in readings[-3:])
+    return middle[0] if middle and high - low <= tolerance_deg else None
 
 
 def _disagreement(what: str, where: str) -> ReplyGarbled:
     return ReplyGarbled(
-        f"{_READINGS} readings of {what} do not agree.",
+        f"{_MOST_READINGS} readings of {what} do not agree.",
         where=where,
-        remedy="Check the cable, and that nobody turns a knob.",
+        remedy="Check the cable, and that nobody operates the device by hand.",
     )

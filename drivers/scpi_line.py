@@ -1,6 +1,7 @@
-"""Knows how to talk to an SCPI instrument: its identity, its error queue, or the lack of one.
+"""Talk to an SCPI instrument: its identity and its error queue. What the instrument does is none of its business.
 
-Knows nothing of what an instrument does.
+Sources: "Standard Commands for Programmable Instruments (SCPI), Volume 1: Syntax and Style", SCPI Consortium, 1999,
+for ``SYSTem:ERRor?`` and the error numbers; IEEE 488.2 for ``*IDN?``.
 """
 
 from __future__ import annotations
@@ -20,14 +21,22 @@ _ERROR = re.compile(r'([+-]?\d+) ?, ?(?:"([^"]*)"|([^"]*))')
 
 
 class InstrumentError(NamedTuple):
-    """One entry of the error queue."""
+    """One entry of the error queue.
+
+    Attributes
+    ----------
+    code
+        Error number; 0 for an empty queue.
+    text
+        The instrument's own description.
+    """
 
     code: int
     text: str
 
     @property
-    def is_of_the_command(self) -> bool:
-        """Whether the instrument could not make out the command; otherwise it could not carry it out."""
+    def is_command_error(self) -> bool:
+        """Whether the instrument did not understand the command; otherwise it could not carry it out."""
         return -200 < self.code <= -100
 
     def __str__(self) -> str:
@@ -35,7 +44,7 @@ class InstrumentError(NamedTuple):
 
 
 class ScpiLine(TextLine):
-    """An instrument on a line. Asks ``*IDN?`` at once, and whether there is an error queue; sets nothing.
+    """A line to an SCPI instrument. Opening asks ``*IDN?`` and ``SYST:ERR?``; it sets nothing.
 
     Parameters
     ----------
@@ -47,15 +56,20 @@ class ScpiLine(TextLine):
     Attributes
     ----------
     has_error_queue
-        False when the instrument does not answer ``SYST:ERR?``; then only reading back tells.
+        False when the instrument does not answer ``SYST:ERR?``. A refused setting then shows only when it is read back.
 
     Raises
     ------
-    ReplyTimeout, ReplyGarbled, PortLost
+    ReplyTimeout, ReplyGarbled
+        The instrument does not identify itself.
+    PortLost
+        The port is gone.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
-        super().__init__(port, who="*IDN?", is_identity=_is_identity, clock=clock, wire_log=wire_log)
+        super().__init__(
+            port, identity_query="*IDN?", is_identity=_is_identity, clock=clock, wire_log=wire_log
+        )
         self.has_error_queue = True
         self.has_error_queue = self._find_error_queue()
 
@@ -65,33 +79,64 @@ class ScpiLine(TextLine):
         maker, model, serial, firmware = (field.strip() for field in self.identity_text.split(","))
         return maker, model, serial, firmware
 
-    def ask(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
-        """Send a query and return its answer, as any text line; a silence may be a refusal.
+    def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
+        """See `TextLine.query`. After a silence, also ask the error queue whether the query was refused.
 
-        Raises DeviceRefused when the error queue says that the instrument knows no such query;
-        ReplyTimeout, ReplyGarbled, PortLost.
+        Raises
+        ------
+        DeviceRefused
+            The error queue says that the instrument does not know the query.
+        ReplyTimeout, ReplyGarbled
+            No valid reply came at the last attempt.
+        PortLost
+            The port is gone.
         """
         try:
-            return super().ask(query, deadline_s=deadline_s, tries=1)
+            return super().query(query, deadline_s=deadline_s, tries=1)
         except ReplyError as error:
             if isinstance(error, ReplyTimeout):
-                self._refuse_errors(query)
+                self._raise_if_refused(query)
             if tries == 1:
                 raise
-        return super().ask(query, deadline_s=deadline_s, tries=tries - 1)
+        return super().query(query, deadline_s=deadline_s, tries=tries - 1)
 
-    def tell(self, command: str) -> list[InstrumentError]:
-        """Send a command, which has no answer; return what the error queue then holds.
+    def command(self, command: str) -> list[InstrumentError]:
+        """Send a command, once, and read the error queue.
 
-        Raises ReplyTimeout, ReplyGarbled, PortLost.
+        Parameters
+        ----------
+        command
+            A command without reply.
+
+        Returns
+        -------
+        list of InstrumentError
+            Errors in the queue after the command, oldest first; empty without a queue.
+
+        Raises
+        ------
+        ReplyTimeout, ReplyGarbled
+            The error queue could not be read.
+        PortLost
+            The port is gone.
         """
         self.send(command)
-        return self.errors()
+        return self.read_errors()
 
-    def errors(self) -> list[InstrumentError]:
-        """Empty the error queue and return what it held, oldest first; empty without a queue.
+    def read_errors(self) -> list[InstrumentError]:
+        """Empty the error queue.
 
-        Raises ReplyGarbled when it never ends; ReplyTimeout, PortLost.
+        Returns
+        -------
+        list of InstrumentError
+            Errors that were in the queue, oldest first; empty without a queue.
+
+        Raises
+        ------
+        ReplyTimeout, ReplyGarbled
+            The queue could not be read, or has no end.
+        PortLost
+            The port is gone.
         """
         found: list[InstrumentError] = []
         while self.has_error_queue:
@@ -100,35 +145,35 @@ class ScpiLine(TextLine):
                 break
             found.append(error)
             if len(found) > _LONGEST_QUEUE:
-                raise self.garbled("the error queue never ends.")
+                raise self.garbled_reply("the error queue never ends.")
         return found
 
     # ------------------------------------------------------------ inside
 
     def _next_error(self) -> InstrumentError:
-        text = super().ask("SYST:ERR?")
+        text = super().query("SYST:ERR?")
         match = _ERROR.fullmatch(text)
         if match is None:
-            raise self.garbled(f"SYST:ERR? answered {text!r}.")
+            raise self.garbled_reply(f"SYST:ERR? answered {text!r}.")
         return InstrumentError(int(match[1]), match[2] or match[3] or "")
 
     def _find_error_queue(self) -> bool:
-        """Whether ``SYST:ERR?`` is answered, asked twice; then empty it of what was before us."""
+        """Whether ``SYST:ERR?`` is answered, asked twice; a queue that is found is emptied of older errors."""
         try:
-            super().ask("SYST:ERR?", deadline_s=PROMPT_S, tries=2)
+            super().query("SYST:ERR?", deadline_s=PROMPT_S, tries=2)
         except ReplyTimeout:
             return False
-        self.errors()
+        self.read_errors()
         return True
 
-    def _refuse_errors(self, query: str) -> None:
-        """After a query without answer: raise DeviceRefused when the queue says that it is unknown."""
-        errors = self.errors()
+    def _raise_if_refused(self, query: str) -> None:
+        """Raise DeviceRefused when the error queue holds errors after a query without answer."""
+        errors = self.read_errors()
         if errors:
             raise DeviceRefused(
                 f"{query} is refused: {'; '.join(map(str, errors))}.",
                 where=self.name,
-                remedy="See that the station file names the right dialect for this instrument.",
+                remedy="Check that the station file names the right driver for this instrument.",
             )
 
 

@@ -1,8 +1,7 @@
-"""Knows how a port is opened, locked and read through pyserial, and what each of its failures means.
+"""Open, lock, read and write a port through pyserial, and turn its failures into the port errors of ``drivers.errors``.
 
-The only module that touches pyserial. Every way a port can fail is turned into one of the port errors of
-``drivers.errors``; an unplugged port shows itself as SerialException, as a bare OSError or as
-termios.error depending on the call, and all three become PortLost.
+No other module uses pyserial. An unplugged port raises SerialException, a bare OSError or termios.error, depending on
+the call; all three become PortLost.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ except ImportError:  # Windows
 
 _LOST = (serial.SerialException, OSError, _termios_error)
 _NO_SERIAL_PORT = (ValueError, NotImplementedError)
-"""What pyserial raises for settings that a port, or a system, does not have."""
+"""Exceptions of pyserial for settings that a port, or a system, does not have."""
 _SYSTEM = os.name
 _SLICE_S = 0.05
-"""One blocking read; setting another on an open port would write its line settings again."""
+"""Longest single read of the port, in seconds. A new value for an open port would write its line settings again."""
 _WRITE_S = 2.0
 _MOST_BYTES = 4096
-"""Of one read: a device that talks without pause is noticed by whoever reads."""
+"""Most bytes of one read, so that a device that sends without pause does not keep the reader forever."""
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -46,37 +45,58 @@ class Port(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Whatever has arrived, waiting at most that long for the first byte; empty when none came."""
+        """Return the bytes that have arrived.
+
+        Parameters
+        ----------
+        timeout_s
+            Longest wait for the first byte, in seconds.
+
+        Returns
+        -------
+        bytes
+            What has arrived; empty when nothing came in time.
+        """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send bytes.
+
+        Parameters
+        ----------
+        data
+            The bytes; all of them are sent.
+        """
         ...
 
     def close(self) -> None:
-        """Give the port back; closing twice does no harm."""
+        """Close the port. A second call does nothing."""
         ...
 
 
 class SerialPort:
     """An open serial port, locked for this program.
 
-    Opening sends nothing, and leaves the modem lines as the system sets them.
+    Opening sends nothing and leaves the modem lines as the system sets them. It uses 8 data bits and no parity.
 
     Parameters
     ----------
     address
-        A device file, best one of ``/dev/serial/by-id/``, a port name as the system has it, or a pyserial
-        URL such as ``socket://host:port`` or ``rfc2217://host:port``.
+        A device file, preferably below ``/dev/serial/by-id/``, a port name of the system, or a pyserial URL such as
+        ``socket://host:port`` or ``rfc2217://host:port``.
     baudrate
         Bits per second.
     stopbits
-        1 or 2; always 8 data bits without parity.
+        Number of stop bits, 1 or 2.
 
     Raises
     ------
-    PortNotFound, PortBusy, PortDenied
-        With what the operator can do about it.
+    PortNotFound
+        There is no such port, or it is no serial port.
+    PortBusy
+        Another program holds the port.
+    PortDenied
+        The user may not open the port.
     """
 
     def __init__(self, address: str, *, baudrate: int, stopbits: int = 1) -> None:
@@ -90,9 +110,12 @@ class SerialPort:
         return self._name
 
     def read(self, timeout_s: float) -> bytes:
-        """Whatever has arrived, waiting at most ``timeout_s`` for the first byte.
+        """See `Port.read`.
 
-        Raises PortLost.
+        Raises
+        ------
+        PortLost
+            The port is gone.
         """
         end = time.monotonic() + timeout_s
         while True:
@@ -101,47 +124,53 @@ class SerialPort:
                 return data
 
     def write(self, data: bytes) -> None:
-        """Hand all bytes to the system. Raises PortLost."""
+        """See `Port.write`. The bytes are handed to the system.
+
+        Raises
+        ------
+        PortLost
+            The port is gone.
+        """
         self._try(self._serial.write, data)
 
     def close(self) -> None:
-        """Unlock and close; never raises, since a port that is gone is closed already."""
+        """See `Port.close`. This never raises: a port that is gone is closed already."""
         if not self._serial.is_open:
             return
         line = getattr(self._serial, "_socket", None)
         try:
             descriptor = _descriptor(self._serial)
             if descriptor is not None:
-                port_lock.let_others_in(descriptor)
+                port_lock.unlock(descriptor)
             self._serial.close()
         except _LOST:
             self._lost = True
-        if line is not None:  # pyserial leaves one open whose other end hung up
+        if line is not None:  # pyserial does not close a socket whose other end has closed it
             line.close()
 
     def _read_slice(self, may_wait: bool) -> bytes:
         data = b""
         if may_wait and not self._serial.in_waiting:
             data = bytes(self._serial.read(1))
-        # A socket tells only whether something waits, not how much: 1.
+        # For a socket, in_waiting is 1 however many bytes wait.
         while len(data) < _MOST_BYTES and (waiting := self._serial.in_waiting):
             data += self._serial.read(waiting)
         return data
 
     def _try(self, action: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
         if self._lost or not self._serial.is_open:
-            raise self._gone("it was closed or lost before.")
+            raise self._port_lost("it was closed or lost before.")
         try:
             return action(*arguments, **named)
         except _LOST as error:
             self._lost = True
-            raise self._gone(f"the system says: {error}.") from error
+            raise self._port_lost(f"the system says: {error}.") from error
 
-    def _gone(self, why: str) -> PortLost:
+    def _port_lost(self, why: str) -> PortLost:
         return PortLost(
             f"the port is gone; {why}",
             where=self._name,
-            remedy="See that the device is powered and plugged in, then resume.",
+            remedy="Check that the device is powered and plugged in, then resume.",
         )
 
 
@@ -152,23 +181,25 @@ def _open(address: str, baudrate: int, stopbits: int) -> Any:
             baudrate=baudrate,
             stopbits=stopbits,
             timeout=_SLICE_S,
-            write_timeout=None if "://" in address else _WRITE_S,  # device servers know none
+            write_timeout=None if "://" in address else _WRITE_S,  # device servers have no such timeout
             exclusive=True,  # flock, before pyserial touches a line setting
-            # With it pyserial leaves DTR alone, and turns no flow control on; on Windows it is flow control,
-            # and nothing is sent to a device that does not raise DSR.
+            # On POSIX this makes pyserial leave DTR alone, and turns no flow control on. On Windows it is flow control:
+            # nothing would be sent to a device that does not raise DSR.
             dsrdtr=_SYSTEM == "posix",
             do_not_open=True,
         )
     except _NO_SERIAL_PORT as error:
         raise PortNotFound(
-            f"this is no port: {error}.", where=address, remedy="Give a device file or socket://host:port."
+            f"this is no port: {error}.",
+            where=address,
+            remedy="Name a device file or socket://host:port in the station file.",
         ) from error
     try:
         port.open()
         descriptor = _descriptor(port)
         if descriptor is not None:
-            port_lock.keep_to_ourselves(descriptor)
-            port_lock.keep_lines_up_after_closing(descriptor)
+            port_lock.lock_exclusively(descriptor)
+            port_lock.disable_hang_up_on_close(descriptor)
     except (*_LOST, *_NO_SERIAL_PORT) as error:
         port.close()
         raise _why_not_opened(address, error) from error
@@ -184,22 +215,22 @@ def _why_not_opened(address: str, error: BaseException) -> PortError:
     code = getattr(error, "errno", None)
     if code in {errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK}:
         return PortBusy(
-            "another program holds the port.", where=address, remedy="Close it, then start again."
+            "another program holds the port.", where=address, remedy="Close that program, then start again."
         )
     if code in {errno.EACCES, errno.EPERM}:
         return PortDenied(
             "no permission to open the port.",
             where=address,
-            remedy="Add the user to the port's group (often dialout) and log in again.",
+            remedy="Add the user to the group of the port (often dialout) and log in again.",
         )
     if code in {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.ENOTDIR}:
         return PortNotFound(
             "there is no such port.",
             where=address,
-            remedy="See that the device is plugged in, and that the station file names its port.",
+            remedy="Check that the device is plugged in and that the station file names its port.",
         )
     return PortNotFound(
         f"it cannot be opened as a serial port: {error}.",
         where=address,
-        remedy="See that the station file names the device's port, and a baud rate that it can do.",
+        remedy="Check that the station file names the device's port and a baud rate that the port supports.",
     )

@@ -1,7 +1,7 @@
-"""Knows how to talk to a device that answers text, has no ids and no checksums, but can say who it is.
+"""Talk to a device that answers text without message ids and checksums, but can identify itself.
 
-What keeps an old reply from answering a new question is the identity: after any doubt the line is drained
-and the device asked who it is, until exactly the known answer comes, and nothing after it.
+The identity keeps an old reply from being taken for the answer to a new query. When a reply was bad, the line is
+drained and the identity is asked for, until exactly the known identity comes and nothing follows it.
 """
 
 from __future__ import annotations
@@ -14,37 +14,33 @@ from typing import Final
 
 from drivers.clock import Clock
 from drivers.errors import ReplyGarbled
-from drivers.link import Incoming, Link
+from drivers.link import Link, ReplyReader, no_unsolicited
 from drivers.retry import TRIES, repeat, resynchronise
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
 REPLY_S: Final = 2.0
-"""Some devices need a tenth of a second to carry a setting out, and answer nothing meanwhile."""
+"""Longest wait for a reply, in seconds: some devices carry out a setting first, for a tenth of a second."""
 PROMPT_S: Final = 0.75
-"""For what a device answers at once, or never."""
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+"""Longest wait for a reply that comes at once or never, in seconds."""
 _QUIET_S = 0.1
-_LOUD_S = 2.0
-
-
-def _nothing_unsolicited(_line: bytes) -> bool:
-    return False
+_LONGEST_DRAIN_S = 2.0
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
 class TextLine:
-    """A device on a line. Asks who it is at once; sets nothing.
+    """A line to one device. Opening asks for its identity; it sets nothing.
 
     Parameters
     ----------
     port
         The open port.
-    who
-        The question whose answer identifies the device, and never changes.
+    identity_query
+        Query whose answer identifies the device and never changes.
     is_identity
-        Whether an answer to it has the right form; a wrong one is asked again.
+        Whether an answer to that query has the right form; the query is repeated after another one.
     request_end, reply_end
-        What ends a request and a reply.
+        Bytes at the end of each request and of each reply.
     reply_s
         Longest wait for a reply, in seconds.
     unsolicited, clock, wire_log
@@ -53,27 +49,30 @@ class TextLine:
     Attributes
     ----------
     identity_text
-        The answer to ``who``.
+        The answer to ``identity_query``.
 
     Raises
     ------
-    ReplyTimeout, ReplyGarbled, PortLost
+    ReplyTimeout, ReplyGarbled
+        The device does not identify itself.
+    PortLost
+        The port is gone.
     """
 
     def __init__(
         self,
         port: Port,
         *,
-        who: str,
+        identity_query: str,
         is_identity: Callable[[str], bool],
         clock: Clock,
         request_end: bytes = b"\n",
         reply_end: bytes = b"\n",
         reply_s: float = REPLY_S,
-        unsolicited: Callable[[bytes], bool] = _nothing_unsolicited,
+        unsolicited: Callable[[bytes], bool] = no_unsolicited,
         wire_log: WireLog | None = None,
     ) -> None:
-        self._who = who
+        self._identity_query = identity_query
         self._is_identity = is_identity
         self._request_end = request_end
         self._reply_end = reply_end
@@ -87,7 +86,7 @@ class TextLine:
             wire_log=wire_log,
         )
         self.identity_text = ""
-        self._link.drain(_QUIET_S, _LOUD_S)
+        self._link.drain(_QUIET_S, _LONGEST_DRAIN_S)
         self.identity_text = self._identify()
 
     @property
@@ -97,101 +96,212 @@ class TextLine:
 
     @property
     def lock(self) -> threading.RLock:
-        """Held, nobody else can send."""
+        """While a thread holds it, no other thread can send."""
         return self._link.lock
 
-    def ask(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
-        """Send a query and return its answer; asked again, three times in all, when the answer is none.
+    def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
+        """Send a query and return its answer; repeat the query when no valid reply comes.
 
-        Raises ReplyTimeout, ReplyGarbled, PortLost.
+        Parameters
+        ----------
+        query
+            The query, without the end of a request.
+        deadline_s
+            Longest wait for each reply, in seconds; None for the line's own.
+        tries
+            How often the query is sent in all.
+
+        Returns
+        -------
+        str
+            The answer, without the end of a reply.
+
+        Raises
+        ------
+        ReplyTimeout, ReplyGarbled
+            No valid reply came at the last attempt.
+        PortLost
+            The port is gone.
         """
         deadline_s = deadline_s or self._reply_s
-        return repeat(lambda: self._ask(query, deadline_s), tries=tries)
+        return repeat(lambda: self._query_once(query, deadline_s), tries=tries)
 
-    def number(self, query: str) -> float:
-        """Send a query whose answer is one finite number. Raises as ``ask``."""
-        text = self.ask(query)
-        if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
-            raise self.garbled(f"{query} answered {text!r}, not a number.")
-        return float(text)
+    def query_number(self, query: str) -> float:
+        """Send a query whose answer is one finite number.
 
-    def decimal(self, query: str) -> float:
-        """Send a query whose answer is a finite number with a decimal point: no switch's or count's can pass for it.
+        Parameters
+        ----------
+        query
+            The query.
 
-        Raises as ``ask``.
+        Returns
+        -------
+        float
+            The number.
+
+        Raises
+        ------
+        ReplyTimeout, ReplyGarbled
+            No valid reply came, or the answer is no number.
         """
-        text = self.ask(query)
-        if "." not in text or not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
-            raise self.garbled(f"{query} answered {text!r}, not a number with decimals.")
+        text = self.query(query)
+        if not _is_finite_number(text):
+            raise self.garbled_reply(f"{query} answered {text!r}, not a number.")
         return float(text)
 
-    def switch(self, query: str) -> bool:
-        """Send a query whose answer is on or off. Raises as ``ask``."""
-        text = self.ask(query).upper()
+    def query_decimal(self, query: str) -> float:
+        """Send a query whose answer is a finite number with a decimal point, which no switch or count has.
+
+        Parameters
+        ----------
+        query
+            The query.
+
+        Returns
+        -------
+        float
+            The number.
+
+        Raises
+        ------
+        ReplyTimeout, ReplyGarbled
+            No valid reply came, or the answer is no such number.
+        """
+        text = self.query(query)
+        if "." not in text or not _is_finite_number(text):
+            raise self.garbled_reply(f"{query} answered {text!r}, not a number with decimals.")
+        return float(text)
+
+    def query_switch(self, query: str) -> bool:
+        """Send a query whose answer is on or off.
+
+        Parameters
+        ----------
+        query
+            The query.
+
+        Returns
+        -------
+        bool
+            Whether the answer is ``1`` or ``ON``.
+
+        Raises
+        ------
+        ReplyTimeout, ReplyGarbled
+            No valid reply came, or the answer is neither on nor off.
+        """
+        text = self.query(query).upper()
         if text not in {"1", "ON", "0", "OFF"}:
-            raise self.garbled(f"{query} answered {text!r}, not on or off.")
+            raise self.garbled_reply(f"{query} answered {text!r}, not on or off.")
         return text in {"1", "ON"}
 
     def send(self, command: str) -> None:
-        """Send a command that has no answer. Raises ReplyError, PortLost."""
-        self._link.exchange(self._bytes(command), _nothing, deadline_s=0.0)
+        """Send a command that has no reply.
 
-    def blurt(self, command: str) -> None:
-        """Send a command at once, whatever the line is in the middle of: for stopping and switching off."""
-        self._link.exchange(self._bytes(command), _nothing, deadline_s=0.0, urgent=True)
+        Parameters
+        ----------
+        command
+            The command, without the end of a request.
 
-    def garbled(self, what: str) -> ReplyGarbled:
-        """Return the error of an answer that was understood but cannot be right; distrust the line."""
-        self._link.distrust()
+        Raises
+        ------
+        ReplyError
+            The line was out of step and could not be resynchronised.
+        PortLost
+            The port is gone.
+        """
+        self._link.exchange(self._encode(command), _read_nothing, deadline_s=0.0)
+
+    def send_urgent(self, command: str) -> None:
+        """Send a command that has no reply at once, without resynchronising: for stopping and switching off.
+
+        Parameters
+        ----------
+        command
+            The command, without the end of a request.
+
+        Raises
+        ------
+        PortLost
+            The port is gone.
+        """
+        self._link.exchange(self._encode(command), _read_nothing, deadline_s=0.0, urgent=True)
+
+    def garbled_reply(self, what: str) -> ReplyGarbled:
+        """Mark the line as out of step: a reply had the right form, but cannot be right.
+
+        Parameters
+        ----------
+        what
+            What is wrong with the reply.
+
+        Returns
+        -------
+        ReplyGarbled
+            The error, for the caller to raise.
+        """
+        self._link.mark_out_of_step()
         return ReplyGarbled(what, where=self.name, remedy="Check the cable, the port and the baud rate.")
 
-    def listen(self, seconds: float) -> None:
-        """Wait that long for what comes. A wait that no clock interrupts: for stopping only."""
+    def listen(self, duration_s: float) -> None:
+        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
+
+        Parameters
+        ----------
+        duration_s
+            Longest wait, in seconds.
+        """
         with self._link.lock:
-            self._link.fill(seconds)
+            self._link.receive(duration_s)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._link.close()
 
     # ------------------------------------------------------------ inside
 
-    def _bytes(self, text: str) -> bytes:
+    def _encode(self, text: str) -> bytes:
         return text.encode("ascii") + self._request_end
 
-    def _ask(self, query: str, deadline_s: float, *, urgent: bool = False) -> str:
-        def receive(incoming: Incoming) -> str:
-            return self._text(incoming.line())
+    def _query_once(self, query: str, deadline_s: float, *, urgent: bool = False) -> str:
+        def read_reply(reader: ReplyReader) -> str:
+            return self._parse_reply(reader.read_line())
 
-        return self._link.exchange(self._bytes(query), receive, deadline_s=deadline_s, urgent=urgent)
+        return self._link.exchange(self._encode(query), read_reply, deadline_s=deadline_s, urgent=urgent)
 
-    def _text(self, line: bytes) -> str:
-        """Understand a reply: printable ASCII and its end (a CR before it may be missing), not empty."""
+    def _parse_reply(self, line: bytes) -> str:
+        """Return the text of a reply: printable ASCII, not empty. A CR before its end may be missing."""
         body = line.removesuffix(self._reply_end).removesuffix(b"\r")
         if not re.fullmatch(rb"[ -~]+", body):
-            raise self.garbled(f"not a reply: {line[:80]!r}.")
+            raise self.garbled_reply(f"not a reply: {line[:80]!r}.")
         return body.decode("ascii").strip()
 
     def _identify(self) -> str:
-        def ask_once() -> str:
-            text = self._ask(self._who, PROMPT_S)
+        def query_identity() -> str:
+            text = self._query_once(self._identity_query, PROMPT_S)
             if not self._is_identity(text):
-                raise self.garbled(f"{self._who} answered {text!r}, which is no identity.")
+                raise self.garbled_reply(f"{self._identity_query} answered {text!r}, which is no identity.")
             return text
 
-        return repeat(ask_once, before_next=lambda: self._link.drain(_QUIET_S, _LOUD_S))
+        return repeat(query_identity, before_next=lambda: self._link.drain(_QUIET_S, _LONGEST_DRAIN_S))
 
     def _resynchronise(self) -> None:
-        """Wait for silence, then for the identity and silence again: nothing older can come after it."""
+        """Ask for the identity on a silent line: no older reply can come after the known identity and a silence."""
         if not self.identity_text:
-            return  # it is just being asked, by _identify, which drains the line itself
+            return  # _identify asks for it at this moment, and drains the line itself
 
         def is_known() -> bool:
-            return self._ask(self._who, PROMPT_S, urgent=True) == self.identity_text
+            return self._query_once(self._identity_query, PROMPT_S, urgent=True) == self.identity_text
 
-        if not resynchronise(self._link, is_known, quiet_s=_QUIET_S, limit_s=_LOUD_S):
-            raise self.garbled(f"no clear answer to {self._who}, though it answered it before.")
+        if not resynchronise(self._link, is_known, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S):
+            raise self.garbled_reply(
+                f"no clear answer to {self._identity_query}, though the device answered it before."
+            )
 
 
-def _nothing(_incoming: Incoming) -> None:
-    """Receive nothing: a command has no answer."""
+def _is_finite_number(text: str) -> bool:
+    return _NUMBER.fullmatch(text) is not None and math.isfinite(float(text))
+
+
+def _read_nothing(_reader: ReplyReader) -> None:
+    """Read nothing: a command has no reply."""

@@ -1,4 +1,4 @@
-"""Knows how every byte to and from a device is kept: JSON lines, bounded in size. Touches no device."""
+"""Record every byte to and from a device as JSON lines, in files of bounded size. Touches no device."""
 
 from __future__ import annotations
 
@@ -12,34 +12,45 @@ Direction = Literal[">", "<"]
 
 
 class WireLog(Protocol):
-    """Where a link tells every byte it sends and receives."""
+    """Record of the bytes that a link sends and receives."""
 
     def record(self, t_s: float, port: str, direction: Direction, data: bytes) -> None:
-        """Keep these bytes; never raises, because a full disk must not keep a stop from being sent."""
+        """Record bytes. This never raises, because a full disk must not keep a stop from being sent.
+
+        Parameters
+        ----------
+        t_s
+            Time on the bench's monotonic clock, in seconds.
+        port
+            Name of the port.
+        direction
+            Whether the bytes go to the device or come from it.
+        data
+            The bytes.
+        """
         ...
 
 
 class WireLogFile:
     """A wire log on disk, one JSON object a line: ``{"t": s, "port": name, "dir": ">", "bytes": text}``.
 
-    Bytes are written as Latin-1 text, so that every byte is one character and text stays readable.
-    When the file would grow past ``max_bytes`` it is renamed to ``<name>.1`` (older ones to ``.2`` ...)
-    and a new one is begun; at most ``kept`` old files are kept.
+    Bytes are written as Latin-1 text, so every byte is one character and text stays readable. A file that would
+    exceed ``max_bytes`` is renamed to ``<name>.1`` (older ones to ``.2`` ...) and a new one is begun.
 
     Parameters
     ----------
     path
         The file; its folder must exist. An existing file is continued.
     max_bytes
-        Size at which a file is closed, in bytes.
+        Largest size of a file, in bytes.
     kept
-        How many full files are kept beside the present one.
+        Number of full files that are kept beside the present one; older ones are deleted.
 
     Attributes
     ----------
     fault
-        Why logging ended, in plain words, or None while it works. A log that cannot be written does
-        not stop a device from being controlled; the bench reports this text instead.
+        Why logging ended; None while it works. A log that cannot be written does not stop a device from being
+        controlled; the bench reports this text instead.
     """
 
     def __init__(self, path: Path, *, max_bytes: int = 8_000_000, kept: int = 3) -> None:
@@ -52,7 +63,7 @@ class WireLogFile:
         self._size = 0
 
     def record(self, t_s: float, port: str, direction: Direction, data: bytes) -> None:
-        """Append one line; the times are those of the bench's monotonic clock, in seconds."""
+        """See `WireLog.record`. Appends one line."""
         entry = {"t": round(t_s, 6), "port": port, "dir": direction, "bytes": data.decode("latin-1")}
         line = json.dumps(entry) + "\n"
         with self._lock:

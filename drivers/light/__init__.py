@@ -1,4 +1,4 @@
-"""What the bench expects of a flicker light: it is the clock of a recording."""
+"""The interface of a flicker light, which is the clock of a recording."""
 
 from __future__ import annotations
 
@@ -11,7 +11,17 @@ Waveform = Literal["square", "sine", "steady"]
 
 @dataclass(frozen=True)
 class LightIdentity:
-    """Who drives the light, as it says itself."""
+    """Identity of the device that drives the light, as it reports itself.
+
+    Attributes
+    ----------
+    maker, model
+        Maker and model.
+    serial
+        Serial number; empty when the device has none.
+    firmware
+        Version of the firmware.
+    """
 
     maker: str
     model: str
@@ -21,55 +31,121 @@ class LightIdentity:
 
 @dataclass(frozen=True)
 class LightSettings:
-    """A flicker: waveform, frequency and the levels between which it swings.
+    """Settings of a flicker light: waveform, frequency and two levels.
 
-    A steady light burns at ``high_v``; its frequency, duty and ``low_v`` mean nothing, and it has no sync edges.
+    A steady light stays at ``high_v``. Its frequency, duty cycle and ``low_v`` have no meaning; it has no sync edges.
+
+    Attributes
+    ----------
+    waveform
+        Shape of a period.
+    frequency_hz
+        Flicker frequency, in hertz.
+    duty_percent
+        Share of a period at the high level, in percent; square waves only.
+    low_v, high_v
+        The two levels, in volts.
+    sync_output
+        Whether the sync output gives one edge a period to the camera's trigger input: rising at the start of the high
+        phase.
     """
 
     waveform: Waveform = "square"
     frequency_hz: float = 60.0
     duty_percent: float = 50.0
-    """Share of a period at the high level; square waves only."""
     low_v: float = 0.0
     high_v: float = 5.0
     sync_output: bool = True
-    """One edge a period to the camera's trigger input: rising at the start of the high phase."""
 
 
 class Light(Protocol):
-    """A flicker light. Dark until ``on``; ``off`` is always allowed."""
+    """A flicker light. It is dark until ``on``; ``off`` is always allowed."""
 
     def identify(self) -> LightIdentity:
-        """Ask who it is. Raises WrongDevice when the serial number differs from the given one."""
+        """Return the identity of the device.
+
+        Returns
+        -------
+        LightIdentity
+            What the device reports.
+
+        Raises
+        ------
+        WrongDevice
+            The identity is not the one in the station file.
+        """
         ...
 
     def apply(self, settings: LightSettings) -> LightSettings:
-        """Set everything, read it back, and return what the device says.
+        """Send all settings and read them back.
 
-        Raises SettingRefused when a value read back differs from the one asked for.
+        Parameters
+        ----------
+        settings
+            The settings that the light shall have.
+
+        Returns
+        -------
+        LightSettings
+            The settings that the device reports.
+
+        Raises
+        ------
+        SettingRefused
+            The device refuses a setting, or a value reads back differently.
         """
         ...
 
     def read(self) -> LightSettings:
-        """The present settings, asked of the device."""
+        """Ask the device for its present settings.
+
+        Returns
+        -------
+        LightSettings
+            The settings that the device reports.
+        """
         ...
 
     def on(self) -> None:
-        """Switch the output on and see that it is."""
+        """Switch the output on, and check that it is on.
+
+        Raises
+        ------
+        LightFault
+            The output stays off.
+        """
         ...
 
     def off(self) -> None:
-        """Switch the output off and see that it is."""
+        """Switch the output off, and check that it is off.
+
+        Raises
+        ------
+        LightFault
+            The output stays on.
+        """
         ...
 
     def is_on(self) -> bool:
-        """Whether the output is on, asked of the device."""
+        """Ask the device whether the output is on.
+
+        Returns
+        -------
+        bool
+            Whether it is.
+        """
         ...
 
     def faults(self) -> Sequence[str]:
-        """Present faults in plain words; empty when all is well."""
+        """Ask the device for its faults.
+
+        Returns
+        -------
+        sequence of str
+            One sentence a fault; empty without faults.
+        """
         ...
 
     def close(self) -> None:
-        """Give the port back; does not switch anything."""
+        """Close the port. This switches nothing."""
         ...

@@ -1,7 +1,7 @@
-"""Flicker lights driven by an SCPI function generator: its output feeds the lamp, its sync the camera.
+"""Flicker lights on an SCPI function generator: its output feeds the lamp, its sync output the camera.
 
-Knows what may go wrong with a setting: clipped, refused, taken and silently dropped. Every setting is read
-back. Nothing is switched by opening. How makes say it is in ``drivers.light.scpi_dialects``.
+A generator may clip a setting, refuse it, or accept and ignore it, so every setting is read back. Opening switches
+nothing. The commands of each make are in ``drivers.light.scpi_dialects``.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from drivers.clock import Clock
 from drivers.errors import LightFault, SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.scpi_dialects import DIALECTS, DialectName, Load, Setting
-from drivers.readings import agreeing
+from drivers.readings import read_until_agreed
 from drivers.scpi_line import InstrumentError, ScpiLine
 from drivers.serial_port import Port, SerialPort
 from drivers.wire_log import WireLog
 
-# How far a value read back may lie from the one asked: the finest of what generators resolve and print.
+# Largest difference of two equal values: the finest resolution that generators have and print.
 _FREQUENCY_REL = 1e-6
 _DUTY_PERCENT = 0.01
 _LEVEL_REL = 1e-3
@@ -39,19 +39,20 @@ class ScpiLight:
     port
         The open port.
     serial
-        The generator's serial number as ``*IDN?`` says it; None when it need not be checked.
+        The generator's serial number as in the answer to ``*IDN?``; None when it is not checked.
     clock, wire_log
         See ``drivers.link.Link``.
     load
-        Set before the levels; "unchanged" for a generator that has no such setting.
+        Load setting, sent before the levels; "unchanged" for a generator that has no such setting.
     dialect
-        How the generator wants to be spoken to: "keysight", "numbered" or "siglent".
+        Commands of the generator: "keysight", "numbered" or "siglent".
 
     Raises
     ------
     WrongDevice
-        Another serial number answers; nothing was set.
+        The serial number differs; nothing was set.
     ReplyError, PortLost
+        The generator does not answer.
     """
 
     def __init__(
@@ -68,7 +69,7 @@ class ScpiLight:
         self._load: Load = load
         self._dialect = DIALECTS[dialect]
         self._switched_on = False
-        self._plain = False
+        self._modes_reset = False
         try:
             self._line = ScpiLine(port, clock=clock, wire_log=wire_log)
             self.identify()
@@ -88,19 +89,37 @@ class ScpiLight:
         load: Load = "high-z",
         dialect: DialectName = "keysight",
     ) -> ScpiLight:
-        """Open the port and check who answers. Sets and switches nothing.
+        """Open the port and check the serial number. Sets and switches nothing.
 
-        Raises PortNotFound, PortBusy, PortDenied, and what the constructor raises.
+        Parameters
+        ----------
+        port
+            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate
+            Bits per second.
+        serial, clock, wire_log, load, dialect
+            See the class, which raises the other errors.
+
+        Returns
+        -------
+        ScpiLight
+            The open light.
         """
         opened = SerialPort(port, baudrate=baudrate)
         return cls(opened, serial=serial, clock=clock, wire_log=wire_log, load=load, dialect=dialect)
 
     def identify(self) -> LightIdentity:
-        """Return who it is. Raises WrongDevice when the serial number is not the station file's."""
+        """See `Light.identify`.
+
+        Raises
+        ------
+        WrongDevice
+            The serial number is not the one in the station file.
+        """
         identity = LightIdentity(*self._line.identity)
         if self._serial is not None and identity.serial != self._serial:
             raise WrongDevice(
-                f"the station file says serial {self._serial}, but {identity.maker} {identity.model} with"
+                f"the station file names serial {self._serial}, but {identity.maker} {identity.model} with"
                 f" serial {identity.serial} answers. Nothing was set.",
                 where=self._line.name,
                 remedy="Check the port and the serial in the station file.",
@@ -108,50 +127,66 @@ class ScpiLight:
         return identity
 
     def apply(self, settings: LightSettings) -> LightSettings:
-        """Set everything, read it back, and return what the generator says.
-
-        Raises SettingRefused, naming what was asked and what the generator has instead.
-        """
-        self._make_plain()
+        """See `Light.apply`. The error names what was asked for and what the generator has instead."""
+        self._reset_modes()
         if self._load != "unchanged":
             self._set(self._dialect.load(self._load))
-        for setting in self._dialect.settings(settings, self._dialect.low_v(self._line)):
+        for setting in self._dialect.settings(settings, self._dialect.query_low_v(self._line)):
             self._set(setting)
         got = self.read()
-        _compare(settings, got, self._line.name)
+        _check_settings(settings, got, self._line.name)
         return got
 
     def read(self) -> LightSettings:
-        """Return the present settings, asked of the generator.
+        """See `Light.read`. Reads until two readings agree: SCPI has no checksums, and a digit can change on the line.
 
-        Everything is read twice: SCPI has no checksums, and a digit can change on the line. Raises
-        LightFault when it makes neither square, sine nor a steady level; ReplyGarbled when two readings never agree.
+        Raises
+        ------
+        LightFault
+            The waveform is neither a square, a sine nor a steady level.
+        ReplyGarbled
+            The readings do not agree.
         """
-        turns = itertools.cycle((False, True))
-        return self._agreeing(lambda: self._dialect.read(self._line, backwards=next(turns)), "the settings")
+        backwards = itertools.cycle((False, True))
+        return self._read_until_agreed(
+            lambda: self._dialect.query_settings(self._line, backwards=next(backwards)), "the settings"
+        )
 
     def on(self) -> None:
-        """Switch the output on and see that it is. Raises LightFault, SettingRefused."""
+        """See `Light.on`.
+
+        Raises
+        ------
+        LightFault
+            The output reads off.
+        SettingRefused
+            The generator refuses the command.
+        """
         self._set(self._dialect.output(on=True))
         if not self.is_on():
             raise LightFault(
                 "the output was switched on, but reads off.",
                 where=self._line.name,
-                remedy="See whether the generator shows an overload on its output.",
+                remedy="Check whether the generator shows an overload of its output.",
             )
         self._switched_on = True
 
     def off(self) -> None:
-        """Switch the output off and see that it is. Goes out at once, before any resynchronising.
+        """See `Light.off`. The command is sent at once, without resynchronising.
 
-        Raises LightFault; ReplyError, PortLost when it cannot be known.
+        Raises
+        ------
+        LightFault
+            The output reads on.
+        ReplyError, PortLost
+            The generator does not answer, so its state is unknown.
         """
         self._switched_on = False
         _, command = self._dialect.output(on=False)
-        self._line.blurt(command)
+        self._line.send_urgent(command)
         if not self.is_on():
             return
-        self._line.tell(command)
+        self._line.command(command)
         if self.is_on():
             raise LightFault(
                 "the output was switched off, but reads on.",
@@ -160,49 +195,49 @@ class ScpiLight:
             )
 
     def is_on(self) -> bool:
-        """Whether the output is on, asked of the generator twice."""
-        return self._agreeing(lambda: self._dialect.is_on(self._line), "the output's switch")
+        """See `Light.is_on`. Asks until two answers agree."""
+        return self._read_until_agreed(lambda: self._dialect.query_output(self._line), "the output's switch")
 
     def faults(self) -> Sequence[str]:
-        """Return the generator's errors since last asked, and whether it went dark by itself."""
-        found = [f"the generator reports {error}" for error in self._line.errors()]
+        """See `Light.faults`. Returns the errors since the last call, and an unexpected darkness."""
+        found = [f"the generator reports {error}" for error in self._line.read_errors()]
         if self._switched_on and not self.is_on():
             found.append("the output was switched on, but is off")
         return found
 
     def close(self) -> None:
-        """Give the port back; does not switch anything."""
+        """See `Light.close`."""
         self._line.close()
 
     # ------------------------------------------------------------ inside
 
-    def _make_plain(self) -> None:
-        """End, once, what somebody before us has left on; who does not know the command has no such mode."""
-        if not self._plain:
-            for setting in self._dialect.plain():
+    def _reset_modes(self) -> None:
+        """End, once, the modes that another program may have left on. A generator without a mode may refuse."""
+        if not self._modes_reset:
+            for setting in self._dialect.reset_modes():
                 self._set(setting, may_be_unknown=True)
-            self._plain = True
+            self._modes_reset = True
 
     def _set(self, setting: Setting, *, may_be_unknown: bool = False) -> None:
         name, command = setting
         errors = [
-            error for error in self._line.tell(command) if not (may_be_unknown and error.is_of_the_command)
+            error for error in self._line.command(command) if not (may_be_unknown and error.is_command_error)
         ]
         if errors:
             raise SettingRefused(
-                f"{name} is not taken: '{command}' is answered by {_in_words(errors)}.",
+                f"{name} is refused: '{command}' is answered by {'; '.join(map(str, errors))}.",
                 where=self._line.name,
                 remedy=_remedy(name, errors),
             )
 
-    def _agreeing(self, read: Callable[[], T], what: str) -> T:
-        return agreeing(read, what=what, where=self._line.name)
+    def _read_until_agreed(self, read: Callable[[], T], what: str) -> T:
+        return read_until_agreed(read, what=what, where=self._line.name)
 
 
-def _compare(asked: LightSettings, got: LightSettings, where: str) -> None:
-    """Raise SettingRefused, naming every setting that reads back otherwise than asked.
+def _check_settings(asked: LightSettings, got: LightSettings, where: str) -> None:
+    """Raise SettingRefused with every setting that reads back differently.
 
-    Of a steady light, only its waveform and its level count.
+    Of a steady light, only the waveform and the level count.
     """
     level_v = _LEVEL_V + _LEVEL_REL * max(abs(asked.high_v), abs(asked.low_v))
     pairs = [
@@ -229,19 +264,15 @@ def _compare(asked: LightSettings, got: LightSettings, where: str) -> None:
     ]
     if wrong:
         raise SettingRefused(
-            f"the generator has other settings than asked ({'; '.join(wrong)}).",
+            f"settings read back differently from what was set ({'; '.join(wrong)}).",
             where=where,
             remedy="Ask for values within the generator's range and resolution.",
         )
 
 
-def _in_words(errors: Sequence[InstrumentError]) -> str:
-    return "; ".join(map(str, errors))
-
-
 def _remedy(name: str, errors: Sequence[InstrumentError]) -> str:
     if any(error.code == -113 for error in errors):
         if name == "load":
-            return "Say 'load: unchanged' in the station file: this generator has no load setting."
-        return "See that the station file names the right driver for this generator."
+            return "Write 'load: unchanged' in the station file: this generator has no load setting."
+        return "Check that the station file names the right driver for this generator."
     return "Ask for a value within the generator's range."

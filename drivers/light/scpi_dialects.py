@@ -1,10 +1,12 @@
-"""Knows how different makes of function generators say the same things. Decides nothing.
+"""Commands of function generators of several makes, for the settings that a flicker light needs.
 
-``keysight``: 33220A, 33250A and what copies them, one channel without a number. (Not the 33120A, which has neither
-levels nor an output switch.)
-``numbered``: ``SOUR1:`` and ``OUTP1``, as Keysight 33500B and Rigol DG have it. (Not Tektronix AFG, which has a duty
-cycle for pulses alone.)
-``siglent``: SDG, all settings of a channel in one command, ``C1:BSWV``.
+``keysight``: 33220A, 33250A and compatible generators, with one channel without a number. (Not the 33120A, which has
+neither levels nor an output switch.) Source: "Agilent 33220A 20 MHz Function/Arbitrary Waveform Generator User's
+Guide", chapter "Remote Interface Reference".
+``numbered``: channels with a number, ``SOUR1:`` and ``OUTP1``: Keysight 33500B, Rigol DG. (Not Tektronix AFG, which has
+a duty cycle for pulses only.) Source: Keysight, "33500B Series: Operating and Service Guide".
+``siglent``: SDG, all settings of a channel in one command, ``C1:BSWV``. Source: Siglent, "SDG Series Programming
+Guide".
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from drivers.light import LightSettings, Waveform
 from drivers.scpi_line import ScpiLine
 
 Load = Literal["high-z", "50-ohm", "unchanged"]
-"""What the generator takes its output to be connected to: its levels are those at this load."""
+"""Load that the generator assumes at its output; its levels are those at this load."""
 
 DialectName = Literal["keysight", "numbered", "siglent"]
 
@@ -32,72 +34,153 @@ _LONG: dict[Waveform, str] = {"square": "SQUARE", "sine": "SINE", "steady": "DC"
 
 
 def _steady(level_v: float) -> LightSettings:
-    """Give the settings of a light that burns at a level."""
+    """Return the settings of a steady light."""
     return LightSettings(waveform="steady", low_v=level_v, high_v=level_v, sync_output=False)
 
 
 class Dialect(Protocol):
-    """How a make of generators says what a flicker light needs."""
+    """Commands of one make of generators."""
 
     def load(self, load: Load) -> Setting:
-        """Command for the load."""
-        ...
+        """Return the command for the load.
 
-    def plain(self) -> list[Setting]:
-        """Commands that end what somebody may have left on: bursts, sweeps, modulations, a turned polarity."""
-        ...
+        Parameters
+        ----------
+        load
+            The load; not "unchanged".
 
-    def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
-        """Commands for everything but the output, in an order in which no step contradicts the last."""
-        ...
-
-    def output(self, on: bool) -> Setting:
-        """Command for the output."""
-        ...
-
-    def low_v(self, line: ScpiLine) -> float:
-        """Ask for the low level."""
-        ...
-
-    def read(self, line: ScpiLine, *, backwards: bool) -> LightSettings:
-        """Ask for all settings, in one order or the other. Raises LightFault when the waveform is none of ours.
-
-        A reply that comes one question late, twice in the same place, would pass for an answer; not in two orders.
+        Returns
+        -------
+        Setting
+            Name and command.
         """
         ...
 
-    def is_on(self, line: ScpiLine) -> bool:
-        """Ask whether the output is on."""
+    def reset_modes(self) -> list[Setting]:
+        """Return the commands that end bursts, sweeps and modulations, and make the polarity normal.
+
+        Returns
+        -------
+        list of Setting
+            Names and commands.
+        """
+        ...
+
+    def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
+        """Return the commands for all settings but the output, in an order in which the generator accepts each.
+
+        Parameters
+        ----------
+        wanted
+            The settings that the generator shall have.
+        present_low_v
+            Its present low level, in volts: the high level must stay above the low level after every command.
+
+        Returns
+        -------
+        list of Setting
+            Names and commands.
+        """
+        ...
+
+    def output(self, on: bool) -> Setting:
+        """Return the command for the output.
+
+        Parameters
+        ----------
+        on
+            Whether the output shall be on.
+
+        Returns
+        -------
+        Setting
+            Name and command.
+        """
+        ...
+
+    def query_low_v(self, line: ScpiLine) -> float:
+        """Ask for the low level.
+
+        Parameters
+        ----------
+        line
+            Line to the generator.
+
+        Returns
+        -------
+        float
+            The level, in volts.
+        """
+        ...
+
+    def query_settings(self, line: ScpiLine, *, backwards: bool) -> LightSettings:
+        """Ask for all settings, in one of two orders.
+
+        A reply that is one query late could be taken for an answer twice, but not when the two readings have different
+        orders.
+
+        Parameters
+        ----------
+        line
+            Line to the generator.
+        backwards
+            Whether to ask in the second order.
+
+        Returns
+        -------
+        LightSettings
+            The present settings.
+
+        Raises
+        ------
+        LightFault
+            The waveform is neither a square, a sine nor a steady level.
+        """
+        ...
+
+    def query_output(self, line: ScpiLine) -> bool:
+        """Ask whether the output is on.
+
+        Parameters
+        ----------
+        line
+            Line to the generator.
+
+        Returns
+        -------
+        bool
+            Whether it is.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class HeaderDialect:
-    """One header a setting, as SCPI has it.
+    """SCPI commands with one header a setting.
 
     Attributes
     ----------
     source
-        Put before the headers of the signal, "" or "SOUR1:".
+        Prefix of the headers of the signal: "" or "SOUR1:".
     output_header
-        Header of the output switch, "OUTP" or "OUTP1".
+        Header of the output switch: "OUTP" or "OUTP1".
     """
 
     source: str = ""
     output_header: str = "OUTP"
 
     def load(self, load: Load) -> Setting:
-        """Command for the load."""
+        """See `Dialect.load`."""
         return "load", f"{self.output_header}:LOAD {'INF' if load == 'high-z' else '50'}"
 
-    def plain(self) -> list[Setting]:
-        """Commands that end bursts, sweeps and modulations, and turn the output upright."""
+    def reset_modes(self) -> list[Setting]:
+        """See `Dialect.reset_modes`."""
         modes = {"burst": "BURS", "sweep": "SWE", "amplitude": "AM", "frequency": "FM", "shift keying": "FSK"}
         off = [(name, f"{self.source}{header}:STAT OFF") for name, header in modes.items()]
         return [*off, ("polarity", f"{self.output_header}:POL NORM")]
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
-        """Commands for everything but the output; high stays above low in between, whatever they were."""
+        """See `Dialect.settings`."""
         source = self.source
         if wanted.waveform == "steady":
             return [
@@ -117,48 +200,50 @@ class HeaderDialect:
         return [*found, ("sync", f"{self.output_header}:SYNC {sync}")]
 
     def output(self, on: bool) -> Setting:
-        """Command for the output."""
+        """See `Dialect.output`."""
         return "output", f"{self.output_header} {'ON' if on else 'OFF'}"
 
-    def low_v(self, line: ScpiLine) -> float:
-        """Ask for the low level."""
-        return line.number(f"{self.source}VOLT:LOW?")
+    def query_low_v(self, line: ScpiLine) -> float:
+        """See `Dialect.query_low_v`."""
+        return line.query_number(f"{self.source}VOLT:LOW?")
 
-    def read(self, line: ScpiLine, *, backwards: bool) -> LightSettings:
-        """Ask for all settings."""
+    def query_settings(self, line: ScpiLine, *, backwards: bool) -> LightSettings:
+        """See `Dialect.query_settings`."""
         source = self.source
-        waveform = _waveform(line.ask(f"{source}FUNC?"), line.name)
+        waveform = _waveform(line.query(f"{source}FUNC?"), line.name)
         if waveform == "steady":
-            return _steady(line.number(f"{source}VOLT:OFFS?"))
-        # Each number has other neighbours in the two orders, or a word; none of them could be equal to it.
+            return _steady(line.query_number(f"{source}VOLT:OFFS?"))
+        # In the two orders each number has different neighbours, so a reply that is one query late differs.
         queries = {"low_v": "VOLT:LOW?", "high_v": "VOLT:HIGH?", "frequency_hz": "FREQ?"}
         if waveform == "square":
             queries["duty_percent"] = "FUNC:SQU:DCYC?"
         order = reversed(queries) if backwards else iter(queries)
-        numbers = {name: line.number(source + queries[name]) for name in order}
-        return LightSettings(waveform, sync_output=line.switch(f"{self.output_header}:SYNC?"), **numbers)
+        numbers = {name: line.query_number(source + queries[name]) for name in order}
+        return LightSettings(
+            waveform, sync_output=line.query_switch(f"{self.output_header}:SYNC?"), **numbers
+        )
 
-    def is_on(self, line: ScpiLine) -> bool:
-        """Ask whether the output is on, after something else whose answer is no switch's."""
-        line.ask(f"{self.source}FUNC?")
-        return line.switch(f"{self.output_header}?")
+    def query_output(self, line: ScpiLine) -> bool:
+        """See `Dialect.query_output`. Another query comes first: a late answer to it is not that of a switch."""
+        line.query(f"{self.source}FUNC?")
+        return line.query_switch(f"{self.output_header}?")
 
 
 class SiglentDialect:
-    """All settings of channel 1 in one command of names and values, joined by commas."""
+    """Siglent's commands: all settings of channel 1 in one command of names and values, joined by commas."""
 
     def load(self, load: Load) -> Setting:
-        """Command for the load."""
+        """See `Dialect.load`."""
         return "load", f"C1:OUTP LOAD,{'HZ' if load == 'high-z' else '50'}"
 
-    def plain(self) -> list[Setting]:
-        """Commands that end bursts, sweeps and modulations, and turn the output upright."""
+    def reset_modes(self) -> list[Setting]:
+        """See `Dialect.reset_modes`."""
         modes = {"burst": "BTWV", "sweep": "SWWV", "modulation": "MDWV"}
         off = [(name, f"C1:{header} STATE,OFF") for name, header in modes.items()]
         return [*off, ("polarity", "C1:OUTP PLRT,NOR")]
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:  # noqa: ARG002
-        """Commands for everything but the output; both levels go in one, so their order does not matter."""
+        """See `Dialect.settings`. One command holds both levels, so their order does not matter."""
         if wanted.waveform == "steady":
             return [("steady level", f"C1:BSWV WVTP,DC,OFST,{wanted.high_v:.6g}")]
         words = [f"WVTP,{_LONG[wanted.waveform]}", f"FRQ,{wanted.frequency_hz:.12g}"]
@@ -169,57 +254,57 @@ class SiglentDialect:
         return [("flicker", f"C1:BSWV {','.join(words)}"), ("sync", f"C1:SYNC {sync}")]
 
     def output(self, on: bool) -> Setting:
-        """Command for the output."""
+        """See `Dialect.output`."""
         return "output", f"C1:OUTP {'ON' if on else 'OFF'}"
 
-    def low_v(self, line: ScpiLine) -> float:
-        """Ask for the low level."""
-        fields = self._fields(line, "BSWV")
-        return self._number(line, fields, "LLEV" if "LLEV" in fields else "OFST")
+    def query_low_v(self, line: ScpiLine) -> float:
+        """See `Dialect.query_low_v`."""
+        fields = self._query_fields(line, "BSWV")
+        return self._parse_number(line, fields, "LLEV" if "LLEV" in fields else "OFST")
 
-    def read(self, line: ScpiLine, *, backwards: bool) -> LightSettings:  # noqa: ARG002 - answers name themselves
-        """Ask for all settings."""
-        fields = self._fields(line, "BSWV")
+    def query_settings(self, line: ScpiLine, *, backwards: bool) -> LightSettings:  # noqa: ARG002 - answers carry their names
+        """See `Dialect.query_settings`."""
+        fields = self._query_fields(line, "BSWV")
         waveform = _waveform(fields.get("WVTP", ""), line.name)
         if waveform == "steady":
-            return _steady(self._number(line, fields, "OFST"))
+            return _steady(self._parse_number(line, fields, "OFST"))
         settings = LightSettings(
             waveform=waveform,
-            frequency_hz=self._number(line, fields, "FRQ"),
-            low_v=self._number(line, fields, "LLEV"),
-            high_v=self._number(line, fields, "HLEV"),
-            sync_output=self._first(line, "SYNC") == "ON",
+            frequency_hz=self._parse_number(line, fields, "FRQ"),
+            low_v=self._parse_number(line, fields, "LLEV"),
+            high_v=self._parse_number(line, fields, "HLEV"),
+            sync_output=self._query_first(line, "SYNC") == "ON",
         )
         if waveform == "square":
-            settings = replace(settings, duty_percent=self._number(line, fields, "DUTY"))
+            settings = replace(settings, duty_percent=self._parse_number(line, fields, "DUTY"))
         return settings
 
-    def is_on(self, line: ScpiLine) -> bool:
-        """Ask whether the output is on."""
-        return self._first(line, "OUTP") == "ON"
+    def query_output(self, line: ScpiLine) -> bool:
+        """See `Dialect.query_output`."""
+        return self._query_first(line, "OUTP") == "ON"
 
-    def _words(self, line: ScpiLine, header: str) -> list[str]:
-        text = line.ask(f"C1:{header}?").upper()
+    def _query_words(self, line: ScpiLine, header: str) -> list[str]:
+        text = line.query(f"C1:{header}?").upper()
         start = f"C1:{header} "
         if not text.startswith(start):
-            raise line.garbled(f"C1:{header}? answered {text!r}.")
+            raise line.garbled_reply(f"C1:{header}? answered {text!r}.")
         return text.removeprefix(start).split(",")
 
-    def _first(self, line: ScpiLine, header: str) -> str:
-        word = self._words(line, header)[0]
+    def _query_first(self, line: ScpiLine, header: str) -> str:
+        word = self._query_words(line, header)[0]
         if word not in {"ON", "OFF"}:
-            raise line.garbled(f"C1:{header}? answered {word!r}, not on or off.")
+            raise line.garbled_reply(f"C1:{header}? answered {word!r}, not on or off.")
         return word
 
-    def _fields(self, line: ScpiLine, header: str) -> dict[str, str]:
-        words = self._words(line, header)
+    def _query_fields(self, line: ScpiLine, header: str) -> dict[str, str]:
+        words = self._query_words(line, header)
         return dict(zip(words[::2], words[1::2], strict=False))
 
-    def _number(self, line: ScpiLine, fields: dict[str, str], name: str) -> float:
-        """Understand a number with its unit, as in ``60HZ`` or ``3.3V``."""
+    def _parse_number(self, line: ScpiLine, fields: dict[str, str], name: str) -> float:
+        """Parse a number with its unit, as in ``60HZ`` or ``3.3V``."""
         match = re.fullmatch(r"([+-]?\d+(?:\.\d*)?(?:E[+-]?\d+)?)(?:HZ|V|%)?", fields.get(name, ""))
         if match is None or not math.isfinite(float(match[1])):
-            raise line.garbled(f"no number {name} in {fields}.")
+            raise line.garbled_reply(f"no number {name} in {fields}.")
         return float(match[1])
 
 
@@ -238,7 +323,7 @@ def _waveform(word: str, where: str) -> Waveform:
     if word.upper() == "DC":
         return "steady"
     raise LightFault(
-        f"the generator makes {word!r}, neither a square, a sine nor a steady level.",
+        f"the generator's waveform is {word!r}, neither a square, a sine nor a steady level.",
         where=where,
         remedy="Apply the light's settings first.",
     )

@@ -1,8 +1,10 @@
 """Newport stages on an ESP300, ESP301 or ESP302 controller, in degrees.
 
-Knows its words (``1PA5``, ``1MD?``), its error buffer, and that it does not tell whether it has a reference:
-only a homing by this driver counts, and a motor that was switched off or a restart undoes it. How a move is
-watched is in ``drivers.stage.watched``.
+This module implements the controller's commands (``1PA5``, ``1MD?``) and its error buffer. The controller does not
+tell whether an axis has a reference, so only a homing by this driver counts; a restart, or a motor that was switched
+off, undoes it. ``drivers.stage.watched`` watches the moves.
+
+Source: Newport, "ESP300" and "ESP301 User's Manual", section 3 (remote mode) and the appendix on error messages.
 """
 
 from __future__ import annotations
@@ -14,16 +16,17 @@ from typing import Literal
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
-from drivers.readings import agreeing
+from drivers.readings import read_until_agreed
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion
-from drivers.stage.watched import GoOn, Look, WatchedStage
+from drivers.stage.watched import AxisState, StopCheck, WatchedStage
 from drivers.text_line import PROMPT_S, TextLine
 from drivers.wire_log import WireLog
 
 _DEGREES = 7
+"""Value of ``SN`` for an axis that counts in degrees."""
 _RESOLUTION = 1e-4
-"""Settings are compared to so many degrees: what the controller prints."""
+"""Largest difference of two equal settings, in degrees: the controller prints no more digits."""
 _MOST_ERRORS = 20
 _ERROR = re.compile(r"(\d{1,4}), ?(\d{1,12}), ?([ -~]+)")
 
@@ -47,7 +50,7 @@ AXIS_ERRORS = {
     19: "the stage's data are invalid",
     20: "homing aborted",
 }
-"""The last two digits of an axis's error (the others are the axis number), in plain words."""
+"""Meanings of the last two digits of an error of an axis; the digits before them are the number of the axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,20 +64,20 @@ class EspAxis:
     number
         Number of the axis on the controller, 1 to 3.
     serial
-        Serial number of the stage as ``1ID?`` says it (SN1263); empty when it need not be checked.
-    home_mode
-        How it searches its reference (``OR``): 1 by home switch and index, 2 by home switch, 3 and 4 by the
-        positive and negative limit, 5 and 6 by those and index. Without it the controller would only go to 0.
-    direction
-        -1 when the controller's degrees fall as the angle grows.
-    zero_deg
-        Angle at the controller's 0.
+        Serial number of the stage as in the answer to ``1ID?`` (SN1263); empty when it is not checked.
     limits
         Soft limits, speed and acceleration.
+    home_mode
+        Parameter of ``OR``, the search of the reference: 1 by home switch and index, 2 by home switch, 3 and 4 by the
+        positive and negative limit, 5 and 6 by those and index. Without it the controller would only move to 0.
+    direction
+        -1 when the controller's degrees fall as the angle grows, else 1.
+    zero_deg
+        Angle at the controller's 0, in degrees.
     tolerance_deg
-        How far from its target the axis may rest.
+        Largest distance of the axis from its target at rest, in degrees.
     encoder_tolerance_deg
-        Not used: the position is that of the encoder.
+        Not used: the controller's position is that of the encoder.
     """
 
     name: str
@@ -87,18 +90,50 @@ class EspAxis:
     tolerance_deg: float = 0.002
     encoder_tolerance_deg: float = 0.0
 
-    def own(self, angle_deg: float) -> float:
-        """Return the controller's degrees of an angle, to the digits that are sent."""
+    def to_controller_deg(self, angle_deg: float) -> float:
+        """Return the controller's position of an angle, rounded to the digits that are sent.
+
+        Parameters
+        ----------
+        angle_deg
+            Angle, in degrees.
+
+        Returns
+        -------
+        float
+            Position of the controller, in degrees.
+        """
         return round((angle_deg - self.zero_deg) * self.direction, 5)
 
-    def angle_deg(self, own_deg: float) -> float:
-        """Return the angle of the controller's degrees."""
-        return self.zero_deg + self.direction * own_deg
+    def to_angle_deg(self, controller_deg: float) -> float:
+        """Return the angle of a position of the controller.
+
+        Parameters
+        ----------
+        controller_deg
+            Position of the controller, in degrees.
+
+        Returns
+        -------
+        float
+            Angle, in degrees.
+        """
+        return self.zero_deg + self.direction * controller_deg
 
 
 @dataclass(frozen=True)
 class EspError:
-    """One entry of the error buffer, with the controller's time in servo cycles since it started."""
+    """One entry of the error buffer.
+
+    Attributes
+    ----------
+    code
+        Error number; 0 for an empty buffer.
+    time
+        Time since the controller started, in servo cycles.
+    text
+        The controller's own description.
+    """
 
     code: int
     time: int
@@ -120,19 +155,22 @@ class EspStage(WatchedStage[EspAxis]):
     port
         The open port.
     axes
-        The axes, in the station file's order.
+        The axes, in the order of the station file.
     clock
         Every wait between two requests goes through it.
     wire_log
-        Told every byte.
+        Records every byte; None for no record.
 
     Raises
     ------
     WrongDevice
         A serial number differs; nothing was set.
     OutsideLimits
-        The station's limits reach beyond the controller's, or its axes do not count in degrees.
-    DeviceRefused, ReplyError, PortLost
+        The limits in the station file lie beyond the controller's, or an axis does not count in degrees.
+    DeviceRefused
+        The controller refuses a setting.
+    ReplyError, PortLost
+        The controller does not answer.
     """
 
     def __init__(
@@ -145,14 +183,14 @@ class EspStage(WatchedStage[EspAxis]):
         try:
             self._line = TextLine(
                 port,
-                who="VE?",
+                identity_query="VE?",
                 is_identity=lambda text: text.upper().startswith("ESP"),
                 request_end=b"\r",
                 reply_s=PROMPT_S,
                 clock=clock,
                 wire_log=wire_log,
             )
-            self._errors()
+            self._read_errors()
             self.identify()
             self._bring_to_rest()
             for axis in axes:
@@ -171,22 +209,40 @@ class EspStage(WatchedStage[EspAxis]):
         clock: Clock,
         wire_log: WireLog | None = None,
     ) -> EspStage:
-        """Open the port, check who answers, and program limits, speed and acceleration. Moves nothing.
+        """Open the port, check the serial numbers, and set limits, speed and acceleration. Moves nothing.
 
-        Raises PortNotFound, PortBusy, PortDenied, and what the constructor raises.
+        Parameters
+        ----------
+        port
+            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate
+            Bits per second.
+        axes, clock, wire_log
+            See the class, which raises the other errors.
+
+        Returns
+        -------
+        EspStage
+            The open stage.
         """
         return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """Ask every axis who it is. Raises WrongDevice when a serial number is not the station file's."""
+        """See `Stage.identify`.
+
+        Raises
+        ------
+        WrongDevice
+            A serial number is not the one in the station file.
+        """
         found = []
         for axis in self._axes.values():
-            text = self._line.ask(f"{axis.number}ID?")
+            text = self._line.query(f"{axis.number}ID?")
             model, _, serial = (part.strip() for part in text.partition(","))
             if axis.serial and serial.removeprefix("SN") != axis.serial.removeprefix("SN"):
                 raise WrongDevice(
-                    f"the station file says serial {axis.serial} for {axis.name}, but axis {axis.number}"
-                    f" says '{text}'. Nothing was moved.",
+                    f"the station file names serial {axis.serial} for {axis.name}, but axis {axis.number}"
+                    f" answers '{text}'. Nothing was moved.",
                     where=self._where,
                     remedy="Check the port, the axis numbers and the serials in the station file.",
                 )
@@ -194,22 +250,22 @@ class EspStage(WatchedStage[EspAxis]):
         return tuple(found)
 
     def _has_reference(self) -> bool:
-        """Whether this driver has homed all axes, and no restart or switched-off motor undid it."""
-        self._errors()
+        """Whether this driver has homed all axes, and since then no controller restarted and no motor went off."""
+        self._read_errors()
         return self._homed_at == self._restarts and all(map(self._motor_on, self._axes.values()))
 
     def faults(self) -> Sequence[str]:
-        """Return the controller's errors since last asked, and motors that are off, in plain words."""
-        found = [str(error) for error in self._errors()]
+        """See `Stage.faults`. Returns the errors since the last call, and the motors that are off."""
+        found = [str(error) for error in self._read_errors()]
         return found + [f"{name}: motor off" for name, axis in self._axes.items() if not self._motor_on(axis)]
 
     def close(self) -> None:
-        """Give the port back; the stage stays where it is."""
+        """See `Stage.close`."""
         self._line.close()
 
     # ------------------------------------------------------------ on the wire
 
-    def _assure_ready(self, axis: EspAxis) -> None:
+    def _check_ready(self, axis: EspAxis) -> None:
         if not self._has_reference():
             raise NotHomed(
                 "the axis has no reference. Nothing was moved.",
@@ -218,107 +274,107 @@ class EspStage(WatchedStage[EspAxis]):
             )
 
     def _clear_faults(self, axis: EspAxis) -> None:
-        """Empty the error buffer and power the motor, which moves nothing."""
-        self._errors()
+        """Empty the error buffer and switch the motor on, which moves nothing."""
+        self._read_errors()
         if not self._motor_on(axis):
-            self._tell(axis, "MO")
+            self._command(axis, "MO")
         if not self._motor_on(axis):
             raise MoveFailed(
-                "the motor does not go on. Nothing was moved.",
+                "the motor stays off. Nothing was moved.",
                 where=axis.name,
-                remedy="See whether the controller's motor power is enabled.",
+                remedy="Check that the motor power of the controller is enabled.",
             )
 
-    def _goal_deg(self, axis: EspAxis, angle_deg: float) -> float:
-        return axis.angle_deg(axis.own(angle_deg))
+    def _reachable_deg(self, axis: EspAxis, angle_deg: float) -> float:
+        return axis.to_angle_deg(axis.to_controller_deg(angle_deg))
 
-    def _start(self, goals_deg: Mapping[str, float], go_on: GoOn) -> None:
+    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
         for name, angle_deg in goals_deg.items():
             axis = self._axes[name]
             with self._line.lock:
-                go_on()
-                self._tell(axis, f"PA{axis.own(angle_deg):.5f}")
+                check_not_stopped()
+                self._command(axis, f"PA{axis.to_controller_deg(angle_deg):.5f}")
 
-    def _start_homing(self, go_on: GoOn) -> None:
+    def _start_homing(self, check_not_stopped: StopCheck) -> None:
         self._homed_at = None
         for axis in self._axes.values():
             with self._line.lock:
-                go_on()
-                self._tell(axis, f"OR{axis.home_mode}")
+                check_not_stopped()
+                self._command(axis, f"OR{axis.home_mode}")
 
-    def _look(self, axis: EspAxis, *, homing: bool = False) -> Look:  # noqa: ARG002 - its troubles are the same
-        """Whether it moves, then where it is: so that a position at rest is one of rest."""
-        done = self._line.switch(f"{axis.number}MD?")
-        position_deg = axis.angle_deg(self._line.decimal(f"{axis.number}TP"))
-        trouble = "" if self._motor_on(axis) else "the motor went off, as after a fault or a restart"
-        return Look(position_deg, not done, trouble)
+    def _read_state(self, axis: EspAxis, *, homing: bool = False) -> AxisState:  # noqa: ARG002 - the same problems in both
+        """Ask whether the axis moves, then where it is: the position of an idle axis is then one at rest."""
+        done = self._line.query_switch(f"{axis.number}MD?")
+        position_deg = axis.to_angle_deg(self._line.query_decimal(f"{axis.number}TP"))
+        problem = "" if self._motor_on(axis) else "the motor went off, as after a fault or a restart"
+        return AxisState(position_deg, not done, problem)
 
-    def _look_at_rest(self, axis: EspAxis, *, homing: bool) -> Look:
-        """Ask for the errors too, of all our axes: the buffer tells each of them once."""
-        look = self._look(axis, homing=homing)
-        if errors := self._our_errors():
-            return look._replace(trouble=self._in_words(errors, axis))
+    def _read_final_state(self, axis: EspAxis, *, homing: bool) -> AxisState:
+        """Ask for the errors of all axes too: the buffer returns each error only once."""
+        state = self._read_state(axis, homing=homing)
+        if errors := self._relevant_errors():
+            return state._replace(problem=self._describe(errors, axis))
         if not homing and self._homed_at != self._restarts:
-            return look._replace(trouble="the controller restarted in mid-move: its position is lost")
-        return look
+            return state._replace(problem="the controller restarted during the move: its position is lost")
+        return state
 
     def _finish_homing(self, axis: EspAxis) -> None:  # noqa: ARG002 - one controller, one restart
         self._homed_at = self._restarts
 
     def _send_stop(self) -> None:
-        """Ramp all axes down, then each by its number: twice, since it has no answer; then see that it is heard."""
+        """Stop all axes, then each by its number, because a stop has no reply; then check that the line answers."""
         for number in ("", *(axis.number for axis in self._axes.values())):
-            self._line.blurt(f"{number}ST")
-        self._errors()
+            self._line.send_urgent(f"{number}ST")
+        self._read_errors()
 
-    def _listen(self, seconds: float) -> None:
-        self._line.listen(seconds)
+    def _listen(self, duration_s: float) -> None:
+        self._line.listen(duration_s)
 
     def _motor_on(self, axis: EspAxis) -> bool:
-        """Ask until two answers agree: it is a single digit, without checksum."""
-        question = f"{axis.number}MO?"
-        return agreeing(lambda: self._line.switch(question), what=question, where=self._where)
+        """Ask until two answers agree: the answer is a single digit without checksum."""
+        query = f"{axis.number}MO?"
+        return read_until_agreed(lambda: self._line.query_switch(query), what=query, where=self._where)
 
-    def _tell(self, axis: EspAxis, words: str) -> None:
+    def _command(self, axis: EspAxis, words: str) -> None:
         """Send a command, once, and ask for errors. Raises DeviceRefused."""
         command = f"{axis.number}{words}"
         self._line.send(command)
-        if errors := self._our_errors():
+        if errors := self._relevant_errors():
             raise DeviceRefused(
-                f"the controller refuses '{command}': {self._in_words(errors, axis)}.",
+                f"the controller refuses '{command}': {self._describe(errors, axis)}.",
                 where=axis.name,
                 remedy="Check limits, speed and acceleration in the station file.",
             )
 
-    def _errors(self) -> list[EspError]:
-        """Empty the error buffer; notice a restart by the controller's time going back."""
+    def _read_errors(self) -> list[EspError]:
+        """Empty the error buffer; count a restart when the controller's time has gone back."""
         found: list[EspError] = []
         while len(found) < _MOST_ERRORS:
-            text = self._line.ask("TB?")
+            text = self._line.query("TB?")
             match = _ERROR.fullmatch(text)
             if match is None:
-                raise self._line.garbled(f"TB? answered {text!r}.")
+                raise self._line.garbled_reply(f"TB? answered {text!r}.")
             error = EspError(int(match[1]), int(match[2]), match[3])
             if not error.code:
-                self._hear_time(error.time)
+                self._note_time(error.time)
                 return found
             found.append(error)
-        raise self._line.garbled("the error buffer never ends.")
+        raise self._line.garbled_reply("the error buffer never ends.")
 
-    def _our_errors(self) -> list[EspError]:
-        """Empty the error buffer; return the errors of the controller and of our axes."""
-        ours = {0} | {axis.number for axis in self._axes.values()}
-        return [error for error in self._errors() if error.code // 100 in ours]
+    def _relevant_errors(self) -> list[EspError]:
+        """Empty the error buffer; return the errors of the controller and of the axes of this stage."""
+        numbers = {0} | {axis.number for axis in self._axes.values()}
+        return [error for error in self._read_errors() if error.code // 100 in numbers]
 
-    def _in_words(self, errors: Sequence[EspError], asked: EspAxis) -> str:
-        """Say errors in plain words, and whose they are when it is another axis than the one asked about."""
+    def _describe(self, errors: Sequence[EspError], asked: EspAxis) -> str:
+        """Return errors as text, with the name of the axis when it is not the one that was asked about."""
         names = {axis.number: axis.name for axis in self._axes.values() if axis is not asked}
         whose = [names.get(error.code // 100) for error in errors]
         return "; ".join(
             f"{name}: {error}" if name else str(error) for name, error in zip(whose, errors, strict=True)
         )
 
-    def _hear_time(self, time: int) -> None:
+    def _note_time(self, time: int) -> None:
         if time < self._time:
             self._restarts += 1
         self._time = time
@@ -327,29 +383,34 @@ class EspStage(WatchedStage[EspAxis]):
 
     def _program(self, axis: EspAxis) -> None:
         """Check unit and travel; set limits, speed and acceleration where they differ; read them back."""
-        if self._line.number(f"{axis.number}SN?") != _DEGREES:
+        if self._line.query_number(f"{axis.number}SN?") != _DEGREES:
             raise OutsideLimits(
                 "the axis does not count in degrees.",
                 where=axis.name,
-                remedy=f"Set its unit with {axis.number}SN{_DEGREES}, and its limits and speeds in degrees.",
+                remedy=f"Set its unit with {axis.number}SN{_DEGREES}, then its limits and speeds in degrees.",
             )
-        ends = sorted((axis.own(axis.limits.lowest_deg), axis.own(axis.limits.highest_deg)))
-        travel = self._line.number(f"{axis.number}SL?"), self._line.number(f"{axis.number}SR?")
+        limits = axis.limits
+        ends = sorted(map(axis.to_controller_deg, (limits.lowest_deg, limits.highest_deg)))
+        travel = self._line.query_number(f"{axis.number}SL?"), self._line.query_number(f"{axis.number}SR?")
         motion.check_travel(axis.name, (ends[0], ends[1]), travel, "deg", slack=_RESOLUTION)
         wanted = {
             "SL": ends[0],
             "SR": ends[1],
-            "VA": axis.limits.speed_deg_s,
-            "AC": axis.limits.acceleration_deg_s2,
-            "AG": axis.limits.acceleration_deg_s2,
+            "VA": limits.speed_deg_s,
+            "AC": limits.acceleration_deg_s2,
+            "AG": limits.acceleration_deg_s2,
         }
-        for word, value in wanted.items():
-            if abs(self._line.number(f"{axis.number}{word}?") - value) > _RESOLUTION:
-                self._tell(axis, f"{word}{value:.5f}")
-            got = self._line.number(f"{axis.number}{word}?")
-            if abs(got - value) > _RESOLUTION:
-                raise DeviceRefused(
-                    f"{word} was set to {value:g}, but reads {got:g}.",
-                    where=axis.name,
-                    remedy="Change the station file to what the controller can do.",
-                )
+        for name, value in wanted.items():
+            self._set(axis, name, value)
+
+    def _set(self, axis: EspAxis, name: str, value: float) -> None:
+        """Set a setting where it differs, and read it back. Raises DeviceRefused."""
+        if abs(self._line.query_number(f"{axis.number}{name}?") - value) > _RESOLUTION:
+            self._command(axis, f"{name}{value:.5f}")
+        got = self._line.query_number(f"{axis.number}{name}?")
+        if abs(got - value) > _RESOLUTION:
+            raise DeviceRefused(
+                f"{name} was set to {value:g}, but reads {got:g}.",
+                where=axis.name,
+                remedy="Change the station file to what the controller supports.",
+            )

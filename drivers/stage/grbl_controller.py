@@ -1,6 +1,6 @@
-"""Knows how to ask a GRBL board on its line: lines and their ``ok``, real-time bytes, alarms and restarts.
+"""Talk to a GRBL board on its line: commands and their ``ok``, real-time commands, alarms and restarts.
 
-Knows no degrees; see ``drivers.stage.grbl``.
+Degrees belong to ``drivers.stage.grbl``, the forms of lines to ``drivers.stage.grbl_protocol``.
 """
 
 from __future__ import annotations
@@ -10,25 +10,27 @@ from collections.abc import Sequence
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveTimeout, ReplyGarbled
-from drivers.link import Incoming, Link
+from drivers.link import Link, ReplyReader
 from drivers.retry import repeat, resynchronise
 from drivers.serial_port import Port
 from drivers.stage import grbl_protocol, motion
-from drivers.stage.grbl_protocol import Report
+from drivers.stage.grbl_protocol import StatusReport
 from drivers.wire_log import WireLog
 
 _REPLY_S = 1.0
 _MARKER_S = 0.5
 _QUIET_S = 0.1
-_LOUD_S = 1.0
+_LONGEST_DRAIN_S = 1.0
 _BOOT_TRIES = 6
-"""A board that restarts because its port was opened says nothing for a second or two."""
-_SPOILER = b"Q\n"
-"""A letter without a number: whatever half line the board still holds, with this at its end it is refused."""
+"""A board that restarts because its port was opened sends nothing for a second or two."""
+_INVALID_LINE = b"Q\n"
+"""A letter without a number. The board refuses it, whatever beginning of a line it holds already."""
+_LONGEST_REPLY = 100
+"""Most lines of one reply."""
 
 
 class GrblController:
-    """A GRBL board on one line. Opening sends questions only.
+    """A GRBL board on one line. Opening asks for a status report; it sets nothing.
 
     Parameters
     ----------
@@ -40,13 +42,14 @@ class GrblController:
     Attributes
     ----------
     restarts
-        How often the board has said that it started, since we listen.
+        How often the board has sent its welcome message, since it was opened.
     alarms
-        Codes of the alarms it has raised, oldest first.
+        Codes of the alarms that the board has raised since then, oldest first.
 
     Raises
     ------
     ReplyError, PortLost
+        The board does not answer.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -57,7 +60,7 @@ class GrblController:
             port,
             clock=clock,
             resynchronise=self._resynchronise,
-            unsolicited=self._take_push,
+            unsolicited=self._take_push_message,
             wire_log=wire_log,
         )
         self._wait_for_boot()
@@ -69,183 +72,281 @@ class GrblController:
 
     @property
     def lock(self) -> threading.RLock:
-        """Held, nobody else can send."""
+        """While a thread holds it, no other thread can send."""
         return self._link.lock
 
-    def report(self) -> Report:
-        """Ask for state and position, up to three times."""
-        return repeat(self._report)
+    def query_status(self) -> StatusReport:
+        """Ask for state and position; repeat it when no valid report comes.
 
-    def ask(self, line: str) -> list[bytes]:
-        """Send a line that does no harm when it is sent again; return the lines before its ``ok``.
-
-        Raises DeviceRefused, ReplyError, PortLost.
+        Returns
+        -------
+        StatusReport
+            State and position of one moment.
         """
-        return repeat(lambda: self.tell(line))
+        return repeat(self._query_status_once)
 
-    def tell(self, line: str) -> list[bytes]:
-        """Send a line, once; return the lines before its ``ok``. Raises as ``ask``."""
+    def query(self, line: str) -> list[bytes]:
+        """Send a line that does no harm when it is sent twice; repeat it when no valid reply comes.
+
+        Parameters
+        ----------
+        line
+            The line, without its end.
+
+        Returns
+        -------
+        list of bytes
+            The lines of the reply before its ``ok``.
+
+        Raises
+        ------
+        DeviceRefused
+            The board answers with an error.
+        ReplyError
+            No valid reply came at the last attempt.
+        PortLost
+            The port is gone.
+        """
+        return repeat(lambda: self.command(line))
+
+    def command(self, line: str) -> list[bytes]:
+        """Send a line, once. Raises as ``query``.
+
+        Parameters
+        ----------
+        line
+            The line, without its end.
+
+        Returns
+        -------
+        list of bytes
+            The lines of the reply before its ``ok``.
+        """
         return self._link.exchange(
-            f"{line}\n".encode("ascii"), lambda incoming: self._answer(line, incoming), deadline_s=_REPLY_S
+            f"{line}\n".encode("ascii"), lambda reader: self._read_reply(line, reader), deadline_s=_REPLY_S
         )
 
-    def begin_homing(self) -> None:
-        """Start homing; the board answers nothing until it has ended. Raises ReplyError, PortLost."""
+    def start_homing(self) -> None:
+        """Start homing. The board answers nothing until homing has ended.
+
+        Raises
+        ------
+        ReplyError
+            The line was out of step and could not be resynchronised; nothing was started.
+        PortLost
+            The port is gone.
+        """
         with self._link.lock:
-            self._link.come_into_step()
+            self._link.bring_into_step()
             self._link.send(b"$H\n")
-            self._link.distrust()
+            self._link.mark_out_of_step()
 
-    def await_homing(self) -> None:
-        """Wait for the ``ok`` at the end of homing.
+    def wait_for_homing(self) -> None:
+        """Wait for the ``ok`` at the end of homing, or for a restart of the board.
 
-        Raises DeviceRefused, MoveTimeout, PortLost; and what the clock raises.
+        Raises
+        ------
+        DeviceRefused
+            The board answers with an error.
+        MoveTimeout
+            Homing has not ended by its deadline.
+        PortLost
+            The port is gone. Exceptions of the clock pass through as well.
         """
         end_s = self._clock.monotonic() + motion.LONGEST_HOMING_S
         restarts = self.restarts
         while self._clock.monotonic() < end_s:
             self._clock.sleep(motion.POLL_S)
             line = self._next_line()
-            if line is not None and grbl_protocol.parse_verdict(line) is not None:
-                self._judge("$H", line)
+            if line is not None and grbl_protocol.parse_response(line) is not None:
+                self._raise_if_error("$H", line)
                 return
             if self.restarts != restarts:
                 return
         raise MoveTimeout(
             f"homing has not ended after {motion.LONGEST_HOMING_S:g} s.",
             where=self.name,
-            remedy="See what blocks the axes.",
+            remedy="Find what blocks the axes.",
         )
 
-    def stop_jog(self) -> None:
-        """Ramp down and forget what was to come; the position is kept."""
+    def cancel_jog(self) -> None:
+        """Ramp down and cancel the jog; the position is kept."""
         self._link.send(grbl_protocol.CANCEL_JOG)
 
     def reset(self) -> None:
-        """Stop at once, whatever it does; while it moves, the position is lost."""
+        """Stop at once, whatever the board does; the position is lost when it was moving."""
         self._link.send(grbl_protocol.RESET)
-        self._link.distrust()
+        self._link.mark_out_of_step()
 
-    def settings(self) -> dict[int, float]:
-        """Ask for all settings, by number."""
-        found = [grbl_protocol.parse_setting(line) for line in self.ask("$$")]
+    def query_settings(self) -> dict[int, float]:
+        """Ask for all settings.
+
+        Returns
+        -------
+        dict
+            Values by the numbers of the settings, in the board's units.
+        """
+        found = [grbl_protocol.parse_setting(line) for line in self.query("$$")]
         return dict(setting for setting in found if setting is not None)
 
-    def build(self) -> tuple[str, str]:
-        """Ask for version and name."""
-        for line in self.ask("$I"):
-            if (build := grbl_protocol.parse_build(line)) is not None:
-                return build
-        self._link.distrust()
-        raise ReplyGarbled("$I tells no version.", where=self.name, remedy="See that this is GRBL 1.1.")
+    def query_build_info(self) -> tuple[str, str]:
+        """Ask for the build information.
 
-    def listen(self, seconds: float) -> None:
-        """Wait that long for what comes. A wait that no clock interrupts: for stopping only."""
+        Returns
+        -------
+        tuple of str
+            Version of the firmware, and the name that was given to the board.
+
+        Raises
+        ------
+        ReplyGarbled
+            The reply holds no version.
+        """
+        for line in self.query("$I"):
+            if (build := grbl_protocol.parse_build_info(line)) is not None:
+                return build
+        self._link.mark_out_of_step()
+        raise ReplyGarbled(
+            "the answer to $I has no version.", where=self.name, remedy="Check that the firmware is GRBL 1.1."
+        )
+
+    def listen(self, duration_s: float) -> None:
+        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
+
+        Parameters
+        ----------
+        duration_s
+            Longest wait, in seconds.
+        """
         with self._link.lock:
-            self._link.fill(seconds)
+            self._link.receive(duration_s)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._link.close()
 
     # ------------------------------------------------------------ inside
 
-    def _report(self, *, deadline_s: float = _REPLY_S, urgent: bool = False) -> Report:
-        def receive(incoming: Incoming) -> Report:
-            line = incoming.line()
+    def _query_status_once(self, *, deadline_s: float = _REPLY_S, urgent: bool = False) -> StatusReport:
+        def read_reply(reader: ReplyReader) -> StatusReport:
+            line = reader.read_line()
             report = grbl_protocol.parse_report(line, self.name)
             if report is None:
                 raise ReplyGarbled(
-                    f"{line[:80]!r} where a status report belongs.",
+                    f"{line[:80]!r} came instead of a status report.",
                     where=self.name,
                     remedy="Check the cable.",
                 )
             return report
 
-        return self._link.exchange(grbl_protocol.STATUS, receive, deadline_s=deadline_s, urgent=urgent)
+        return self._link.exchange(grbl_protocol.STATUS, read_reply, deadline_s=deadline_s, urgent=urgent)
 
-    def _answer(self, sent: str, incoming: Incoming) -> list[bytes]:
+    def _read_reply(self, sent: str, reader: ReplyReader) -> list[bytes]:
         lines = []
-        while grbl_protocol.parse_verdict(line := incoming.line()) is None:
+        while grbl_protocol.parse_response(line := reader.read_line()) is None:
             lines.append(line)
-            if len(lines) > 100:
+            if len(lines) > _LONGEST_REPLY:
                 raise ReplyGarbled(
-                    f"{sent} is answered without end.", where=self.name, remedy="Check the port."
+                    f"the answer to {sent} never ends.", where=self.name, remedy="Check the port."
                 )
-        self._judge(sent, line)
+        self._raise_if_error(sent, line)
         return lines
 
-    def _judge(self, sent: str, verdict: bytes) -> None:
-        code = grbl_protocol.parse_verdict(verdict)
+    def _raise_if_error(self, sent: str, response: bytes) -> None:
+        code = grbl_protocol.parse_response(response)
         if code:
             raise DeviceRefused(
-                f"the board refuses '{sent}': {grbl_protocol.ERRORS.get(code, 'see its list')} (error:{code}).",
+                f"the board refuses '{sent}': {grbl_protocol.ERRORS.get(code, 'unknown error')} (error:{code}).",
                 where=self.name,
-                remedy="See the firmware's list of errors.",
+                remedy="Look the error up in the firmware's list of errors.",
             )
 
     def _next_line(self) -> bytes | None:
-        """Return a line that has come already, those nobody asked for routed away."""
+        """Return the next line that has come already and is no push message."""
         with self._link.lock:
-            self._link.fill(0.0)
+            self._link.receive(0.0)
             while (line := self._link.take_line()) is not None:
-                if not self._link.route(line):
+                if not self._link.route_unsolicited(line):
                     return line
         return None
 
-    def _take_push(self, line: bytes) -> bool:
-        if grbl_protocol.is_banner(line):
+    def _take_push_message(self, line: bytes) -> bool:
+        if grbl_protocol.is_welcome(line):
             self.restarts += 1
             return True
         alarm = grbl_protocol.parse_alarm(line)
         if alarm is not None:
             self.alarms.append(alarm)
-        return alarm is not None or grbl_protocol.is_chatter(line)
+        return alarm is not None or grbl_protocol.is_informational(line)
 
     def _wait_for_boot(self) -> None:
-        repeat(self._report, tries=_BOOT_TRIES)
-        self._link.distrust()  # it may still hold half a line of somebody before us
+        repeat(self._query_status_once, tries=_BOOT_TRIES)
+        self._link.mark_out_of_step()  # the board may hold the beginning of a line that another program sent
 
     def _resynchronise(self) -> None:
-        """Spoil what half line the board holds and wait for its refusal; then one ``ok`` to an empty line, alone."""
+        """Spoil the beginning of a line that the board may hold; then get one ``ok`` to an empty line, alone."""
 
         def exchange_marker() -> bool:
-            self._link.exchange(_SPOILER, self._refusal, deadline_s=_REPLY_S, urgent=True)
-            self._report(deadline_s=_MARKER_S, urgent=True)
-            self._link.exchange(b"\n", self._single_ok, deadline_s=_MARKER_S, urgent=True)
+            self._link.exchange(_INVALID_LINE, self._read_to_error, deadline_s=_REPLY_S, urgent=True)
+            self._query_status_once(deadline_s=_MARKER_S, urgent=True)
+            self._link.exchange(b"\n", self._read_single_ok, deadline_s=_MARKER_S, urgent=True)
             return True
 
         if not resynchronise(
-            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LOUD_S, hear=self._route_all
+            self._link,
+            exchange_marker,
+            quiet_s=_QUIET_S,
+            limit_s=_LONGEST_DRAIN_S,
+            hear=self._take_push_messages,
         ):
             raise ReplyGarbled(
-                "the board says more than it was asked.", where=self.name, remedy="Check the port."
+                "the board sends more than it was asked for.", where=self.name, remedy="Check the port."
             )
 
-    def _refusal(self, incoming: Incoming) -> None:
-        """Receive until something is refused: answers to what was asked before come first."""
-        while not grbl_protocol.parse_verdict(incoming.line()):
+    def _read_to_error(self, reader: ReplyReader) -> None:
+        """Read until an error comes: the answers to older lines come first."""
+        while not grbl_protocol.parse_response(reader.read_line()):
             pass
 
-    def _single_ok(self, incoming: Incoming) -> None:
-        line = incoming.line()
-        if grbl_protocol.parse_verdict(line) != 0:
+    def _read_single_ok(self, reader: ReplyReader) -> None:
+        line = reader.read_line()
+        if grbl_protocol.parse_response(line) != 0:
             raise ReplyGarbled(
                 f"{line[:80]!r} answers an empty line.", where=self.name, remedy="Check the port."
             )
 
-    def _route_all(self, thrown: bytes) -> None:
-        """Hear restarts and alarms out of what is thrown away."""
-        for line in thrown.splitlines(keepends=True):
-            self._take_push(line)
+    def _take_push_messages(self, old: bytes) -> None:
+        """Note the restarts and alarms in bytes that are thrown away."""
+        for line in old.splitlines(keepends=True):
+            self._take_push_message(line)
 
 
-def machine_of(report: Report, places: Sequence[int], where: str) -> tuple[float, ...]:
-    """Return the machine positions at some places of a report. Raises ReplyGarbled when it has fewer."""
-    if max(places) >= len(report.machine):
+def machine_positions(report: StatusReport, places: Sequence[int], where: str) -> tuple[float, ...]:
+    """Return the machine positions of some axes.
+
+    Parameters
+    ----------
+    report
+        Status report of the board.
+    places
+        Places of the axes in the report: 0 for X, 1 for Y ...
+    where
+        Name of the line, for the message.
+
+    Returns
+    -------
+    tuple of float
+        Machine positions, in the board's unit.
+
+    Raises
+    ------
+    ReplyGarbled
+        The report has fewer axes.
+    """
+    if max(places) >= len(report.machine_position):
         raise ReplyGarbled(
-            f"the board reports {len(report.machine)} axes only.",
+            f"the board reports {len(report.machine_position)} axes only.",
             where=where,
             remedy="Check the axis letters in the station file.",
         )
-    return tuple(report.machine[place] for place in places)
+    return tuple(report.machine_position[place] for place in places)

@@ -1,6 +1,7 @@
-"""Knows the words of GRBL 1.1: real-time bytes, status reports, settings, errors, alarms. Sends nothing.
+"""Parse the lines of GRBL 1.1: status reports, settings, responses, alarms; and name its real-time commands.
 
-Source: "Grbl v1.1 Interface" and "Grbl v1.1 Jogging" of the firmware's documentation.
+This module sends nothing. Source: the pages "Grbl v1.1 Interface", "Grbl v1.1 Jogging", "Grbl v1.1 Commands" and
+"Grbl v1.1 Configuration" of the firmware's documentation, https://github.com/gnea/grbl/tree/master/doc/markdown.
 """
 
 from __future__ import annotations
@@ -13,20 +14,20 @@ from drivers.errors import ReplyGarbled
 STATUS = b"?"
 CANCEL_JOG = b"\x85"
 RESET = b"\x18"
-"""Real-time bytes: picked out of the line by the firmware, whatever else it is doing."""
+"""Real-time commands: the firmware takes these bytes out of the line at once, whatever it is doing."""
 
-WORKING = frozenset({"Idle", "Jog"})
+READY_STATES = frozenset({"Idle", "Jog"})
 _MOVING = frozenset({("Jog", 0), ("Run", 0), ("Home", 0), ("Hold", 1), ("Door", 2), ("Door", 3)})
-STATES = {
-    "Run": "runs somebody else's program",
+BLOCKING_STATES = {
+    "Run": "runs a program of another sender",
     "Hold": "held",
     "Door": "the safety door is open",
     "Alarm": "in alarm",
-    "Home": "searching its reference",
+    "Home": "searching the reference",
     "Check": "in check mode: nothing moves",
     "Sleep": "asleep",
 }
-"""States other than standing and jogging, in which we have no business, in plain words."""
+"""Meanings of the states in which this driver must not start a move."""
 
 ALARMS = {
     1: "limit switch hit; position lost",
@@ -64,43 +65,82 @@ _BUILD = re.compile(rb"\[VER:([^:\]]*):([^\]]*)\]\r\n")
 
 
 @dataclass(frozen=True)
-class Report:
-    """A status report: the state, and where the axes are in machine coordinates, all of one moment."""
+class StatusReport:
+    """A status report: state and position of one moment.
+
+    Attributes
+    ----------
+    state
+        State of the board, such as "Idle".
+    substate
+        Number after the state, as in "Hold:0"; 0 without one.
+    machine_position
+        Position of each axis in machine coordinates, in the board's unit.
+    """
 
     state: str
     substate: int
-    machine: tuple[float, ...]
+    machine_position: tuple[float, ...]
 
     @property
     def moving(self) -> bool:
-        """Whether something moves."""
+        """Whether any axis moves."""
         return (self.state, self.substate) in _MOVING
 
 
-def parse_report(line: bytes, where: str = "") -> Report | None:
-    r"""Understand a status report; None for a line that is none.
+def parse_report(line: bytes, where: str = "") -> StatusReport | None:
+    r"""Parse a status report.
 
-    Raises ReplyGarbled for one without the machine position.
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+    where
+        Name of the line, for the message.
 
+    Returns
+    -------
+    StatusReport or None
+        State and position; None for a line that is no status report.
+
+    Raises
+    ------
+    ReplyGarbled
+        The report has no machine position, or an unknown state.
+
+    Examples
+    --------
     >>> parse_report(b"<Idle|MPos:0.000,-1.500,0.000|FS:0,0>\r\n")
-    Report(state='Idle', substate=0, machine=(0.0, -1.5, 0.0))
+    StatusReport(state='Idle', substate=0, machine_position=(0.0, -1.5, 0.0))
     """
     match = _REPORT.fullmatch(line)
     if match is None:
         return None
     place = _MACHINE.search(match[3].decode("latin-1"))
-    if place is None or match[1].decode() not in WORKING | STATES.keys():
+    if place is None or match[1].decode() not in READY_STATES | BLOCKING_STATES.keys():
         raise ReplyGarbled(
-            f"a status report of another form: {line[:80]!r}.",
+            f"a status report without machine position or with an unknown state: {line[:80]!r}.",
             where=where,
-            remedy="Set $10=1, so that it reports machine positions.",
+            remedy="Set $10=1, so that the board reports machine positions.",
         )
-    return Report(match[1].decode(), int(match[2] or 0), tuple(map(float, place[1].split(","))))
+    return StatusReport(match[1].decode(), int(match[2] or 0), tuple(map(float, place[1].split(","))))
 
 
 def parse_setting(line: bytes) -> tuple[int, float] | None:
-    r"""Understand one line of ``$$``; None for another.
+    r"""Parse one line of the answer to ``$$``.
 
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+
+    Returns
+    -------
+    tuple or None
+        Number and value of the setting; None for any other line.
+
+    Examples
+    --------
     >>> parse_setting(b"$100=800.000\r\n")
     (100, 800.0)
     """
@@ -108,20 +148,44 @@ def parse_setting(line: bytes) -> tuple[int, float] | None:
     return (int(match[1]), float(match[2])) if match else None
 
 
-def parse_build(line: bytes) -> tuple[str, str] | None:
-    r"""Understand the first line of ``$I``: version, and the name its owner gave it; None for another.
+def parse_build_info(line: bytes) -> tuple[str, str] | None:
+    r"""Parse the first line of the answer to ``$I``.
 
-    >>> parse_build(b"[VER:1.1h.20190830:gimbal-7]\r\n")
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+
+    Returns
+    -------
+    tuple or None
+        Version of the firmware, and the name that was given to the board; None for any other line.
+
+    Examples
+    --------
+    >>> parse_build_info(b"[VER:1.1h.20190830:gimbal-7]\r\n")
     ('1.1h.20190830', 'gimbal-7')
     """
     match = _BUILD.fullmatch(line)
     return (match[1].decode("latin-1"), match[2].decode("latin-1")) if match else None
 
 
-def parse_verdict(line: bytes) -> int | None:
-    r"""Understand the end of an answer: 0 for ``ok``, the code of an ``error``; None for another line.
+def parse_response(line: bytes) -> int | None:
+    r"""Parse the last line of a reply.
 
-    >>> parse_verdict(b"error:15\r\n")
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+
+    Returns
+    -------
+    int or None
+        0 for ``ok``, the code of an ``error``; None for any other line.
+
+    Examples
+    --------
+    >>> parse_response(b"error:15\r\n")
     15
     """
     if line == b"ok\r\n":
@@ -131,8 +195,20 @@ def parse_verdict(line: bytes) -> int | None:
 
 
 def parse_alarm(line: bytes) -> int | None:
-    r"""Understand an alarm; None for another line.
+    r"""Parse an alarm.
 
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+
+    Returns
+    -------
+    int or None
+        Code of the alarm; None for any other line.
+
+    Examples
+    --------
     >>> parse_alarm(b"ALARM:3\r\n")
     3
     """
@@ -140,11 +216,33 @@ def parse_alarm(line: bytes) -> int | None:
     return int(match[1]) if match else None
 
 
-def is_banner(line: bytes) -> bool:
-    """Whether this is what the firmware says when it has (re)started."""
+def is_welcome(line: bytes) -> bool:
+    """Return whether a line is the welcome message, which the firmware sends when it has started.
+
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+
+    Returns
+    -------
+    bool
+        Whether it is.
+    """
     return line.startswith(b"Grbl ")
 
 
-def is_chatter(line: bytes) -> bool:
-    """Whether this is a line that tells nothing: empty, a message, a start-up line."""
+def is_informational(line: bytes) -> bool:
+    """Return whether a line needs no action: an empty line, a message, or the echo of a start-up line.
+
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+
+    Returns
+    -------
+    bool
+        Whether it is one of these.
+    """
     return line == b"\r\n" or line.startswith((b"[MSG:", b">"))

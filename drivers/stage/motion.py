@@ -1,4 +1,4 @@
-"""Knows what every stage's moves have in common: limits, times, deadlines, progress. Touches no device."""
+"""Compute what the moves of all stages have in common: limits, times, deadlines, progress. Touches no device."""
 
 from __future__ import annotations
 
@@ -9,21 +9,37 @@ from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits
 from drivers.stage import AxisLimits
 
 DEADLINE_MARGIN_S = 3.0
-"""Added to every expected time: a busy host, a slow line, a controller's settling."""
+"""Added to every expected time, in seconds: for a busy computer, a slow line, a controller that settles."""
 PATIENCE_S = 1.5
-"""A busy axis whose position has not changed for this long makes no progress."""
+"""A busy axis whose position has not changed for this long makes no progress; in seconds."""
 LONGEST_HOMING_S = 180.0
-"""A home-built stage may search its reference for minutes."""
+"""A home-built stage may search its reference for minutes; in seconds."""
 POLL_S = 0.02
-"""Pause between two looks at a moving axis."""
+"""Pause between two readings of a moving axis, in seconds."""
 
 
 def travel_time_s(distance: float, speed: float, acceleration: float) -> float:
-    """Time of a move from rest to rest with a trapezoidal speed, in seconds.
+    """Return the time of a move from rest to rest with a trapezoidal speed profile.
 
     With d the distance, v the speed and a the acceleration: ``d/v + v/a`` when the speed is reached
-    (d >= v^2/a), ``2 sqrt(d/a)`` when it is not. Any one unit of length in all three.
+    (d >= v^2/a), ``2 sqrt(d/a)`` when it is not.
 
+    Parameters
+    ----------
+    distance
+        Distance with either sign, in any unit of length.
+    speed
+        Highest speed, in that unit per second.
+    acceleration
+        Acceleration and deceleration, in that unit per second squared.
+
+    Returns
+    -------
+    float
+        Time, in seconds.
+
+    Examples
+    --------
     >>> travel_time_s(10.0, 5.0, 10.0)
     2.5
     >>> travel_time_s(0.1, 5.0, 10.0)
@@ -36,25 +52,79 @@ def travel_time_s(distance: float, speed: float, acceleration: float) -> float:
 
 
 def move_time_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
-    """Return the expected time of one axis's move, in seconds."""
+    """Return the expected time of a move of one axis.
+
+    Parameters
+    ----------
+    limits
+        Speed and acceleration of the axis.
+    from_deg, to_deg
+        Start and target, in degrees.
+
+    Returns
+    -------
+    float
+        Time, in seconds.
+    """
     return travel_time_s(to_deg - from_deg, limits.speed_deg_s, limits.acceleration_deg_s2)
 
 
 def longest_move_s(
     limits: Mapping[str, AxisLimits], from_deg: Mapping[str, float], to_deg: Mapping[str, float]
 ) -> float:
-    """Time of the slowest axis of a move in which all start together, in seconds."""
+    """Return the expected time of a move in which all axes start together: that of the slowest axis.
+
+    Parameters
+    ----------
+    limits
+        Speed and acceleration, by axis.
+    from_deg, to_deg
+        Start and target by axis, in degrees; the axes of ``to_deg`` move.
+
+    Returns
+    -------
+    float
+        Time, in seconds; 0 when no axis moves.
+    """
     return max((move_time_s(limits[axis], from_deg[axis], to_deg[axis]) for axis in to_deg), default=0.0)
 
 
 def deadline_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
-    """Longest time a move may take, in seconds: expected time, two ramps more, and a margin."""
+    """Return the longest time that a move may take: the expected time, two more ramps, and a margin.
+
+    Parameters
+    ----------
+    limits
+        Speed and acceleration of the axis.
+    from_deg, to_deg
+        Start and target, in degrees.
+
+    Returns
+    -------
+    float
+        Time, in seconds.
+    """
     ramp_s = limits.speed_deg_s / limits.acceleration_deg_s2
     return move_time_s(limits, from_deg, to_deg) + 2.0 * ramp_s + DEADLINE_MARGIN_S
 
 
 def check_targets(limits: Mapping[str, AxisLimits], target_deg: Mapping[str, float], where: str) -> None:
-    """Raise OutsideLimits, naming every axis at fault, unless all targets may be gone to."""
+    """Check that all targets lie within the soft limits.
+
+    Parameters
+    ----------
+    limits
+        Soft limits, by axis.
+    target_deg
+        Targets by axis, in degrees.
+    where
+        Name of the stage, for the message.
+
+    Raises
+    ------
+    OutsideLimits
+        A target lies outside its limits, or there is no such axis. The message names every such target.
+    """
     wrong = []
     for axis, angle in target_deg.items():
         if axis not in limits:
@@ -79,20 +149,27 @@ def check_travel(
     *,
     slack: float = 0.0,
 ) -> None:
-    """Raise OutsideLimits unless the station's limits lie within the controller's own.
+    """Check that the limits in the station file lie within the controller's own.
 
-    The controller's are narrowed by a driver, never widened: they may be those of the mechanics.
+    A driver narrows the controller's limits and never widens them, because they may be those of the mechanics.
 
     Parameters
     ----------
     axis
         Name of the axis.
-    wanted, present
-        Lowest and highest position by the station file and by the controller (None: it has none).
+    wanted
+        Lowest and highest position by the station file.
+    present
+        Lowest and highest position by the controller; None where it has no limit.
     unit
-        Of both, for the message.
+        Unit of all positions, for the message.
     slack
-        What the controller's rounding may take away.
+        How far a limit may exceed the controller's, because of the controller's rounding.
+
+    Raises
+    ------
+    OutsideLimits
+        A limit of the station file lies beyond the controller's.
     """
     lowest, highest = present
     if (lowest is not None and wanted[0] < lowest - slack) or (
@@ -108,23 +185,25 @@ def check_travel(
 
 
 class MoveWatch:
-    """Decides, from what is read of one axis in motion, whether it has arrived, goes on, or has failed.
+    """Decides from readings of one axis whether it has arrived, is still moving, or has failed.
 
-    Arrived: two reads in a row say idle, and the position is at the target. Failed: idle twice elsewhere;
-    busy past the deadline; busy without progress.
+    Arrived: two consecutive idle readings, with the position at the target. Failed: two idle readings elsewhere; busy
+    past the deadline; busy without progress.
 
     Parameters
     ----------
     axis
         Name of the axis, for messages.
     target_deg
-        Where it is to arrive; None for a search for the reference, which ends wherever it ends.
+        Target, in degrees; None for a search of the reference, which may end anywhere.
     tolerance_deg
-        How far from the target counts as at it.
-    now_s, allowed_s
-        Time at the start of the move and how long it may take, in seconds.
+        Largest distance from the target at which the axis has arrived, in degrees.
+    now_s
+        Time at the start of the move, in seconds.
+    allowed_s
+        Longest time that the move may take, in seconds.
     patience_s
-        Longest time busy without change of position.
+        Longest time in which a busy axis may keep its position, in seconds.
     """
 
     def __init__(
@@ -147,10 +226,29 @@ class MoveWatch:
         self._last_deg = math.nan
         self._moved_s = now_s
 
-    def look(self, now_s: float, position_deg: float, *, busy: bool) -> bool:
-        """Take one reading of the axis; True when it has arrived.
+    def update(self, now_s: float, position_deg: float, *, busy: bool) -> bool:
+        """Take one reading of the axis.
 
-        Raises MoveFailed, MoveTimeout.
+        Parameters
+        ----------
+        now_s
+            Time of the reading, in seconds.
+        position_deg
+            Position, in degrees.
+        busy
+            Whether the controller calls the axis busy.
+
+        Returns
+        -------
+        bool
+            Whether the axis has arrived.
+
+        Raises
+        ------
+        MoveFailed
+            The axis stands elsewhere, or makes no progress.
+        MoveTimeout
+            The axis is past its deadline.
         """
         self._idle_reads = 0 if busy else self._idle_reads + 1
         if position_deg != self._last_deg:
@@ -166,7 +264,7 @@ class MoveWatch:
             raise MoveTimeout(
                 f"still moving after {self._allowed_s:.1f} s, at {position_deg:.4f} deg{self._aim()}.",
                 where=self.axis,
-                remedy="See that nothing blocks the axis, and that its speed is the station file's.",
+                remedy="Check that nothing blocks the axis, and that its speed is the one in the station file.",
             )
         return False
 
@@ -185,4 +283,6 @@ class MoveWatch:
         return "" if self.target_deg is None else f" on the way to {self.target_deg:.4f} deg"
 
     def _failed(self, what: str) -> MoveFailed:
-        return MoveFailed(what, where=self.axis, remedy="See what blocks the axis, then home and resume.")
+        return MoveFailed(
+            what, where=self.axis, remedy="Find what blocks the axis, then home the stage and resume."
+        )

@@ -1,7 +1,7 @@
-"""Knows how a move is seen to its end, whoever makes the controller: limits, start, watch, arrival, stop.
+"""Watch every move of a stage to its end, whatever the make of its controller: limits, start, arrival, stop.
 
-A family of controllers supplies what it says on its wire (the methods that are abstract here); what decides
-that a move has arrived or failed stands here once. Knows no protocol.
+A driver of a controller family implements the abstract methods, which talk on its wire. The decisions whether a move
+has arrived or failed are made here, once for all families. This module implements no protocol.
 """
 
 from __future__ import annotations
@@ -13,39 +13,49 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DriverError, MoveFailed, MoveTimeout, NotHomed, PortLost
-from drivers.readings import Reading, agreeing_position
+from drivers.readings import Reading, read_position_until_agreed
 from drivers.stage import AxisIdentity, AxisLimits, motion
 
 _HOMING_PATIENCE_S = 10.0
-"""At its home sensor an axis creeps, and its counter may rest."""
+"""An axis creeps at its home sensor, and its counter may stand still for a while; in seconds."""
 _STOP_POLL_S = 0.02
-_CLEAR_AND_HOME = "Clear its cause, then home the stage and resume."
+_CLEAR_AND_HOME = "Clear the cause, then home the stage and resume."
 
-GoOn = Callable[[], None]
-"""Raises MoveFailed when a stop came since the move began.
+StopCheck = Callable[[], None]
+"""Raises MoveFailed when ``stop`` was called since the move began.
 
-Asked with the line's lock held until the command is out: a stop then goes before the command, which is not
-sent any more, or after it, and stops it.
+A driver calls it with the line's lock held, and keeps the lock until its command is out. A stop then either comes
+before the command, which is not sent, or after it, and stops what the command has started.
 """
 
 
-class Look(NamedTuple):
-    """One look at an axis: all of one moment, as far as the protocol can."""
+class AxisState(NamedTuple):
+    """State of an axis; all values of one moment, as far as the protocol allows.
+
+    Attributes
+    ----------
+    position_deg
+        Position, in degrees.
+    busy
+        Whether the axis moves.
+    problem
+        Why the present move will not end at its target; empty while nothing is wrong.
+    position_kept
+        Whether the position is still known after that problem, as after another command or a hold.
+    """
 
     position_deg: float
     busy: bool
-    trouble: str = ""
-    """Why this move will not end at its target, in plain words; empty while nothing speaks against it."""
-    harmless: bool = False
-    """Whether the position is still known for sure after that trouble: another command, a hold."""
+    problem: str = ""
+    position_kept: bool = False
 
 
 class WatchedAxis(Protocol):
-    """What must be known of an axis, whoever makes it."""
+    """Settings of an axis that every family has."""
 
     @property
     def name(self) -> str:
-        """Its name: "pan", "tilt" or "roll"."""
+        """Name of the axis: "pan", "tilt" or "roll"."""
         ...
 
     @property
@@ -55,12 +65,12 @@ class WatchedAxis(Protocol):
 
     @property
     def tolerance_deg(self) -> float:
-        """How far from its target the counter may rest."""
+        """Largest distance of the counter from its target at rest, in degrees."""
         ...
 
     @property
     def encoder_tolerance_deg(self) -> float:
-        """How far the encoder may differ from the counter."""
+        """Largest difference between encoder and counter, in degrees."""
         ...
 
 
@@ -73,7 +83,7 @@ class WatchedStage(ABC, Generic[A]):
     Parameters
     ----------
     axes
-        The axes, in the station file's order.
+        The axes, in the order of the station file.
     clock
         Every wait between two requests goes through it.
     where
@@ -85,13 +95,14 @@ class WatchedStage(ABC, Generic[A]):
         self._clock = clock
         self._where = where
         self._stops = 0
-        self._doubt = ""
+        self._position_doubt = ""
+        """Why the position is in doubt; empty while it is known."""
 
-    # ------------------------------------------------------------ what a family supplies
+    # ------------------------------------------------------------ what a family implements
 
     @abstractmethod
     def identify(self) -> Sequence[AxisIdentity]:
-        """Ask every axis who it is. Raises WrongDevice when a serial number is not the station file's."""
+        """See `Stage.identify`."""
 
     @abstractmethod
     def _has_reference(self) -> bool:
@@ -99,60 +110,60 @@ class WatchedStage(ABC, Generic[A]):
 
     @abstractmethod
     def faults(self) -> Sequence[str]:
-        """Present faults and warnings in plain words."""
+        """See `Stage.faults`."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give the port back; the stage stays where it is."""
+        """See `Stage.close`."""
 
     @abstractmethod
-    def _assure_ready(self, axis: A) -> None:
-        """See that an axis may be moved; raise NotHomed or MoveFailed when not, with nothing sent."""
+    def _check_ready(self, axis: A) -> None:
+        """Check that an axis may be moved; raise NotHomed or MoveFailed when it may not. Sends no command."""
 
     @abstractmethod
     def _clear_faults(self, axis: A) -> None:
-        """Clear what can be cleared before homing; raise MoveFailed for what remains."""
+        """Clear the faults that can be cleared before homing; raise MoveFailed for those that remain."""
 
     @abstractmethod
-    def _goal_deg(self, axis: A, angle_deg: float) -> float:
-        """Return the angle nearest to the one asked for that the controller can count."""
+    def _reachable_deg(self, axis: A, angle_deg: float) -> float:
+        """Return the angle nearest to a target that the controller can count, in degrees."""
 
     @abstractmethod
-    def _start(self, goals_deg: Mapping[str, float], go_on: GoOn) -> None:
-        """Send the axes on their way; with the line's lock held, call ``go_on`` before each such command."""
+    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
+        """Start moves; call ``check_not_stopped`` before each command, with the line's lock held."""
 
     @abstractmethod
-    def _start_homing(self, go_on: GoOn) -> None:
-        """Send all axes to find their reference; ``go_on`` as for ``_start``."""
+    def _start_homing(self, check_not_stopped: StopCheck) -> None:
+        """Start the search of all references; ``check_not_stopped`` as for ``_start``."""
 
     @abstractmethod
-    def _look(self, axis: A, *, homing: bool = False) -> Look:
-        """Look at one axis."""
+    def _read_state(self, axis: A, *, homing: bool = False) -> AxisState:
+        """Read the state of one axis."""
 
     @abstractmethod
-    def _look_at_rest(self, axis: A, *, homing: bool) -> Look:
-        """Look once more, for everything the controller knows against the move that just ended."""
+    def _read_final_state(self, axis: A, *, homing: bool) -> AxisState:
+        """Read the state after a move, with everything that the controller reports against the move."""
 
     def _finish_homing(self, axis: A) -> None:
-        """Do what is left once an axis stands at its reference; most controllers need nothing."""
+        """Do what remains once an axis stands at its reference; most controllers need nothing."""
 
     @abstractmethod
     def _send_stop(self) -> None:
-        """Stop all axes, at once, before any resynchronising, and see that the controller heard it."""
+        """Stop all axes at once, without resynchronising, and check that the controller received the stop."""
 
     @abstractmethod
-    def _listen(self, seconds: float) -> None:
-        """Wait that long, on the line, where no clock interrupts."""
+    def _listen(self, duration_s: float) -> None:
+        """Wait on the line, where no clock interrupts."""
 
-    def _encoder(self, axis: A) -> Look | None:  # noqa: ARG002 - most have none
-        """Look at the encoder of an axis; None when it has none."""
+    def _read_encoder(self, axis: A) -> AxisState | None:  # noqa: ARG002 - most controllers have none
+        """Read the encoder of an axis; None when it has none."""
         return None
 
-    # ------------------------------------------------------------ what it is
+    # ------------------------------------------------------------ state
 
     @property
     def axes(self) -> Sequence[str]:
-        """Names of the axes, in the station file's order."""
+        """Names of the axes, in the order of the station file."""
         return tuple(self._axes)
 
     @property
@@ -161,189 +172,190 @@ class WatchedStage(ABC, Generic[A]):
         return {name: axis.limits for name, axis in self._axes.items()}
 
     def is_homed(self) -> bool:
-        """Whether every axis has a reference, and no move since has ended where nobody knows."""
-        return not self._doubt and self._has_reference()
+        """See `Stage.is_homed`."""
+        return not self._position_doubt and self._has_reference()
 
     def move_duration_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
-        """Return the expected time of a move, in seconds."""
+        """See `Stage.move_duration_s`."""
         return motion.longest_move_s(self.limits, from_deg, to_deg)
 
     def position_deg(self) -> Mapping[str, float]:
-        """Position counter, by axis, in degrees; each read until two readings agree."""
-        return {name: self._reading_deg(axis, self._look) for name, axis in self._axes.items()}
+        """See `Stage.position_deg`. Each counter is read until two readings agree."""
+        return {name: self._agreed_position_deg(axis, self._read_state) for name, axis in self._axes.items()}
 
     def encoder_deg(self) -> Mapping[str, float]:
-        """Read the encoders of those axes that have one, in degrees."""
-        with_encoder = [axis for axis in self._axes.values() if self._encoder(axis) is not None]
-        return {axis.name: self._reading_deg(axis, self._encoder) for axis in with_encoder}
+        """See `Stage.encoder_deg`. Each encoder is read until two readings agree."""
+        with_encoder = [axis for axis in self._axes.values() if self._read_encoder(axis) is not None]
+        return {axis.name: self._agreed_position_deg(axis, self._read_encoder) for axis in with_encoder}
 
-    # ------------------------------------------------------------ what it does
+    # ------------------------------------------------------------ moves
 
     def home(self) -> None:
-        """Find the reference of every axis; clears what faults can be cleared first.
-
-        Asks before whether the controllers are still those that were opened. Raises WrongDevice, MoveFailed,
-        MoveTimeout.
-        """
-        go_on = self._begin()
+        """See `Stage.home`. Clears the faults that can be cleared, after checking the serial numbers."""
+        check_not_stopped = self._new_stop_check()
         self.identify()
         for axis in self._axes.values():
             self._clear_faults(axis)
-        self._doubt = self._doubt or "homing was broken off"
+        self._position_doubt = self._position_doubt or "homing did not end"
         try:
-            self._start_homing(go_on)
+            self._start_homing(check_not_stopped)
             now_s = self._clock.monotonic()
-            self._wait([(axis, _homing_watch(axis, now_s)) for axis in self._axes.values()], go_on)
+            watches = [(axis, _homing_watch(axis, now_s)) for axis in self._axes.values()]
+            self._wait(watches, check_not_stopped)
             for axis in self._axes.values():
-                self._see_end(axis, None)
+                self._check_end(axis, None)
             for axis in self._axes.values():
                 self._finish_homing(axis)
-            self._doubt = ""
+            self._position_doubt = ""
         except DriverError as error:
             raise self._stopped_after(error) from error
 
     def move_to(self, target_deg: Mapping[str, float]) -> None:
-        """Move the named axes to absolute angles, and see that they arrive.
-
-        Raises OutsideLimits and NotHomed before anything is sent; MoveFailed, MoveTimeout after all axes
-        have been stopped.
-        """
+        """See `Stage.move_to`."""
         motion.check_targets(self.limits, target_deg, self._where)
         if not target_deg:
             return
-        go_on = self._begin()
+        check_not_stopped = self._new_stop_check()
         moving = [self._axes[name] for name in target_deg]
         start_deg = {axis.name: self._standing_deg(axis) for axis in moving}
-        goal_deg = {axis.name: self._goal_deg(axis, target_deg[axis.name]) for axis in moving}
+        goal_deg = {axis.name: self._reachable_deg(axis, target_deg[axis.name]) for axis in moving}
         try:
-            self._start(goal_deg, go_on)
+            self._start(goal_deg, check_not_stopped)
             now_s = self._clock.monotonic()
             allowed_s = max(
                 motion.deadline_s(axis.limits, start_deg[axis.name], goal_deg[axis.name]) for axis in moving
             )
-            self._wait(
-                [(axis, _watch(axis, goal_deg[axis.name], now_s, allowed_s)) for axis in moving], go_on
-            )
+            watches = [(axis, _watch(axis, goal_deg[axis.name], now_s, allowed_s)) for axis in moving]
+            self._wait(watches, check_not_stopped)
             for axis in moving:
-                self._see_end(axis, goal_deg[axis.name])
+                self._check_end(axis, goal_deg[axis.name])
         except DriverError as error:
             raise self._stopped_after(error) from error
 
     def stop(self) -> None:
-        """Stop all axes at once, and see that they stand. From any thread; no clock interrupts it.
+        """See `Stage.stop`. Returns when all axes stand; no clock interrupts it.
 
-        Raises MoveTimeout when an axis does not come to rest; ReplyError, PortLost.
+        Raises
+        ------
+        MoveTimeout
+            An axis does not come to rest.
+        ReplyError, PortLost
+            The controller does not answer.
         """
         self._stops += 1
         self._send_stop()
         limits = self.limits.values()
         ramp_s = max(limit.speed_deg_s / limit.acceleration_deg_s2 for limit in limits)
         for _ in range(math.ceil((2.0 * ramp_s + 1.0) / _STOP_POLL_S)):
-            if not any(self._look(axis).busy for axis in self._axes.values()):
+            if not any(self._read_state(axis).busy for axis in self._axes.values()):
                 return
             self._listen(_STOP_POLL_S)
         raise MoveTimeout("still busy after a stop.", where=self._where, remedy="Cut the stage's power.")
 
-    # ------------------------------------------------------------ a move, step by step
+    # ------------------------------------------------------------ inside
 
     def _bring_to_rest(self) -> None:
-        """Stop what is found moving at opening: the port is ours, so whoever set it moving is gone."""
-        if any(self._look(axis).busy for axis in self._axes.values()):
+        """Stop a stage that is moving when it is opened: no other program holds its port any more."""
+        if any(self._read_state(axis).busy for axis in self._axes.values()):
             self.stop()
 
-    def _begin(self) -> GoOn:
+    def _new_stop_check(self) -> StopCheck:
         stops = self._stops
 
-        def go_on() -> None:
+        def check_not_stopped() -> None:
             if self._stops != stops:
                 raise MoveFailed(
                     "stopped on request.", where=self._where, remedy="Resume when it is safe to move."
                 )
 
-        return go_on
+        return check_not_stopped
 
     def _standing_deg(self, axis: A) -> float:
-        """Return where an axis stands; raise unless it may be moved from there."""
-        if self._doubt:
+        """Return the position of an axis at rest; raise unless the axis may be moved from there."""
+        if self._position_doubt:
             raise NotHomed(
-                f"the position is in doubt ({self._doubt}). Nothing was moved.",
+                f"the position is in doubt ({self._position_doubt}). Nothing was moved.",
                 where=axis.name,
                 remedy="Home the stage first.",
             )
-        self._assure_ready(axis)
-        look = self._look(axis)
-        if look.busy:
+        self._check_ready(axis)
+        state = self._read_state(axis)
+        if state.busy:
             raise MoveFailed(
-                "the axis is moving already, by somebody else's command. Nothing was sent.",
+                "the axis is already moving, and this program has not started it. Nothing was sent.",
                 where=axis.name,
-                remedy="See who else moves it (a knob, another program), then resume.",
+                remedy="Find what moves it (a knob, another program), then resume.",
             )
-        return look.position_deg
+        return state.position_deg
 
-    def _wait(self, watches: list[tuple[A, motion.MoveWatch]], go_on: GoOn) -> None:
-        """Watch axes in motion until the last has arrived."""
+    def _wait(self, watches: list[tuple[A, motion.MoveWatch]], check_not_stopped: StopCheck) -> None:
+        """Watch moving axes until the last one has arrived."""
         while watches:
             self._clock.sleep(motion.POLL_S)
-            going = []
+            moving = []
             for axis, watch in watches:
-                go_on()
-                look = self._look(axis, homing=watch.target_deg is None)
-                self._refuse_trouble(axis, look)
-                if not self._look_with(watch, look):
-                    going.append((axis, watch))
-            watches = going
+                check_not_stopped()
+                state = self._read_state(axis, homing=watch.target_deg is None)
+                self._raise_problem(axis, state)
+                if not self._has_arrived(watch, state):
+                    moving.append((axis, watch))
+            watches = moving
 
-    def _look_with(self, watch: motion.MoveWatch, look: Look) -> bool:
-        """Let the watch judge a look; a failure leaves the position in doubt."""
+    def _has_arrived(self, watch: motion.MoveWatch, state: AxisState) -> bool:
+        """Pass a state to the watch; a failed move leaves the position in doubt."""
         try:
-            return watch.look(self._clock.monotonic(), look.position_deg, busy=look.busy)
+            return watch.update(self._clock.monotonic(), state.position_deg, busy=state.busy)
         except (MoveFailed, MoveTimeout) as error:
-            self._doubt = error.what
+            self._position_doubt = error.what
             raise
 
-    def _refuse_trouble(self, axis: A, look: Look) -> None:
-        if not look.trouble:
+    def _raise_problem(self, axis: A, state: AxisState) -> None:
+        if not state.problem:
             return
-        if not look.harmless:
-            self._doubt = look.trouble
-        raise MoveFailed(f"{look.trouble}.", where=axis.name, remedy=_CLEAR_AND_HOME)
+        if not state.position_kept:
+            self._position_doubt = state.problem
+        raise MoveFailed(f"{state.problem}.", where=axis.name, remedy=_CLEAR_AND_HOME)
 
-    def _see_end(self, axis: A, goal_deg: float | None) -> None:
-        """Raise MoveFailed when a last look, all the controller knows, or the encoder speak against the move."""
-        look = self._look_at_rest(axis, homing=goal_deg is None)
-        self._refuse_trouble(axis, look)
+    def _check_end(self, axis: A, goal_deg: float | None) -> None:
+        """Raise MoveFailed when the final state or the encoder contradicts the arrival."""
+        state = self._read_final_state(axis, homing=goal_deg is None)
+        self._raise_problem(axis, state)
         if goal_deg is None:
             return
-        off_deg = look.position_deg - goal_deg
-        if look.busy or abs(off_deg) > axis.tolerance_deg:
-            self._doubt = "it did not stay where it had arrived"
+        off_deg = state.position_deg - goal_deg
+        if state.busy or abs(off_deg) > axis.tolerance_deg:
+            self._position_doubt = "the axis did not stay at its target"
             raise MoveFailed(
-                f"did not stay where it had arrived: {off_deg:+.4f} deg from its target.",
+                f"the axis did not stay at its target: it is {off_deg:+.4f} deg away.",
                 where=axis.name,
                 remedy=_CLEAR_AND_HOME,
             )
-        if self._encoder(axis) is None:
+        self._check_slip(axis)
+
+    def _check_slip(self, axis: A) -> None:
+        """Raise MoveFailed when an encoder, if there is one, differs from the counter."""
+        if self._read_encoder(axis) is None:
             return
-        counter_deg = self._reading_deg(axis, self._look)
-        encoder_deg = self._reading_deg(axis, self._encoder)
+        counter_deg = self._agreed_position_deg(axis, self._read_state)
+        encoder_deg = self._agreed_position_deg(axis, self._read_encoder)
         if abs(encoder_deg - counter_deg) > axis.encoder_tolerance_deg:
-            self._doubt = "it slipped"
+            self._position_doubt = "the axis slipped"
             raise MoveFailed(
-                f"slipped: the counter says {counter_deg:.4f} deg, the encoder {encoder_deg:.4f} deg.",
+                f"slipped: the counter reads {counter_deg:.4f} deg, the encoder {encoder_deg:.4f} deg.",
                 where=axis.name,
-                remedy="See that load and acceleration are not too high, then home and resume.",
+                remedy="Check that load and acceleration are not too high, then home the stage and resume.",
             )
 
-    def _reading_deg(self, axis: A, read: Callable[[A], Look | None]) -> float:
-        """Read a counter, or an encoder, until the readings bear each other out."""
+    def _agreed_position_deg(self, axis: A, read: Callable[[A], AxisState | None]) -> float:
+        """Read a counter, or an encoder, until the readings agree."""
 
-        def once() -> Reading:
-            look = read(axis)
-            assert look is not None
-            return Reading(self._clock.monotonic(), look.position_deg, look.busy)
+        def read_once() -> Reading:
+            state = read(axis)
+            assert state is not None
+            return Reading(self._clock.monotonic(), state.position_deg, state.busy)
 
-        return agreeing_position(
-            once,
+        return read_position_until_agreed(
+            read_once,
             tolerance_deg=axis.tolerance_deg,
             speed_deg_s=axis.limits.speed_deg_s,
             what=f"{axis.name}'s position",
@@ -351,7 +363,7 @@ class WatchedStage(ABC, Generic[A]):
         )
 
     def _stopped_after(self, error: DriverError) -> DriverError:
-        """Stop all axes after a failed move; return the error, with what happened if that failed too."""
+        """Stop all axes after a failed move; return the error, which names a failed stop too."""
         if isinstance(error, PortLost):
             return error
         try:

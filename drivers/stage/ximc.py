@@ -1,6 +1,6 @@
 """Standa stages over XIMC: one controller and one port an axis, in degrees.
 
-Knows what a controller's state means for a move; how a move is watched is in ``drivers.stage.watched``.
+This module decides what a controller's state means for a move. ``drivers.stage.watched`` watches the moves.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion, ximc_protocol
-from drivers.stage.watched import GoOn, Look, WatchedStage
+from drivers.stage.watched import AxisState, StopCheck, WatchedStage
 from drivers.stage.ximc_controller import XimcController
 from drivers.stage.ximc_protocol import Status
 from drivers.wire_log import WireLog
 
 _BAUDRATE = 115200
-_OURS = {"move", "home"}
+_OWN_COMMANDS = {"move", "home"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,19 +35,19 @@ class XimcAxis:
     port
         Port of its controller.
     serial
-        Serial number of the controller; empty when it need not be checked.
+        Serial number of the controller; empty when it is not checked.
     steps_per_deg
-        Full steps a degree; negative when the counter falls as the angle grows.
-    zero_deg
-        Angle of the reference: homing sets the counter to 0 there.
+        Full steps per degree; negative when the counter falls as the angle grows.
     limits
         Soft limits, speed and acceleration.
+    zero_deg
+        Angle of the reference, in degrees: homing sets the counter to 0 there.
     tolerance_deg
-        How far from its target the counter may rest.
+        Largest distance of the counter from its target at rest, in degrees.
     encoder_counts_per_deg
-        Encoder counts a degree (with sign), or None without an encoder.
+        Encoder counts per degree, with sign; None without an encoder.
     encoder_tolerance_deg
-        How far the encoder may differ from the counter.
+        Largest difference between encoder and counter, in degrees.
     """
 
     name: str
@@ -71,17 +71,22 @@ class XimcStage(WatchedStage[XimcAxis]):
     ports
         The open port of each axis's controller, in the order of ``axes``.
     axes
-        The axes, in the station file's order.
+        The axes, in the order of the station file.
     clock
         Every wait between two requests goes through it.
     wire_log
-        Told every byte.
+        Records every byte; None for no record.
 
     Raises
     ------
     WrongDevice
         A serial number differs; nothing was set.
-    DeviceRefused, OutsideLimits, ReplyError, PortLost
+    OutsideLimits
+        Limits, speed or acceleration in the station file lie beyond the controller's.
+    DeviceRefused
+        The controller refuses a setting, or does not count the steps of a stepper motor.
+    ReplyError, PortLost
+        A controller does not answer.
     """
 
     def __init__(
@@ -109,9 +114,19 @@ class XimcStage(WatchedStage[XimcAxis]):
 
     @classmethod
     def open(cls, axes: Sequence[XimcAxis], *, clock: Clock, wire_log: WireLog | None = None) -> XimcStage:
-        """Open all ports, check who answers, and program speed and borders. Moves nothing.
+        """Open all ports, check the serial numbers, and set speeds and borders. Moves nothing.
 
-        Raises PortNotFound, PortBusy, PortDenied, and what the constructor raises.
+        The ports raise the errors of ``drivers.serial_port.SerialPort``.
+
+        Parameters
+        ----------
+        axes, clock, wire_log
+            See the class, which raises the other errors.
+
+        Returns
+        -------
+        XimcStage
+            The open stage.
         """
         with ExitStack() as opened:
             ports = []
@@ -122,116 +137,122 @@ class XimcStage(WatchedStage[XimcAxis]):
         return cls(ports, axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """Ask every controller who it is. Raises WrongDevice when a serial is not the station file's."""
+        """See `Stage.identify`.
+
+        Raises
+        ------
+        WrongDevice
+            A serial number is not the one in the station file.
+        """
         found = []
         for axis in self._axes.values():
             controller = self._controllers[axis.name]
             serial = controller.read_serial()
             if axis.serial and serial != axis.serial:
                 raise WrongDevice(
-                    f"the station file says serial {axis.serial} for {axis.name}, but {serial} answers."
+                    f"the station file names serial {axis.serial} for {axis.name}, but {serial} answers."
                     " Nothing was moved.",
                     where=controller.name,
                     remedy="Check the ports and serials in the station file.",
                 )
-            maker, model, firmware = controller.identity()
+            maker, model, firmware = controller.read_identity()
             found.append(AxisIdentity(axis.name, maker, model, serial, firmware))
         return tuple(found)
 
     def _has_reference(self) -> bool:
-        return all(controller.status().homed for controller in self._controllers.values())
+        return all(controller.read_status().homed for controller in self._controllers.values())
 
     def faults(self) -> Sequence[str]:
-        """Present faults of all axes in plain words."""
+        """See `Stage.faults`."""
         return [
-            f"{name}: {words}"
+            f"{name}: {fault}"
             for name, controller in self._controllers.items()
-            for words in _words(controller.status())
+            for fault in _faults(controller.read_status())
         ]
 
     def close(self) -> None:
-        """Give the ports back; the stage stays where it is."""
+        """See `Stage.close`."""
         for controller in self._controllers.values():
             controller.close()
 
     # ------------------------------------------------------------ on the wire
 
-    def _assure_ready(self, axis: XimcAxis) -> None:
-        status = self._controllers[axis.name].status()
+    def _check_ready(self, axis: XimcAxis) -> None:
+        status = self._controllers[axis.name].read_status()
         if not status.homed:
             raise NotHomed(
                 "the axis has no reference. Nothing was moved.",
                 where=axis.name,
                 remedy="Home the stage first.",
             )
-        self._refuse(axis, status)
+        self._raise_faults(axis, status)
 
     def _clear_faults(self, axis: XimcAxis) -> None:
-        """Clear an alarm: a stop command does, when its cause is gone."""
+        """Clear an alarm by a stop command, which has an effect when the cause of the alarm is gone."""
         controller = self._controllers[axis.name]
-        if controller.status().troubles:
+        if controller.read_status().faults:
             controller.command("stop")
-        self._refuse(axis, controller.status())
+        self._raise_faults(axis, controller.read_status())
 
-    def _refuse(self, axis: XimcAxis, status: Status) -> None:
-        if status.troubles:
+    def _raise_faults(self, axis: XimcAxis, status: Status) -> None:
+        if status.faults:
             raise MoveFailed(
-                f"{', '.join(status.troubles)}. Nothing was moved.",
+                f"{', '.join(status.faults)}. Nothing was moved.",
                 where=axis.name,
-                remedy="Clear its cause, then home the stage.",
+                remedy="Clear the cause, then home the stage.",
             )
 
-    def _goal_deg(self, axis: XimcAxis, angle_deg: float) -> float:
+    def _reachable_deg(self, axis: XimcAxis, angle_deg: float) -> float:
         return self._angle_deg(axis, self._count(axis, angle_deg))
 
-    def _start(self, goals_deg: Mapping[str, float], go_on: GoOn) -> None:
+    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
         for name, angle_deg in goals_deg.items():
             controller = self._controllers[name]
             with controller.lock:
-                go_on()
+                check_not_stopped()
                 controller.move(self._count(self._axes[name], angle_deg))
 
-    def _start_homing(self, go_on: GoOn) -> None:
+    def _start_homing(self, check_not_stopped: StopCheck) -> None:
         for controller in self._controllers.values():
             with controller.lock:
-                go_on()
+                check_not_stopped()
                 controller.command("home")
 
-    def _look(self, axis: XimcAxis, *, homing: bool = False) -> Look:
-        """Position, whether busy, and what speaks against the move: all of one reply."""
+    def _read_state(self, axis: XimcAxis, *, homing: bool = False) -> AxisState:
+        """Read position, busy state and problems from one reply."""
         controller = self._controllers[axis.name]
-        status = controller.status()
-        position_deg = self._angle_deg(axis, controller.count(status.steps, status.microsteps))
-        if status.homed and status.running and status.command not in _OURS and not status.troubles:
-            words = f"interrupted by another command ({status.command})"
-            return Look(position_deg, status.running, words, harmless=True)
-        return Look(position_deg, status.running, _trouble(status, homing=homing))
+        status = controller.read_status()
+        position_deg = self._angle_deg(axis, controller.to_microsteps(status.steps, status.microsteps))
+        if status.homed and status.running and status.command not in _OWN_COMMANDS and not status.faults:
+            problem = f"interrupted by another command ({status.command})"
+            return AxisState(position_deg, status.running, problem, position_kept=True)
+        return AxisState(position_deg, status.running, _problem(status, homing=homing))
 
-    def _look_at_rest(self, axis: XimcAxis, *, homing: bool) -> Look:
-        look = self._look(axis, homing=homing)
-        if homing and not self._controllers[axis.name].status().homed:
-            return look._replace(trouble="homing ended without a reference")
-        return look
+    def _read_final_state(self, axis: XimcAxis, *, homing: bool) -> AxisState:
+        state = self._read_state(axis, homing=homing)
+        if homing and not self._controllers[axis.name].read_status().homed:
+            return state._replace(problem="homing ended without a reference")
+        return state
 
     def _finish_homing(self, axis: XimcAxis) -> None:
-        """Make the reference the counter's zero, the encoder's too."""
+        """Set the counter and the encoder to zero at the reference."""
         self._controllers[axis.name].set("zero", b"")
 
     def _send_stop(self) -> None:
-        """Stop every axis, whatever the others do: none waits for an answer of another's controller."""
-        with ThreadPoolExecutor(len(self._controllers)) as at_once:
-            stops = [at_once.submit(controller.stop) for controller in self._controllers.values()]
+        """Stop all axes at the same time: no axis waits for the reply of another controller."""
+        with ThreadPoolExecutor(len(self._controllers)) as pool:
+            stops = [pool.submit(controller.stop) for controller in self._controllers.values()]
         for stop in stops:
             stop.result()
 
-    def _listen(self, seconds: float) -> None:
-        next(iter(self._controllers.values())).listen(seconds)
+    def _listen(self, duration_s: float) -> None:
+        next(iter(self._controllers.values())).listen(duration_s)
 
-    def _encoder(self, axis: XimcAxis) -> Look | None:
+    def _read_encoder(self, axis: XimcAxis) -> AxisState | None:
         if axis.encoder_counts_per_deg is None:
             return None
-        status = self._controllers[axis.name].status()
-        return Look(axis.zero_deg + status.encoder / axis.encoder_counts_per_deg, status.running)
+        status = self._controllers[axis.name].read_status()
+        return AxisState(axis.zero_deg + status.encoder / axis.encoder_counts_per_deg, status.running)
 
     # ------------------------------------------------------------ scale and settings
 
@@ -252,11 +273,11 @@ class XimcStage(WatchedStage[XimcAxis]):
         ramp = math.floor(axis.limits.acceleration_deg_s2 * scale)
         if not 1 <= ramp <= 0xFFFF or not 1 <= speed // controller.division <= 100_000:
             raise OutsideLimits(
-                f"{speed / controller.division:g} steps/s and {ramp} steps/s^2 are beyond the controller.",
+                f"{speed / controller.division:g} steps/s and {ramp} steps/s^2 are outside the controller's range.",
                 where=axis.name,
                 remedy="Change speed_deg_s and acceleration_deg_s2 in the station file.",
             )
-        present = controller.move_settings()
+        present = controller.read_move_settings()
         wanted = replace(
             present,
             speed=speed // controller.division,
@@ -266,22 +287,22 @@ class XimcStage(WatchedStage[XimcAxis]):
         )
         if wanted != present:
             controller.set("smov", wanted.pack())
-        got = controller.move_settings()
+        got = controller.read_move_settings()
         _compare(axis, "speed and acceleration", wanted, got)
 
     def _program_borders(self, axis: XimcAxis) -> None:
-        """Narrow the controller's own borders, unless it stops at limit switches: those are better."""
+        """Narrow the borders of the controller, unless its borders are limit switches, which are better."""
         controller = self._controllers[axis.name]
-        present = controller.edge_settings()
+        present = controller.read_edge_settings()
         if not present.border_flags & ximc_protocol.BORDERS_COUNTED:
             return
         ends = sorted(self._count(axis, end) for end in (axis.limits.lowest_deg, axis.limits.highest_deg))
-        set_before = (
-            controller.count(present.left_steps, present.left_microsteps),
-            controller.count(present.right_steps, present.right_microsteps),
+        borders = (
+            controller.to_microsteps(present.left_steps, present.left_microsteps),
+            controller.to_microsteps(present.right_steps, present.right_microsteps),
         )
-        motion.check_travel(axis.name, (ends[0], ends[1]), set_before, "microsteps")
-        (left, left_micro), (right, right_micro) = map(controller.split, ends)
+        motion.check_travel(axis.name, (ends[0], ends[1]), borders, "microsteps")
+        (left, left_micro), (right, right_micro) = map(controller.to_steps, ends)
         wanted = replace(
             present,
             border_flags=present.border_flags | ximc_protocol.BORDERS_STOP,
@@ -292,28 +313,28 @@ class XimcStage(WatchedStage[XimcAxis]):
         )
         if wanted != present:
             controller.set("seds", wanted.pack())
-        _compare(axis, "borders", wanted, controller.edge_settings())
+        _compare(axis, "borders", wanted, controller.read_edge_settings())
 
 
 def _compare(axis: XimcAxis, what: str, wanted: object, got: object) -> None:
     if wanted != got:
         raise DeviceRefused(
-            f"{what} read back otherwise than set: {got} instead of {wanted}.",
+            f"{what} read back differently from what was set: {got} instead of {wanted}.",
             where=axis.name,
-            remedy="Change the station file to what the controller can do.",
+            remedy="Change the station file to what the controller supports.",
         )
 
 
-def _words(status: Status) -> list[str]:
-    return status.troubles + ([] if status.homed else ["no reference"])
+def _faults(status: Status) -> list[str]:
+    return status.faults + ([] if status.homed else ["no reference"])
 
 
-def _trouble(status: Status, *, homing: bool) -> str:
-    """Say why a move in this state will not end at its target; empty when it may."""
-    if status.troubles:
-        return ", ".join(status.troubles)
+def _problem(status: Status, *, homing: bool) -> str:
+    """Return why a move in this state will not end at its target; empty when it may."""
+    if status.faults:
+        return ", ".join(status.faults)
     if not status.homed and not homing:
-        return "the controller lost its reference in mid-move, as after a restart"
+        return "the controller lost its reference during the move, as after a restart"
     if status.failed:
-        return f"the controller says that its {status.command} failed"
+        return f"the controller reports that its {status.command} failed"
     return ""

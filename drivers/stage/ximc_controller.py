@@ -1,6 +1,6 @@
-"""Knows how to ask one XIMC controller on its line: retries, resynchronising by zeros, counts in microsteps.
+"""Talk to one XIMC controller on its line: repeated queries, resynchronising by zeros, positions in microsteps.
 
-Knows no degrees; see ``drivers.stage.ximc``.
+Degrees belong to ``drivers.stage.ximc``, the forms of messages to ``drivers.stage.ximc_protocol``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import threading
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled
-from drivers.link import Incoming, Link
+from drivers.link import Link, ReplyReader
 from drivers.retry import repeat, resynchronise
 from drivers.serial_port import Port
 from drivers.stage import ximc_protocol
@@ -20,61 +20,40 @@ from drivers.wire_log import WireLog
 _REPLY_S = 1.0
 _MARKER_S = 0.5
 _QUIET_S = 0.05
-_LOUD_S = 1.0
+_LONGEST_DRAIN_S = 1.0
 
 
 class XimcController:
-    """One controller, of one axis, on one line. Opening sends questions only.
+    """The controller of one axis, on its own line. Opening asks for settings; it sets nothing.
 
     Parameters
     ----------
     port
-        The open port; the protocol wants 115200 baud and two stop bits.
+        The open port; the protocol needs 115200 baud and two stop bits.
     clock, wire_log
         See ``drivers.link.Link``.
 
     Attributes
     ----------
     serial
-        Its serial number.
+        Serial number of the controller.
     division
-        Microsteps in a full step.
+        Microsteps per full step.
 
     Raises
     ------
     DeviceRefused
-        When it drives no stepper motor, or counts by an encoder.
+        The controller drives no stepper motor, or counts by an encoder.
     ReplyError, PortLost
+        The controller does not answer.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self._link = Link(port, clock=clock, resynchronise=self._resynchronise, wire_log=wire_log)
-        self._link.distrust()
+        self._link.mark_out_of_step()
         self.serial = self.read_serial()
-        layout = ximc_protocol.ENGINE_TYPE_LAYOUT
-        engine_type, _ = layout.unpack(self._get("gent", layout))
-        if engine_type != ximc_protocol.STEPPER:
-            raise DeviceRefused(
-                f"the controller drives no stepper motor (engine type {engine_type}); its units are others.",
-                where=self.name,
-                remedy="Use a stepper stage; this driver knows no other.",
-            )
-        _, feedback, *_ = ximc_protocol.FEEDBACK_LAYOUT.unpack(
-            self._get("gfbs", ximc_protocol.FEEDBACK_LAYOUT)
-        )
-        if feedback in ximc_protocol.BY_ENCODER:
-            raise DeviceRefused(
-                f"the controller counts by its encoder (feedback type {feedback}), and its speeds are in rpm.",
-                where=self.name,
-                remedy="Set its feedback to 'None' with the maker's software; the encoder is read all the same.",
-            )
-        engine = ximc_protocol.ENGINE_LAYOUT.unpack(self._get("geng", ximc_protocol.ENGINE_LAYOUT))
-        mode: int = engine[ximc_protocol.MICROSTEP_MODE]
-        if not 1 <= mode <= 9:
-            raise ReplyGarbled(
-                f"unknown step division mode {mode}.", where=self.name, remedy="See its manual."
-            )
-        self.division: int = 1 << (mode - 1)
+        self._check_units()
+        self.division: int = self._query_division()
 
     @property
     def name(self) -> str:
@@ -83,110 +62,238 @@ class XimcController:
 
     @property
     def lock(self) -> threading.RLock:
-        """Held, nobody else can send."""
+        """While a thread holds it, no other thread can send."""
         return self._link.lock
 
     def read_serial(self) -> str:
-        """Ask for the serial number."""
-        layout = ximc_protocol.SERIAL_LAYOUT
-        return str(layout.unpack(self._get("gser", layout))[0])
+        """Ask for the serial number.
 
-    def identity(self) -> tuple[str, str, str]:
-        """Ask for maker, model and firmware."""
+        Returns
+        -------
+        str
+            The number, in decimal digits.
+        """
+        layout = ximc_protocol.SERIAL_LAYOUT
+        return str(layout.unpack(self._query("gser", layout))[0])
+
+    def read_identity(self) -> tuple[str, str, str]:
+        """Ask for maker, model and firmware.
+
+        Returns
+        -------
+        tuple of str
+            Maker, model, and version of the firmware.
+        """
         layout = ximc_protocol.INFORMATION_LAYOUT
-        maker, _, model, *_ = layout.unpack(self._get("geti", layout))
+        maker, _, model, *_ = layout.unpack(self._query("geti", layout))
         version = ximc_protocol.VERSION_LAYOUT
-        major, minor, release = version.unpack(self._get("gfwv", version))
+        major, minor, release = version.unpack(self._query("gfwv", version))
         return _text(maker), _text(model), f"{major}.{minor}.{release}"
 
-    def status(self) -> Status:
-        """Ask for everything about the axis at this moment."""
-        return Status.unpack(self._get("gets", Status.LAYOUT))
+    def read_status(self) -> Status:
+        """Ask for the state of the axis.
 
-    def move_settings(self) -> MoveSettings:
-        """Ask for speed and acceleration."""
-        return MoveSettings.unpack(self._get("gmov", MoveSettings.LAYOUT))
+        Returns
+        -------
+        Status
+            Position, motion and flags of one moment.
+        """
+        return Status.unpack(self._query("gets", Status.LAYOUT))
 
-    def edge_settings(self) -> EdgeSettings:
-        """Ask where the controller stops by itself."""
-        return EdgeSettings.unpack(self._get("geds", EdgeSettings.LAYOUT))
+    def read_move_settings(self) -> MoveSettings:
+        """Ask for speed and acceleration.
+
+        Returns
+        -------
+        MoveSettings
+            The settings, in the controller's units.
+        """
+        return MoveSettings.unpack(self._query("gmov", MoveSettings.LAYOUT))
+
+    def read_edge_settings(self) -> EdgeSettings:
+        """Ask for the borders at which the controller itself stops.
+
+        Returns
+        -------
+        EdgeSettings
+            The settings, in the controller's units.
+        """
+        return EdgeSettings.unpack(self._query("geds", EdgeSettings.LAYOUT))
 
     def set(self, command: str, data: bytes) -> None:
-        """Send a setting; sent again when its echo is lost, which does no harm."""
+        """Send a setting; repeat it when its echo does not come, which does no harm. Raises as ``command``.
+
+        Parameters
+        ----------
+        command
+            The four letters of the command.
+        data
+            Data of the command, without CRC.
+        """
         repeat(lambda: self.command(command, data))
 
     def command(self, command: str, data: bytes = b"", *, urgent: bool = False) -> None:
-        """Send a command, once, and see it echoed.
+        """Send a command, once, and wait for its echo.
 
-        Raises DeviceRefused, ReplyTimeout, ReplyGarbled, PortLost.
+        Parameters
+        ----------
+        command
+            The four letters of the command.
+        data
+            Data of the command, without CRC.
+        urgent
+            Send at once, without resynchronising.
+
+        Raises
+        ------
+        DeviceRefused
+            The controller refuses the command.
+        ReplyTimeout, ReplyGarbled
+            No valid echo came.
+        PortLost
+            The port is gone.
         """
 
-        def receive(incoming: Incoming) -> None:
-            ximc_protocol.check_head(command, incoming.exactly(4), self.name)
+        def read_reply(reader: ReplyReader) -> None:
+            ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
 
         request = ximc_protocol.request(command, data)
-        self._link.exchange(request, receive, deadline_s=_REPLY_S, urgent=urgent)
+        self._link.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=urgent)
 
     def move(self, count: int) -> None:
-        """Start a move to a count of microsteps, sent once."""
-        self.command("move", ximc_protocol.move_data(*self.split(count)))
+        """Start a move; the command is sent once. Raises as ``command``.
+
+        Parameters
+        ----------
+        count
+            Target, in microsteps.
+        """
+        self.command("move", ximc_protocol.move_data(*self.to_steps(count)))
 
     def stop(self) -> None:
-        """Ramp down, at once and before any resynchronising; sent again until it is echoed."""
+        """Ramp down at once, without resynchronising; repeat the stop when its echo does not come.
+
+        Raises
+        ------
+        ReplyError
+            No echo came at the last attempt.
+        PortLost
+            The port is gone.
+        """
         with self._link.lock:
             repeat(
                 lambda: self.command("sstp", urgent=True),
-                before_next=lambda: self._link.drain(_QUIET_S, _LOUD_S),
+                before_next=lambda: self._link.drain(_QUIET_S, _LONGEST_DRAIN_S),
             )
 
-    def count(self, steps: int, microsteps: int) -> int:
-        """Return a position in microsteps."""
+    def to_microsteps(self, steps: int, microsteps: int) -> int:
+        """Return a position in microsteps.
+
+        Parameters
+        ----------
+        steps
+            Full steps.
+        microsteps
+            Microsteps beyond the full steps.
+
+        Returns
+        -------
+        int
+            Position, in microsteps.
+        """
         return steps * self.division + microsteps
 
-    def split(self, count: int) -> tuple[int, int]:
-        """Split a count into full steps and microsteps of the same sign."""
+    def to_steps(self, count: int) -> tuple[int, int]:
+        """Split a position into full steps and microsteps of the same sign.
+
+        Parameters
+        ----------
+        count
+            Position, in microsteps.
+
+        Returns
+        -------
+        tuple of int
+            Full steps, and microsteps beyond them.
+        """
         steps, microsteps = divmod(abs(count), self.division)
         return (steps, microsteps) if count >= 0 else (-steps, -microsteps)
 
-    def listen(self, seconds: float) -> None:
-        """Wait that long for what comes. A wait that no clock interrupts: for stopping only."""
+    def listen(self, duration_s: float) -> None:
+        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
+
+        Parameters
+        ----------
+        duration_s
+            Longest wait, in seconds.
+        """
         with self._link.lock:
-            self._link.fill(seconds)
+            self._link.receive(duration_s)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._link.close()
 
     # ------------------------------------------------------------ inside
 
-    def _get(self, command: str, layout: struct.Struct) -> bytes:
-        """Send a question, up to three times, and return its data."""
-        return repeat(lambda: self._ask(command, layout))
+    def _check_units(self) -> None:
+        """Raise DeviceRefused unless positions are steps of a stepper motor."""
+        layout = ximc_protocol.ENGINE_TYPE_LAYOUT
+        engine_type, _ = layout.unpack(self._query("gent", layout))
+        if engine_type != ximc_protocol.STEPPER:
+            raise DeviceRefused(
+                f"the controller drives no stepper motor (engine type {engine_type}), so its units differ.",
+                where=self.name,
+                remedy="Use a stage with a stepper motor; this driver supports no other.",
+            )
+        layout = ximc_protocol.FEEDBACK_LAYOUT
+        _, feedback, *_ = layout.unpack(self._query("gfbs", layout))
+        if feedback in ximc_protocol.BY_ENCODER:
+            raise DeviceRefused(
+                f"the controller counts by its encoder (feedback type {feedback}), and its speeds are in rpm.",
+                where=self.name,
+                remedy="Set its feedback to 'None' with the maker's software; this driver can still read the encoder.",
+            )
 
-    def _ask(
+    def _query_division(self) -> int:
+        engine = ximc_protocol.ENGINE_LAYOUT.unpack(self._query("geng", ximc_protocol.ENGINE_LAYOUT))
+        mode: int = engine[ximc_protocol.MICROSTEP_MODE]
+        if not 1 <= mode <= 9:
+            raise ReplyGarbled(
+                f"unknown step division mode {mode}.",
+                where=self.name,
+                remedy="Look the mode up in the controller's manual.",
+            )
+        return 1 << (mode - 1)
+
+    def _query(self, command: str, layout: struct.Struct) -> bytes:
+        """Send a query, repeat it when no valid reply comes, and return the data of the reply."""
+        return repeat(lambda: self._query_once(command, layout))
+
+    def _query_once(
         self, command: str, layout: struct.Struct, *, deadline_s: float = _REPLY_S, urgent: bool = False
     ) -> bytes:
-        def receive(incoming: Incoming) -> bytes:
-            ximc_protocol.check_head(command, incoming.exactly(4), self.name)
-            return ximc_protocol.check_data(command, incoming.exactly(layout.size + 2), self.name)
+        def read_reply(reader: ReplyReader) -> bytes:
+            ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
+            return ximc_protocol.check_data(command, reader.read_exactly(layout.size + 2), self.name)
 
         return self._link.exchange(
-            ximc_protocol.request(command), receive, deadline_s=deadline_s, urgent=urgent
+            ximc_protocol.request(command), read_reply, deadline_s=deadline_s, urgent=urgent
         )
 
     def _resynchronise(self) -> None:
-        """Fill up by zeros what the controller waits for, then ask for its serial number, alone on the line."""
+        """Complete by zeros what the controller waits for; then get its serial number, alone on the line."""
 
         def clear_device() -> None:
             self._link.send(ximc_protocol.SYNCHRONISE)
-            self._link.drain(_QUIET_S, _LOUD_S)
+            self._link.drain(_QUIET_S, _LONGEST_DRAIN_S)
 
         def exchange_marker() -> bool:
-            self._ask("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True)
+            self._query_once("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True)
             return True
 
         if not resynchronise(
-            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LOUD_S, clear_device=clear_device
+            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S, clear_device=clear_device
         ):
             raise ReplyGarbled(
                 "more bytes come than were asked for.",

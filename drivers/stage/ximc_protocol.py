@@ -1,7 +1,10 @@
-"""Knows the words of Standa's XIMC protocol: commands of four letters, little-endian data, CRC-16. Sends nothing.
+"""Build requests and parse replies of Standa's XIMC protocol: four letters, little-endian data, CRC-16. Sends nothing.
 
-A request is the four letters, its data and the CRC of the data; the reply repeats the letters. A setting
-command is answered by its letters alone. No ids: two replies to the same question cannot be told apart.
+A request is the four letters of the command, its data and the CRC of the data; the reply begins with the same letters.
+The reply to a setting is its letters alone. There are no message ids: two replies to the same query look alike.
+
+Source: Standa, "8SMC5-USB User Manual", chapter on the communication protocol,
+https://doc.xisupport.com/en/8smc5-usb/.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from typing import ClassVar, Self
 from drivers.errors import DeviceRefused, ReplyGarbled
 
 SYNCHRONISE = bytes(64)
-"""Zeros fill up whatever command the controller is in the middle of; each further one it answers by a zero."""
+"""Zeros complete the command that the controller is waiting for; it answers each further zero by a zero."""
 
 RUNNING = 0x80
 FAILED = 0x40
@@ -39,11 +42,12 @@ STATE_FLAGS = {
     0x0080_0000: "motor control failed",
     0x0100_0000: "external alarm input",
 }
-"""Flags of ``gets`` with which an axis is not moved, in plain words."""
+"""Meanings of the flags of ``gets`` with which this driver moves no axis."""
 
 BORDERS_COUNTED = 0x01
-"""Borders lie at counts; otherwise at limit switches."""
+"""Flag of borders at positions of the counter; without it they are limit switches."""
 BORDERS_STOP = 0x06
+"""Flags of borders at which the controller stops."""
 
 REFUSALS = {
     b"errc": "it does not know this command",
@@ -62,8 +66,20 @@ _REMAINDERS = [_remainder(byte) for byte in range(256)]
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC of a message's data: polynomial 0xA001 (reflected), start 0xFFFF.
+    """Return the CRC of the data of a message: polynomial 0xA001 (reflected), start value 0xFFFF.
 
+    Parameters
+    ----------
+    data
+        The data.
+
+    Returns
+    -------
+    int
+        The CRC, 16 bits.
+
+    Examples
+    --------
     >>> f"{crc16(b'123456789'):04X}"
     '4B37'
     """
@@ -74,8 +90,22 @@ def crc16(data: bytes) -> int:
 
 
 def request(command: str, data: bytes = b"") -> bytes:
-    """Return a request's bytes.
+    """Return the bytes of a request.
 
+    Parameters
+    ----------
+    command
+        The four letters of the command.
+    data
+        Data of the command; empty for a command without data.
+
+    Returns
+    -------
+    bytes
+        The letters, then the data and their CRC.
+
+    Examples
+    --------
     >>> request("gets")
     b'gets'
     """
@@ -83,9 +113,23 @@ def request(command: str, data: bytes = b"") -> bytes:
 
 
 def check_head(command: str, head: bytes, where: str) -> None:
-    """See that a reply's four letters are the command's.
+    """Check that a reply begins with the letters of its command.
 
-    Raises DeviceRefused when the controller refuses it, ReplyGarbled for anything else.
+    Parameters
+    ----------
+    command
+        The four letters of the command.
+    head
+        The first four bytes of the reply.
+    where
+        Name of the line, for the message.
+
+    Raises
+    ------
+    DeviceRefused
+        The controller refuses the command.
+    ReplyGarbled
+        The reply begins with anything else.
     """
     if head == command.encode("ascii"):
         return
@@ -96,14 +140,34 @@ def check_head(command: str, head: bytes, where: str) -> None:
             remedy="Check the values in the station file, and the controller's firmware.",
         )
     if head == _DAMAGED:
-        what = f"the controller got {command} damaged (errd), and did nothing."
+        what = f"the controller received {command} with a wrong CRC (errd) and did nothing."
     else:
         what = f"the answer to {command} begins with {head!r}."
     raise ReplyGarbled(what, where=where, remedy="Check the cable.")
 
 
 def check_data(command: str, data: bytes, where: str) -> bytes:
-    """Return a reply's data without its CRC. Raises ReplyGarbled when the CRC is wrong."""
+    """Check the CRC of a reply's data.
+
+    Parameters
+    ----------
+    command
+        The four letters of the command, for the message.
+    data
+        The data with their CRC.
+    where
+        Name of the line, for the message.
+
+    Returns
+    -------
+    bytes
+        The data without their CRC.
+
+    Raises
+    ------
+    ReplyGarbled
+        The CRC is wrong.
+    """
     body, given = data[:-2], data[-2:]
     if struct.pack("<H", crc16(body)) != given:
         raise ReplyGarbled(f"wrong CRC in the answer to {command}.", where=where, remedy="Check the cable.")
@@ -112,7 +176,21 @@ def check_data(command: str, data: bytes, where: str) -> bytes:
 
 @dataclass(frozen=True)
 class Status:
-    """The answer to ``gets``: everything about the axis at one moment."""
+    """The data of ``gets``: the state of the axis at one moment.
+
+    Attributes
+    ----------
+    command_state
+        Latest motion command, and whether it runs or has failed.
+    encoder_state
+        State of the encoder.
+    steps, microsteps
+        Position, in full steps and microsteps beyond them.
+    encoder
+        Position, in encoder counts.
+    flags
+        State flags; see ``IS_HOMED`` and ``STATE_FLAGS``.
+    """
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<5Bihqih5hIIB4x")
 
@@ -125,7 +203,13 @@ class Status:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Take the data of ``gets`` apart."""
+        """Unpack the data of ``gets``.
+
+        Parameters
+        ----------
+        data
+            The data, without CRC.
+        """
         fields = cls.LAYOUT.unpack(data)
         return cls(fields[1], fields[3], fields[5], fields[6], fields[7], fields[15])
 
@@ -141,7 +225,7 @@ class Status:
 
     @property
     def command(self) -> str:
-        """Name of the latest motion command, by whomever."""
+        """Name of the latest motion command, whoever gave it."""
         return COMMAND_NAMES.get(self.command_state & _COMMAND, "unknown")
 
     @property
@@ -150,14 +234,26 @@ class Status:
         return bool(self.flags & IS_HOMED)
 
     @property
-    def troubles(self) -> list[str]:
-        """What speaks against moving, in plain words."""
+    def faults(self) -> list[str]:
+        """Meanings of the flags with which the axis must not be moved."""
         return [words for flag, words in STATE_FLAGS.items() if self.flags & flag]
 
 
 @dataclass(frozen=True)
 class MoveSettings:
-    """The data of ``gmov`` and ``smov``: speeds in steps/s and microsteps/s, accelerations in steps/s^2."""
+    """The data of ``gmov`` and ``smov``.
+
+    Attributes
+    ----------
+    speed, speed_microsteps
+        Speed, in full steps per second and microsteps per second beyond them.
+    acceleration, deceleration
+        Acceleration and deceleration, in full steps per second squared.
+    antiplay_speed, antiplay_microsteps
+        Speed of the backlash compensation, in the units of ``speed``.
+    flags, reserved
+        Kept as they were read.
+    """
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IBHHIBB9s")
 
@@ -172,17 +268,39 @@ class MoveSettings:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Take the data apart."""
+        """Unpack the data of a reply.
+
+        Parameters
+        ----------
+        data
+            The data, without CRC.
+        """
         return cls(*cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
-        """Put the data together."""
+        """Pack the data of a request.
+
+        Returns
+        -------
+        bytes
+            The data, without CRC.
+        """
         return self.LAYOUT.pack(*vars(self).values())
 
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """The data of ``geds`` and ``seds``: where the controller itself stops."""
+    """The data of ``geds`` and ``seds``: the borders at which the controller itself stops.
+
+    Attributes
+    ----------
+    border_flags, switch_flags
+        Kind of the borders, and settings of the limit switches.
+    left_steps, left_microsteps, right_steps, right_microsteps
+        The borders, in full steps and microsteps beyond them.
+    reserved
+        Kept as it was read.
+    """
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBihih6s")
 
@@ -196,31 +314,56 @@ class EdgeSettings:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Take the data apart."""
+        """Unpack the data of a reply.
+
+        Parameters
+        ----------
+        data
+            The data, without CRC.
+        """
         return cls(*cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
-        """Put the data together."""
+        """Pack the data of a request.
+
+        Returns
+        -------
+        bytes
+            The data, without CRC.
+        """
         return self.LAYOUT.pack(*vars(self).values())
 
 
 ENGINE_LAYOUT = struct.Struct("<HHIBHhBH12x")
 MICROSTEP_MODE = 6
-"""Place of the step division mode in the data of ``geng``: n means 1/2^(n-1) step."""
+"""Place of the step division mode in the data of ``geng``. Mode n means 2^(n-1) microsteps per full step."""
 ENGINE_TYPE_LAYOUT = struct.Struct("<BB6x")
 STEPPER = 3
-"""Engine type of ``gent``; of other motors, positions are encoder counts and speeds revolutions a minute."""
+"""Engine type of ``gent``. With other motors, positions are encoder counts and speeds revolutions per minute."""
 FEEDBACK_LAYOUT = struct.Struct("<HBBI4x")
 BY_ENCODER = frozenset({0x01, 0x06})
-"""Feedback types of ``gfbs``, in its second place, with which a stepper's positions are encoder counts as well."""
+"""Feedback types of ``gfbs`` (its second field) with which the positions of a stepper are encoder counts too."""
 INFORMATION_LAYOUT = struct.Struct("<4s2s8sBBH12x")
 VERSION_LAYOUT = struct.Struct("<BBH")
 SERIAL_LAYOUT = struct.Struct("<I")
 _MOVE_LAYOUT = struct.Struct("<ih6s")
 _RESERVED = b"\xcc" * 6
-"""What the maker's own library puts there."""
+"""The bytes that the maker's own library sends there."""
 
 
 def move_data(steps: int, microsteps: int) -> bytes:
-    """Return the data of ``move``: where to, in full steps and microsteps of the same sign."""
+    """Return the data of ``move``.
+
+    Parameters
+    ----------
+    steps
+        Target, in full steps.
+    microsteps
+        Microsteps beyond the full steps, of the same sign.
+
+    Returns
+    -------
+    bytes
+        The data, without CRC.
+    """
     return _MOVE_LAYOUT.pack(steps, microsteps, _RESERVED)

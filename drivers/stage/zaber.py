@@ -1,6 +1,6 @@
 """Zaber stages over their ASCII protocol: axes in degrees on a chain of devices on one serial line.
 
-Knows what each warning flag means for a move; how a move is watched is in ``drivers.stage.watched``.
+This module decides what each warning flag means for a move. ``drivers.stage.watched`` watches the moves.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from drivers.clock import Clock
 from drivers.errors import MoveFailed, NotHomed, WrongDevice
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, zaber_axis, zaber_protocol
-from drivers.stage.watched import GoOn, Look, WatchedStage
+from drivers.stage.watched import AxisState, StopCheck, WatchedStage
 from drivers.stage.zaber_axis import ZaberAxis
 from drivers.stage.zaber_chain import ZaberChain
 from drivers.wire_log import WireLog
@@ -29,19 +29,22 @@ class ZaberStage(WatchedStage[ZaberAxis]):
     port
         The open port.
     axes
-        The axes, in the station file's order.
+        The axes, in the order of the station file.
     clock
         Every wait between two requests goes through it.
     wire_log
-        Told every byte.
+        Records every byte; None for no record.
 
     Raises
     ------
     WrongDevice
         A serial number differs; nothing was set.
     OutsideLimits
-        The station's limits reach beyond the controller's travel, or its scale is not the controller's.
-    DeviceRefused, ReplyError, PortLost
+        The limits in the station file lie beyond the controller's travel, or the scales differ.
+    DeviceRefused
+        The controller refuses a setting.
+    ReplyError, PortLost
+        The controller does not answer.
     """
 
     def __init__(
@@ -71,21 +74,39 @@ class ZaberStage(WatchedStage[ZaberAxis]):
         clock: Clock,
         wire_log: WireLog | None = None,
     ) -> ZaberStage:
-        """Open the port, check who answers, and program limits, speed and acceleration. Moves nothing.
+        """Open the port, check the serial numbers, and set limits, speed and acceleration. Moves nothing.
 
-        Raises PortNotFound, PortBusy, PortDenied, and what the constructor raises.
+        Parameters
+        ----------
+        port
+            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate
+            Bits per second.
+        axes, clock, wire_log
+            See the class, which raises the other errors.
+
+        Returns
+        -------
+        ZaberStage
+            The open stage.
         """
         return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """Ask every axis who it is. Raises WrongDevice when a serial number is not the station file's."""
+        """See `Stage.identify`.
+
+        Raises
+        ------
+        WrongDevice
+            A serial number is not the one in the station file.
+        """
         found = []
         for axis in self._axes.values():
             serial = self._chain.query(axis.device, 0, "get system.serial").data
             if axis.serial and serial != axis.serial:
                 raise WrongDevice(
-                    f"the station file says serial {axis.serial} for {axis.name}, but device {axis.device}"
-                    f" says {serial}. Nothing was moved.",
+                    f"the station file names serial {axis.serial} for {axis.name}, but device {axis.device}"
+                    f" has {serial}. Nothing was moved.",
                     where=self._where,
                     remedy="Check the port, the order of the chain, and the serial in the station file.",
                 )
@@ -98,41 +119,41 @@ class ZaberStage(WatchedStage[ZaberAxis]):
         return not any(zaber_protocol.UNREFERENCED & set(self._flags(axis)) for axis in self._axes.values())
 
     def faults(self) -> Sequence[str]:
-        """Present warning flags of all axes in plain words, those aside that are only history."""
+        """See `Stage.faults`. Warning flags that report a past event are left out."""
         return [
-            f"{name}: {zaber_protocol.in_words(flag)}"
+            f"{name}: {zaber_protocol.describe_flag(flag)}"
             for name, axis in self._axes.items()
             for flag in self._flags(axis)
-            if not zaber_protocol.is_history(flag)
+            if not zaber_protocol.is_informational(flag)
         ]
 
     def park(self) -> None:
-        """Let every controller keep its position over a loss of power; moves nothing, and refuses all moves.
+        """Let every controller store its position, so that it outlasts a loss of power. Moves nothing.
 
-        Raises DeviceRefused while an axis moves.
+        A parked axis refuses all moves. The controller refuses to park an axis that moves (DeviceRefused).
         """
-        self._tell_each("tools parking park")
+        self._command_each("tools parking park")
 
     def unpark(self) -> None:
-        """Take the axes out of their parking; they move at most to the nearest full step. Raises DeviceRefused."""
-        self._tell_each("tools parking unpark")
+        """End the parking of all axes. An axis moves to the nearest full step at most."""
+        self._command_each("tools parking unpark")
 
     def close(self) -> None:
-        """Give the port back; the stage stays where it is."""
+        """See `Stage.close`."""
         self._chain.close()
 
     # ------------------------------------------------------------ on the wire
 
-    def _tell_each(self, words: str) -> None:
+    def _command_each(self, words: str) -> None:
         for axis in self._axes.values():
             self._chain.command(axis.device, axis.axis, words)
 
-    def _assure_ready(self, axis: ZaberAxis) -> None:
-        """See that an axis is referenced and without fault; clear what is only history."""
+    def _check_ready(self, axis: ZaberAxis) -> None:
+        """Check that an axis has a reference and no fault; clear the flags that report past events."""
         flags = self._flags(axis)
         if unreferenced := sorted(zaber_protocol.UNREFERENCED & set(flags)):
             raise NotHomed(
-                f"the axis has no reference: {', '.join(map(zaber_protocol.in_words, unreferenced))}."
+                f"the axis has no reference: {', '.join(map(zaber_protocol.describe_flag, unreferenced))}."
                 " Nothing was moved.",
                 where=axis.name,
                 remedy="Home the stage first.",
@@ -149,71 +170,71 @@ class ZaberStage(WatchedStage[ZaberAxis]):
         for flag in flags:
             if zaber_protocol.is_fault(flag):
                 raise MoveFailed(
-                    f"{zaber_protocol.in_words(flag)}. Nothing was moved.",
+                    f"{zaber_protocol.describe_flag(flag)}. Nothing was moved.",
                     where=axis.name,
-                    remedy="Clear its cause, then home the stage.",
+                    remedy="Clear the cause, then home the stage.",
                 )
 
-    def _goal_deg(self, axis: ZaberAxis, angle_deg: float) -> float:
-        return axis.angle_deg(axis.microsteps(angle_deg))
+    def _reachable_deg(self, axis: ZaberAxis, angle_deg: float) -> float:
+        return axis.to_angle_deg(axis.to_microsteps(angle_deg))
 
-    def _start(self, goals_deg: Mapping[str, float], go_on: GoOn) -> None:
+    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
         for name, angle_deg in goals_deg.items():
             axis = self._axes[name]
             with self._chain.lock:
-                go_on()
-                self._chain.command(axis.device, axis.axis, f"move abs {axis.microsteps(angle_deg)}")
+                check_not_stopped()
+                self._chain.command(axis.device, axis.axis, f"move abs {axis.to_microsteps(angle_deg)}")
 
-    def _start_homing(self, go_on: GoOn) -> None:
+    def _start_homing(self, check_not_stopped: StopCheck) -> None:
         for axis in self._axes.values():
             with self._chain.lock:
-                go_on()
+                check_not_stopped()
                 self._chain.command(axis.device, axis.axis, "home")
 
-    def _look(self, axis: ZaberAxis, *, homing: bool = False) -> Look:
-        """Position, whether busy, and the most urgent flag: all of one reply."""
+    def _read_state(self, axis: ZaberAxis, *, homing: bool = False) -> AxisState:
+        """Read position, busy state and the most urgent flag from one reply."""
         reply = self._chain.query(axis.device, axis.axis, "get pos")
-        position_deg = axis.angle_deg(self._chain.whole(reply.data))
-        trouble = _trouble(reply.flag, homing=homing)
-        return Look(position_deg, reply.busy, trouble, reply.flag in zaber_protocol.INTERRUPTED)
+        position_deg = axis.to_angle_deg(self._chain.parse_integer(reply.data))
+        problem = _problem(reply.flag, homing=homing)
+        return AxisState(position_deg, reply.busy, problem, reply.flag in zaber_protocol.INTERRUPTED)
 
-    def _look_at_rest(self, axis: ZaberAxis, *, homing: bool) -> Look:
-        """Ask for all flags, since a reply shows the most urgent one only."""
-        look = self._look(axis, homing=homing)
+    def _read_final_state(self, axis: ZaberAxis, *, homing: bool) -> AxisState:
+        """Ask for all flags too: a reply shows the most urgent one only."""
+        state = self._read_state(axis, homing=homing)
         flags = self._flags(axis)
         if homing and (unreferenced := zaber_protocol.UNREFERENCED & set(flags)):
-            words = zaber_protocol.in_words(min(unreferenced))
-            return look._replace(trouble=f"homing ended without a reference: {words}", harmless=False)
-        troubles = {flag: _trouble(flag, homing=homing) for flag in flags}
-        for flag, trouble in troubles.items():
-            if trouble:
-                return look._replace(trouble=trouble, harmless=flag in zaber_protocol.INTERRUPTED)
-        return look
+            words = zaber_protocol.describe_flag(min(unreferenced))
+            problem = f"homing ended without a reference: {words}"
+            return state._replace(problem=problem, position_kept=False)
+        for flag in flags:
+            if problem := _problem(flag, homing=homing):
+                return state._replace(problem=problem, position_kept=flag in zaber_protocol.INTERRUPTED)
+        return state
 
     def _send_stop(self) -> None:
         self._chain.stop_all()
 
-    def _listen(self, seconds: float) -> None:
-        self._chain.listen(seconds)
+    def _listen(self, duration_s: float) -> None:
+        self._chain.listen(duration_s)
 
-    def _encoder(self, axis: ZaberAxis) -> Look | None:
+    def _read_encoder(self, axis: ZaberAxis) -> AxisState | None:
         if axis.name not in self._encoders:
             return None
         reply = self._chain.query(axis.device, axis.axis, "get encoder.pos")
-        return Look(axis.angle_deg(self._chain.whole(reply.data)), reply.busy)
+        return AxisState(axis.to_angle_deg(self._chain.parse_integer(reply.data)), reply.busy)
 
     def _has_encoder(self, axis: ZaberAxis) -> bool:
-        return self._chain.setting(axis.device, axis.axis, "encoder.pos") is not None
+        return self._chain.query_setting(axis.device, axis.axis, "encoder.pos") is not None
 
     def _flags(self, axis: ZaberAxis) -> tuple[str, ...]:
-        return self._chain.flags(axis.device, axis.axis)
+        return self._chain.query_flags(axis.device, axis.axis)
 
 
-def _trouble(flag: str, *, homing: bool) -> str:
-    """Say why a move on which this flag shows will not end at its target; empty when it may."""
-    words = zaber_protocol.in_words(flag)
+def _problem(flag: str, *, homing: bool) -> str:
+    """Return why a move with this flag will not end at its target; empty when it may."""
+    words = zaber_protocol.describe_flag(flag)
     if zaber_protocol.is_fault(flag) or flag in zaber_protocol.INTERRUPTED:
         return words
     if flag in zaber_protocol.UNREFERENCED and not homing:
-        return f"the controller lost its reference in mid-move, as after a restart: {words}"
+        return f"the controller lost its reference during the move, as after a restart: {words}"
     return ""

@@ -1,4 +1,8 @@
-"""Knows one Zaber axis as the station file has it, and sees that the controller agrees. Moves nothing."""
+"""Describe one Zaber axis as in the station file, and check that the controller agrees with it. Moves nothing.
+
+Source: "Zaber ASCII Protocol Manual", https://www.zaber.com/protocol-manual, settings ``maxspeed``, ``accel``,
+``limit.min``, ``limit.max`` and ``limit.cycle.dist``.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +31,17 @@ class ZaberAxis:
     device, axis
         Address of the device in the chain, and number of the axis on it.
     serial
-        Serial number of the device; empty when it need not be checked.
+        Serial number of the device; empty when it is not checked.
     microsteps_per_deg
-        Counts a degree; negative when the counter falls as the angle grows. Never guessed from a model.
+        Microsteps per degree; negative when the counter falls as the angle grows. Never guessed from a model.
     zero_deg
-        Angle at which the controller's counter is 0: angle = zero_deg + count / microsteps_per_deg.
+        Angle at which the counter is 0, in degrees: angle = zero_deg + microsteps / microsteps_per_deg.
     limits
         Soft limits, speed and acceleration.
     tolerance_deg
-        How far from its target the counter may rest.
+        Largest distance of the counter from its target at rest, in degrees.
     encoder_tolerance_deg
-        How far the encoder, where there is one, may differ from the counter.
+        Largest difference between encoder and counter, in degrees.
     """
 
     name: str
@@ -50,25 +54,57 @@ class ZaberAxis:
     tolerance_deg: float = 0.002
     encoder_tolerance_deg: float = 0.05
 
-    def microsteps(self, angle_deg: float) -> int:
-        """Return the count nearest to an angle."""
+    def to_microsteps(self, angle_deg: float) -> int:
+        """Return the count nearest to an angle.
+
+        Parameters
+        ----------
+        angle_deg
+            Angle, in degrees.
+
+        Returns
+        -------
+        int
+            Count, in microsteps.
+        """
         return round((angle_deg - self.zero_deg) * self.microsteps_per_deg)
 
-    def angle_deg(self, microsteps: float) -> float:
-        """Return the angle of a count."""
+    def to_angle_deg(self, microsteps: float) -> float:
+        """Return the angle of a count.
+
+        Parameters
+        ----------
+        microsteps
+            Count, in microsteps.
+
+        Returns
+        -------
+        float
+            Angle, in degrees.
+        """
         return self.zero_deg + microsteps / self.microsteps_per_deg
 
 
 def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
-    """See that scale and limits agree with what the controller says of its turn and travel.
+    """Check that scale and limits agree with the controller's turn and travel.
 
-    Raises OutsideLimits.
+    Parameters
+    ----------
+    chain
+        The line.
+    axis
+        The axis.
+
+    Raises
+    ------
+    OutsideLimits
+        The scale gives another number of microsteps a turn, or the limits lie beyond the travel.
     """
     turn = _setting(chain, axis, "limit.cycle.dist")
     expected = abs(axis.microsteps_per_deg) * 360.0
     if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):
         raise OutsideLimits(
-            f"the station's scale gives {expected:.0f} microsteps a turn, the controller says {turn}.",
+            f"the scale in the station file gives {expected:.0f} microsteps a turn, the controller has {turn}.",
             where=axis.name,
             remedy="Correct microsteps_per_deg in the station file.",
         )
@@ -77,10 +113,23 @@ def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
 
 
 def program(chain: ZaberChain, axis: ZaberAxis) -> None:
-    """Set limits, speed and acceleration where they differ (they are kept in non-volatile memory).
+    """Set limits, speed and acceleration where they differ, and read them back.
 
-    Raises OutsideLimits for a speed or an acceleration below the controller's unit (its acceleration 0 means
-    none at all: full speed at once), DeviceRefused when a setting reads back otherwise.
+    Only settings that differ are sent, because the controller keeps them in non-volatile memory.
+
+    Parameters
+    ----------
+    chain
+        The line.
+    axis
+        The axis.
+
+    Raises
+    ------
+    OutsideLimits
+        Speed or acceleration is below the controller's unit. Its acceleration 0 would mean full speed at once.
+    DeviceRefused
+        A setting reads back differently.
     """
     lowest, highest = _travel(axis)
     scale = abs(axis.microsteps_per_deg)
@@ -92,8 +141,8 @@ def program(chain: ZaberChain, axis: ZaberAxis) -> None:
     }
     if not (wanted["maxspeed"] and wanted["accel"]):
         raise OutsideLimits(
-            f"{axis.limits.speed_deg_s:g} deg/s or {axis.limits.acceleration_deg_s2:g} deg/s^2 is less than the"
-            " controller can count.",
+            f"{axis.limits.speed_deg_s:g} deg/s or {axis.limits.acceleration_deg_s2:g} deg/s^2 is below the"
+            " controller's smallest step.",
             where=axis.name,
             remedy="Raise speed_deg_s or acceleration_deg_s2 in the station file.",
         )
@@ -101,19 +150,19 @@ def program(chain: ZaberChain, axis: ZaberAxis) -> None:
         if _setting(chain, axis, name) == value:
             continue
         chain.query(axis.device, axis.axis, f"set {name} {value}")
-        got = chain.number(axis.device, axis.axis, f"get {name}")
+        got = chain.query_integer(axis.device, axis.axis, f"get {name}")
         if got != value:
             raise DeviceRefused(
                 f"{name} was set to {value}, but reads {got}.",
                 where=axis.name,
-                remedy="Change speed, acceleration or limits in the station file to what it can do.",
+                remedy="Change speed, acceleration or limits in the station file to what the controller supports.",
             )
 
 
 def _setting(chain: ZaberChain, axis: ZaberAxis, name: str) -> int | None:
-    return chain.setting(axis.device, axis.axis, name)
+    return chain.query_setting(axis.device, axis.axis, name)
 
 
 def _travel(axis: ZaberAxis) -> tuple[int, int]:
-    ends = (axis.microsteps(axis.limits.lowest_deg), axis.microsteps(axis.limits.highest_deg))
+    ends = (axis.to_microsteps(axis.limits.lowest_deg), axis.to_microsteps(axis.limits.highest_deg))
     return min(ends), max(ends)

@@ -1,6 +1,6 @@
-"""Knows how to ask a chain of Zaber devices on one line: ids, retries, resynchronising, stopping all.
+"""Talk to a chain of Zaber devices on one line: message ids, repeated queries, resynchronising, stopping all.
 
-Knows no degrees and no axes' names; see ``drivers.stage.zaber``.
+Degrees and the names of axes belong to ``drivers.stage.zaber``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Collection
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled
-from drivers.link import Incoming, Link
+from drivers.link import Link, ReplyReader
 from drivers.retry import repeat, resynchronise
 from drivers.serial_port import Port
 from drivers.stage import zaber_protocol
@@ -21,28 +21,28 @@ from drivers.stage.zaber_protocol import Reply, Unsolicited
 from drivers.wire_log import WireLog
 
 _REPLY_S = 1.0
-"""A reply takes some ms; the rest is for a busy host."""
+"""Longest wait for a reply, in seconds. A reply takes some ms; the rest is for a busy computer."""
 _MARKER_S = 0.5
 _QUIET_S = 0.05
-_LOUD_S = 1.0
+_LONGEST_DRAIN_S = 1.0
 
 
 class ZaberChain:
-    """The devices on one line.
+    """A chain of devices on one line. Opening sends nothing.
 
     Parameters
     ----------
     port
         The open port.
     devices
-        Addresses of the devices that are ours.
+        Addresses of the devices that this driver uses; others in the chain are stopped by ``stop_all`` only.
     clock, wire_log
         See ``drivers.link.Link``.
 
     Attributes
     ----------
     unsolicited
-        The latest alerts and information lines, oldest first.
+        The latest 100 alerts and information lines, oldest first.
     """
 
     def __init__(
@@ -66,120 +66,224 @@ class ZaberChain:
 
     @property
     def lock(self) -> threading.RLock:
-        """Held, nobody else can send."""
+        """While a thread holds it, no other thread can send."""
         return self._link.lock
 
     def command(self, device: int, axis: int, words: str) -> Reply:
-        """Send one request, once: what makes something move is never sent twice.
+        """Send a command, once: a command that moves something must never be sent twice.
 
-        Raises DeviceRefused, ReplyTimeout, ReplyGarbled, PortLost.
+        Parameters
+        ----------
+        device
+            Address of the device; 0 for all.
+        axis
+            Number of the axis on the device; 0 for the device itself.
+        words
+            The command with its parameters, such as ``move abs 50000``.
+
+        Returns
+        -------
+        Reply
+            The device's reply, which accepts the command.
+
+        Raises
+        ------
+        DeviceRefused
+            The device rejects the command.
+        ReplyTimeout, ReplyGarbled
+            No valid reply came.
+        PortLost
+            The port is gone.
         """
-        reply = self._ask(device, axis, words)
+        reply = self._ask_once(device, axis, words)
         if not reply.accepted:
             reason = zaber_protocol.REFUSALS.get(reply.data, reply.data)
             raise DeviceRefused(
                 f"device {device} refuses '{words}': {reason} ({reply.data}).",
                 where=self.name,
-                remedy="See the controller's manual for this command.",
+                remedy="Look this command up in the controller's manual.",
             )
         return reply
 
     def query(self, device: int, axis: int, words: str) -> Reply:
-        """Send a request that does no harm when it is sent again, up to three times in all.
+        """Send a command that does no harm when it is sent twice; repeat it when no valid reply comes.
 
-        Raises as ``command``.
+        Parameters
+        ----------
+        device, axis, words
+            See ``command``.
+
+        Returns
+        -------
+        Reply
+            The device's reply, which accepts the command.
+
+        Raises
+        ------
+        DeviceRefused
+            The device rejects the command.
+        ReplyTimeout, ReplyGarbled
+            No valid reply came at the last attempt.
+        PortLost
+            The port is gone.
         """
         return repeat(lambda: self.command(device, axis, words))
 
-    def number(self, device: int, axis: int, words: str) -> int:
-        """Send a query whose answer is one whole number. Raises as ``command``."""
-        data = self.query(device, axis, words).data
-        return self.whole(data)
+    def query_integer(self, device: int, axis: int, words: str) -> int:
+        """Send a query whose answer is one integer. Raises as ``query``.
 
-    def whole(self, data: str) -> int:
-        """Understand data as one whole number. Raises ReplyGarbled."""
+        Parameters
+        ----------
+        device, axis, words
+            See ``command``.
+
+        Returns
+        -------
+        int
+            The integer.
+        """
+        data = self.query(device, axis, words).data
+        return self.parse_integer(data)
+
+    def parse_integer(self, data: str) -> int:
+        """Parse the data of a reply as one integer.
+
+        Parameters
+        ----------
+        data
+            Data of a reply.
+
+        Returns
+        -------
+        int
+            The integer.
+
+        Raises
+        ------
+        ReplyGarbled
+            The data are no integer; the line is then out of step.
+        """
         if not re.fullmatch(r"-?\d{1,18}", data, re.ASCII):
-            self._link.distrust()
+            self._link.mark_out_of_step()
             raise ReplyGarbled(
-                f"{data!r} where a whole number belongs.", where=self.name, remedy="See the wire log."
+                f"{data!r} came instead of an integer.", where=self.name, remedy="Look into the wire log."
             )
         return int(data)
 
-    def flags(self, device: int, axis: int) -> tuple[str, ...]:
-        """Return all warning flags of an axis. Raises as ``command``."""
+    def query_flags(self, device: int, axis: int) -> tuple[str, ...]:
+        """Ask for all warning flags of an axis. Raises as ``query``.
+
+        Parameters
+        ----------
+        device, axis
+            See ``command``.
+
+        Returns
+        -------
+        tuple of str
+            All active flags.
+        """
         data = self.query(device, axis, "warnings").data
         try:
             return zaber_protocol.parse_flags(data, self.name)
         except ReplyGarbled:
-            self._link.distrust()
+            self._link.mark_out_of_step()
             raise
 
-    def setting(self, device: int, axis: int, name: str) -> int | None:
-        """Return a setting that is a whole number; None when the device has no such setting."""
+    def query_setting(self, device: int, axis: int, name: str) -> int | None:
+        """Ask for a setting that is an integer.
+
+        Parameters
+        ----------
+        device, axis
+            See ``command``.
+        name
+            Name of the setting, such as ``limit.max``.
+
+        Returns
+        -------
+        int or None
+            The value; None when the device refuses the query, because it has no such setting.
+        """
         try:
-            return self.number(device, axis, f"get {name}")
+            return self.query_integer(device, axis, f"get {name}")
         except DeviceRefused:
             return None
 
     def stop_all(self) -> None:
-        """Send one stop to every device on the line, and see that each of ours heard it.
+        """Send one stop to every device on the line, and check that each device of this driver has accepted it.
 
-        Goes out at once, before any resynchronising. Raises ReplyTimeout, PortLost.
+        The stop is sent at once, without resynchronising.
+
+        Raises
+        ------
+        ReplyError
+            A device did not accept the stop at the last attempt.
+        PortLost
+            The port is gone.
         """
         with self._link.lock:
             repeat(self._stop_once)
 
-    def listen(self, seconds: float) -> None:
-        """Wait that long for what comes. A wait that no clock interrupts: for stopping only."""
+    def listen(self, duration_s: float) -> None:
+        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
+
+        Parameters
+        ----------
+        duration_s
+            Longest wait, in seconds.
+        """
         with self._link.lock:
-            self._link.fill(seconds)
+            self._link.receive(duration_s)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._link.close()
 
     def _stop_once(self) -> None:
         message_id = next(self._ids)
-        deaf = set(self._devices)
+        waiting_for = set(self._devices)
 
-        def receive(incoming: Incoming) -> None:
-            while deaf:
+        def read_reply(reader: ReplyReader) -> None:
+            while waiting_for:
                 try:
-                    reply = zaber_protocol.parse_reply(incoming.line(), self.name)
+                    reply = zaber_protocol.parse_reply(reader.read_line(), self.name)
                 except ReplyGarbled:
-                    continue  # an answer to what was asked before, cut in two by the stop
+                    continue  # the reply to an older request, which the stop has cut in two
                 if reply.message_id == message_id and reply.accepted:
-                    deaf.discard(reply.device)
+                    waiting_for.discard(reply.device)
 
         request = zaber_protocol.request(0, 0, message_id, "stop")
-        self._link.exchange(request, receive, deadline_s=_REPLY_S, urgent=True)
+        self._link.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=True)
 
-    def _ask(
+    def _ask_once(
         self, device: int, axis: int, words: str, *, deadline_s: float = _REPLY_S, urgent: bool = False
     ) -> Reply:
         message_id = next(self._ids)
 
-        def receive(incoming: Incoming) -> Reply:
-            reply = zaber_protocol.parse_reply(incoming.line(), self.name)
+        def read_reply(reader: ReplyReader) -> Reply:
+            reply = zaber_protocol.parse_reply(reader.read_line(), self.name)
             if (reply.device, reply.axis, reply.message_id) != (device, axis, message_id):
                 raise ReplyGarbled(
                     f"the answer to another request came: {reply}.",
                     where=self.name,
-                    remedy="See the wire log.",
+                    remedy="Look into the wire log.",
                 )
             return reply
 
         request = zaber_protocol.request(device, axis, message_id, words)
-        return self._link.exchange(request, receive, deadline_s=deadline_s, urgent=urgent)
+        return self._link.exchange(request, read_reply, deadline_s=deadline_s, urgent=urgent)
 
     def _resynchronise(self) -> None:
-        """Wait for silence; then the answer to a fresh id proves that no older one is to come."""
+        """Wait for silence; then the reply to a new message id proves that no older reply is unread."""
 
         def exchange_marker() -> bool:
-            self._ask(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True)
+            self._ask_once(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True)
             return True
 
-        resynchronise(self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LOUD_S, silence_after=False)
+        resynchronise(
+            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S, silence_after=False
+        )
 
     def _take_unsolicited(self, line: bytes) -> bool:
         message = zaber_protocol.parse_unsolicited(line, self.name)

@@ -1,9 +1,11 @@
-"""Knows the words of Zaber's ASCII protocol: requests, replies, checksums, flags. Sends nothing.
+"""Build requests and parse replies of Zaber's ASCII protocol: checksums, warning flags, refusals. Sends nothing.
 
-A request is ``/device axis id words:LRC LF``, its reply
-``@device axis id OK|RJ BUSY|IDLE flag data:LRC CR LF``.
-Unsolicited are alerts (``!``) and information lines (``#``). We always send an id and a checksum, and take
-no reply without them: a controller that leaves the checksum out can garble a position unnoticed.
+A request is ``/device axis id words:LRC LF``, its reply ``@device axis id OK|RJ BUSY|IDLE flag data:LRC CR LF``.
+Alerts (``!``) and information lines (``#``) are unsolicited. This driver always sends a message id and a checksum, and
+takes no reply without them: without a checksum, a garbled position would go unnoticed.
+
+Source: "Zaber ASCII Protocol Manual", https://www.zaber.com/protocol-manual, sections on message formats, message
+checksums and warning flags.
 """
 
 from __future__ import annotations
@@ -14,9 +16,9 @@ from dataclasses import dataclass
 from drivers.errors import ReplyGarbled
 
 UNREFERENCED = frozenset({"WR", "WH"})
-"""Flags of an axis whose counter means nothing yet, or whose calibration is off until it is homed."""
+"""Flags of an axis that has no reference, or whose calibration is off until it is homed."""
 INTERRUPTED = frozenset({"NI", "NC"})
-"""Flags that mean that somebody else took the move over."""
+"""Flags of a move that another command or a knob has interrupted."""
 
 FLAGS = {
     "FF": "critical system error",
@@ -55,7 +57,7 @@ FLAGS = {
     "NJ": "joystick calibrating",
     "NB": "movement limited by bounds",
 }
-"""Warning flags in plain words. F: fault, the driver acted; W: warning; N: note."""
+"""Meanings of the warning flags. F: fault, the controller acted; W: warning; N: note."""
 
 _STOPPING_WARNINGS = frozenset({"WL", "WM"})
 
@@ -74,7 +76,7 @@ REFUSALS = {
     "PARKED": "the axis is parked",
     "STATUSBUSY": "the axis is moving",
 }
-"""Reasons of a rejected command in plain words."""
+"""Meanings of the reasons for which a command is rejected."""
 
 _REPLY = re.compile(
     rb"@(?P<device>\d\d) (?P<axis>\d) (?P<id>\d\d) (?P<verdict>OK|RJ) (?P<state>BUSY|IDLE)"
@@ -87,7 +89,21 @@ _UNSOLICITED = re.compile(
 
 @dataclass(frozen=True)
 class Reply:
-    """A device's answer to one request."""
+    """A device's reply to one request.
+
+    Attributes
+    ----------
+    device, axis, message_id
+        Address, axis and message id of the request.
+    accepted
+        Whether the device accepts the request.
+    busy
+        Whether the axis moves.
+    flag
+        The most urgent warning flag, or "--".
+    data
+        The value asked for, or the reason of a refusal.
+    """
 
     device: int
     axis: int
@@ -95,13 +111,22 @@ class Reply:
     accepted: bool
     busy: bool
     flag: str
-    """The most urgent warning flag, or "--"."""
     data: str
 
 
 @dataclass(frozen=True)
 class Unsolicited:
-    """A line nobody asked for: an alert (kind "!") or an information line (kind "#")."""
+    """A line that answers no request.
+
+    Attributes
+    ----------
+    kind
+        "!" for an alert, "#" for an information line.
+    device, axis
+        Address of the sender.
+    text
+        Text of the message.
+    """
 
     kind: str
     device: int
@@ -110,8 +135,20 @@ class Unsolicited:
 
 
 def checksum(body: bytes) -> int:
-    """Return the LRC: two's complement of the sum of all bytes between the first one and the colon.
+    """Return the LRC of a message: two's complement of the sum of its bytes.
 
+    Parameters
+    ----------
+    body
+        All bytes between the first one of the message and the colon.
+
+    Returns
+    -------
+    int
+        The LRC, 0 to 255.
+
+    Examples
+    --------
     >>> f"{checksum(b'1 1 03 home'):02X}"
     '32'
     """
@@ -119,8 +156,26 @@ def checksum(body: bytes) -> int:
 
 
 def request(device: int, axis: int, message_id: int, words: str = "") -> bytes:
-    r"""Return a request's bytes.
+    r"""Return the bytes of a request.
 
+    Parameters
+    ----------
+    device
+        Address of the device; 0 for all.
+    axis
+        Number of the axis; 0 for the device itself.
+    message_id
+        Message id, 0 to 99.
+    words
+        The command with its parameters; empty for a request that does nothing.
+
+    Returns
+    -------
+    bytes
+        The request with its checksum and line feed.
+
+    Examples
+    --------
     >>> request(1, 1, 5, "move abs 50000")
     b'/1 1 05 move abs 50000:B7\n'
     >>> request(1, 1, 4)
@@ -131,10 +186,27 @@ def request(device: int, axis: int, message_id: int, words: str = "") -> bytes:
 
 
 def parse_reply(line: bytes, where: str = "") -> Reply:
-    r"""Understand a reply line, its CR LF included.
+    r"""Parse a reply.
 
-    Raises ReplyGarbled for anything else, a missing or wrong checksum included; ``where`` is for its message.
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+    where
+        Name of the line, for the message.
 
+    Returns
+    -------
+    Reply
+        Fields of the reply.
+
+    Raises
+    ------
+    ReplyGarbled
+        The line is no reply, or its checksum is missing or wrong.
+
+    Examples
+    --------
     >>> parse_reply(b"@01 0 00 OK IDLE WR 0:BE\r\n").flag
     'WR'
     """
@@ -143,7 +215,7 @@ def parse_reply(line: bytes, where: str = "") -> Reply:
         raise ReplyGarbled(
             f"not a reply of the protocol: {line[:80]!r}.",
             where=where,
-            remedy="If checksums are missing, send the controller 'set comm.checksum 1' once.",
+            remedy="If the checksum is missing, send 'set comm.checksum 1' to the controller once.",
         )
     _check_sum(line, match, where)
     return Reply(
@@ -158,9 +230,24 @@ def parse_reply(line: bytes, where: str = "") -> Reply:
 
 
 def parse_unsolicited(line: bytes, where: str = "") -> Unsolicited | None:
-    r"""Understand an alert or an information line; None for any other line.
+    r"""Parse an alert or an information line.
 
-    Raises ReplyGarbled when its checksum is wrong.
+    Parameters
+    ----------
+    line
+        The line with its CR LF.
+    where
+        Name of the line, for the message.
+
+    Returns
+    -------
+    Unsolicited or None
+        Fields of the message; None for any other line.
+
+    Raises
+    ------
+    ReplyGarbled
+        The checksum is wrong.
     """
     match = _UNSOLICITED.fullmatch(line)
     if match is None:
@@ -175,37 +262,91 @@ def parse_unsolicited(line: bytes, where: str = "") -> Unsolicited | None:
 
 
 def parse_flags(data: str, where: str = "") -> tuple[str, ...]:
-    """Understand the data of a ``warnings`` reply: a count, then that many flags.
+    """Parse the data of a reply to ``warnings``: a count, then that many flags.
 
-    Raises ReplyGarbled.
+    Parameters
+    ----------
+    data
+        Data of the reply.
+    where
+        Name of the line, for the message.
 
+    Returns
+    -------
+    tuple of str
+        The flags.
+
+    Raises
+    ------
+    ReplyGarbled
+        The data have another form.
+
+    Examples
+    --------
     >>> parse_flags("02 WR NI")
     ('WR', 'NI')
     """
     count, *flags = data.split(" ")
     if not re.fullmatch(r"\d\d( [A-Z]{2})*", data) or int(count) != len(flags):
-        raise ReplyGarbled(f"not a list of warning flags: {data!r}.", where=where, remedy="See the wire log.")
+        raise ReplyGarbled(
+            f"not a list of warning flags: {data!r}.", where=where, remedy="Look into the wire log."
+        )
     return tuple(flags)
 
 
 def is_fault(flag: str) -> bool:
-    """Whether an axis that raises this flag must not be moved, and has not arrived anywhere."""
+    """Return whether an axis with this flag must not be moved, and its last move has failed.
+
+    Parameters
+    ----------
+    flag
+        Two letters.
+
+    Returns
+    -------
+    bool
+        True for faults, an unexpected limit and a displacement at rest.
+    """
     return flag.startswith("F") or flag in _STOPPING_WARNINGS
 
 
-def is_history(flag: str) -> bool:
-    """Whether a flag tells what happened, not what is the matter now: a note, manual control aside.
+def is_informational(flag: str) -> bool:
+    """Return whether a flag reports a past event: a note, except manual control.
 
-    >>> is_history("NI"), is_history("NC"), is_history("WT")
+    Parameters
+    ----------
+    flag
+        Two letters.
+
+    Returns
+    -------
+    bool
+        False for a flag that reports a present state.
+
+    Examples
+    --------
+    >>> is_informational("NI"), is_informational("NC"), is_informational("WT")
     (True, False, False)
     """
     return flag.startswith("N") and flag != "NC"
 
 
-def in_words(flag: str) -> str:
-    """Return a flag in plain words.
+def describe_flag(flag: str) -> str:
+    """Return the meaning of a flag.
 
-    >>> in_words("FS")
+    Parameters
+    ----------
+    flag
+        Two letters.
+
+    Returns
+    -------
+    str
+        The meaning, with the flag in parentheses.
+
+    Examples
+    --------
+    >>> describe_flag("FS")
     'stalled and stopped (FS)'
     """
     return f"{FLAGS.get(flag, 'unknown warning')} ({flag})"

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from drivers.errors import ReplyError, ReplyGarbled
-from drivers.link import LONGEST_LINE, Incoming, Link
+from drivers.link import LONGEST_LINE, Link, ReplyReader
 from drivers.stage import zaber_chain
 from drivers.stage.zaber_chain import ZaberChain
 
@@ -66,10 +66,10 @@ def test_a_line_too_long_is_thrown_away_with_its_refusal(scripted, clock) -> Non
     port = scripted([(b"a\n", b"x" * (LONGEST_LINE + 1)), (b"sync\n", b"in step\n"), (b"b\n", b"good\n")])
 
     def resynchronise() -> None:
-        link.exchange(b"sync\n", Incoming.line, deadline_s=0.1, urgent=True)
+        link.exchange(b"sync\n", ReplyReader.read_line, deadline_s=0.1, urgent=True)
 
     link = Link(port, clock=clock, resynchronise=resynchronise)
     with pytest.raises(ReplyGarbled):
-        link.exchange(b"a\n", Incoming.line, deadline_s=0.1)
+        link.exchange(b"a\n", ReplyReader.read_line, deadline_s=0.1)
     assert link.unread == b""
-    assert link.exchange(b"b\n", Incoming.line, deadline_s=0.1) == b"good\n"
+    assert link.exchange(b"b\n", ReplyReader.read_line, deadline_s=0.1) == b"good\n"

@@ -83,7 +83,7 @@ def test_a_move_arrives_where_it_was_sent(homed, peer) -> None:
 # ---------------------------------------------------------------- refused before anything moves
 def test_another_stage_is_refused_and_nothing_is_set(peer, clock) -> None:
     peer.axes[2].identity = "URS75CC, SN9"
-    with pytest.raises(WrongDevice, match="1264 for tilt, but axis 2 says 'URS75CC, SN9'"):
+    with pytest.raises(WrongDevice, match="1264 for tilt, but axis 2 answers 'URS75CC, SN9'"):
         EspStage(peer, axes(), clock=clock)
     assert peer.axes[1].values["VA"] == 1.0
     assert peer.closed
@@ -129,7 +129,7 @@ def test_a_setting_that_reads_back_otherwise_is_refused(peer, clock) -> None:
 def test_a_motor_that_does_not_go_on_is_not_homed(stage, peer) -> None:
     serve = peer.serve
     peer.serve = lambda text: None if text == "1MO" else serve(text)
-    with pytest.raises(MoveFailed, match="the motor does not go on"):
+    with pytest.raises(MoveFailed, match="the motor stays off"):
         stage.home()
     assert peer.motions() == []
 
@@ -219,7 +219,7 @@ def test_a_move_that_goes_wrong_is_noticed_and_all_axes_are_stopped(homed, peer,
 def test_a_restart_is_noticed_by_the_controllers_clock_even_at_its_own_zero(homed, peer) -> None:
     homed.move_to({"pan": 9.0})
     once_moving(peer, lambda: restart_with_motors_on(peer))
-    with pytest.raises(MoveFailed, match="restarted in mid-move"):
+    with pytest.raises(MoveFailed, match="restarted during the move"):
         homed.move_to({"pan": 0.0})
     assert not homed.is_homed()
 

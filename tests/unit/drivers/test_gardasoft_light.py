@@ -115,7 +115,7 @@ def test_a_setting_that_does_not_stick_is_refused_with_both_values(light, peer) 
 
 
 def test_a_channel_that_shines_steadily_is_no_flicker(light) -> None:
-    with pytest.raises(LightFault, match="channel 1 does not pulse"):
+    with pytest.raises(LightFault, match="channel 1 is not in pulse mode"):
         light.read()
 
 
@@ -126,7 +126,7 @@ def test_an_event_is_told_and_darkness_too(light, peer) -> None:
     peer.event = "Evt1,130"
     peer.running = 0
     assert light.faults() == [
-        "the controller reports Evt1,130 (event codes: section 13.5 of its manual)",
+        "the controller reports event Evt1,130 (see section 13.5 of its manual)",
         "the light was switched on, but is off",
     ]
 
@@ -231,7 +231,7 @@ def test_a_steady_light_that_the_controller_holds_lower_is_refused(light, peer) 
     light.apply(LightSettings("steady", high_v=2.5))
     serve = peer.serve
     peer.serve = lambda command: serve("RS1,40.0" if command == "RS1,50.0" else command)
-    with pytest.raises(SettingRefused, match=r"asked to burn steadily at 50\.0 %"):
+    with pytest.raises(SettingRefused, match=r"a steady level of 50\.0 % was asked for"):
         light.on()
 
 

@@ -70,7 +70,7 @@ def test_a_mode_that_does_not_go_off_is_told(clock) -> None:
 
     generator.before = refuse
     light = ScpiLight(generator, clock=clock)
-    with pytest.raises(SettingRefused, match=r"sweep is not taken.*-221"):
+    with pytest.raises(SettingRefused, match=r"sweep is refused.*-221"):
         light.apply(LightSettings(frequency_hz=60.0))
 
 

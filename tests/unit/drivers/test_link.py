@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.errors import PortLost, ReplyGarbled, ReplyTimeout
-from drivers.link import LONGEST_LINE, Incoming, Link
+from drivers.link import LONGEST_LINE, Link, ReplyReader
 
 
 class Resync:
@@ -24,8 +24,8 @@ class Log:
         self.lines.append((t_s, port, direction, data))
 
 
-def line(incoming: Incoming) -> bytes:
-    return incoming.line()
+def line(reader: ReplyReader) -> bytes:
+    return reader.read_line()
 
 
 def make(port, clock, **more) -> tuple[Link, Resync]:
@@ -78,7 +78,7 @@ def test_a_doubled_reply_is_noticed_before_the_next_request(scripted, clock) -> 
 def test_whatever_ends_an_exchange_early_leaves_the_line_out_of_step(scripted, clock) -> None:
     link, resync = make(scripted([(b"a\n", b"1\n"), (b"b\n", b"2\n")]), clock)
 
-    def interrupted(incoming: Incoming) -> None:
+    def interrupted(reader: ReplyReader) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -134,7 +134,7 @@ def test_a_device_that_never_falls_silent_ends_the_draining(clock) -> None:
 
 def test_a_count_of_bytes_can_be_received(scripted, clock) -> None:
     link, _ = make(scripted([(b"geti", b"getixyz")]), clock)
-    assert link.exchange(b"geti", lambda incoming: incoming.exactly(7), deadline_s=1.0) == b"getixyz"
+    assert link.exchange(b"geti", lambda reader: reader.read_exactly(7), deadline_s=1.0) == b"getixyz"
 
 
 def test_every_byte_is_logged_with_its_time_and_direction(scripted, clock) -> None:

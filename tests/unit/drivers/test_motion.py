@@ -51,44 +51,44 @@ def test_not_a_number_is_outside_all_limits() -> None:
 
 def test_a_move_has_arrived_after_two_idle_reads_at_its_target() -> None:
     move = watch()
-    assert not move.look(0.1, 2.0, busy=True)
-    assert not move.look(0.2, 5.0, busy=False)
-    assert move.look(0.3, 5.0005, busy=False)
+    assert not move.update(0.1, 2.0, busy=True)
+    assert not move.update(0.2, 5.0, busy=False)
+    assert move.update(0.3, 5.0005, busy=False)
 
 
 def test_one_idle_read_in_mid_move_decides_nothing() -> None:
     move = watch()
     for tick, busy in enumerate([True, False, True, False, True]):
-        assert not move.look(0.1 * tick, float(tick), busy=busy)
+        assert not move.update(0.1 * tick, float(tick), busy=busy)
 
 
 def test_a_move_that_stops_short_has_failed() -> None:
     move = watch()
-    move.look(0.1, 4.9, busy=False)
+    move.update(0.1, 4.9, busy=False)
     with pytest.raises(
         MoveFailed, match=r"pan: stopped at 4\.9000 deg, -0\.1000 deg from its target 5\.0000 deg"
     ):
-        move.look(0.2, 4.9, busy=False)
+        move.update(0.2, 4.9, busy=False)
 
 
 def test_an_axis_that_is_busy_without_progress_has_failed() -> None:
     move = watch()
-    move.look(0.1, 2.0, busy=True)
-    move.look(1.0, 2.0, busy=True)
+    move.update(0.1, 2.0, busy=True)
+    move.update(1.0, 2.0, busy=True)
     with pytest.raises(MoveFailed, match=r"busy without progress for 1 s, at 2\.0000 deg"):
-        move.look(1.2, 2.0, busy=True)
+        move.update(1.2, 2.0, busy=True)
 
 
 def test_an_axis_that_creeps_for_ever_meets_its_deadline() -> None:
     move = watch()
     for tick in range(41):
-        assert not move.look(0.1 * tick, 0.001 * tick, busy=True)
+        assert not move.update(0.1 * tick, 0.001 * tick, busy=True)
     with pytest.raises(MoveTimeout, match=r"still moving after 4\.0 s"):
-        move.look(4.1, 0.1, busy=True)
+        move.update(4.1, 0.1, busy=True)
 
 
 def test_a_search_for_the_reference_ends_wherever_it_ends() -> None:
     search = watch(None)
-    search.look(0.1, -3.0, busy=True)
-    search.look(0.2, 0.0, busy=False)
-    assert search.look(0.3, 0.0, busy=False)
+    search.update(0.1, -3.0, busy=True)
+    search.update(0.2, 0.0, busy=False)
+    assert search.update(0.3, 0.0, busy=False)

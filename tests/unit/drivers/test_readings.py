@@ -3,12 +3,12 @@
 import pytest
 
 from drivers.errors import ReplyGarbled
-from drivers.readings import Reading, agreeing, agreeing_position
+from drivers.readings import Reading, read_position_until_agreed, read_until_agreed
 
 
 def position(readings: list[tuple[float, float, bool]]) -> float:
     told = iter(readings)
-    return agreeing_position(
+    return read_position_until_agreed(
         lambda: Reading(*next(told)),
         tolerance_deg=0.01,
         speed_deg_s=10.0,
@@ -19,13 +19,13 @@ def position(readings: list[tuple[float, float, bool]]) -> float:
 
 def test_two_equal_readings_are_believed() -> None:
     values = iter([1, 2, 1, 1, 9])
-    assert agreeing(lambda: next(values), what="it", where="port") == 1
+    assert read_until_agreed(lambda: next(values), what="it", where="port") == 1
 
 
 def test_readings_that_never_agree_are_refused() -> None:
     values = iter(range(10))
     with pytest.raises(ReplyGarbled, match="port: 5 readings of it do not agree"):
-        agreeing(lambda: next(values), what="it", where="port")
+        read_until_agreed(lambda: next(values), what="it", where="port")
 
 
 def test_a_standing_axis_is_believed_at_the_second_equal_reading() -> None:

@@ -41,7 +41,7 @@ def test_identity_is_what_the_generator_says(light) -> None:
 
 def beside_modes(generator: Generator, dialect: DialectName) -> list[str]:
     """Commands that it was sent, those aside that end what somebody may have left on."""
-    ended = {command for _, command in DIALECTS[dialect].plain()}
+    ended = {command for _, command in DIALECTS[dialect].reset_modes()}
     return [command for command in generator.commands() if command not in ended]
 
 
@@ -83,7 +83,7 @@ def test_levels_are_set_in_an_order_that_never_crosses_them(light, generator, lo
 
 def test_a_clipped_value_with_an_error_is_refused(light, generator) -> None:
     generator.highest_hz = 50.0
-    with pytest.raises(SettingRefused, match=r'frequency is not taken: .FREQ 60. .*-222 "Data out of range"'):
+    with pytest.raises(SettingRefused, match=r'frequency is refused: .FREQ 60. .*-222 "Data out of range"'):
         light.apply(FLICKER)
 
 
@@ -198,7 +198,7 @@ def test_off_goes_out_before_the_line_comes_into_step(light, generator) -> None:
 
 def test_another_waveform_is_told_not_taken_for_one_of_ours(light, generator) -> None:
     generator.values["FUNC"] = "RAMP"
-    with pytest.raises(LightFault, match="makes 'RAMP'"):
+    with pytest.raises(LightFault, match="waveform is 'RAMP'"):
         light.read()
 
 
@@ -262,14 +262,14 @@ def test_a_silent_port_is_refused(scripted, clock) -> None:
 def test_a_query_the_instrument_does_not_know_is_told_in_its_words(generator, clock) -> None:
     line = ScpiLine(generator, clock=clock)
     with pytest.raises(DriverError, match=r'FLICKER\? is refused: -113 "Undefined header"'):
-        line.ask("FLICKER?")
+        line.query("FLICKER?")
 
 
 def test_an_error_queue_that_never_ends_is_given_up(generator, clock) -> None:
     line = ScpiLine(generator, clock=clock)
     generator.answer = lambda header: '-222,"Data out of range"'
     with pytest.raises(ReplyError, match="never ends"):
-        line.errors()
+        line.read_errors()
 
 
 def test_closing_switches_nothing(light, generator) -> None:

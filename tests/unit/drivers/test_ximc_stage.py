@@ -77,7 +77,7 @@ def test_a_status_is_taken_apart() -> None:
     assert status.running
     assert status.homed
     assert status.command == "move"
-    assert status.troubles == ["alarm"]
+    assert status.faults == ["alarm"]
 
 
 def test_settings_keep_what_they_do_not_change() -> None:
@@ -191,7 +191,7 @@ def test_a_motor_that_is_no_stepper_is_refused(peers, clock) -> None:
 def test_a_setting_that_reads_back_otherwise_is_refused(peers, clock) -> None:
     answer = peers[0].answer
     peers[0].answer = lambda command, data: b"" if command == "smov" else answer(command, data)
-    with pytest.raises(DeviceRefused, match="speed and acceleration read back otherwise"):
+    with pytest.raises(DeviceRefused, match="speed and acceleration read back differently"):
         XimcStage(peers, axes(), clock=clock)
 
 
@@ -237,9 +237,9 @@ def fail(peer: XimcPeer) -> None:
     ("event", "message"),
     [
         (XimcPeer.halt, "pan: stopped at .* from its target 9"),
-        (restart, "pan: the controller lost its reference in mid-move"),
+        (restart, "pan: the controller lost its reference during the move"),
         (raise_alarm, "pan: alarm"),
-        (fail, "pan: the controller says that its move failed"),
+        (fail, "pan: the controller reports that its move failed"),
         (lambda peer: peer.go(0.0, 3), r"pan: interrupted by another command \(left\)"),
         (lambda peer: setattr(peer, "busy", lambda: True), "busy without progress"),
         (lambda peer: setattr(peer, "busy", lambda: False), "stopped at"),

@@ -8,7 +8,7 @@ from drivers.errors import ReplyGarbled
 from drivers.stage.zaber_protocol import (
     FLAGS,
     checksum,
-    in_words,
+    describe_flag,
     is_fault,
     parse_flags,
     parse_reply,
@@ -126,7 +126,7 @@ def test_faults_are_those_an_axis_must_not_be_moved_with() -> None:
     assert is_fault("FX")
     assert is_fault("WM")
     assert not any(map(is_fault, ["--", "NI", "WR", "WT"]))
-    assert in_words("ZZ") == "unknown warning (ZZ)"
+    assert describe_flag("ZZ") == "unknown warning (ZZ)"
 
 
 def test_the_checksum_makes_the_sum_of_all_bytes_zero() -> None:

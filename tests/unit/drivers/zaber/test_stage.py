@@ -109,7 +109,7 @@ def test_closing_gives_the_port_back(stage, peer) -> None:
 # ---------------------------------------------------------------- refused before anything moves
 def test_another_serial_number_is_refused_and_nothing_is_set(peer, clock) -> None:
     peer.tilt.settings["system.serial"] = "999999"
-    with pytest.raises(WrongDevice, match="100102 for tilt, but device 2 says 999999"):
+    with pytest.raises(WrongDevice, match="100102 for tilt, but device 2 has 999999"):
         ZaberStage(peer, axes(), clock=clock)
     assert not any(b" set " in line for line in peer.sent)
     assert peer.closed
@@ -139,7 +139,7 @@ def test_an_axis_with_a_fault_is_not_moved_until_it_is_homed_again(homed, peer, 
 
 def test_an_axis_that_somebody_else_moves_is_left_alone(homed, peer) -> None:
     peer.pan.go(9000.0)
-    with pytest.raises(MoveFailed, match="moving already"):
+    with pytest.raises(MoveFailed, match="already moving"):
         homed.move_to({"pan": 1.0})
     assert peer.motions() == []
 
@@ -160,7 +160,7 @@ def test_limits_beyond_the_controllers_travel_are_refused(peer, clock) -> None:
 
 def test_a_scale_that_is_not_the_controllers_is_refused(peer, clock) -> None:
     peer.tilt.settings["limit.cycle.dist"] = str(360 * SCALE * 2)
-    with pytest.raises(OutsideLimits, match="360000 microsteps a turn, the controller says 720000"):
+    with pytest.raises(OutsideLimits, match="360000 microsteps a turn, the controller has 720000"):
         ZaberStage(peer, axes(), clock=clock)
 
 
