@@ -18,11 +18,11 @@ from typing import Any
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_messages import BatchMessages
-from bench.batch.batch_plan import planned_s
-from bench.batch.batch_record import BatchEvent, BatchRecord, going_on_text
+from bench.batch.batch_plan import planned_duration_s
+from bench.batch.batch_record import BatchEvent, BatchRecord, resume_text
 from bench.batch.batch_requests import Desk, Request, refusal
 from bench.batch.batch_summary import RUNS, write_summary
-from bench.batch.schedule import NEVER_S, Item, choose
+from bench.batch.schedule import NEVER_S, Item, choose_next
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.records.folder_lock import lock_folder
 from bench.records.history import History, replay
@@ -34,10 +34,10 @@ from bench.records.unsynced_journal import UnsyncedJournal
 from sequences.queue import Queue
 from sequences.reader import Located, check_document
 
-LOOK_S = 1.0
+WAIT_POLL_S = 1.0
 """While the batch waits for a time, it looks so often whether a job was added."""
 
-Work = Callable[[Item, Path, Path], WorkerEnd]
+RunWork = Callable[[Item, Path, Path], WorkerEnd]
 """Runs an item in its run folder to its end; what it says goes to a log file."""
 
 
@@ -66,15 +66,15 @@ class Batch:
         queue: Located[Queue],
         clock: BenchClock,
         say: Callable[[str], None],
-        work: Work | None = None,
+        work: RunWork | None = None,
         *,
         rehearsal: bool = False,
     ) -> None:
         self.folder = folder.absolute()
         self._queue, self._clock, self._say = queue, clock, say
-        self._work = work or self._in_a_process
+        self._work = work or self._run_in_process
         self._rehearsal = rehearsal
-        self._look_s = NEVER_S if rehearsal else LOOK_S
+        self._look_s = NEVER_S if rehearsal else WAIT_POLL_S
         self._record = BatchRecord(queue.value)
         self._lock = threading.RLock()
         self._messages = BatchMessages(clock, say)
@@ -104,7 +104,7 @@ class Batch:
             opened = kind.open if path.exists() else kind.create
             with opened(path, **clocks) as journal:
                 self._journal = journal
-                self._held()
+                self._run_locked()
             return write_summary(self.folder, self._record)
         finally:
             self._messages.close()
@@ -121,14 +121,14 @@ class Batch:
                 remedy="Choose another --output.",
             )
 
-    def _held(self) -> None:
+    def _run_locked(self) -> None:
         for entry in self._journal.entries:
-            self._record.take(entry)
+            self._record.apply(entry)
         if self._record.begun is None:
             said: dict[str, Any] = {"rehearsal": True} if self._rehearsal else {}
-            self._tell(BatchEvent.BEGUN, queue=self._queue.value.name, files=self._files(), **said)
+            self._journal_event(BatchEvent.BEGUN, queue=self._queue.value.name, files=self._files(), **said)
         else:
-            self._say(going_on_text(self._record))
+            self._say(resume_text(self._record))
         if self._record.rehearsal != self._rehearsal:
             raise RunFolderError(
                 "A rehearsed batch and a real one never go on in one folder.",
@@ -137,15 +137,15 @@ class Batch:
             )
         self._begun_s = self._clock.monotonic() - max(0.0, self._record.seconds(self._clock.utc_now()))
         if not self._rehearsal:
-            self._messages.hear(job.station for job in self._queue.value.jobs)
+            self._messages.add_recipients(job.station for job in self._queue.value.jobs)
         desk = Desk(self.folder, self._answer, self._clock)
         desk.drain()
         desk.watch()
         try:
-            how, why = self._all()
+            how, why = self._run_all()
         finally:
             desk.close()
-        self._tell(BatchEvent.ENDED, how=how, why=why)
+        self._journal_event(BatchEvent.ENDED, how=how, why=why)
         if not self._rehearsal:
             runs = [
                 f"{key}: {end.how}{': ' if end.why else ''}{end.why}"
@@ -162,42 +162,44 @@ class Batch:
         names = [(w, f) for a, b in pairs for w, f in ((a.sequence, b.sequence), (a.station, b.station))]
         return {said: meant for said, meant in names if said != meant}
 
-    def _tell(self, event: BatchEvent, **data: Any) -> None:
+    def _journal_event(self, event: BatchEvent, **data: Any) -> None:
         with self._lock:
-            self._record.take(self._journal.append(event, **data))
+            self._record.apply(self._journal.append(event, **data))
 
     def _answer(self, request: Request | None, name: str) -> None:
         """Decide on a request, once, and journal it."""
         with self._lock:
             if request is None:
-                self._tell(BatchEvent.REQUESTED, id=name, word="unknown", taken=False, why="it is no request")
+                self._journal_event(
+                    BatchEvent.REQUESTED, id=name, word="unknown", taken=False, why="it is no request"
+                )
             elif request.id not in self._record.answered:
                 try:
                     why = refusal(request, self._record)
                 except Exception as error:  # noqa: BLE001 - a request that nobody foresaw must not end the night
                     why = f"it cannot be judged: {type(error).__name__}: {error}"
                 said = request.model_dump(exclude={"format"}, exclude_none=True)
-                self._tell(BatchEvent.REQUESTED, **said, taken=not why, why=why)
+                self._journal_event(BatchEvent.REQUESTED, **said, taken=not why, why=why)
                 what = request.name or (request.job.name if request.job else "")
                 self._say(f"{request.word} {what} by {request.by}: {why or 'taken'}")
 
-    def _next(self) -> Item | float | None:
+    def _choose_next(self) -> Item | float | None:
         with self._lock:
             record = self._record
             at_s = self._clock.monotonic() - self._begun_s
-            return choose(
-                record.undone(),
+            return choose_next(
+                record.pending(),
                 at_s,
                 record.bounds,
-                lambda item: record.lasts_s(item, planned_s(item.job)),
+                lambda item: record.expected_duration_s(item, planned_duration_s(item.job)),
             )
 
-    def _all(self) -> tuple[str, str]:
+    def _run_all(self) -> tuple[str, str]:
         """Do run after run; say how that ended, and why."""
         told_wait = False
         try:
-            self._take_over()
-            while (found := self._next()) is not None:
+            self._recover_last_run()
+            while (found := self._choose_next()) is not None:
                 if not isinstance(found, Item):
                     if not told_wait:
                         self._say(f"waiting until {self._time_after(found)}")
@@ -205,15 +207,15 @@ class Batch:
                     self._clock.sleep(min(found + 0.01, self._look_s))
                     continue
                 told_wait = False
-                self._one(found)
+                self._run_item(found)
                 end = self._record.ends[found.key]
                 if end.how != "finished" and self._record.is_done(found) and found.job.on_failure == "stop":
                     return "stopped", f"{found.key} failed, and the queue says to stop then"
         except Aborted as stop:
             return "aborted", stop.reason
-        if undone := self._record.undone():
-            left = ", ".join(item.key for item in undone[:5]) + (" ..." if len(undone) > 5 else "")
-            return "stopped", f"no time was left for {len(undone)} runs: {left}"
+        if pending := self._record.pending():
+            left = ", ".join(item.key for item in pending[:5]) + (" ..." if len(pending) > 5 else "")
+            return "stopped", f"no time was left for {len(pending)} runs: {left}"
         failed = [key for key, end in self._record.ends.items() if end.how != "finished"]
         return ("finished", "") if not failed else ("failed", f"without a result: {', '.join(failed)}")
 
@@ -222,10 +224,10 @@ class Batch:
         moment = self._record.moment(self._clock.monotonic() - self._begun_s + wait_s)
         return f"{moment.astimezone(self._queue.value.tzinfo):%a %H:%M %Z}"
 
-    def _one(self, item: Item) -> None:
+    def _run_item(self, item: Item) -> None:
         """Begin a run, or take it up again, and wait for its end."""
         run, record, unreadable = self.folder / RUNS / item.key, self._record, ""
-        self._wait_for_its_end(item, run)
+        self._wait_for_orphan(item, run)
         if is_sealed(run):  # done, but cut off before that was told
             self._end(item, WorkerEnd("finished", ""))
             return
@@ -235,21 +237,23 @@ class Batch:
         except BenchError as error:  # one folder that cannot be read must not end the night
             unreadable, recorded = str(error), record.recorded.get(item.key, 0)
         again = (run / JOURNAL).exists()
-        attempt = record.tries.get(item.key, 0) + 1
-        self._tell(BatchEvent.ITEM_BEGUN, item=item.key, again=again, attempt=attempt, recorded=recorded)
+        attempt = record.attempts.get(item.key, 0) + 1
+        self._journal_event(
+            BatchEvent.ITEM_BEGUN, item=item.key, again=again, attempt=attempt, recorded=recorded
+        )
         if unreadable:
             self._end(item, WorkerEnd("failed", unreadable))
             return
         self._say(f"{item.key}: {'taken up again' if again else 'begun'}")
         self._end(item, self._work(item, run, self.folder / RUNS / f"{item.key}.log"))
 
-    def _take_over(self) -> None:
+    def _recover_last_run(self) -> None:
         """See to the run that was at work when the process before this one died: before any other is begun."""
-        item = self._record.items.get(self._record.at_work)
+        item = self._record.items.get(self._record.current_run)
         if item is None:
             return
         run = self.folder / RUNS / item.key
-        hung = self._wait_for_its_end(item, run)
+        hung = self._wait_for_orphan(item, run)
         if is_sealed(run):
             self._end(item, WorkerEnd("finished", ""))
         elif not hung and not _has_ended(run):
@@ -258,7 +262,7 @@ class Batch:
                 self._say(f"CHECK THE BENCH: {fault}")
             self._alarm(item, WorkerEnd("died", "together with what watched it", 0.0, unsafe))
 
-    def _wait_for_its_end(self, item: Item, run: Path) -> bool:
+    def _wait_for_orphan(self, item: Item, run: Path) -> bool:
         """Watch whoever works on a run already: it outlived its supervisor. Tell whether it hung."""
         silent_s = adopt(run, self._clock, self._say) if run.is_dir() else 0.0
         if silent_s:
@@ -266,7 +270,7 @@ class Batch:
         return silent_s > 0.0
 
     def _end(self, item: Item, end: WorkerEnd) -> None:
-        self._tell(BatchEvent.ITEM_ENDED, item=item.key, **asdict(end))
+        self._journal_event(BatchEvent.ITEM_ENDED, item=item.key, **asdict(end))
         self._alarm(item, end)
 
     def _alarm(self, item: Item, end: WorkerEnd) -> None:
@@ -276,12 +280,12 @@ class Batch:
             run = self.folder / RUNS / item.key
             self._messages.run_ended(item.key, item.job.station, run, end, self._journal.head)
 
-    def _in_a_process(self, item: Item, run: Path, log: Path) -> WorkerEnd:
-        command = [sys.executable, "-m", "bench", *command_of(item, run)]
+    def _run_in_process(self, item: Item, run: Path, log: Path) -> WorkerEnd:
+        command = [sys.executable, "-m", "bench", *worker_command(item, run)]
         return supervise(command, run, log, self._clock, self._say)
 
 
-def command_of(item: Item, run: Path) -> list[str]:
+def worker_command(item: Item, run: Path) -> list[str]:
     """Say the command that begins a run, or takes it up again where its folder has a journal."""
     if (run / JOURNAL).exists():
         return ["resume", str(run)]

@@ -23,7 +23,7 @@ from bench.stations.station import load_station
 from bench.stations.station_messages import MessagesConfig
 from sequences.errors import DocumentFaults
 
-TOLD_BY_BATCH = frozenset({"died", "hung", "failed"})
+REPORTED_BY_BATCH = frozenset({"died", "hung", "failed"})
 
 
 class BatchMessages:
@@ -59,15 +59,15 @@ class BatchMessages:
             Hash of the batch's line that tells of it.
         """
         courier = self._courier(station)
-        if courier is None or end.how not in TOLD_BY_BATCH:
+        if courier is None or end.how not in REPORTED_BY_BATCH:
             return
         what = f"{end.how}{': ' if end.why else ''}{end.why}"
-        text = _how_it_stands(run)
+        text = _status_of(run)
         if end.how != "failed":
             made_safe = end.unsafe or ["The stage it had is stopped, its light is off."]
             text = "\n".join([f"Its process {what}", *made_safe, "", text])
         subject = f"Starbench: run {key} {what}"
-        said_by_itself = _head(run) if end.how == "failed" else ""
+        said_by_itself = _journal_head(run) if end.how == "failed" else ""
         courier.write("failure", subject, text, run=key, folder=run, key=said_by_itself or line)
 
     def batch_ended(
@@ -86,7 +86,7 @@ class BatchMessages:
                 key=line,
             )
 
-    def hear(self, stations: Iterable[str]) -> None:
+    def add_recipients(self, stations: Iterable[str]) -> None:
         """Get to know who hears of the runs on these stations."""
         for station in stations:
             self._courier(station)
@@ -111,14 +111,14 @@ class BatchMessages:
         return Courier(messages, Outbox(home_folder()), self._clock, self._say)
 
 
-def _how_it_stands(run: Path) -> str:
+def _status_of(run: Path) -> str:
     try:
         return status_text(read_status(run))
     except BenchError as error:
         return str(error)
 
 
-def _head(run: Path) -> str:
+def _journal_head(run: Path) -> str:
     """Hash of the last line of a run's journal; empty where there is none."""
     try:
         entries, _ = read_journal(run / JOURNAL)

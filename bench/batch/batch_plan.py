@@ -46,7 +46,7 @@ def read_queue(path: Path) -> Located[Queue]:
         read = read_document(path, Queue)
     except DocumentFaults as error:
         raise ScriptError([str(fault) for fault in error.faults]) from error
-    jobs = [_in_full(job, path.parent) for job in read.value.jobs]
+    jobs = [_resolve_files(job, path.parent) for job in read.value.jobs]
     queue = dataclasses.replace(read, value=read.value.model_copy(update={"jobs": jobs}))
     pairs = {_key(job): job for job in queue.value.jobs}
     faults = [fault for job in pairs.values() for fault in job_faults(job)]
@@ -64,7 +64,7 @@ def read_job(path: Path) -> JobConfig:
         With every fault.
     """
     try:
-        job = _in_full(read_document(path, JobFile).value.job(), path.parent)
+        job = _resolve_files(read_document(path, JobFile).value.job(), path.parent)
     except DocumentFaults as error:
         raise ScriptError([str(fault) for fault in error.faults]) from error
     if faults := job_faults(job):
@@ -72,7 +72,7 @@ def read_job(path: Path) -> JobConfig:
     return job
 
 
-def _in_full(job: JobConfig, base: Path) -> JobConfig:
+def _resolve_files(job: JobConfig, base: Path) -> JobConfig:
     """Name the files of a job so that they are found from anywhere: beside the file that names them, or from here."""
     names = {}
     for key in ("sequence", "station"):
@@ -108,7 +108,7 @@ def _plan_of(sequence: str, station: str, settings: tuple[tuple[str, str], ...])
     return make_plan(*load_documents(sequence, station, dict(settings)))
 
 
-def planned_s(job: JobConfig) -> float:
+def planned_duration_s(job: JobConfig) -> float:
     """Expected duration of one run of a job, its process included, s; nothing where its files cannot be read."""
     try:
         return plan_of(job).duration_s + WORKER_S
@@ -117,7 +117,7 @@ def planned_s(job: JobConfig) -> float:
 
 
 @dataclass(frozen=True)
-class NightPlan:
+class BatchPlan:
     """A batch before it is run.
 
     Attributes
@@ -146,7 +146,7 @@ class NightPlan:
         return self.moment(max((slot.end_s for slot in self.slots if slot.end_s is not None), default=0.0))
 
     @property
-    def cut(self) -> tuple[Item, ...]:
+    def without_time(self) -> tuple[Item, ...]:
         """Runs for which there is no time."""
         return tuple(slot.item for slot in self.slots if slot.begin_s is None)
 
@@ -161,14 +161,14 @@ class NightPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Give it as JSON carries it; times in UTC."""
-        cut = {item.key for item in self.cut}
+        without_time = {item.key for item in self.without_time}
         return {
             "schema": "starbench/night/1",
             "queue": self.queue.name,
             "begin_utc": self.begun.isoformat(),
             "opens_utc": self.moment(self.bounds.opens_s).isoformat(),
             "end_utc": self.end.isoformat(),
-            "runs": len(self.slots) - len(cut),
+            "runs": len(self.slots) - len(without_time),
             "size_bytes": self.size_bytes,
             "items": [
                 {
@@ -178,11 +178,11 @@ class NightPlan:
                 }
                 for slot in self.slots
             ],
-            "no_time_for": sorted(cut),
+            "no_time_for": sorted(without_time),
         }
 
 
-def plan_night(queue: Queue, begun: datetime) -> NightPlan:
+def plan_batch(queue: Queue, begun: datetime) -> BatchPlan:
     """Say when each run of a queue would begin and end, were the batch begun at a moment.
 
     Raises
@@ -192,5 +192,5 @@ def plan_night(queue: Queue, begun: datetime) -> NightPlan:
     """
     bounds = bounds_of(queue, begun)
     items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)
-    slots = look_ahead(items, 0.0, bounds, lambda item: planned_s(item.job))
-    return NightPlan(queue, begun, bounds, tuple(slots), {job.name: plan_of(job) for job in queue.jobs})
+    slots = look_ahead(items, 0.0, bounds, lambda item: planned_duration_s(item.job))
+    return BatchPlan(queue, begun, bounds, tuple(slots), {job.name: plan_of(job) for job in queue.jobs})

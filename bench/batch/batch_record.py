@@ -37,7 +37,7 @@ class BatchEvent(StrEnum):
 
 
 @dataclass(frozen=True)
-class Try:
+class RunAttempt:
     """One try of a run: from when to when its worker worked, and how that ended."""
 
     begun: datetime
@@ -45,7 +45,7 @@ class Try:
     how: str
 
     @property
-    def took_s(self) -> float:
+    def duration_s(self) -> float:
         """How long, s."""
         return (self.ended - self.begun).total_seconds()
 
@@ -62,7 +62,7 @@ class ItemEnd:
 
 @dataclass
 class BatchRecord:
-    """A batch so far; ``take`` keeps it up to date, line by line."""
+    """A batch so far; ``apply`` keeps it up to date, line by line."""
 
     queue: Queue
     begun: datetime | None = None
@@ -73,18 +73,18 @@ class BatchRecord:
     """Every run there is or was, by its name."""
     withdrawn: set[str] = field(default_factory=set)
     """Runs that were withdrawn before they began."""
-    tries: dict[str, int] = field(default_factory=dict)
-    in_vain: dict[str, int] = field(default_factory=dict)
+    attempts: dict[str, int] = field(default_factory=dict)
+    attempts_without_progress: dict[str, int] = field(default_factory=dict)
     """Tries of a run in a row before which no further pose had been recorded."""
     recorded: dict[str, int] = field(default_factory=dict)
     """Poses that a run had recorded when it was begun last."""
     ends: dict[str, ItemEnd] = field(default_factory=dict)
     begun_at: dict[str, datetime] = field(default_factory=dict)
     """When each run was begun first."""
-    at_work: str = ""
+    current_run: str = ""
     """The run at work; empty between runs."""
-    at_work_since: datetime | None = None
-    ended_tries: dict[str, list[Try]] = field(default_factory=dict)
+    current_since: datetime | None = None
+    ended_attempts: dict[str, list[RunAttempt]] = field(default_factory=dict)
     answered: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     """What became of each request, by its id."""
     ended: str = ""
@@ -97,7 +97,7 @@ class BatchRecord:
             found.setdefault(item.job.name, []).append(item)
         return found
 
-    def undone(self) -> list[Item]:
+    def pending(self) -> list[Item]:
         """List the runs that are still to be done, or to be taken up again."""
         return [item for item in self.items.values() if not self.is_done(item)]
 
@@ -110,25 +110,25 @@ class BatchRecord:
             return False
         if end.how in {"finished", "aborted"}:  # whoever aborted a run does not want it taken up again
             return True
-        return self.in_vain.get(item.key, 0) >= item.job.attempts
+        return self.attempts_without_progress.get(item.key, 0) >= item.job.attempts
 
-    def lasts_s(self, item: Item, planned_s: float) -> float:
+    def expected_duration_s(self, item: Item, planned_duration_s: float) -> float:
         """Expect a run to take as long as others of its job took; before there are such, as planned."""
         took = [
-            self.ended_tries[key][0].took_s
+            self.ended_attempts[key][0].duration_s
             for key, end in self.ends.items()
             if end.how == "finished"
-            and self.tries.get(key) == 1
+            and self.attempts.get(key) == 1
             and self.items[key].job.name == item.job.name
         ]
-        return fmean(took) if took else planned_s
+        return fmean(took) if took else planned_duration_s
 
     def withdrawable(self, job: str) -> list[Item]:
         """List the runs of a job that have not begun."""
         return [
             item
             for item in self.jobs().get(job, [])
-            if item.key not in self.tries and item.key not in self.withdrawn
+            if item.key not in self.attempts and item.key not in self.withdrawn
         ]
 
     def seconds(self, moment: datetime) -> float:
@@ -136,7 +136,7 @@ class BatchRecord:
         assert self.begun is not None
         return (moment - self.begun).total_seconds()
 
-    def take(self, entry: Entry) -> None:
+    def apply(self, entry: Entry) -> None:
         """Take a line of the journal.
 
         Raises
@@ -145,14 +145,14 @@ class BatchRecord:
             When it lacks what it must carry.
         """
         try:
-            self._take(entry, datetime.fromisoformat(entry.utc))
+            self._apply(entry, datetime.fromisoformat(entry.utc))
         except (KeyError, TypeError, ValueError, ValidationError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} ({entry.event}) of the batch lacks something: {error}.",
                 remedy="This journal was written by another program or version.",
             ) from error
 
-    def _take(self, entry: Entry, now: datetime) -> None:
+    def _apply(self, entry: Entry, now: datetime) -> None:
         data = entry.data
         match entry.event:
             case BatchEvent.BEGUN:
@@ -161,7 +161,7 @@ class BatchRecord:
                 files = data.get("files", {})
                 self._add(
                     items_of(
-                        [_meant(job, files) for job in self.queue.jobs],
+                        [_with_files(job, files) for job in self.queue.jobs],
                         now,
                         self.bounds.opens_s,
                         self.queue.zone,
@@ -171,7 +171,7 @@ class BatchRecord:
                 key = data["item"]
                 self._count_try(key, data.get("recorded", 0))
                 self.begun_at.setdefault(key, now)
-                self.at_work, self.at_work_since = key, now
+                self.current_run, self.current_since = key, now
                 self.ended = self.why = ""
             case BatchEvent.ITEM_ENDED:
                 self._end(data["item"], data["how"], data["why"], now)
@@ -182,16 +182,16 @@ class BatchRecord:
 
     def _count_try(self, key: str, recorded: int) -> None:
         gained = recorded > self.recorded.get(key, 0)
-        self.in_vain[key] = 1 if gained else self.in_vain.get(key, 0) + 1
-        self.tries[key] = self.tries.get(key, 0) + 1
+        self.attempts_without_progress[key] = 1 if gained else self.attempts_without_progress.get(key, 0) + 1
+        self.attempts[key] = self.attempts.get(key, 0) + 1
         self.recorded[key] = recorded
 
     def _end(self, key: str, how: str, why: str, now: datetime) -> None:
         begun = self.begun_at.get(key, now)
         self.ends[key] = ItemEnd(how, why, begun, now)
-        since = self.at_work_since if self.at_work == key and self.at_work_since else now
-        self.ended_tries.setdefault(key, []).append(Try(since, now, how))
-        self.at_work, self.at_work_since = "", None
+        since = self.current_since if self.current_run == key and self.current_since else now
+        self.ended_attempts.setdefault(key, []).append(RunAttempt(since, now, how))
+        self.current_run, self.current_since = "", None
 
     def _answer(self, data: Mapping[str, Any], now: datetime) -> None:
         self.answered[data["id"]] = data
@@ -214,24 +214,24 @@ class BatchRecord:
         return self.begun + timedelta(seconds=at_s)
 
 
-def _meant(job: JobConfig, files: Mapping[str, str]) -> JobConfig:
+def _with_files(job: JobConfig, files: Mapping[str, str]) -> JobConfig:
     """Name a job's files as the batch was begun with."""
     names = {key: files.get(getattr(job, key), getattr(job, key)) for key in ("sequence", "station")}
     return job.model_copy(update=names)
 
 
-def going_on_text(record: BatchRecord) -> str:
+def resume_text(record: BatchRecord) -> str:
     """Say what a batch that was cut off, or has ended, will do when it is called again."""
-    undone = record.undone()
-    again = [item.key for item in undone if item.key in record.tries]
-    fresh = [item.key for item in undone if item.key not in record.tries]
-    said = [f"{len(record.items) - len(undone)} of {len(record.items)} runs are done with"]
+    pending = record.pending()
+    again = [item.key for item in pending if item.key in record.attempts]
+    fresh = [item.key for item in pending if item.key not in record.attempts]
+    said = [f"{len(record.items) - len(pending)} of {len(record.items)} runs are done with"]
     said += [f"to take up again: {', '.join(again)}"] if again else []
-    said += [f"to begin: {_few(fresh)}"] if fresh else []
+    said += [f"to begin: {_shortened(fresh)}"] if fresh else []
     return f"{record.queue.name} goes on: {'; '.join(said)}."
 
 
-def _few(keys: list[str], most: int = 8) -> str:
+def _shortened(keys: list[str], most: int = 8) -> str:
     more = f" and {len(keys) - most} more" if len(keys) > most else ""
     return ", ".join(keys[:most]) + more
 
@@ -240,5 +240,5 @@ def replay_batch(queue: Queue, entries: Iterable[Entry]) -> BatchRecord:
     """Replay a batch's journal. Raises JournalBroken."""
     record = BatchRecord(queue)
     for entry in entries:
-        record.take(entry)
+        record.apply(entry)
     return record

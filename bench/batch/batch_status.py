@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
-from bench.batch.batch_plan import planned_s
+from bench.batch.batch_plan import planned_duration_s
 from bench.batch.batch_record import BatchRecord
 from bench.batch.batch_summary import RUNS, read_batch
 from bench.batch.schedule import Item, look_ahead
@@ -24,11 +24,11 @@ from bench.records.storage import storage_errors
 from bench.run.status import read_status
 
 FOLLOW_S = 1.0
-_MOST_COMING = 12
+_MOST_UPCOMING = 12
 
 
 @dataclass(frozen=True)
-class Coming:
+class UpcomingRun:
     """A run that is under way or to come; ``begin`` and ``end`` are None where there is no time for it."""
 
     item: str
@@ -66,14 +66,14 @@ class BatchStatus:
     ended: str
     why: str
     done: tuple[tuple[str, str, str], ...]
-    at_work: str
-    coming: tuple[Coming, ...]
+    current_run: str
+    upcoming: tuple[UpcomingRun, ...]
     withdrawn: tuple[str, ...]
 
     @property
     def end(self) -> datetime | None:
         """When the last run is expected to end; None where nothing is to come."""
-        return max((run.end for run in self.coming if run.end is not None), default=None)
+        return max((run.end for run in self.upcoming if run.end is not None), default=None)
 
     def to_dict(self) -> dict[str, Any]:
         """Give it as JSON carries it; times in UTC."""
@@ -86,10 +86,10 @@ class BatchStatus:
             "ended": self.ended,
             "why": self.why,
             "done": [{"item": item, "how": how, "why": why} for item, how, why in self.done],
-            "at_work": self.at_work,
+            "at_work": self.current_run,
             "coming": [
                 {"item": run.item, "begin_utc": _iso(run.begin), "end_utc": _iso(run.end)}
-                for run in self.coming
+                for run in self.upcoming
             ],
             "withdrawn": list(self.withdrawn),
             "end_utc": _iso(self.end),
@@ -111,7 +111,7 @@ def read_batch_status(
     done = tuple(
         (key, end.how, end.why)
         for key, end in record.ends.items()
-        if record.is_done(record.items[key]) and key != record.at_work
+        if record.is_done(record.items[key]) and key != record.current_run
     )
     return BatchStatus(
         folder=str(folder),
@@ -122,8 +122,8 @@ def read_batch_status(
         ended="" if running else record.ended,
         why="" if running else record.why,
         done=done,
-        at_work=_at_work(folder, record) if running and record.at_work else "",
-        coming=_coming(record, utc_now(), under_way=running),
+        current_run=_current_run_text(folder, record) if running and record.current_run else "",
+        upcoming=_upcoming(record, utc_now(), under_way=running),
         withdrawn=tuple(sorted(record.withdrawn)),
     )
 
@@ -143,27 +143,27 @@ def follow_batch(folder: Path, sleep: Callable[[float], None] = time.sleep) -> I
         sleep(FOLLOW_S)
 
 
-def _coming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[Coming, ...]:
+def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[UpcomingRun, ...]:
     """Look ahead from now on, past the end of the run under way."""
     if record.begun is None or (record.ended and not under_way):
         return ()
 
-    def lasts_s(item: Item) -> float:
-        return record.lasts_s(item, planned_s(item.job))
+    def expected_duration_s(item: Item) -> float:
+        return record.expected_duration_s(item, planned_duration_s(item.job))
 
     at_s, first = record.seconds(now), []
-    undone = record.undone()
-    if record.at_work and under_way:
-        item = record.items[record.at_work]
-        since_s = record.seconds(record.at_work_since or now)
-        at_s = max(at_s, since_s + lasts_s(item))
-        first = [Coming(item.key, record.moment(since_s), record.moment(at_s))]
-        undone = [other for other in undone if other.key != item.key]
-    slots = look_ahead(undone, at_s, record.bounds, lasts_s)
+    pending = record.pending()
+    if record.current_run and under_way:
+        item = record.items[record.current_run]
+        since_s = record.seconds(record.current_since or now)
+        at_s = max(at_s, since_s + expected_duration_s(item))
+        first = [UpcomingRun(item.key, record.moment(since_s), record.moment(at_s))]
+        pending = [other for other in pending if other.key != item.key]
+    slots = look_ahead(pending, at_s, record.bounds, expected_duration_s)
     return (
         *first,
         *(
-            Coming(
+            UpcomingRun(
                 slot.item.key,
                 None if slot.begin_s is None else record.moment(slot.begin_s),
                 None if slot.end_s is None else record.moment(slot.end_s),
@@ -173,14 +173,14 @@ def _coming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[Com
     )
 
 
-def _at_work(folder: Path, record: BatchRecord) -> str:
+def _current_run_text(folder: Path, record: BatchRecord) -> str:
     try:
-        status = read_status(folder / RUNS / record.at_work)
+        status = read_status(folder / RUNS / record.current_run)
     except BenchError:  # it has not written its first line yet
-        return f"{record.at_work}: beginning"
+        return f"{record.current_run}: beginning"
     held = f", HELD by {status.held_by}" if status.held_by else ""
     left = "" if status.left_s is None else f", {duration_text(status.left_s)} left"
-    return f"{record.at_work}: {status.state}, {status.accepted} of {status.poses} poses recorded{held}{left}"
+    return f"{record.current_run}: {status.state}, {status.accepted} of {status.poses} poses recorded{held}{left}"
 
 
 def batch_status_text(status: BatchStatus) -> str:
@@ -193,9 +193,9 @@ def batch_status_text(status: BatchStatus) -> str:
     lines += [f"  {item}: {how}{': ' if why else ''}{why}" for item, how, why in failed]
     if status.withdrawn:
         lines.append(f"Withdrawn: {', '.join(status.withdrawn)}")
-    if status.at_work:
-        lines.append(f"At work: {status.at_work}")
-    lines += _coming_lines(status)
+    if status.current_run:
+        lines.append(f"At work: {status.current_run}")
+    lines += _upcoming_lines(status)
     if status.end is not None and status.running:
         lines.append(f"Expected end: {_clock(status.end, status.zone, day=True)}")
     if not status.running and status.ended != "finished":
@@ -203,16 +203,16 @@ def batch_status_text(status: BatchStatus) -> str:
     return "\n".join(lines)
 
 
-def _coming_lines(status: BatchStatus) -> list[str]:
-    planned = [run for run in status.coming if run.begin is not None and run.end is not None]
+def _upcoming_lines(status: BatchStatus) -> list[str]:
+    planned = [run for run in status.upcoming if run.begin is not None and run.end is not None]
     lines = [
         f"  {_clock(run.begin, status.zone)} to {_clock(run.end, status.zone)}  {run.item}"
-        for run in planned[:_MOST_COMING]
+        for run in planned[:_MOST_UPCOMING]
         if run.begin is not None and run.end is not None
     ]
-    if len(planned) > _MOST_COMING:
-        lines.append(f"  ... {len(planned) - _MOST_COMING} more")
-    cut = [run.item for run in status.coming if run.begin is None]
+    if len(planned) > _MOST_UPCOMING:
+        lines.append(f"  ... {len(planned) - _MOST_UPCOMING} more")
+    cut = [run.item for run in status.upcoming if run.begin is None]
     return [*lines, *([f"No time for: {', '.join(cut)}"] if cut else [])]
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_record import BatchRecord, replay_batch
-from bench.batch.schedule import Item, in_order
+from bench.batch.schedule import Item, by_priority
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, PLAN, REPORT
 from bench.records.run_index import QUEUE_COPY, IndexedRun, read_run
@@ -80,14 +80,14 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
     """Sum a batch up, as far as it has come."""
     runs: dict[str, IndexedRun] = {}
     unread: dict[str, str] = {}
-    for key in record.tries:
+    for key in record.attempts:
         if (folder / RUNS / key / JOURNAL).is_file():
             try:
                 runs[key] = read_run(folder / RUNS / key)
             except BenchError as error:
                 unread[key] = str(error)
     solved = [runs[key] for key, end in record.ends.items() if end.how == "finished" and key in runs]
-    items = [_item(item, record, folder, runs.get(item.key), unread) for item in _by_begin(record)]
+    items = [_item(item, record, folder, runs.get(item.key), unread) for item in _in_order_of_begin(record)]
     return {
         "schema": SCHEMA,
         "queue": record.queue.name,
@@ -113,31 +113,31 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
     }
 
 
-def _by_begin(record: BatchRecord) -> list[Item]:
+def _in_order_of_begin(record: BatchRecord) -> list[Item]:
     """Runs in the order in which they began; those that did not come last, as they would have come."""
     never = datetime.max.replace(tzinfo=record.begun.tzinfo if record.begun else None)
-    return sorted(in_order(list(record.items.values())), key=lambda i: record.begun_at.get(i.key, never))
+    return sorted(by_priority(list(record.items.values())), key=lambda i: record.begun_at.get(i.key, never))
 
 
 def _item(
     item: Item, record: BatchRecord, folder: Path, run: IndexedRun | None, unread: Mapping[str, str]
 ) -> dict[str, Any]:
     end = record.ends.get(item.key)
-    how = end.how if end else "cut off" if item.key in record.tries else "not begun"
+    how = end.how if end else "cut off" if item.key in record.attempts else "not begun"
     begun = record.begun_at.get(item.key)
-    tries = record.ended_tries.get(item.key, [])
+    attempts = record.ended_attempts.get(item.key, [])
     return {
         "item": item.key,
         "job": item.job.name,
         "folder": f"{RUNS}/{item.key}",
         "how": "withdrawn" if item.key in record.withdrawn else how,
         "why": unread.get(item.key) or (end.why if end else ""),
-        "attempts": record.tries.get(item.key, 0),
+        "attempts": record.attempts.get(item.key, 0),
         "begun_utc": _iso(begun),
         "ended_utc": _iso(end.ended) if end else None,
-        "took_s": round(sum(one.took_s for one in tries), 1) if tries else None,
+        "took_s": round(sum(one.duration_s for one in attempts), 1) if attempts else None,
         "tries": [
-            {"begun_utc": _iso(one.begun), "ended_utc": _iso(one.ended), "how": one.how} for one in tries
+            {"begun_utc": _iso(one.begun), "ended_utc": _iso(one.ended), "how": one.how} for one in attempts
         ],
         "report": f"{RUNS}/{item.key}/{REPORT}" if (folder / RUNS / item.key / REPORT).is_file() else None,
         "camera": run.camera if run else "",

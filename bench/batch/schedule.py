@@ -36,12 +36,12 @@ class Item:
     key: str
     job: JobConfig
     number: int
-    from_s: float = 0.0
+    first_begin_s: float = 0.0
 
     @property
     def due_s(self) -> float:
         """Earliest begin after the begin of the batch, s."""
-        return self.from_s + self.number * self.job.every_min * 60.0
+        return self.first_begin_s + self.number * self.job.every_min * 60.0
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ class Bounds:
     last_begin_s: float = NEVER_S
     done_by_s: float = NEVER_S
 
-    def fits(self, begin_s: float, lasts_s: float) -> bool:
+    def fits(self, begin_s: float, expected_duration_s: float) -> bool:
         """Whether a run may begin then."""
-        return begin_s <= self.last_begin_s and begin_s + lasts_s <= self.done_by_s
+        return begin_s <= self.last_begin_s and begin_s + expected_duration_s <= self.done_by_s
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Slot:
     end_s: float | None
 
 
-Lasts = Callable[[Item], float]
+DurationOf = Callable[[Item], float]
 """Expected duration of a run, s; the same for all runs of a job."""
 
 
@@ -146,20 +146,22 @@ def items_of(
     """
     items = []
     for job in jobs:
-        from_s = now_s
+        first_begin_s = now_s
         if job.start_at:
             moment = next_time(job.start_at, begun + timedelta(seconds=now_s, microseconds=-1), zone)
-            from_s = (moment - begun).total_seconds()
-        items += [Item(f"{job.name}-{n + 1:03d}", job, n, from_s) for n in range(job.times)]
+            first_begin_s = (moment - begun).total_seconds()
+        items += [Item(f"{job.name}-{n + 1:03d}", job, n, first_begin_s) for n in range(job.times)]
     return items
 
 
-def in_order(items: Sequence[Item]) -> list[Item]:
+def by_priority(items: Sequence[Item]) -> list[Item]:
     """Put runs in the order in which they are tried: higher priorities first, else as they came."""
     return sorted(items, key=lambda item: -item.job.priority)
 
 
-def choose(undone: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Lasts) -> Item | float | None:
+def choose_next(
+    pending: Sequence[Item], at_s: float, bounds: Bounds, expected_duration_s: DurationOf
+) -> Item | float | None:
     """Say what to do at a moment.
 
     Returns
@@ -167,27 +169,29 @@ def choose(undone: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Lasts) 
     Item, float or None
         The run to begin; how long to wait before asking again, s; or None when no more run can be begun.
     """
-    return _choose(in_order(undone), at_s, bounds, _once_a_job(lasts_s))
+    return _choose(by_priority(pending), at_s, bounds, _once_a_job(expected_duration_s))
 
 
-def _once_a_job(lasts_s: Lasts) -> Lasts:
+def _once_a_job(expected_duration_s: DurationOf) -> DurationOf:
     """Ask only once for each job: a long night has many runs, and each answer may look at all that have ended."""
     known: dict[str, float] = {}
 
     def lasts(item: Item) -> float:
         name = item.job.name
         if name not in known:
-            known[name] = lasts_s(item)
+            known[name] = expected_duration_s(item)
         return known[name]
 
     return lasts
 
 
-def _choose(ordered: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Lasts) -> Item | float | None:
+def _choose(
+    ordered: Sequence[Item], at_s: float, bounds: Bounds, expected_duration_s: DurationOf
+) -> Item | float | None:
     wait_s = NEVER_S
     for item in ordered:
         begin_s = max(at_s, item.due_s, bounds.opens_s)
-        if not bounds.fits(begin_s, lasts_s(item)):
+        if not bounds.fits(begin_s, expected_duration_s(item)):
             continue
         if begin_s <= at_s:
             return item
@@ -195,7 +199,9 @@ def _choose(ordered: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Lasts
     return None if wait_s == NEVER_S else wait_s
 
 
-def look_ahead(undone: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Lasts) -> list[Slot]:
+def look_ahead(
+    pending: Sequence[Item], at_s: float, bounds: Bounds, expected_duration_s: DurationOf
+) -> list[Slot]:
     """Say when each run is expected, in the order in which they will be done; those without time for them last.
 
     Examples
@@ -205,13 +211,13 @@ def look_ahead(undone: Sequence[Item], at_s: float, bounds: Bounds, lasts_s: Las
     >>> [(s.item.key, s.begin_s) for s in look_ahead(items, 0, Bounds(done_by_s=7000), lambda _: 600)]
     [('a-001', 0), ('a-002', 3600.0), ('a-003', None)]
     """
-    left, slots, lasts_s = in_order(undone), [], _once_a_job(lasts_s)
+    left, slots, expected_duration_s = by_priority(pending), [], _once_a_job(expected_duration_s)
     while left:
-        chosen = _choose(left, at_s, bounds, lasts_s)
+        chosen = _choose(left, at_s, bounds, expected_duration_s)
         if chosen is None:
             break
         if isinstance(chosen, Item):
-            begin_s, at_s = at_s, at_s + lasts_s(chosen)
+            begin_s, at_s = at_s, at_s + expected_duration_s(chosen)
             slots.append(Slot(chosen, begin_s, at_s))
             left.remove(chosen)
         else:

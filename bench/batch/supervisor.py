@@ -105,7 +105,7 @@ def supervise(
             )
     except OSError as error:  # no memory, no room, too many processes: the next one may begin
         return WorkerEnd("failed", f"its process could not be started: {error}")
-    silent_s, unsafe = _watched(worker, folder, clock, say)
+    silent_s, unsafe = _supervise_worker(worker, folder, clock, say)
     if silent_s:
         return WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s, unsafe)
     status = worker.process.returncode
@@ -116,7 +116,7 @@ def supervise(
             note_crash(folder, OUT_OF_MEMORY)
         return WorkerEnd("died", why, 0.0, unsafe)
     how = _ENDS.get(status, "failed")
-    return WorkerEnd(how, "" if how == "finished" else _last_line(log))
+    return WorkerEnd(how, "" if how == "finished" else _last_message(log))
 
 
 def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
@@ -131,7 +131,7 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
     """
     if not is_locked(folder):
         return 0.0
-    silent_s, _ = _watched(_Orphan(folder), folder, clock, say)
+    silent_s, _ = _supervise_worker(_Orphan(folder), folder, clock, say)
     return silent_s
 
 
@@ -230,7 +230,7 @@ class _Orphan:
         return self.ended_by_us
 
 
-def _watched(
+def _supervise_worker(
     worker: _Worker, folder: Path, clock: BenchClock, say: Callable[[str], None]
 ) -> tuple[float, list[str]]:
     """Watch a worker to its end; return how long it was silent where it hung, and what could not be made safe."""
@@ -291,7 +291,7 @@ def _end_now(worker: _Worker) -> None:
         worker.wait(_SAFE_END_S)
 
 
-def _last_line(log: Path) -> str:
+def _last_message(log: Path) -> str:
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     said = [line for line in lines if line.startswith(("The run ", "starbench: "))]
     return (said or lines or [""])[-1][:500]

@@ -14,7 +14,7 @@ import click
 
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
-from bench.batch.batch_plan import NightPlan, plan_night, read_job, read_queue
+from bench.batch.batch_plan import BatchPlan, plan_batch, read_job, read_queue
 from bench.batch.batch_summary import PAGE, read_batch, write_summary
 from bench.commands.calibration_output import unit_text
 from bench.commands.output import STOPPED, print_json
@@ -149,11 +149,11 @@ def do_rehearsal(
 
 def show_night(queue: Path, *, begin: datetime | None, as_json: bool) -> int:
     """Say when each run of a queue would begin and end, what there is no time for, and what the runs will be worth."""
-    from bench.results.studies import expected_worth
+    from bench.results.studies import expected_uncertainty
 
     read = read_queue(queue)
-    night = plan_night(read.value, _begin(read.value, begin))
-    worth = {name: expected_worth(planned) for name, planned in night.plans.items()}
+    night = plan_batch(read.value, _begin(read.value, begin))
+    worth = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
     if as_json:
         expected = {name: dict(found.sigma) if found else None for name, found in worth.items()}
         print_json({**night.to_dict(), "expected_sigma": expected})
@@ -169,7 +169,7 @@ def _begin(queue: Queue, begin: datetime | None) -> datetime:
     return (begin.replace(tzinfo=queue.tzinfo) if queue.tzinfo else begin).astimezone(UTC)
 
 
-def _night_text(night: NightPlan, worth: Mapping[str, Forecast | None]) -> str:
+def _night_text(night: BatchPlan, worth: Mapping[str, Forecast | None]) -> str:
     zone = night.queue.tzinfo
 
     def clock(at_s: float) -> str:
@@ -187,8 +187,8 @@ def _night_text(night: NightPlan, worth: Mapping[str, Forecast | None]) -> str:
         half = _MOST_LINES // 2
         rows = [*rows[:half], f"... {len(rows) - 2 * half} runs ...", *rows[-half:]]
     lines += rows
-    if night.cut:
-        lines += ["", f"No time for {len(night.cut)}: {', '.join(item.key for item in night.cut)}"]
+    if night.without_time:
+        lines += ["", f"No time for {len(night.without_time)}: {', '.join(item.key for item in night.without_time)}"]
     lines += ["", f"{'job':<16} {'a run takes':>12} {'disk':>8}  expected, 1 sigma"]
     for name, planned in night.plans.items():
         found = worth[name]
@@ -198,7 +198,7 @@ def _night_text(night: NightPlan, worth: Mapping[str, Forecast | None]) -> str:
         lines.append(
             f"{name:<16} {duration_text(planned.duration_s):>12} {size_text(planned.size_bytes):>8}  {sigmas}"
         )
-    runs = len(night.slots) - len(night.cut)
+    runs = len(night.slots) - len(night.without_time)
     end = f"{night.end.astimezone(zone):%a %H:%M %Z}"
     return "\n".join([*lines, "", f"{runs} runs, until {end}, about {size_text(night.size_bytes)} on disk."])
 

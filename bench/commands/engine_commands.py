@@ -104,11 +104,11 @@ def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: An
     or a folder of such files.
     """
     from bench.commands.calibration_output import print_calibration
-    from bench.results.offline import Choices, calibrate_paths, compared
+    from bench.results.offline import OfflineOptions, calibrate_paths, compare_methods
 
-    choices = Choices.from_words(**words)
+    choices = OfflineOptions.from_command_line(**words)
     result = calibrate_paths(paths, choices)
-    print_calibration(result, compared(result, choices) if compare else None, as_json=as_json)
+    print_calibration(result, compare_methods(result, choices) if compare else None, as_json=as_json)
     return 0
 
 
@@ -123,10 +123,10 @@ def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
     FIRST and SECOND are run folders, or folders of files, whose views of one name show one pose of the rig.
     """
     from bench.commands.engine_output import show_rig
-    from bench.results.offline import Choices, calibrate_paths
+    from bench.results.offline import OfflineOptions, calibrate_paths
     from calib.studies.rig import relative_rotation
 
-    choices = Choices.from_words(**words)
+    choices = OfflineOptions.from_command_line(**words)
     results = [calibrate_paths([path], choices) for path in (first, second)]
     turn = relative_rotation(*(result.calibration for result in results))
     skipped = [reason for result in results for reason in result.skipped]
@@ -152,11 +152,11 @@ def passport_make(
     from datetime import UTC, datetime
 
     from bench.commands.calibration_output import print_calibration
-    from bench.results.offline import Choices, calibrate_paths
-    from bench.results.passports import passport_of_run, write_passport
+    from bench.results.offline import OfflineOptions, calibrate_paths
+    from bench.results.passports import passport_from_calibration, write_passport
 
-    result = calibrate_paths(paths, Choices.from_words(**words))
-    made = passport_of_run(
+    result = calibrate_paths(paths, OfflineOptions.from_command_line(**words))
+    made = passport_from_calibration(
         result.calibration,
         collimator=collimator,
         temperature_c=temperature_c,
@@ -197,9 +197,9 @@ def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certifica
     """Make a passport from a certificate of the collimator's focal length alone."""
     from datetime import UTC, datetime
 
-    from bench.results.passports import passport_of_certificate, write_passport
+    from bench.results.passports import passport_from_certificate, write_passport
 
-    made = passport_of_certificate(r_mm, sigma_mm, now=datetime.now(UTC), **certificate)
+    made = passport_from_certificate(r_mm, sigma_mm, now=datetime.now(UTC), **certificate)
     write_passport(output, made)
     click.echo(f"Passport: {output}")
     return 0
@@ -259,11 +259,11 @@ def passport_show(path: Path, as_json: bool) -> int:
 def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words: Any) -> int:
     """Calibrate an imagined camera again and again: see whether stated uncertainties hold."""
     from bench.commands.engine_output import show_study
-    from bench.results.studies import run_study, write_plot
+    from bench.results.studies import run_study, write_study_plot
 
     studied = run_study(sequence, station, **words)
     if plot is not None:
-        write_plot(studied, plot)
+        write_study_plot(studied, plot)
     return show_study(studied, as_json=as_json)
 
 

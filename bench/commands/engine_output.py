@@ -12,7 +12,7 @@ from bench.commands.output import print_json
 from bench.plan.plan import Plan
 from bench.plan.plan_text import render_plan
 from bench.report.text import with_uncertainty
-from bench.results.studies import expected_worth, suggested_poses
+from bench.results.studies import expected_uncertainty, suggest_poses
 from calib.model.passport import Passport
 from calib.studies.monte_carlo import Study
 from calib.studies.planning import Forecast
@@ -83,8 +83,8 @@ def show_study(study: Study, *, as_json: bool) -> int:
 
 def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
     """Show a plan, what its poses will be worth, and further poses where asked for; return the exit status."""
-    worth = None if planned.faults else expected_worth(planned)
-    further = suggested_poses(planned, suggest) if suggest and not planned.faults else []
+    worth = None if planned.faults else expected_uncertainty(planned)
+    further = suggest_poses(planned, suggest) if suggest and not planned.faults else []
     if as_json:
         print_json({**planned.to_dict(), "expected": _worth_dict(worth), "suggested": further})
     else:

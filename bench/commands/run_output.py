@@ -20,7 +20,7 @@ from bench.records.ledger import Ledger
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.report.text import with_uncertainty
-from bench.results.agreement import Agreement, agreements
+from bench.results.agreement import Agreement, compare_runs
 
 
 def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
@@ -90,7 +90,7 @@ def show_runs(
     )
     faults += missing
     solved = [run for run in found if run.parameters]
-    compared = agreements(solved) if compare else None
+    compared = compare_runs(solved) if compare else None
     if as_json:
         told: dict[str, Any] = {"schema": "starbench/runs/1", "runs": [run.to_dict() for run in found]}
         if compared is not None:

@@ -18,12 +18,14 @@ from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.plan.job import Job, calibration_options
 from bench.plan.plan import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load_documents, make_plan
-from bench.records.history import Event, History, RunLog, replay
+from bench.records.events import Event, MeasuredFacts, Solved
+from bench.records.history import History, replay
 from bench.records.journal import Journal
 from bench.records.run_folder import JOURNAL, PLAN, RESULTS, SEQUENCE_COPY, STATION_COPY, RunFolder
+from bench.records.run_log import RunLog
 from bench.records.unsynced_journal import UnsyncedJournal
 from bench.rehearsal.virtual_devices import VirtualDevices, read_view
-from bench.results.comparison import compare
+from bench.results.comparison import compare_with_truth
 from bench.results.result import Outcome, ResultWriter, main_numbers, software
 from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
@@ -32,6 +34,7 @@ from bench.views.camera_kinds import CameraKind, EventKind
 from bench.views.measure import Expect, Measurement
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
+from calib.target import StarTarget
 from sequences.script import RecordStep, SolveStep
 
 SCHEMA = "starbench/rehearsal/1"
@@ -39,14 +42,51 @@ SCHEMA = "starbench/rehearsal/1"
 OpenDevices = Callable[[], Devices]
 
 
+class RehearsedKind(EventKind):
+    """A camera whose recordings hold stars instead of events; it stands for event and frame cameras alike.
+
+    Parameters
+    ----------
+    clock
+        Where the time passes that measuring a recording takes.
+    """
+
+    def __init__(self, clock: BenchClock) -> None:
+        super().__init__({})
+        self._clock = clock
+
+    def measure(
+        self,
+        path: Path,
+        step: RecordStep,
+        frequency_hz: float,
+        target: StarTarget,
+        expect: Expect | None,  # noqa: ARG002 - the file states the stars' ids
+    ) -> Measurement:
+        """Read the stars of a rehearsed recording. Otherwise as `CameraKind.measure`."""
+        self._clock.sleep(CHECK_S)
+        try:
+            view, edges = read_view(path, step.pose.name, target)
+        except (OSError, ValueError, KeyError, CalibrationError) as error:
+            return Measurement(None, None, {}, f"it is no rehearsed recording: {error}")
+        facts: MeasuredFacts = {
+            "rehearsed": True,
+            "flicker_hz": frequency_hz,
+            "flicker_source": "triggers",
+            "triggers_found": edges,
+            "triggers_expected": edges,
+        }
+        return Measurement(view, None, facts)
+
+
 @dataclass(frozen=True)
 class RehearsedJob(Job):
-    """A run's task, whose recordings hold stars instead of events.
+    """The task of a rehearsed run.
 
     Attributes
     ----------
     clock
-        Where the time passes that looking at a recording takes.
+        The rehearsal's clock.
     """
 
     clock: BenchClock
@@ -58,24 +98,8 @@ class RehearsedJob(Job):
 
     @property
     def camera_kind(self) -> CameraKind:
-        """One kind for all: files of stars stand for recordings and for pictures."""
-        return EventKind({})
-
-    def measure(self, path: Path, step: RecordStep, expect: Expect | None = None) -> Measurement:  # noqa: ARG002
-        """Read the stars of a rehearsed recording."""
-        self.clock.sleep(CHECK_S)
-        try:
-            view, edges = read_view(path, step.pose.name, self.target)
-        except (OSError, ValueError, KeyError, CalibrationError) as error:
-            return Measurement(None, None, {}, f"it is no rehearsed recording: {error}")
-        facts = {
-            "rehearsed": True,
-            "flicker_hz": self.frequency_hz(step),
-            "flicker_source": "triggers",
-            "triggers_found": edges,
-            "triggers_expected": edges,
-        }
-        return Measurement(view, None, facts)
+        """One kind for all cameras."""
+        return RehearsedKind(self.clock)
 
 
 class RehearsedResults(ResultWriter):
@@ -92,7 +116,7 @@ class RehearsedResults(ResultWriter):
         history: History,
         measured: Mapping[int, Measurement],
         check: Callable[[], None],
-    ) -> dict[str, Any]:
+    ) -> Solved:
         """Calibrate from the accepted recordings; as ``ResultWriter.solve``, without its comparisons."""
         check()
         self._clock.sleep(SOLVE_S)
@@ -117,7 +141,7 @@ class RehearsedResults(ResultWriter):
             "rehearsal": True,
             "run": {"id": log.history.started["id"], "started_utc": log.history.started_utc},
             "calibration": self._calibration.to_dict(),
-            "comparison": compare(self._calibration, truth) if truth is not None else [],
+            "comparison": compare_with_truth(self._calibration, truth) if truth is not None else [],
             "deviations": list(log.history.deviations),
         }
         data = (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()

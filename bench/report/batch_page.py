@@ -59,7 +59,7 @@ class TrendRow(NamedTuple):
     per_hour: str
     per_c: str
     verdict: str
-    words: str
+    label: str
 
 
 def render_batch(summary: Json) -> str:
@@ -87,15 +87,15 @@ def render_batch(summary: Json) -> str:
             summary=summary,
             zone=_zone_name(summary, zone),
             headline=_headline(summary, zone),
-            figures=_figures(summary),
+            figures=_key_figures(summary),
             timeline=Markup(timeline(bars, zone)) if bars else "",  # noqa: S704
             failures=[
                 (item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures
             ],
             not_begun=[item["item"] for item in summary["items"] if item["how"] == "not begun"],
             withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
-            cameras=[_camera(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
-            rows=[_row(item, zone) for item in summary["items"] if item["begun_utc"]],
+            cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
+            rows=[_run_row(item, zone) for item in summary["items"] if item["begun_utc"]],
             requests=summary["requests"],
         )
     )
@@ -126,7 +126,7 @@ def _local(utc: str | None, zone: tzinfo | None) -> str:
     return f"{datetime.fromisoformat(utc).astimezone(zone):%Y-%m-%d %H:%M}" if utc else NOTHING
 
 
-def _figures(summary: Json) -> list[tuple[str, str]]:
+def _key_figures(summary: Json) -> list[tuple[str, str]]:
     """Give the large numbers at the top of the page."""
     totals = summary["totals"]
     by_end = totals["by_end"]
@@ -141,7 +141,7 @@ def _figures(summary: Json) -> list[tuple[str, str]]:
     ]
 
 
-def _row(item: Json, zone: tzinfo | None) -> RunRow:
+def _run_row(item: Json, zone: tzinfo | None) -> RunRow:
     found = item["parameters"].get(_HEADLINE)
     focal = " ± ".join(with_uncertainty(found["value"], _K * found["sigma"])) if found else NOTHING
     poses = "" if item["poses"] is None else f" / {item['poses']}"
@@ -163,7 +163,7 @@ def _row(item: Json, zone: tzinfo | None) -> RunRow:
     )
 
 
-def _camera(camera: Json, place: int, zone: tzinfo | None) -> dict[str, Any]:
+def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, Any]:
     """Give a camera's part of the page."""
     runs, trends = camera["runs"], camera["parameters"]
     temperatures = [run["temperature_c"] for run in runs]
@@ -184,7 +184,7 @@ def _camera(camera: Json, place: int, zone: tzinfo | None) -> dict[str, Any]:
         "model": camera["model"],
         "runs": len(runs),
         "range": f"{min(temperatures):.1f} to {max(temperatures):.1f} °C" if warm else "",
-        "trends": [_trend(trend, len(runs), warm=warm) for trend in trends],
+        "trends": [_trend_row(trend, len(runs), warm=warm) for trend in trends],
         "time_plot": Markup(time_plot),  # noqa: S704
         "warm_plot": Markup(warm_plot),  # noqa: S704
         "verdict": _verdict(trends, len(runs)),
@@ -210,7 +210,7 @@ def _scatters(trend: Json, runs: int) -> bool:
     return bool(trend["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1)))
 
 
-def _trend(trend: Json, runs: int, *, warm: bool) -> TrendRow:
+def _trend_row(trend: Json, runs: int, *, warm: bool) -> TrendRow:
     name = trend["name"]
     unit = "" if unit_of(name) == "1" else unit_of(name)
     mean, expanded = with_uncertainty(trend["mean"], _K * trend["sigma"])
@@ -218,11 +218,11 @@ def _trend(trend: Json, runs: int, *, warm: bool) -> TrendRow:
     follows = warm and trend["per_c"] is not None and trend["per_c"]["seen"]
     scattered = _scatters(trend, runs)
     if moves or follows:
-        verdict, words = "marginal", "changes" if moves else "follows temperature"
+        verdict, label = "marginal", "changes" if moves else "follows temperature"
     elif scattered:
-        verdict, words = "marginal", "scatters"
+        verdict, label = "marginal", "scatters"
     else:
-        verdict, words = "pass", "steady"
+        verdict, label = "pass", "steady"
     return TrendRow(
         name,
         meaning_of(name),
@@ -230,14 +230,14 @@ def _trend(trend: Json, runs: int, *, warm: bool) -> TrendRow:
         mean,
         expanded,
         fixed(trend["birge"], 2),
-        _slope(trend["per_hour"]),
-        _slope(trend["per_c"]) if warm else NOTHING,
+        _slope_text(trend["per_hour"]),
+        _slope_text(trend["per_c"]) if warm else NOTHING,
         verdict,
-        words,
+        label,
     )
 
 
-def _slope(found: Json | None) -> str:
+def _slope_text(found: Json | None) -> str:
     if found is None:
         return NOTHING
     value, expanded = with_uncertainty(found["value"], _K * found["sigma"])

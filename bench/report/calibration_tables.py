@@ -57,7 +57,7 @@ def values(calibration: Json) -> list[ValueRow]:
     return rows
 
 
-def agreement(calibration: Json) -> list[tuple[str, str, str]]:
+def fit_statistics(calibration: Json) -> list[tuple[str, str, str]]:
     """Say how well the model follows the data: what, number, unit."""
     stars = sum(view["n"] for view in calibration["views"])
     rows = [
@@ -98,7 +98,7 @@ def correlation(calibration: Json) -> tuple[list[str], list[list[Cell]]]:
     return list(covariance["names"]), rows
 
 
-def against_planar(calibration: Json, planar: Json | None) -> list[tuple[str, str, str, str, str]]:
+def planar_comparison(calibration: Json, planar: Json | None) -> list[tuple[str, str, str, str, str]]:
     """Compare with the planar calibration: name, value, U, planar value, planar U."""
     if planar is None:
         return []

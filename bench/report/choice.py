@@ -19,7 +19,7 @@ _POSE_OF_GATE = re.compile(r"pose (\d+): ")
 
 
 @dataclass(frozen=True)
-class Choice:
+class PictureSelection:
     """Poses shown in pictures.
 
     Attributes
@@ -35,7 +35,7 @@ class Choice:
     total: int
 
 
-def pictured_poses(results: Mapping[str, Any]) -> Choice:
+def pictured_poses(results: Mapping[str, Any]) -> PictureSelection:
     """Choose the poses that a report pictures: all where they are few, else `MOST_PICTURES`.
 
     First come the three of the largest RMS residual, then poses with a failed gate, then those with a marginal one,
@@ -61,8 +61,8 @@ def pictured_poses(results: Mapping[str, Any]) -> Choice:
     ]
     chosen: set[int] = set()
     for group in groups:
-        chosen.update(_spread([p for p in group if p not in chosen], MOST_PICTURES - len(chosen)))
-    return Choice(frozenset(str(poses[place]["name"]) for place in chosen), len(chosen), len(poses))
+        chosen.update(_evenly_spread([p for p in group if p not in chosen], MOST_PICTURES - len(chosen)))
+    return PictureSelection(frozenset(str(poses[place]["name"]) for place in chosen), len(chosen), len(poses))
 
 
 def _indices_by_verdict(gates: Sequence[Mapping[str, Any]]) -> dict[str, set[int]]:
@@ -75,7 +75,7 @@ def _indices_by_verdict(gates: Sequence[Mapping[str, Any]]) -> dict[str, set[int
     return found
 
 
-def _spread(places: Sequence[int], most: int) -> Sequence[int]:
+def _evenly_spread(places: Sequence[int], most: int) -> Sequence[int]:
     """Take so many places at most, evenly spread, the first and the last among them."""
     if len(places) <= most:
         return places

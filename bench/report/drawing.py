@@ -36,12 +36,12 @@ STYLE: Any = {
 _SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 
 
-def bare(axes: Axes) -> None:
+def hide_frame(axes: Axes) -> None:
     """Leave out the frame's upper and right side."""
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def svg(figure: Figure, identifier: str, label: str) -> str:
+def to_svg(figure: Figure, identifier: str, label: str) -> str:
     """Render without date; make ids unique on the page, coordinates short."""
     FigureCanvasSVG(figure)
     buffer = io.StringIO()

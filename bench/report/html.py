@@ -27,11 +27,11 @@ from bench.report.plots import (
     residual_vectors,
     uncertainty_contours,
 )
-from bench.report.walk import walk_diagram
+from bench.report.walk import state_diagram
 from calib.model.camera import PINHOLE, CameraModel
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 
-_DRAWN = frozenset({"section", "svg", "style"})
+_GRAPHIC_TAGS = frozenset({"section", "svg", "style"})
 """Elements whose text comes with pictures and plots; in the template, sections hold nothing else."""
 
 
@@ -89,9 +89,9 @@ def render_report(data: ReportData) -> str:
             journal_head=data.journal_head,
             calibration=calibration,
             values=calibration_tables.values(calibration),
-            agreement=calibration_tables.agreement(calibration),
+            fit_statistics=calibration_tables.fit_statistics(calibration),
             correlation=calibration_tables.correlation(calibration),
-            planar=calibration_tables.against_planar(calibration, results.get("planar")),
+            planar=calibration_tables.planar_comparison(calibration, results.get("planar")),
             candidates=calibration_tables.candidates(calibration),
             budget=calibration_tables.budget(calibration),
             checks=calibration_tables.checks(results),
@@ -104,11 +104,11 @@ def render_report(data: ReportData) -> str:
             gates=run_tables.gates(results.get("gates") or []),
             alerts=run_tables.alerts(results),
             deviations=list(results.get("deviations") or []),
-            walk=_drawn(walk_diagram(results["states"])) if results.get("states") else "",
-            plots=_plots(data),
-            stars=_stars_drawn(data.views),
+            walk=_markup(state_diagram(results["states"])) if results.get("states") else "",
+            plots=_all_plots(data),
+            stars=_star_counts(data.views),
             pictured=(text.number(pictured.shown), text.number(pictured.total)),
-            pictures=[(_drawn(svg), name) for svg, name in pictures],
+            pictures=[(_markup(svg), name) for svg, name in pictures],
             k=text.exact(round(k, 2)),
         )
     )
@@ -141,23 +141,23 @@ class _TextReader(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
         self.texts: list[str] = []
-        self._drawn: list[str] = []
+        self._open_graphics: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         """Begin to look away at what is drawn."""
         del attrs
-        if tag in _DRAWN:
-            self._drawn.append(tag)
+        if tag in _GRAPHIC_TAGS:
+            self._open_graphics.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
         """Look again."""
-        if self._drawn and self._drawn[-1] == tag:
-            self._drawn.pop()
+        if self._open_graphics and self._open_graphics[-1] == tag:
+            self._open_graphics.pop()
 
     def handle_data(self, data: str) -> None:
         """Take a text."""
         shown = " ".join(data.split())
-        if shown and not self._drawn:
+        if shown and not self._open_graphics:
             self.texts.append(shown)
 
 
@@ -175,7 +175,7 @@ def environment() -> jinja2.Environment:
     return made
 
 
-def _uncertainty(results: Mapping[str, Any]) -> str:
+def _uncertainty_plot(results: Mapping[str, Any]) -> str:
     """Draw the projection uncertainty that the camera's covariance implies; nothing where there is none.
 
     Beside it, where halves of the poses were calibrated apart, how differently the two project.
@@ -203,7 +203,7 @@ def _camera(values: Mapping[str, float], image_size: tuple[int, int]) -> CameraM
     return CameraModel(fx, fy, cx, cy, image_size, lens)
 
 
-def _drawn(svg: str) -> Markup:
+def _markup(svg: str) -> Markup:
     """Let a drawing of our own through as it is; the names in it were escaped when it was drawn."""
     return Markup(svg)  # noqa: S704
 
@@ -213,13 +213,13 @@ def _css_text(value: object) -> str:
     return re.sub(r"[^A-Za-z0-9 ._-]", "?", str(value))
 
 
-def _stars_drawn(views: Sequence[ViewPicture]) -> tuple[str, str]:
+def _star_counts(views: Sequence[ViewPicture]) -> tuple[str, str]:
     """Say of how many stars how many are drawn in the plots."""
     drawn, every = (sum(len(view.ids) for view in some) for some in (thinned(views), views))
     return text.number(drawn), text.number(every)
 
 
-def _plots(data: ReportData) -> dict[str, Markup]:
+def _all_plots(data: ReportData) -> dict[str, Markup]:
     """Draw what can be drawn, by name; nothing stands for what cannot."""
     plots = dict.fromkeys(("truth", "uncertainty", "vectors", "cloud", "coverage"), "")
     compared = data.results.get("comparison") or []
@@ -228,11 +228,11 @@ def _plots(data: ReportData) -> dict[str, Markup]:
         plots["truth"] = deviations_from_truth(names, [row["error_sigmas"] for row in compared])
     camera = data.results["calibration"]["camera"]
     if data.views:
-        plots["uncertainty"] = _uncertainty(data.results)
+        plots["uncertainty"] = _uncertainty_plot(data.results)
     if any(len(view.detected) for view in data.views):
         width, height = data.results["calibration"]["image_size"]
         centre = (camera["cx"], camera["cy"])
         plots["vectors"] = residual_vectors(data.views, (width, height))
         plots["cloud"] = residual_cloud(data.views, centre)
         plots["coverage"] = coverage(data.views, (width, height), centre)
-    return {name: _drawn(svg) for name, svg in plots.items()}
+    return {name: _markup(svg) for name, svg in plots.items()}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ALL_PICTURES_BYTES = 1_050_000
-_LADDER = ((1.0, None), (1.0, 85), (1.0, 65), (0.5, 80), (0.5, 60), (0.25, 70))
+_ENCODINGS = ((1.0, None), (1.0, 85), (1.0, 65), (0.5, 80), (0.5, 60), (0.25, 70))
 """Scale and JPEG quality (None: PNG), tried in turn until a picture is small enough."""
 _RING_PX = 7.0
 _CROSS_PX = 4.0
@@ -92,7 +92,7 @@ def _pose_picture(view: ViewPicture, image: NDArray[np.uint8], identifier: str, 
     side = (height - 24) / 2
     close_ups = "".join(
         _close_up(identifier, centre, (width + 24, row * (side + 24)), side)
-        for row, centre in enumerate(_looked_at(view, (width, height)))
+        for row, centre in enumerate(_close_up_centres(view, (width, height)))
     )
     return (
         f'<svg class="pose" role="img" aria-label="Image and stars of {escape(view.name)}" '
@@ -110,7 +110,7 @@ def _outline(colour: str, path: str) -> str:
     return f'<path fill="none" stroke="{colour}" stroke-width="1.3" vector-effect="non-scaling-stroke" d="{path}"/>'
 
 
-def _looked_at(view: ViewPicture, size: tuple[int, int]) -> list[NDArray[np.float64]]:
+def _close_up_centres(view: ViewPicture, size: tuple[int, int]) -> list[NDArray[np.float64]]:
     """Stars to look at closely: the one nearest to the image's centre and the one with the largest residual."""
     if not len(view.detected):
         return []
@@ -143,7 +143,7 @@ def _crosses(points: NDArray[np.float64]) -> str:
 def _data_uri(image: NDArray[np.uint8], limit_bytes: int) -> str:
     """Encode an image losslessly where it is small enough, else ever more coarsely."""
     data, kind = b"", ""
-    for scale, quality in _LADDER:
+    for scale, quality in _ENCODINGS:
         shown = (
             image
             if scale == 1.0

@@ -19,7 +19,7 @@ from matplotlib.patches import Circle, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
-from bench.report.drawing import INK, LINE, MUTED, STYLE, bare, svg
+from bench.report.drawing import INK, LINE, MUTED, STYLE, hide_frame, to_svg
 from bench.report.pictures import ViewPicture, thinned
 from calib.uncertainty.projection_uncertainty import CameraDifference, ProjectionMap
 
@@ -51,7 +51,7 @@ def uncertainty_contours(found: ProjectionMap, k: float, halves: CameraDifferenc
             _arrows(panels[-1], halves)
             for axes in panels[1:]:
                 axes.set_ylabel("")
-        return svg(figure, "uncertainty", "Projection uncertainty over the sensor")
+        return to_svg(figure, "uncertainty", "Projection uncertainty over the sensor")
 
 
 def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
@@ -67,7 +67,7 @@ def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) 
         _sensor(axes, image_size)
         _legend(axes, views)
         _scale_bar(axes, image_size, magnification)
-        return svg(figure, "vectors", "Residual vectors on the sensor")
+        return to_svg(figure, "vectors", "Residual vectors on the sensor")
 
 
 def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
@@ -97,9 +97,9 @@ def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, f
         )
         radial.set_ylabel("length, px")
         radial.set_title("Length of the residuals; the line is their RMS by distance")
-        bare(cloud)
-        bare(radial)
-        return svg(figure, "cloud", "Residuals about zero, and by distance from the principal point")
+        hide_frame(cloud)
+        hide_frame(radial)
+        return to_svg(figure, "cloud", "Residuals about zero, and by distance from the principal point")
 
 
 def coverage(
@@ -122,7 +122,7 @@ def coverage(
         _region_map(regions, points, squares, image_size)
         regions.set_title("RMS residual, px, and number of stars by region")
         _sensor(regions, image_size)
-        return svg(figure, "coverage", "Coverage of the sensor, and residuals by region")
+        return to_svg(figure, "coverage", "Coverage of the sensor, and residuals by region")
 
 
 def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
@@ -138,9 +138,9 @@ def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -
         reach = max(3.2, 1.15 * float(np.abs(error_sigmas).max()))
         axes.set(xlim=(-reach, reach), ylim=(len(names) - 0.4, -0.6), yticks=rows, yticklabels=list(names))
         axes.set_xlabel("(value \N{MINUS SIGN} truth) / standard uncertainty; shaded: within 1 and 2")
-        bare(axes)
+        hide_frame(axes)
         axes.tick_params(axis="y", length=0, labelcolor=INK)
-        return svg(figure, "truth", "Deviations from the truth in standard uncertainties")
+        return to_svg(figure, "truth", "Deviations from the truth in standard uncertainties")
 
 
 def _contours(axes: Axes, grid_px: Array, values: Array, name: str) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bench.report.text import NOTHING, duration, fixed, moment, number, words
+from bench.report.text import NOTHING, duration, fixed, moment, number, value_text
 
 Json = Mapping[str, Any]
 
@@ -27,7 +27,7 @@ class DeviceRow:
     model: str
     serial: str
     firmware: str
-    told: str
+    details: str
 
 
 @dataclass(frozen=True)
@@ -83,29 +83,29 @@ def identification(results: Json) -> list[tuple[str, str]]:
     item = " ".join(str(camera[key]) for key in ("maker", "model", "sensor") if camera.get(key))
     return [
         ("Item", item or NOTHING),
-        ("Serial number", words(camera.get("serial"))),
-        ("Firmware", words(camera.get("firmware"))),
-        ("Lens", words(camera.get("lens"))),
+        ("Serial number", value_text(camera.get("serial"))),
+        ("Firmware", value_text(camera.get("firmware"))),
+        ("Lens", value_text(camera.get("lens"))),
         *([("Collimator", _collimator(collimator))] if collimator else []),
-        ("Laboratory", words(run.get("laboratory"))),
-        ("Operator", words(run.get("operator"))),
-        ("Sequence", words(run.get("sequence"))),
-        ("Station", words(run.get("station"))),
+        ("Laboratory", value_text(run.get("laboratory"))),
+        ("Operator", value_text(run.get("operator"))),
+        ("Sequence", value_text(run.get("sequence"))),
+        ("Station", value_text(run.get("station"))),
         ("Started", moment(run.get("started_utc"))),
         ("Finished", moment(run.get("finished_utc"))),
         *entered,
     ]
 
 
-def _collimator(told: Json) -> str:
+def _collimator(details: Json) -> str:
     """Say in one line what the station file says of the collimator."""
     parts = []
-    if "serial" in told:
-        parts.append(f"serial {told['serial']}")
-    if "nominal_r_mm" in told:
-        parts.append(f"nominal focal length {told['nominal_r_mm']:g} mm")
-    if "certificate" in told:
-        parts.append(f"certificate {told['certificate']}")
+    if "serial" in details:
+        parts.append(f"serial {details['serial']}")
+    if "nominal_r_mm" in details:
+        parts.append(f"nominal focal length {details['nominal_r_mm']:g} mm")
+    if "certificate" in details:
+        parts.append(f"certificate {details['certificate']}")
     return ", ".join(parts)
 
 
@@ -123,9 +123,9 @@ def conditions(found: Json) -> list[tuple[str, str]]:
     rows = []
     for part, settings in found.items():
         if isinstance(settings, Mapping):
-            rows += [(f"{part}: {_spelled(key)}", _with_unit(key, value)) for key, value in settings.items()]
+            rows += [(f"{part}: {_readable(key)}", _with_unit(key, value)) for key, value in settings.items()]
         else:
-            rows.append((_spelled(part), _with_unit(part, settings)))
+            rows.append((_readable(part), _with_unit(part, settings)))
     return rows
 
 
@@ -139,11 +139,11 @@ def devices(found: Json) -> list[DeviceRow]:
             facts = dict(identity)
             name = f"{part}: {facts.pop('name')}" if "name" in facts else part
             model = " ".join(str(facts.pop(key)) for key in ("maker", "model") if facts.get(key))
-            serial, firmware = words(facts.pop("serial")), words(facts.pop("firmware", None))
-            told = ", ".join(
-                f"{_spelled(key)} {words(value)}" for key, value in facts.items() if value is not None
+            serial, firmware = value_text(facts.pop("serial")), value_text(facts.pop("firmware", None))
+            details = ", ".join(
+                f"{_readable(key)} {value_text(value)}" for key, value in facts.items() if value is not None
             )
-            rows.append(DeviceRow(name, model or NOTHING, serial, firmware, told))
+            rows.append(DeviceRow(name, model or NOTHING, serial, firmware, details))
     return rows
 
 
@@ -217,12 +217,12 @@ def gates(found: Sequence[Json]) -> list[GateRow]:
 
 def alerts(results: Json) -> list[str]:
     """Tell what a reader must know before the numbers: verdicts that are no pass, and every deviation."""
-    told = [
+    details = [
         f"Gate {row.verdict}: {row.name}: {row.values}, limit {row.limit} ({row.count} passed)."
         for row in gates(results.get("gates") or [])
         if row.verdict != "pass"
     ]
-    return told + [str(deviation) for deviation in results.get("deviations") or []]
+    return details + [str(deviation) for deviation in results.get("deviations") or []]
 
 
 def _place_in_ledger(ledger: Json) -> str:
@@ -241,22 +241,22 @@ def _motion(before: Json, after: Json) -> str:
 
 
 def _image(image: Json) -> str:
-    told = [str(image["kind"])] if image.get("kind") else []
+    details = [str(image["kind"])] if image.get("kind") else []
     if image.get("periods"):
-        told.append(f"{words(image['periods'])} periods")
+        details.append(f"{value_text(image['periods'])} periods")
     if image.get("events_per_edge") is not None:
-        told.append(f"{number(image['events_per_edge'], 2)} events an edge")
+        details.append(f"{number(image['events_per_edge'], 2)} events an edge")
     if image.get("on_share") is not None:
-        told.append(f"{100 * image['on_share']:.0f} % ON")
+        details.append(f"{100 * image['on_share']:.0f} % ON")
     if image.get("hot_pixels") is not None:
-        told.append(f"{words(image['hot_pixels'])} hot pixels")
-    return ", ".join(told) or NOTHING
+        details.append(f"{value_text(image['hot_pixels'])} hot pixels")
+    return ", ".join(details) or NOTHING
 
 
 _UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
 
 
-def _spelled(key: str) -> str:
+def _readable(key: str) -> str:
     for ending in _UNIT_ENDINGS:
         key = key.removesuffix(ending)
     return key.replace("_", " ")
@@ -264,5 +264,5 @@ def _spelled(key: str) -> str:
 
 def _with_unit(key: str, value: Any) -> str:
     unit = next((unit for ending, unit in _UNIT_ENDINGS.items() if key.endswith(ending)), "")
-    printed = words(value)
+    printed = value_text(value)
     return printed if printed == NOTHING or not unit else f"{printed} {unit}"

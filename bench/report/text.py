@@ -162,12 +162,12 @@ def duration(seconds: float) -> str:
     return f"{int(seconds // 3600)} h {int(seconds % 3600 // 60):02d} min"
 
 
-def words(value: Any) -> str:
+def value_text(value: Any) -> str:
     """Print anything that a results file may hold: numbers, lists and mappings too, in one line.
 
     Examples
     --------
-    >>> words({"bias_fo": 0, "afk": False}), words([1, 2.5]), words(None)
+    >>> value_text({"bias_fo": 0, "afk": False}), value_text([1, 2.5]), value_text(None)
     ('bias_fo 0, afk off', '1, 2.500', '–')
     """
     if value is None or value in ("", {}, []):
@@ -177,9 +177,9 @@ def words(value: Any) -> str:
     if isinstance(value, int | float):
         return number(value)
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {words(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {value_text(item)}" for key, item in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(words(item) for item in value)
+        return ", ".join(value_text(item) for item in value)
     return str(value)
 
 

@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from bench.report.drawing import INK, LINE, MUTED, STYLE, bare, svg
+from bench.report.drawing import INK, LINE, MUTED, STYLE, hide_frame, to_svg
 from bench.report.plots import POSE_COLOURS
 from bench.report.text import unit_of
 
@@ -101,9 +101,9 @@ def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
             loc="lower left", bbox_to_anchor=(0, 1.0), ncols=len(shown), frameon=False, borderaxespad=0.2,
             handlelength=1.0,
         )  # fmt: skip
-        bare(axes)
+        hide_frame(axes)
         axes.spines["left"].set_visible(False)
-        return svg(figure, "timeline", "When each run was under way")
+        return to_svg(figure, "timeline", "When each run was under way")
 
 
 def over_time(
@@ -139,7 +139,7 @@ def _panels(
         if begin is not None:
             _clock(grid[0, 0], begin, float(x.max()))
         _key(figure)
-        return svg(figure, identifier, "Parameters over the night")
+        return to_svg(figure, identifier, "Parameters over the night")
 
 
 def _panel(axes: Axes, x: NDArray[np.float64], one: Series) -> None:
@@ -163,7 +163,7 @@ def _panel(axes: Axes, x: NDArray[np.float64], one: Series) -> None:
     axes.ticklabel_format(axis="y", useOffset=False, style="plain")
     axes.grid(axis="y", color=LINE, linewidth=0.5)
     axes.set_axisbelow(True)
-    bare(axes)
+    hide_frame(axes)
 
 
 def _key(figure: Figure) -> None:

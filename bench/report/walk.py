@@ -20,7 +20,7 @@ _MARGIN = 10.0
 _TIMES = "\N{MULTIPLICATION SIGN}"
 
 
-def walk_diagram(states: Sequence[Mapping[str, Any]]) -> str:
+def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
     """Draw the walk.
 
     Parameters

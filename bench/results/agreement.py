@@ -49,7 +49,7 @@ class Agreement:
         }
 
 
-def agreements(runs: Sequence[IndexedRun]) -> list[Agreement]:
+def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
     """Compare every parameter that all runs have estimated.
 
     Parameters

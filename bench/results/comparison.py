@@ -12,7 +12,7 @@ from calib.view import View
 _COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r")
 
 
-def planar_beside(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
+def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
     """Calibrate by Zhang's planar model on the same points, for comparison; None where it cannot be done."""
     try:
         return calibrate(
@@ -22,7 +22,7 @@ def planar_beside(views: Sequence[View], options: CalibrationOptions) -> Calibra
         return None
 
 
-def compare(calibration: Calibration, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
+def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Say how far each value lies from the simulated truth, in its own unit and in its own sigmas."""
     true = {**truth["camera"], **truth["collimator"]}
     values = dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True))

@@ -16,7 +16,7 @@ from calib.studies.split_half import split_half
 from calib.view import View
 
 
-def halves(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
+def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
     """Calibrate every other pose, and the rest, and say how the two differ at infinity; None with fewer than four.
 
     The two cameras are told too: what is drawn of their difference follows from them.
@@ -34,7 +34,9 @@ def halves(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any]
     }
 
 
-def gimbal(calibration: Calibration, readings_deg: Sequence[Mapping[str, float]]) -> dict[str, Any] | None:
+def gimbal_check(
+    calibration: Calibration, readings_deg: Sequence[Mapping[str, float]]
+) -> dict[str, Any] | None:
     """Hold rotations against the gimbal's readings; None where it cannot be told.
 
     Parameters

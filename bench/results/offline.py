@@ -18,7 +18,7 @@ from bench.records.captures import stored_captures
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
-from bench.results.comparison import planar_beside
+from bench.results.comparison import planar_calibration
 from bench.results.passports import read_passport
 from bench.results.point_files import Origin, read_point_file
 from bench.stations.station import load_station
@@ -46,7 +46,7 @@ _JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 
 @dataclass(frozen=True)
-class Choices:
+class OfflineOptions:
     """What the operator chose.
 
     Attributes
@@ -55,7 +55,7 @@ class Choices:
         The engine's.
     image_size
         For point files.
-    chosen
+    view_numbers
         Numbers of the views to use, from 1; None for all.
     image
         Kind of event image for RAW captures.
@@ -67,13 +67,13 @@ class Choices:
 
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
     image_size: tuple[int, int] | None = None
-    chosen: tuple[int, ...] | None = None
+    view_numbers: tuple[int, ...] | None = None
     image: str = "auto"
     origin: Origin = "corner"
     target: StarTarget = field(default_factory=StarTarget)
 
     @classmethod
-    def from_words(
+    def from_command_line(
         cls,
         *,
         model: str,
@@ -110,8 +110,8 @@ class Choices:
             )
         return cls(
             options,
-            _size(image_size),
-            _numbers(views),
+            _parse_image_size(image_size),
+            _parse_view_numbers(views),
             image,
             "centre" if origin == "centre" else "corner",
             load_station(station).value.target.pattern() if station else StarTarget(),
@@ -136,7 +136,7 @@ class OfflineResult:
         }
 
 
-def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
+def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineResult:
     """Make views of paths and calibrate from them.
 
     Raises
@@ -149,12 +149,12 @@ def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
         When the views do not constrain the camera.
     """
     sources = [source for path in paths for source in _sources(path, choices)]
-    missing = [number for number in choices.chosen or () if number > len(sources)]
+    missing = [number for number in choices.view_numbers or () if number > len(sources)]
     if missing:
         raise UsageError(
             f"There is no view {missing[0]}: there are {len(sources)}.", remedy="Views count from 1."
         )
-    chosen = [sources[n - 1] for n in choices.chosen] if choices.chosen else sources
+    chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, sized, skipped = [], [], []
     for source in chosen:
         try:
@@ -168,11 +168,11 @@ def calibrate_paths(paths: Sequence[Path], choices: Choices) -> OfflineResult:
         )
     views = _distinct(_one_size(views, sized))
     calibration = calibrate(views, choices.options)
-    planar = planar_beside(views, choices.options) if calibration.model != "planar" else None
+    planar = planar_calibration(views, choices.options) if calibration.model != "planar" else None
     return OfflineResult(calibration, planar, skipped, views)
 
 
-def compared(result: OfflineResult, choices: Choices) -> list[Baseline | NoAnswer]:
+def compare_methods(result: OfflineResult, choices: OfflineOptions) -> list[Baseline | NoAnswer]:
     """Hold a calibration against the published recipe and OpenCV's planar method, on the same points.
 
     A method without an answer says why in its row; that is no fault of ours.
@@ -189,13 +189,13 @@ class _Source:
     sized: bool = True
 
 
-def _sources(path: Path, choices: Choices) -> Iterator[_Source]:
+def _sources(path: Path, choices: OfflineOptions) -> Iterator[_Source]:
     if not path.exists():
         raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
     if path.is_dir() and (path / JOURNAL).is_file():
         yield from _run_sources(path, choices)
     elif path.is_dir():
-        files = sorted((p for p in path.iterdir() if p.suffix.lower() in _KNOWN), key=_natural)
+        files = sorted((p for p in path.iterdir() if p.suffix.lower() in _KNOWN), key=_natural_order)
         if not files:
             raise UsageError(
                 "The folder holds no run, capture, image or point file.",
@@ -208,7 +208,7 @@ def _sources(path: Path, choices: Choices) -> Iterator[_Source]:
         yield _file_source(path, choices)
 
 
-def _run_sources(folder: Path, choices: Choices) -> Iterator[_Source]:
+def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[_Source]:
     """Take the accepted recordings of a run, looked at as its own sequence and station say."""
     entries, _ = read_journal(folder / JOURNAL)
     history = replay(entries)
@@ -225,7 +225,7 @@ def _run_sources(folder: Path, choices: Choices) -> Iterator[_Source]:
         yield _Source(path, partial(_view_of_run, job, path, step, as_before(attempt)))
 
 
-def _refuse_cut_off(path: Path) -> None:
+def _refuse_truncated(path: Path) -> None:
     """Refuse a recording that is not whole: by its last word and, inside a run folder, by what its journal says.
 
     Raises
@@ -249,11 +249,11 @@ def _refuse_cut_off(path: Path) -> None:
 
 
 def _view_of_run(job: Job, path: Path, step: RecordStep, expect: Expect | None) -> View:
-    _refuse_cut_off(path)
-    return _view(job.measure(path, step, expect), path)
+    _refuse_truncated(path)
+    return _view(job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expect), path)
 
 
-def _file_source(path: Path, choices: Choices) -> _Source:
+def _file_source(path: Path, choices: OfflineOptions) -> _Source:
     ending = path.suffix.lower()
     if ending in RECORDINGS:
         return _Source(path, partial(_view_of_recording, path, choices))
@@ -272,8 +272,8 @@ def _file_source(path: Path, choices: Choices) -> _Source:
     )
 
 
-def _view_of_recording(path: Path, choices: Choices) -> View:
-    _refuse_cut_off(path)
+def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
+    _refuse_truncated(path)
     found = measure(
         path, name=path.stem, target=choices.target, image=choices.image, periods=None, expected_hz=None
     )
@@ -286,8 +286,8 @@ def _view(found: Measurement, path: Path) -> View:
     return found.view
 
 
-def _view_of_photograph(path: Path, choices: Choices) -> View:
-    _refuse_cut_off_jpeg(path)
+def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
+    _refuse_truncated_jpeg(path)
     try:
         picture = mean_frame(path)
     except RecordingFileError as error:
@@ -295,7 +295,7 @@ def _view_of_photograph(path: Path, choices: Choices) -> View:
     return downweight_vignetted(detect_view(picture, choices.target, name=path.stem), choices.target)
 
 
-def _refuse_cut_off_jpeg(path: Path) -> None:
+def _refuse_truncated_jpeg(path: Path) -> None:
     """Refuse a JPEG without its end: it is read as grey from there on. Raises RecordingCorrupt, StorageError."""
     if path.suffix.lower() not in _JPEG:
         return
@@ -342,13 +342,13 @@ def _distinct(views: Sequence[View]) -> list[View]:
     ]
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
+def _natural_order(path: Path) -> list[tuple[int, int, str]]:
     """Sort key by which image10 follows image9."""
     words = re.split(r"(\d+)", path.name)
     return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]
 
 
-def _size(text: str | None) -> tuple[int, int] | None:
+def _parse_image_size(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())
@@ -359,7 +359,7 @@ def _size(text: str | None) -> tuple[int, int] | None:
     return int(found[1]), int(found[2])
 
 
-def _numbers(text: str | None) -> tuple[int, ...] | None:
+def _parse_view_numbers(text: str | None) -> tuple[int, ...] | None:
     if text is None:
         return None
     words = [word.strip() for word in text.split(",")]

@@ -60,7 +60,7 @@ def write_passport(path: Path, passport: Passport) -> None:
     write_atomic(path, (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode())
 
 
-def passport_of_run(
+def passport_from_calibration(
     calibration: Calibration,
     *,
     collimator: str | None,
@@ -82,10 +82,10 @@ def passport_of_run(
         "sources": sources,
         "model": calibration.model,
     }
-    return calibration.passport(_told(conditions))
+    return calibration.passport(_without_none(conditions))
 
 
-def passport_of_certificate(
+def passport_from_certificate(
     r_mm: float,
     sigma_mm: float,
     *,
@@ -111,8 +111,8 @@ def passport_of_certificate(
         "temperature_c": temperature_c,
         "made_utc": now.isoformat(timespec="seconds"),
     }
-    return Passport.of_radius(r_mm, sigma_mm, _told(conditions))
+    return Passport.of_radius(r_mm, sigma_mm, _without_none(conditions))
 
 
-def _told(conditions: Mapping[str, Any]) -> dict[str, Any]:
+def _without_none(conditions: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in conditions.items() if value is not None}

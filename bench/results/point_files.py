@@ -91,7 +91,7 @@ def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
         raise BenchError(
             "It is not text.", where=str(path), remedy="Point files hold lines x y X Y id."
         ) from error
-    rows = [_row(line, f"{path}:{number}") for number, line in enumerate(lines, 1) if _means_something(line)]
+    rows = [_row(line, f"{path}:{number}") for number, line in enumerate(lines, 1) if _is_data(line)]
     if not rows:
         raise BenchError("It holds no points.", where=str(path), remedy="Point files hold lines x y X Y id.")
     if len(rows) > _MOST_STARS:
@@ -99,7 +99,7 @@ def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     return np.array(rows, np.float64)
 
 
-def _means_something(line: str) -> bool:
+def _is_data(line: str) -> bool:
     return bool(line.strip()) and not line.lstrip().startswith("#")
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from bench.base.errors import BenchError
 from bench.plan.job import Job, calibration_options
 from bench.records.run_folder import RESULTS, SEQUENCE_COPY, STATION_COPY
-from bench.results.offline import Choices, calibrate_paths
+from bench.results.offline import OfflineOptions, calibrate_paths
 from calib.errors import CalibrationError
 from drivers.errors import DriverError
 from sequences.script import SolveStep
@@ -45,21 +45,21 @@ def differences(folder: Path) -> list[str]:
     """
     job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
     solve = [step for step in job.steps if isinstance(step, SolveStep)][-1]
-    told = json.loads((folder / RESULTS).read_bytes())["calibration"]
+    stored = json.loads((folder / RESULTS).read_bytes())["calibration"]
     try:
-        again = calibrate_paths([folder], Choices(options=calibration_options(solve)))
+        again = calibrate_paths([folder], OfflineOptions(options=calibration_options(solve)))
     except (BenchError, CalibrationError, DriverError) as error:
         return [f"it cannot be calibrated again: {error}"]
     skipped = [f"a recording that was accepted shows no stars now: {why}" for why in again.skipped]
-    return skipped + _differing(told, again.calibration.to_dict())
+    return skipped + _differences_between(stored, again.calibration.to_dict())
 
 
-def _differing(told: Mapping[str, Any], again: Mapping[str, Any]) -> list[str]:
+def _differences_between(stored: Mapping[str, Any], again: Mapping[str, Any]) -> list[str]:
     """Compare two calibrations as results.json holds them."""
-    if told["model"] != again["model"] or set(told["sigma"]) != set(again["sigma"]):
-        models = [f"{c['model']} in {', '.join(c['sigma'])}" for c in (again, told)]
+    if stored["model"] != again["model"] or set(stored["sigma"]) != set(again["sigma"]):
+        models = [f"{c['model']} in {', '.join(c['sigma'])}" for c in (again, stored)]
         return [f"the recordings give the model {models[0]}; the results tell {models[1]}"]
-    values = [{**c["camera"], **(c["collimator"] or {})} for c in (told, again)]
+    values = [{**c["camera"], **(c["collimator"] or {})} for c in (stored, again)]
     found = []
     for name, sigma in again["sigma"].items():
         bound = TOLERANCE_SIGMAS * sigma
@@ -67,8 +67,8 @@ def _differing(told: Mapping[str, Any], again: Mapping[str, Any]) -> list[str]:
             found.append(
                 f"the recordings give {name} = {values[1][name]:.9g}, the results {values[0][name]:.9g}"
             )
-        if not abs(told["sigma"][name] - sigma) <= bound:
+        if not abs(stored["sigma"][name] - sigma) <= bound:
             found.append(
-                f"the recordings give {name} the sigma {sigma:.6g}, the results {told['sigma'][name]:.6g}"
+                f"the recordings give {name} the sigma {sigma:.6g}, the results {stored['sigma'][name]:.6g}"
             )
     return found

@@ -17,11 +17,13 @@ from typing import Any
 from bench import __version__
 from bench.base.errors import BenchError
 from bench.plan.job import Job, calibration_options
-from bench.records.history import Attempt, History, RunLog
+from bench.records.events import Solved
+from bench.records.history import Attempt, History
 from bench.records.run_folder import REPORT, RESULTS, RunFolder
+from bench.records.run_log import RunLog
 from bench.report import ReportData, ViewPicture, pictured_poses, render_report
-from bench.results.comparison import compare, planar_beside
-from bench.results.cross_checks import gimbal, halves
+from bench.results.comparison import compare_with_truth, planar_calibration
+from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.exports import exports
 from bench.views.camera_kinds import CameraKind
 from bench.views.expected_grid import as_before
@@ -69,7 +71,7 @@ class ResultWriter:
         history: History,
         measured: Mapping[int, Measurement],
         check: Callable[[], None],
-    ) -> dict[str, Any]:
+    ) -> Solved:
         """Calibrate from the accepted recordings.
 
         Parameters
@@ -101,11 +103,11 @@ class ResultWriter:
         options = calibration_options(step)
         calibration = _with_cautions(calibrate(views, options), measurements)
         check()
-        planar = planar_beside(views, options) if calibration.model != "planar" else None
+        planar = planar_calibration(views, options) if calibration.model != "planar" else None
         found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
         found |= {f"sigma_{name}": sigma for name, sigma in calibration.sigma.items()}
         readings = [attempt.stored["measured_deg"] for _, attempt in sorted(history.accepted().items())]
-        checks = {"halves": halves(views, options), "gimbal": gimbal(calibration, readings)}
+        checks = {"halves": split_half_check(views, options), "gimbal": gimbal_check(calibration, readings)}
         check()
         self._solution = Solution(
             calibration,
@@ -150,7 +152,8 @@ class ResultWriter:
 
     def _measure_again(self, attempt: Attempt) -> Measurement:
         path = self._folder.path / str(attempt.stored["capture"])
-        found = self._job.measure(path, self._job.record_step(attempt.pose_index), as_before(attempt))
+        job, step = self._job, self._job.record_step(attempt.pose_index)
+        found = job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, as_before(attempt))
         if found.view is None:
             raise BenchError(
                 f"{attempt.stored['capture']} was accepted, and now no stars are found in it: {found.fault}",
@@ -191,7 +194,7 @@ class ResultWriter:
             "deviations": list(history.deviations),
             "states": list(history.states),
             "truth": dict(truth) if truth is not None else None,
-            "comparison": compare(calibration, truth) if truth is not None else [],
+            "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
         }
 
 
@@ -208,7 +211,7 @@ def _with_cautions(calibration: Calibration, measurements: Sequence[Measurement]
     return replace(calibration, notes=(*calibration.notes, note))
 
 
-def main_numbers(calibration: Calibration) -> dict[str, Any]:
+def main_numbers(calibration: Calibration) -> Solved:
     """Give what the journal carries of a calibration."""
     return {
         "model": calibration.model,
@@ -263,7 +266,7 @@ def _poses(history: History, solution: Solution, kind: CameraKind) -> list[dict[
         attempts = history.attempts_at(index)
         best = history.accepted().get(index)
         shown = best or attempts[-1]
-        measured = (shown.checked or {}).get("measured", {})
+        measured = shown.measured
         summary = summaries.get(shown.pose_name) if best else None
         poses.append(
             {
@@ -285,13 +288,13 @@ def _poses(history: History, solution: Solution, kind: CameraKind) -> list[dict[
 
 
 def _attempt(attempt: Attempt, kind: CameraKind) -> dict[str, Any]:
-    stored, checked = attempt.stored, attempt.checked or {}
+    stored = attempt.stored
     return {
         "attempt": attempt.attempt,
         "capture": stored["capture"],
         "sha256": stored["sha256"],
         "accepted": attempt.accepted,
-        "reasons": list(checked.get("reasons", [])),
+        "reasons": list(attempt.reasons),
         **kind.counts(stored["facts"]),
     }
 
@@ -301,5 +304,5 @@ def _gates(history: History) -> list[dict[str, Any]]:
     return [
         {**gate, "name": f"pose {index}: {gate['name']}"}
         for index, attempt in sorted(history.accepted().items())
-        for gate in (attempt.checked or {}).get("gates", [])
+        for gate in attempt.gates
     ]

@@ -31,7 +31,7 @@ _CANDIDATES_AN_AXIS = 13
 _BINS = np.linspace(-4, 4, 33)
 
 
-def expectation(station: Station, *, noise_px: float | None = None) -> ExpectedBench:
+def expected_bench(station: Station, *, noise_px: float | None = None) -> ExpectedBench:
     """Say what a station expects of its bench: roughly, and enough to plan with.
 
     Raises
@@ -66,14 +66,14 @@ def expectation(station: Station, *, noise_px: float | None = None) -> ExpectedB
     )
 
 
-def poses_deg(sequence: str, station: str) -> tuple[list[dict[str, float]], Station]:
+def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, float]], Station]:
     """Take the poses that a sequence records, as the engine names them, and the station."""
     planned = make_plan(*load_documents(sequence, station))
     poses = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
     return poses, planned.station.value
 
 
-def expected_worth(planned: Plan) -> Forecast | None:
+def expected_uncertainty(planned: Plan) -> Forecast | None:
     """Say what a plan's poses will be worth; None where the station expects nothing, or poses show too little.
 
     A sequence that is fit for other reasons is not refused because a forecast fails: the bench may differ.
@@ -83,12 +83,12 @@ def expected_worth(planned: Plan) -> Forecast | None:
         return None
     poses = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
     try:
-        return forecast(expectation(station), poses)
+        return forecast(expected_bench(station), poses)
     except (TooFewStars, DegenerateViews):
         return None
 
 
-def suggested_poses(planned: Plan, count: int) -> list[dict[str, float]]:
+def suggest_poses(planned: Plan, count: int) -> list[dict[str, float]]:
     """Suggest the poses, within the station's limits, that would add most to those of a plan.
 
     Raises
@@ -105,7 +105,7 @@ def suggested_poses(planned: Plan, count: int) -> list[dict[str, float]]:
         for name, axis in station.axes.items()
     }
     candidates = [dict(zip(steps, map(float, angles), strict=True)) for angles in product(*steps.values())]
-    return [dict(pose) for pose in next_poses(expectation(station), taken, candidates, count)]
+    return [dict(pose) for pose in next_poses(expected_bench(station), taken, candidates, count)]
 
 
 def run_study(
@@ -142,8 +142,8 @@ def run_study(
     ScriptError, UsageError
         When the files cannot be used.
     """
-    poses, described = poses_deg(sequence, station)
-    bench = expectation(described, noise_px=noise_px)
+    poses, described = sequence_poses_deg(sequence, station)
+    bench = expected_bench(described, noise_px=noise_px)
     options = CalibrationOptions(model=model, loss=loss)  # type: ignore[arg-type]
     with Progress(console=Console(stderr=True), transient=True) as shown:
         task = shown.add_task("calibrating", total=runs)
@@ -159,7 +159,7 @@ def run_study(
         )
 
 
-def write_plot(study: Study, path: Path) -> None:
+def write_study_plot(study: Study, path: Path) -> None:
     """Draw the errors of each parameter, in their stated sigmas, beside the normal distribution; an SVG file."""
     figure = Figure(figsize=(9, 6), layout="constrained")
     FigureCanvasSVG(figure)

@@ -16,7 +16,7 @@ from typing import Any
 from bench.records.run_index import IndexedRun
 from bench.results.agreement import agreement
 
-SEEN_SIGMAS = 3.5
+SIGNIFICANT_SIGMAS = 3.5
 """A slope of more standard uncertainties than that is seen: by chance one in 2000 is, of some twenty looked at."""
 
 LEAST_SPAN_H = 0.5
@@ -31,13 +31,13 @@ class Slope:
     sigma: float
 
     @property
-    def seen(self) -> bool:
+    def significant(self) -> bool:
         """Whether it is more than chance explains."""
-        return abs(self.value) > SEEN_SIGMAS * self.sigma
+        return abs(self.value) > SIGNIFICANT_SIGMAS * self.sigma
 
     def to_dict(self) -> dict[str, Any]:
         """Give it as JSON carries it."""
-        return {"value": self.value, "sigma": self.sigma, "seen": self.seen}
+        return {"value": self.value, "sigma": self.sigma, "seen": self.significant}
 
 
 @dataclass(frozen=True)
@@ -73,15 +73,15 @@ class Trend:
         }
 
 
-def slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) -> Slope | None:
+def fit_slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) -> Slope | None:
     """Fit a straight line, weighted by 1 / sigma^2; None with fewer than three points, or where x does not vary.
 
     Examples
     --------
-    >>> found = slope([0, 1, 2, 3], [1.0, 3.0, 5.0, 7.0], [0.1] * 4)
-    >>> round(found.value, 6), round(found.sigma, 4), found.seen
+    >>> found = fit_slope([0, 1, 2, 3], [1.0, 3.0, 5.0, 7.0], [0.1] * 4)
+    >>> round(found.value, 6), round(found.sigma, 4), found.significant
     (2.0, 0.0447, True)
-    >>> slope([1, 1, 1], [1, 2, 3], [1, 1, 1]) is None
+    >>> fit_slope([1, 1, 1], [1, 2, 3], [1, 1, 1]) is None
     True
     """
     if len(x) < 3:
@@ -122,8 +122,8 @@ def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
             continue
         agreed = agreement(name, values)
         y, sigma = [v for v, _ in values], [s for _, s in values]
-        per_hour = slope(hours, y, sigma) if hours[-1] - hours[0] >= LEAST_SPAN_H else None
-        per_c = slope(known_c, y, sigma) if len(known_c) == len(runs) else None
+        per_hour = fit_slope(hours, y, sigma) if hours[-1] - hours[0] >= LEAST_SPAN_H else None
+        per_c = fit_slope(known_c, y, sigma) if len(known_c) == len(runs) else None
         found.append(Trend(name, agreed.mean, agreed.sigma, agreed.birge, per_hour, per_c))
     return found
 

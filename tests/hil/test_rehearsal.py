@@ -9,7 +9,7 @@ import pytest
 from bench.base.clock import BenchClock, VirtualClock
 from bench.base.errors import RunFolderError
 from bench.batch.batch import Batch
-from bench.batch.batch_plan import plan_night, read_queue
+from bench.batch.batch_plan import plan_batch, read_queue
 from bench.batch.rehearsed_night import rehearse_batch
 from bench.batch.supervisor import WorkerEnd
 from bench.records.journal import read_journal
@@ -84,7 +84,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(queue, tmp_p
 
 def test_a_night_goes_as_planned_and_tells_what_failed(queue, tmp_path):
     summary = rehearsed(queue, tmp_path / "night")
-    planned = {slot.item.key: slot for slot in plan_night(queue.value, EVENING).slots}
+    planned = {slot.item.key: slot for slot in plan_batch(queue.value, EVENING).slots}
     assert {item["item"]: item["how"] for item in summary["items"]} == {
         "a-001": "finished", "a-002": "finished", "a-003": "finished", "b-001": "failed",
     }  # fmt: skip

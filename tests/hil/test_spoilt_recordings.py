@@ -75,7 +75,7 @@ def judge(path, recording, said=LIMITS):
         scan.rate_controller_in, scan.rate_controller_out,
     )  # fmt: skip
     found = measure(path, name="p", target=TARGET, image="auto", periods=2, expected_hz=60.0)
-    gates = Gates.from_words(dict(GateConfig(**said)))
+    gates = Gates.from_command_line(dict(GateConfig(**said)))
     return found, refusals(facts, gates, recording_gates(facts, gates, 60.0, found.facts, found.stars))
 
 

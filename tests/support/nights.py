@@ -2,9 +2,9 @@
 
 from datetime import UTC, datetime, timedelta
 
-from bench.batch.batch import Batch, command_of
+from bench.batch.batch import Batch, worker_command
 from bench.batch.supervisor import WorkerEnd
-from bench.records.history import Event
+from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from sequences.queue import JobConfig, Queue
@@ -45,7 +45,7 @@ class Workers:
         self.clock, self.ends, self.run_s, self.begun = clock, list(ends), run_s, []
 
     def __call__(self, item, run, _log):
-        word = command_of(item, run)[0]
+        word = worker_command(item, run)[0]
         self.begun.append((word, run.name, self.clock.now_s))
         if word == "run":
             clocks = {"utc_now": self.clock.utc_now, "monotonic": self.clock.monotonic}

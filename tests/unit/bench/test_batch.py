@@ -10,10 +10,10 @@ from nights import JOB, NightClock, Workers, begun, hows, night, queue
 
 from bench.base.clock import Aborted
 from bench.base.errors import RunFolderError, ScriptError
-from bench.batch.batch import Batch, command_of
+from bench.batch.batch import Batch, worker_command
 from bench.batch.batch_plan import plan_of, read_queue
-from bench.batch.schedule import in_order, items_of
-from bench.records.history import Event
+from bench.batch.schedule import by_priority, items_of
+from bench.records.events import Event
 from bench.records.journal import Journal, read_journal
 from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, Queue
@@ -37,7 +37,7 @@ def test_repetitions_wait_for_their_time_and_others_fill_it(tmp_path):
 
 def test_seeds_of_repetitions_differ(tmp_path):
     items = items_of(queue(("a", ", times: 2, seed: 7, operator: Ada")).value.jobs, NightClock().utc_now())
-    words = [command_of(item, tmp_path / item.key) for item in items]
+    words = [worker_command(item, tmp_path / item.key) for item in items]
     assert [w[w.index("--seed") + 1] for w in words] == ["7", "8"]
     assert words[0][-2:] == ["--operator", "Ada"]
 
@@ -45,7 +45,7 @@ def test_seeds_of_repetitions_differ(tmp_path):
 def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path):
     jobs = queue(("a", ", settings: {station.camera.biases.bias_diff_on: 20, sequence.name: 'x, y'}"))
     (item,) = items_of(jobs.value.jobs, NightClock().utc_now())
-    words = command_of(item, tmp_path / "a")
+    words = worker_command(item, tmp_path / "a")
     assert words[-4:] == ["--set", "station.camera.biases.bias_diff_on=20", "--set", "sequence.name=x, y"]
     path = tmp_path / "queue.yaml"
     path.write_bytes(jobs.text)
@@ -144,7 +144,7 @@ def test_the_queue_in_the_documents_is_one_and_names_every_key():
     document = (Path(__file__).parents[3] / "docs" / "batches.md").read_text(encoding="utf-8")
     example, *_ = re.findall(r"```yaml\n(.*?)```", document, re.DOTALL)
     shown = check_document(example.encode(), "example", Queue).value
-    items = in_order(items_of(shown.jobs, datetime(2026, 3, 1, tzinfo=UTC)))
+    items = by_priority(items_of(shown.jobs, datetime(2026, 3, 1, tzinfo=UTC)))
     assert [item.key for item in items][:2] == ["first-001", "cam7-001"]
     keys = {*Queue.model_fields, *JobConfig.model_fields}
     assert sorted(key for key in keys if key not in document) == []
@@ -219,9 +219,7 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
         night(tmp_path, top, KeyboardInterrupt())[0].run()
     clock, seen = NightClock(), []
     clock.now_s = 900.0  # 20:15: the other one is due, and comes first
-    monkeypatch.setattr(
-        "bench.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}") or 0.0
-    )
+    monkeypatch.setattr("bench.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}") or 0.0)
     monkeypatch.setattr(
         "bench.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
     )

@@ -53,7 +53,7 @@ def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messa
     with Journal.create(tmp_path / "run" / "journal.jsonl", **clocks) as journal:
         key = journal.append("run_ended", how="failed", why="so").hash
     words = station(tmp_path)
-    messages.hear([words])
+    messages.add_recipients([words])
     (courier,) = messages._couriers.values()
     outbox.put(Message(key, "failure", "by itself", "", "run", "", NOW.isoformat()), courier._channels)
     messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("failed", "so"), "a" * 64)
@@ -73,7 +73,7 @@ def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, message
     [("finished", "end"), ("aborted", "end"), ("failed", "failure"), ("stopped", "failure")],
 )
 def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, occasion):
-    messages.hear([station(tmp_path)])
+    messages.add_recipients([station(tmp_path)])
     messages.batch_ended("Night", how, "", ["cam-001: finished"], tmp_path, "b" * 64)
     (delivery,) = outbox.deliveries()
     assert (delivery.message.occasion, delivery.message.subject) == (

@@ -9,7 +9,7 @@ import pytest
 
 from bench.records.run_index import IndexedRun
 from bench.report.batch_page import render_batch
-from bench.results.trends import by_camera, slope, trends_of
+from bench.results.trends import by_camera, fit_slope, trends_of
 
 EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)
 
@@ -29,18 +29,18 @@ def test_a_drift_is_seen_where_there_is_one(drift_px_h):
     drawn = np.random.default_rng(1)
     runs = [run(n, fx=drift_px_h * n / 2 + 0.5 * drawn.normal()) for n in range(20)]
     fx, k1 = trends_of(runs)
-    assert fx.per_hour.seen is (drift_px_h > 0)
+    assert fx.per_hour.significant is (drift_px_h > 0)
     assert fx.per_hour.value == pytest.approx(drift_px_h, abs=3 * fx.per_hour.sigma)
     assert k1.birge == 0
     assert fx.per_c is None  # one temperature all night
-    assert not k1.per_hour.seen
+    assert not k1.per_hour.significant
 
 
 def test_slopes_of_noise_scatter_as_their_uncertainties_say():
     drawn = np.random.default_rng(2)
     x, sigma = np.linspace(0, 10, 25), 0.7
     z = [
-        (s := slope(x.tolist(), (sigma * drawn.normal(size=25)).tolist(), [sigma] * 25)).value / s.sigma
+        (s := fit_slope(x.tolist(), (sigma * drawn.normal(size=25)).tolist(), [sigma] * 25)).value / s.sigma
         for _ in range(400)
     ]
     assert 0.85 < math.sqrt(np.mean(np.square(z))) < 1.1
@@ -49,15 +49,15 @@ def test_slopes_of_noise_scatter_as_their_uncertainties_say():
 
 def test_points_that_scatter_more_than_they_say_widen_the_slope():
     x, y = [0.0, 1.0, 2.0, 3.0], [0.0, 5.0, -5.0, 0.0]
-    assert slope(x, y, [0.1] * 4).sigma > 10 * slope(x, [0.0, 0.05, -0.05, 0.0], [0.1] * 4).sigma
+    assert fit_slope(x, y, [0.1] * 4).sigma > 10 * fit_slope(x, [0.0, 0.05, -0.05, 0.0], [0.1] * 4).sigma
 
 
 def test_the_temperature_is_followed_where_it_varies():
     runs = [run(n, fx=0.8 * (n % 5), temperature_c=40.0 + n % 5, sigma=0.1) for n in range(20)]
     fx, _ = trends_of(runs)
     assert fx.per_c.value == pytest.approx(0.8)
-    assert fx.per_c.seen
-    assert not fx.per_hour.seen
+    assert fx.per_c.significant
+    assert not fx.per_hour.significant
 
 
 def test_cameras_are_kept_apart_and_runs_without_a_result_left_out():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bench.plan.plan import load_documents, make_plan
-from bench.results.cross_checks import gimbal, halves
-from bench.results.studies import expectation
+from bench.results.cross_checks import gimbal_check, split_half_check
+from bench.results.studies import expected_bench
 from calib.engine import CalibrationOptions, calibrate
 from calib.studies.predicted_views import predicted_view
 
@@ -14,7 +14,7 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
 
 @pytest.fixture(scope="module")
 def views():
-    bench = expectation(make_plan(*load_documents("nine_pose", "simulated")).station.value)
+    bench = expected_bench(make_plan(*load_documents("nine_pose", "simulated")).station.value)
     rng = np.random.default_rng(3)
     seen = []
     for pan, tilt in POSES:
@@ -25,7 +25,7 @@ def views():
 
 
 def test_halves_differ_by_about_what_their_uncertainties_say(views):
-    told = halves(views, CalibrationOptions())
+    told = split_half_check(views, CalibrationOptions())
     assert told is not None
     assert 0.1 < told["ratio"] < 2.5
     assert told["worst_px"] >= told["rms_px"] > 0
@@ -35,7 +35,7 @@ def test_halves_differ_by_about_what_their_uncertainties_say(views):
 
 
 def test_three_poses_have_no_halves(views):
-    assert halves(views[:3], CalibrationOptions()) is None
+    assert split_half_check(views[:3], CalibrationOptions()) is None
 
 
 def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
@@ -44,9 +44,9 @@ def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
         {"pan": pan + 1.0, "tilt": tilt, "pan_encoder": pan / 0.998, "tilt_encoder": tilt}
         for pan, tilt in POSES
     ]
-    told = gimbal(calibration, readings)
+    told = gimbal_check(calibration, readings)
     assert told is not None
     assert told["scale"]["pan_deg"] == pytest.approx(0.998, abs=4 * told["scale_sigma"]["pan_deg"])
     assert told["scale"]["tilt_deg"] == pytest.approx(1.0, abs=4 * told["scale_sigma"]["tilt_deg"])
     assert told["agrees"]
-    assert gimbal(calibration, [{"pan": 0.0}] * len(POSES)) is None
+    assert gimbal_check(calibration, [{"pan": 0.0}] * len(POSES)) is None

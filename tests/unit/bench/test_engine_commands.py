@@ -8,7 +8,7 @@ import pytest
 
 from bench.commands.cli import main
 from bench.plan.plan import load_documents, make_plan
-from bench.results.studies import expectation, expected_worth, suggested_poses
+from bench.results.studies import expected_bench, expected_uncertainty, suggest_poses
 from calib.studies.predicted_views import predicted_view
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
@@ -18,7 +18,7 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
 def points(tmp_path_factory):
     """Point files of five imagined views with 0.03 px of noise, and the truth they were made of."""
     folder = tmp_path_factory.mktemp("points")
-    bench = expectation(make_plan(*load_documents("three_pose", "simulated")).station.value)
+    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated")).station.value)
     rng = np.random.default_rng(4)
     for number, (pan, tilt) in enumerate(POSES, 1):
         view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, str(number))
@@ -148,10 +148,10 @@ def test_a_plan_says_what_its_poses_will_be_worth_and_suggests_better_ones(capsy
     assert len(told["suggested"]) == 2
     planned = make_plan(*load_documents("three_pose", "simulated"))
     limits = planned.station.value.axes
-    for pose in suggested_poses(planned, 2):
+    for pose in suggest_poses(planned, 2):
         for axis, words in limits.items():
             assert words.limits_deg[0] <= pose[f"{axis}_deg"] <= words.limits_deg[1]
-    nine = expected_worth(make_plan(*load_documents("nine_pose", "simulated")))
+    nine = expected_uncertainty(make_plan(*load_documents("nine_pose", "simulated")))
     assert nine is not None
     assert nine.map.worst_px < told["expected"]["worst_px"]
 
@@ -191,7 +191,7 @@ def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, refere
 
 def test_a_capture_shorter_than_its_journal_says_is_refused(tmp_path):
     from bench.records.journal import Journal
-    from bench.results.offline import _refuse_cut_off
+    from bench.results.offline import _refuse_truncated
     from drivers.errors import RecordingCorrupt
 
     path = tmp_path / "captures" / "pose-001-attempt-1.raw"
@@ -203,7 +203,7 @@ def test_a_capture_shorter_than_its_journal_says_is_refused(tmp_path):
         journal.append(
             "capture_stored", capture="captures/pose-001-attempt-1.raw", size=size, sha256="0" * 64
         )
-    _refuse_cut_off(path)
+    _refuse_truncated(path)
     path.write_bytes(path.read_bytes()[:-2])
     with pytest.raises(RecordingCorrupt, match=f"cut off; {size} were recorded"):
-        _refuse_cut_off(path)
+        _refuse_truncated(path)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import BenchError, UsageError
-from bench.results.offline import Choices, _one_size, _refuse_cut_off_jpeg, _size
+from bench.results.offline import OfflineOptions, _one_size, _parse_image_size, _refuse_truncated_jpeg
 from calib.view import View
 from drivers.errors import RecordingCorrupt
 
@@ -36,9 +36,9 @@ def test_points_beyond_the_pictures_are_of_another_camera():
 @pytest.mark.parametrize("word", ["0x0", "0x720", "1280x0", "1280", "-1280x720"])
 def test_an_image_without_pixels_is_no_size(word):
     with pytest.raises(UsageError, match="not an image size"):
-        _size(word)
-    assert _size("1280x720") == (1280, 720)
-    assert Choices().image_size is None
+        _parse_image_size(word)
+    assert _parse_image_size("1280x720") == (1280, 720)
+    assert OfflineOptions().image_size is None
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.999])
@@ -46,9 +46,9 @@ def test_a_jpeg_that_is_cut_off_is_no_picture(tmp_path, share):
     noise = np.random.default_rng(1).integers(0, 256, (120, 160), np.uint8)
     whole = cv2.imencode(".jpg", noise)[1].tobytes()
     (tmp_path / "a.jpg").write_bytes(whole)
-    _refuse_cut_off_jpeg(tmp_path / "a.jpg")
+    _refuse_truncated_jpeg(tmp_path / "a.jpg")
     (tmp_path / "a.jpg").write_bytes(whole + b"what cameras put behind it")
-    _refuse_cut_off_jpeg(tmp_path / "a.jpg")
+    _refuse_truncated_jpeg(tmp_path / "a.jpg")
     (tmp_path / "a.jpg").write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(RecordingCorrupt, match="cut off"):
-        _refuse_cut_off_jpeg(tmp_path / "a.jpg")
+        _refuse_truncated_jpeg(tmp_path / "a.jpg")

@@ -5,11 +5,11 @@ import copy
 import pytest
 from report_sample import sample
 
-from bench.results.reproduce import _differing
+from bench.results.reproduce import _differences_between
 
 
 @pytest.fixture(scope="module")
-def told():
+def stored():
     return sample(size=(160, 90)).results["calibration"]
 
 
@@ -19,25 +19,25 @@ def changed(calibration, part, name, sigmas):
     return again
 
 
-def test_the_same_calibration_does_not_differ(told):
-    assert _differing(told, copy.deepcopy(told)) == []
+def test_the_same_calibration_does_not_differ(stored):
+    assert _differences_between(stored, copy.deepcopy(stored)) == []
 
 
 @pytest.mark.parametrize(("part", "name"), [("camera", "k2"), ("collimator", "r"), ("sigma", "fx")])
-def test_what_differs_by_more_than_rounding_is_told(told, part, name):
-    assert _differing(told, changed(told, part, name, 1e-5)) == []
-    (found,) = _differing(told, changed(told, part, name, 0.01))
+def test_what_differs_by_more_than_rounding_is_told(stored, part, name):
+    assert _differences_between(stored, changed(stored, part, name, 1e-5)) == []
+    (found,) = _differences_between(stored, changed(stored, part, name, 0.01))
     assert found.startswith(f"the recordings give {name}")
     assert ("the sigma" in found) == (part == "sigma")
 
 
-def test_what_is_no_number_differs(told):
-    assert _differing(changed(told, "camera", "fx", float("nan")), told) != []
+def test_what_is_no_number_differs(stored):
+    assert _differences_between(changed(stored, "camera", "fx", float("nan")), stored) != []
 
 
-def test_another_model_or_lens_is_told(told):
-    for again in ({**told, "model": "planar"}, {**told, "sigma": {"fx": 1.0}}):
-        (found,) = _differing(told, again)
+def test_another_model_or_lens_is_told(stored):
+    for again in ({**stored, "model": "planar"}, {**stored, "sigma": {"fx": 1.0}}):
+        (found,) = _differences_between(stored, again)
         assert found.startswith(
             f"the recordings give the model {again['model']} in {', '.join(again['sigma'])}"
         )

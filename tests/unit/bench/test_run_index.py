@@ -7,11 +7,11 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.errors import StorageError, UsageError
-from bench.records.history import Event
+from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.records.run_index import INDEX, RunIndex, read_run, run_folders
-from bench.results.agreement import agreement, agreements
+from bench.results.agreement import agreement, compare_runs
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
 
@@ -178,20 +178,20 @@ def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, thr
     other = make(tmp_path / "runs" / "d", DAYS[2], fx=3346.0)
     planar = make(tmp_path / "runs" / "e", DAYS[2], model="planar")
     runs = {run.id: run for run in index.runs([*three, other, planar])[0]}
-    assert [a.name for a in agreements([runs["a"], runs["d"]])] == ["fx", "r"]
+    assert [a.name for a in compare_runs([runs["a"], runs["d"]])] == ["fx", "r"]
     with pytest.raises(UsageError, match="different cameras: 00050423, 00050999"):
-        agreements([runs["a"], runs["c"]])
+        compare_runs([runs["a"], runs["c"]])
     with pytest.raises(UsageError, match="different models: planar, spherical"):
-        agreements([runs["a"], runs["e"]])
+        compare_runs([runs["a"], runs["e"]])
     real = make(tmp_path / "runs" / "f", simulated=False)
     rehearsed = make(tmp_path / "runs" / "g", rehearsal=True)
     more = {run.id: run for run in index.runs([real, rehearsed])[0]}
     with pytest.raises(UsageError, match="different kinds: measured, simulated"):
-        agreements([runs["a"], more["f"]])
+        compare_runs([runs["a"], more["f"]])
     with pytest.raises(UsageError, match="different kinds: rehearsed, simulated"):
-        agreements([runs["a"], more["g"]])
+        compare_runs([runs["a"], more["g"]])
     with pytest.raises(UsageError, match="two or more"):
-        agreements([runs["a"]])
+        compare_runs([runs["a"]])
 
 
 def test_an_index_that_another_process_has_locked_is_left_alone(index, three, monkeypatch):

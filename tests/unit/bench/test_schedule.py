@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.batch.schedule import Bounds, Item, bounds_of, choose, items_of, look_ahead, next_time
+from bench.batch.schedule import Bounds, Item, bounds_of, choose_next, items_of, look_ahead, next_time
 from sequences.queue import JobConfig, Queue
 
 EVENING = datetime(2026, 3, 1, 18, 0, tzinfo=UTC)
@@ -90,8 +90,8 @@ def test_what_does_not_fit_before_the_morning_gives_way_to_what_does():
 def test_a_run_may_last_beyond_the_last_begin_but_not_begin_after_it():
     bounds = Bounds(last_begin_s=100)
     (item,) = items_of([job()], EVENING)
-    assert choose([item], 100, bounds, lambda _: 1e6) is item
-    assert choose([item], 100.1, bounds, lambda _: 1) is None
+    assert choose_next([item], 100, bounds, lambda _: 1e6) is item
+    assert choose_next([item], 100.1, bounds, lambda _: 1) is None
 
 
 jobs_drawn = st.lists(
@@ -115,20 +115,20 @@ jobs_drawn = st.lists(
     st.sampled_from([3000.0, 20000.0]),
 )
 def test_the_look_ahead_is_what_a_batch_does_that_takes_as_long_as_expected(
-    jobs, lasts_s, opens_s, done_by_s
+    jobs, expected_duration_s, opens_s, done_by_s
 ):
     """Drive the rule step by step, as the batch does, in many small waits; the look ahead must say the same."""
     bounds = Bounds(opens_s=opens_s, done_by_s=done_by_s)
     items = items_of(jobs, EVENING, opens_s)
     undone, at_s, begun = list(items), 0.0, []
-    while (found := choose(undone, at_s, bounds, lambda _: lasts_s)) is not None:
+    while (found := choose_next(undone, at_s, bounds, lambda _: expected_duration_s)) is not None:
         if isinstance(found, Item):
             begun.append((found.key, at_s))
             undone.remove(found)
-            at_s += lasts_s
+            at_s += expected_duration_s
         else:
             at_s += min(found, 97.0)
-    slots = look_ahead(items, 0.0, bounds, lambda _: lasts_s)
+    slots = look_ahead(items, 0.0, bounds, lambda _: expected_duration_s)
     assert [slot.item.key for slot in slots if slot.begin_s is not None] == [key for key, _ in begun]
     assert [slot.begin_s for slot in slots if slot.begin_s is not None] == pytest.approx(
         [s for _, s in begun]

@@ -12,7 +12,7 @@ from report_sample import SMALL
 
 from bench.report import ViewPicture
 from bench.report.plots import residual_vectors
-from bench.report.walk import walk_diagram
+from bench.report.walk import state_diagram
 from tests.unit.bench.report.structure import Structure
 
 
@@ -78,7 +78,7 @@ def test_residuals_are_drawn_from_the_star_in_their_direction():
 @given(st.lists(st.sampled_from(["homing", "slewing", "settling", "<b>"]), max_size=12))
 def test_any_walk_can_be_drawn(names):
     states = [{"state": name, "utc": f"2026-03-01T12:00:{i:02d}Z"} for i, name in enumerate(names)]
-    svg = walk_diagram(states)
+    svg = state_diagram(states)
     found = Structure(svg)
     assert (found.wrong, found.open) == ([], [])
     assert found.tags.count("rect") == len(set(names))
@@ -88,6 +88,6 @@ def test_any_walk_can_be_drawn(names):
 def test_a_walk_tells_how_often_and_how_long():
     names = ["slewing", "recording", "slewing", "recording", "solving"]
     states = [{"state": name, "utc": f"2026-03-01T12:00:{2 * i:02d}Z"} for i, name in enumerate(names)]
-    texts = re.findall(r"<text[^>]*>([^<]*)</text>", walk_diagram(states))
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", state_diagram(states))
     assert texts.count("\N{MULTIPLICATION SIGN}2, 4.0 s") == 2
     assert "\N{MULTIPLICATION SIGN}2" in texts
