@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from bench.base.errors import ScriptError
@@ -17,7 +16,6 @@ from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.views.camera_kinds import CameraKind, camera_kind
 from bench.views.gates import Gate, at_most
-from bench.views.measure import Expect, Measurement
 from calib.calibration import CalibrationOptions
 from calib.target import StarTarget
 from drivers.light import LightSettings
@@ -171,10 +169,6 @@ class Job:
     @cached_property
     def _where(self) -> dict[int, int]:
         return {id(step): place for place, step in enumerate(self.steps)}
-
-    def measure(self, path: Path, step: RecordStep, expect: Expect | None = None) -> Measurement:
-        """Find the stars in a recording, as its step says; where ``expect`` says, if the tag does not name them."""
-        return self.camera_kind.measure(path, step, self.frequency_hz(step), self.target, expect)
 
     def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
         """Judge whether the stage stood still while a recording was made."""

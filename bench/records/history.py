@@ -1,65 +1,29 @@
-"""What has happened in a run, replayed from its journal: a run's state is its journal and nothing else.
+"""The history of a run, replayed from its journal: a run's state is its journal and nothing else.
 
-Names every event a run writes and what each carries; knows no devices and no files but the journal's lines.
+This module reads journal lines only; it touches no device and no other file.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import TypedDict, cast
 
 from bench.base.errors import JournalBroken
-from bench.records.captures import CAPTURE_STORED
-from bench.records.journal import Entry, Journal
-
-
-class Event(StrEnum):
-    """What a line of a run's journal tells."""
-
-    RUN_STARTED = "run_started"
-    """First line: id, seed, sequence and station names with the SHA-256 of their files, software, operator."""
-    RUN_RESUMED = "run_resumed"
-    """A process took the run up again; with ``crash`` where the one before had crashed by itself."""
-    DEVICES = "devices"
-    """Who the devices said they are."""
-    ENTERING = "entering"
-    """The machine is about to enter a state."""
-    LEFT_OFF = "left_off"
-    """The work of a state ended; with ``error`` where it did not end well."""
-    CAPTURE_STORED = CAPTURE_STORED
-    """A recording is whole and in its place, with what was known when it was made."""
-    STEP_DONE = "step_done"
-    """A step of the script is done and will not be done again."""
-    ATTEMPT_CHECKED = "attempt_checked"
-    """A recording was looked at: accepted or not, and why."""
-    ATTEMPT_LOST = "attempt_lost"
-    """A recording that the camera could not complete; nothing was stored."""
-    SOLVED = "solved"
-    """A calibration stands: its main numbers."""
-    RECOVERED = "recovered"
-    """What a crash had left of the run folder (RecoveryNotes)."""
-    ASKED = "asked"
-    """A prompt is asked: its text, default and time-out."""
-    ANSWERED = "answered"
-    """An operator's (or the default) answer to a prompt."""
-    COMMANDED = "commanded"
-    """An operator's command (`bench.run.control`): its id and word, by whom, and whether and why not it was taken."""
-    POSE_SKIPPED = "pose_skipped"
-    """A pose that will not be recorded any more, and why; a deviation."""
-    INTERLOCK_RELEASED = "interlock_released"
-    """An interlock (``rule``) lets go, after ``held_s``; that it held stands in the line ``entering``."""
-    SUPERVISOR_LOST = "supervisor_lost"
-    """The process that watched this one is gone; the run goes on to its own end."""
-    DEVIATION = "deviation"
-    """Something went otherwise than the script says; printed in the report."""
-    RUN_ENDED = "run_ended"
-    """Last line: finished, aborted or failed, and why; ``crashed`` where nobody had foreseen it."""
-
+from bench.records.events import (
+    AttemptChecked,
+    CaptureStored,
+    Commanded,
+    DevicesFound,
+    Event,
+    GateData,
+    LedgerPlace,
+    MeasuredFacts,
+    RunStarted,
+    Solved,
+)
+from bench.records.journal import Entry
 
 _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
 """States in which a pose is at work."""
@@ -72,27 +36,50 @@ class Attempt:
     pose_index: int
     pose_name: str
     attempt: int
-    stored: Mapping[str, Any]
-    checked: Mapping[str, Any] | None = None
+    stored: CaptureStored
+    checked: AttemptChecked | None = None
 
     @property
     def accepted(self) -> bool:
         """Whether it passed its gates."""
         return self.checked is not None and bool(self.checked["accepted"])
 
+    @property
+    def measured(self) -> MeasuredFacts:
+        """Numbers measured in it; none before it was measured."""
+        return MeasuredFacts() if self.checked is None else self.checked["measured"]
+
+    @property
+    def reasons(self) -> Sequence[str]:
+        """Why it was refused; nothing where it was accepted or not measured yet."""
+        return () if self.checked is None else self.checked["reasons"]
+
+    @property
+    def gates(self) -> Sequence[GateData]:
+        """The gates that judged it."""
+        return () if self.checked is None else self.checked["gates"]
+
+
+class StateEntered(TypedDict):
+    """One state that a run entered: its name, and when by the system's and by the monotonic clock."""
+
+    state: str
+    utc: str
+    mono_s: float
+
 
 @dataclass
 class History:
-    """A run so far."""
+    """A run so far. A payload whose line is not written yet is an empty mapping."""
 
-    started: Mapping[str, Any] = field(default_factory=dict)
+    started: RunStarted = field(default_factory=lambda: cast("RunStarted", {}))
     started_utc: str = ""
-    devices: Mapping[str, Any] = field(default_factory=dict)
+    devices: DevicesFound = field(default_factory=lambda: cast("DevicesFound", {}))
     done_steps: set[int] = field(default_factory=set)
     attempts: list[Attempt] = field(default_factory=list)
     lost: dict[int, int] = field(default_factory=dict)
     """Recordings the camera could not complete, by pose index."""
-    states: list[dict[str, Any]] = field(default_factory=list)
+    states: list[StateEntered] = field(default_factory=list)
     deviations: list[str] = field(default_factory=list)
     resumed: int = 0
     ended: str = ""
@@ -105,9 +92,9 @@ class History:
     """Poses that an operator wants skipped, and who."""
     skipped: dict[int, str] = field(default_factory=dict)
     """Poses that are skipped, and why."""
-    ledger: Mapping[str, Any] = field(default_factory=dict)
+    ledger: LedgerPlace = field(default_factory=lambda: cast("LedgerPlace", {}))
     """Its place in the laboratory's ledger (`bench.records.ledger`)."""
-    solved: Mapping[str, Any] = field(default_factory=dict)
+    solved: Solved = field(default_factory=lambda: cast("Solved", {}))
     """Main numbers of its calibration; empty while it has none."""
     holder: str = ""
     """Who holds the run; empty while nobody does."""
@@ -134,7 +121,7 @@ class History:
         if attempt.accepted:
             self._accepted[attempt.pose_index] = attempt
 
-    def check(self, pose_index: int, number: int, checked: Mapping[str, Any]) -> None:
+    def check(self, pose_index: int, number: int, checked: AttemptChecked) -> None:
         """Take what was found in a stored recording. Raises ValueError where there is none of that number."""
         for place in self._places.get(pose_index, ()):
             if self.attempts[place].attempt == number:
@@ -162,49 +149,6 @@ class History:
         return attempts[-1] if attempts and attempts[-1].checked is None else None
 
 
-class RunLog:
-    """A run's journal together with what it amounts to, kept up to date line by line."""
-
-    def __init__(self, journal: Journal) -> None:
-        self.journal = journal
-        self.history = replay(journal.entries)
-        self._lock = threading.RLock()
-
-    @contextmanager
-    def held(self) -> Iterator[History]:
-        """Keep other threads from telling anything meanwhile: to decide on what has happened, and tell it."""
-        with self._lock:
-            yield self.history
-
-    def tell(self, event: Event, **data: Any) -> None:
-        """Write one line, and let ``history`` know it. Raises StorageError.
-
-        When this returns the line lasts, but for lines that tell of the way only: those last with the next one.
-        """
-        write = self.journal.append_unsynced if _on_the_way(event, data) else self.journal.append
-        with self._lock:
-            _take(self.history, write(event, **data))
-
-
-_WITHOUT_HARDWARE = frozenset({"settling", "checking"})
-"""States in which nothing moves, is switched or is stored."""
-
-
-def _on_the_way(event: Event, data: Mapping[str, Any]) -> bool:
-    """Whether a line may be lost with the power: what it tells is done again, or found out again, with the same end.
-
-    Before anything moves, is switched or is asked, a line that lasts is written, and these with it.
-    """
-    match event:
-        case Event.LEFT_OFF:
-            return "error" not in data
-        case Event.ENTERING:
-            return data["state"] in _WITHOUT_HARDWARE
-        case Event.ATTEMPT_CHECKED | Event.STEP_DONE:
-            return True
-    return False
-
-
 def replay(entries: Iterable[Entry]) -> History:
     """Replay a journal.
 
@@ -216,7 +160,7 @@ def replay(entries: Iterable[Entry]) -> History:
     history = History()
     for entry in entries:
         try:
-            _take(history, entry)
+            take(history, entry)
         except (KeyError, TypeError, ValueError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} ({entry.event}) lacks {error}.",
@@ -225,11 +169,25 @@ def replay(entries: Iterable[Entry]) -> History:
     return history
 
 
-def _take(history: History, entry: Entry) -> None:
+def take(history: History, entry: Entry) -> None:
+    """Let a history follow one line of its journal.
+
+    Parameters
+    ----------
+    history
+        Changed in place.
+    entry
+        The next line.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        When the line lacks what its event must carry.
+    """
     data = entry.data
     match entry.event:
         case Event.RUN_STARTED:
-            history.started, history.started_utc = data, entry.utc
+            history.started, history.started_utc = cast("RunStarted", data), entry.utc
             history.ledger = data.get("ledger", {})
         case Event.RUN_RESUMED:
             history.resumed += 1
@@ -238,7 +196,7 @@ def _take(history: History, entry: Entry) -> None:
             _let_go(history)
             count_crash(history, data.get("crash"))
         case Event.DEVICES:
-            history.devices = data
+            history.devices = cast("DevicesFound", data)
         case Event.ENTERING:
             history.rule = f"{data['rule']}: {data['why']}" if "rule" in data else ""
             history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
@@ -248,9 +206,9 @@ def _take(history: History, entry: Entry) -> None:
         case Event.DEVIATION:
             history.deviations.append(str(data["what"]))
         case Event.SOLVED:
-            history.solved = data
+            history.solved = cast("Solved", data)
         case Event.COMMANDED:
-            _obey(history, data)
+            _obey(history, cast("Commanded", data))
         case Event.RUN_ENDED:
             history.ended, history.why = str(data["how"]), str(data["why"])
             _let_go(history)
@@ -272,9 +230,10 @@ def _take_of_pose(history: History, entry: Entry) -> None:
         case Event.ATTEMPT_LOST:
             history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
         case Event.ATTEMPT_CHECKED:
-            history.check(int(data["pose"]), int(data["attempt"]), data)
+            history.check(int(data["pose"]), int(data["attempt"]), cast("AttemptChecked", data))
         case Event.CAPTURE_STORED:
-            history.add(Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), data))
+            stored = cast("CaptureStored", data)
+            history.add(Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), stored))
 
 
 def count_crash(history: History, crash: object) -> None:
@@ -290,7 +249,7 @@ def _let_go(history: History) -> None:
     history.answer = None
 
 
-def _obey(history: History, data: Mapping[str, Any]) -> None:
+def _obey(history: History, data: Commanded) -> None:
     if not data["taken"]:
         return
     match data["word"]:

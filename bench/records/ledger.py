@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import JournalBroken
+from bench.records.events import LedgerPlace
 from bench.records.journal import Entry, Journal, read_journal
 from bench.records.run_folder import MANIFEST, is_sealed
 from bench.records.storage import make_folder, open_to_lock, sha256_of, storage_errors
@@ -78,7 +79,7 @@ class Ledger:
         self.path = home / LEDGER
         self._clocks: dict[str, Any] = {"utc_now": utc_now, "monotonic": monotonic}
 
-    def begin(self, *, run_id: str, folder: Path, camera: str, simulated: bool) -> dict[str, Any]:
+    def begin(self, *, run_id: str, folder: Path, camera: str, simulated: bool) -> LedgerPlace:
         """Enter a run before it does anything.
 
         Returns

@@ -1,34 +1,22 @@
 """Records at a pose until a recording counts, as often as the step allows; then skips, asks or fails, as it says.
 
-Every attempt stays as evidence. Knows the policy of a step; the states it passes and what is done in them are others'.
+Every attempt stays as evidence. This module holds the policy of a step; the work of each state stands in
+`bench.run.state_work`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
 
 from bench.base.errors import PoseFailed
-from bench.records.history import Event, RunLog
+from bench.records.events import Event
 from bench.records.run_folder import RunFolder
+from bench.records.run_log import RunLog
+from bench.run.machine import RunMachine
+from bench.run.safe_points import SafePoints
+from bench.run.steps import Steps
 from drivers.errors import RecordingFailed
 from sequences.script import PromptStep, RecordStep
-
-
-class Stepping(Protocol):
-    """Whoever drives the states."""
-
-    def fire_at(self, trigger: str, step: RecordStep, **facts: Any) -> None:
-        """Take an edge for a step at its pose, and do the work of the state it leads to."""
-        ...
-
-    def ask(self, question: PromptStep, step: RecordStep) -> None:
-        """Hold for the answer to a question about a step. Raises Aborted where it is no."""
-        ...
-
-    def between(self, step: RecordStep) -> None:
-        """Be at a safe point between two attempts of a step."""
-        ...
 
 
 class Attempts:
@@ -36,10 +24,10 @@ class Attempts:
 
     Parameters
     ----------
-    states
-        Drives the states.
+    machine, steps, safe_points
+        The run's state machine, what takes steps through it, and what is done between two attempts.
     folder, log
-        The run's.
+        The run.
     ending
         How the names of recordings end.
     say
@@ -47,9 +35,18 @@ class Attempts:
     """
 
     def __init__(
-        self, states: Stepping, folder: RunFolder, log: RunLog, ending: str, say: Callable[[str], None]
+        self,
+        machine: RunMachine,
+        steps: Steps,
+        safe_points: SafePoints,
+        folder: RunFolder,
+        log: RunLog,
+        ending: str,
+        say: Callable[[str], None],
     ) -> None:
-        self._states = states
+        self._machine = machine
+        self._steps = steps
+        self._safe_points = safe_points
         self._folder = folder
         self._log = log
         self._ending = ending
@@ -75,19 +72,19 @@ class Attempts:
                     remedy="Mend the cause, then go on with `starbench resume`; all attempts are kept.",
                 )
             if step.on_failure == "skip":
-                self._log.tell(Event.DEVIATION, what=f"{what} It was skipped, as the sequence says.")
+                self._log.write(Event.DEVIATION, what=f"{what} It was skipped, as the sequence says.")
                 self._say(f"{what} Skipped.")
                 return
             question = f"{what} Try it again?"
-            self._states.ask(
-                PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s), step
+            self._machine.fire(
+                "hold", PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s)
             )
 
     def lose(self, step: RecordStep, why: str) -> None:
         """Keep, aside, what there is of a recording at work that was not completed, and tell of it."""
         pose, attempt = step.pose, self._log.history.next_attempt(step.pose.index)
         kept = self._folder.quarantine_part(pose.index, attempt, self._ending)
-        self._log.tell(
+        self._log.write(
             Event.ATTEMPT_LOST, pose=pose.index, pose_name=pose.name, attempt=attempt, why=why, kept=kept
         )
 
@@ -99,22 +96,22 @@ class Attempts:
             return None
         for i in range(step.attempts):
             if i:
-                self._states.fire_at("back_off", step, wait_s=step.backoff_s * 2 ** (i - 1))
-                self._states.between(step)
+                self._steps.fire_at("back_off", step, wait_s=step.backoff_s * 2 ** (i - 1))
+                self._safe_points.reach(step)
                 if pose.index in history.skipped:
                     return None
             attempt = history.next_attempt(pose.index)
             try:
-                self._states.fire_at("record", step, attempt=attempt)
-                self._states.fire_at("check", step, attempt=attempt)
+                self._steps.fire_at("record", step, attempt=attempt)
+                self._steps.fire_at("check", step, attempt=attempt)
             except RecordingFailed as error:
                 reasons = [str(error)]
                 self.lose(step, str(error))
                 continue
             if pose.index in history.accepted():
                 return None
-            reasons = list((history.attempts_at(pose.index)[-1].checked or {}).get("reasons", []))
+            reasons = list(history.attempts_at(pose.index)[-1].reasons)
             self._say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {'; '.join(reasons)}")
-        self._states.fire_at("back_off", step, wait_s=0.0)
-        self._states.between(step)
+        self._steps.fire_at("back_off", step, wait_s=0.0)
+        self._safe_points.reach(step)
         return None if pose.index in history.skipped else reasons

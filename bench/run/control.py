@@ -25,10 +25,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
+from bench.records.events import Event
 from bench.records.folder_lock import is_locked
-from bench.records.history import Event, History, RunLog
+from bench.records.history import History
 from bench.records.journal import lines_after
 from bench.records.run_folder import JOURNAL
+from bench.records.run_log import RunLog
 from bench.records.storage import is_temporary, make_folder, remove, storage_errors, sync_folder, write_atomic
 from bench.run.heartbeat import CONTROL, HEARTBEAT
 from sequences.schema import Answer
@@ -199,14 +201,16 @@ class Inbox:
     def _answer(self, path: Path, why_not: str) -> None:
         command = _read(path)
         if command is None:
-            self._log.tell(Event.COMMANDED, id=path.name, word="unknown", taken=False, why="it is no command")
+            self._log.write(
+                Event.COMMANDED, id=path.name, word="unknown", taken=False, why="it is no command"
+            )
             return
         with self._log.held() as history:
             if command.word == "skip" and command.pose is None:
                 command = command.model_copy(update={"pose": history.at_pose})
             why_not = why_not or refusal(command, history, self._poses)
             said = command.model_dump(exclude={"format"})
-            self._log.tell(Event.COMMANDED, **said, taken=not why_not, why=why_not)
+            self._log.write(Event.COMMANDED, **said, taken=not why_not, why=why_not)
         if command.word == "abort" and not why_not:
             self._clock.request_stop(f"abort by {command.by}")
 

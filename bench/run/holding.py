@@ -1,36 +1,25 @@
 """What a run does while it holds: for an operator, for the answer to a question, or by an interlock.
 
-Held by an operator or an interlock the light is off and the stage at rest. Knows devices through those who hold them.
+While an operator or an interlock holds the run, the light is off and the stage is at rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable
 
 from bench.base.clock import Aborted, BenchClock
-from bench.records.history import Event, RunLog
+from bench.records.events import Entering, Event
+from bench.records.run_log import RunLog
 from bench.run.interlocks import Interlocks, Trip, words
+from bench.run.run_devices import RunDevices
 from bench.terminal.prompt import Reply, ask
 from sequences.script import PromptStep
 
 MOST_HOLD_S = 8 * 3600.0
-"""An operator who holds a run for longer has gone home: the run is then aborted, safely."""
+"""A run that an operator holds for longer is aborted safely."""
 HOLD_POLL_S = 0.1
 HOLD_TOLD_AGAIN_S = 600.0
 """Holds by the same interlock are not told to those away more often than that."""
-
-
-class Resting(Protocol):
-    """Whoever has the devices."""
-
-    def switch_off_light(self) -> None:
-        """Switch the light off, where devices are open. Raises DriverError."""
-        ...
-
-    def come_to_rest(self) -> None:
-        """Stop the stage, switch the light off, stop the camera; what cannot be is told, and not raised."""
-        ...
 
 
 class Holding:
@@ -38,8 +27,8 @@ class Holding:
 
     Parameters
     ----------
-    bench
-        Has the devices.
+    devices
+        The run's devices, which come to rest.
     log
         Where questions, answers and releases are told.
     interlocks
@@ -52,59 +41,66 @@ class Holding:
 
     def __init__(
         self,
-        bench: Resting,
+        devices: RunDevices,
         log: RunLog,
         interlocks: Interlocks,
         clock: BenchClock,
         say: Callable[[str], None],
     ) -> None:
-        self.trip: Trip | None = None
-        """The interlock by which is held, where it is by one."""
-        self._bench = bench
+        self._devices = devices
         self._log = log
         self._interlocks = interlocks
         self._clock = clock
         self._say = say
 
-    def hold(self, step: Any, *, by: str = "", rule: str = "") -> None:
-        """Hold for an operator who asked for it (``by``), by a ``rule``; else ask the step's question.
+    def hold(self, question: PromptStep | None, trip: Trip | None, *, by: str) -> None:
+        """Hold until an operator releases the run, an interlock does, or a question is answered.
+
+        Parameters
+        ----------
+        question
+            The question to the operator, where nobody and no interlock holds the run.
+        trip
+            The interlock that holds the run; None: none does.
+        by
+            The operator who holds the run; empty: nobody does.
 
         Raises
         ------
         Aborted
             When a stop was asked for, the answer was to abort, or an operator has held for too long.
         InterlockHeld
-            When an interlock has.
+            When an interlock has held for too long.
         """
         if by:
             self._until_released()
-        elif rule:
-            self._until_clear()
+        elif trip is not None:
+            self._until_clear(trip)
         else:
-            self._until_answered(step)
+            assert question is not None
+            self._until_answered(question)
 
     def _until_released(self) -> None:
         """Until the owner releases the run; not longer than ``MOST_HOLD_S``."""
-        self._bench.switch_off_light()
+        self._devices.switch_off_light()
         history, begin_s = self._log.history, self._clock.monotonic()
         while history.holder:
             if self._clock.monotonic() - begin_s > MOST_HOLD_S:
                 raise Aborted(f"held by {history.holder} for more than {MOST_HOLD_S / 3600:g} h")
             self._clock.sleep(HOLD_POLL_S)
 
-    def _until_clear(self) -> None:
-        assert self.trip is not None
+    def _until_clear(self, trip: Trip) -> None:
         with self._clock.shielded():
-            self._bench.come_to_rest()
-        held_s = self._interlocks.wait(self.trip)
-        name = words(self.trip.interlock.name)
-        self._log.tell(Event.INTERLOCK_RELEASED, rule=self.trip.interlock.name, held_s=round(held_s, 3))
-        what = f"The {name} interlock held for {held_s:.0f} s: {self.trip.why}."
-        self._log.tell(Event.DEVIATION, what=what)
+            self._devices.come_to_rest()
+        held_s = self._interlocks.wait(trip)
+        name = words(trip.interlock.name)
+        self._log.write(Event.INTERLOCK_RELEASED, rule=trip.interlock.name, held_s=round(held_s, 3))
+        what = f"The {name} interlock held for {held_s:.0f} s: {trip.why}."
+        self._log.write(Event.DEVIATION, what=what)
         self._say(f"{what} The run goes on.")
 
     def _until_answered(self, step: PromptStep) -> None:
-        self._log.tell(
+        self._log.write(
             Event.ASKED, step=step.number, text=step.text, default=step.default, timeout_s=step.timeout_s
         )
         answer = ask(
@@ -119,7 +115,7 @@ class Holding:
             self._log.held()
         ):  # what was taken from elsewhere at the last moment counts: its sender was told so
             answer = self._answer_from_elsewhere() or answer
-            self._log.tell(Event.ANSWERED, step=step.number, answer=answer.word, by=answer.by)
+            self._log.write(Event.ANSWERED, step=step.number, answer=answer.word, by=answer.by)
         if answer.word == "abort":
             raise Aborted(f"{step.text} was answered with abort ({answer.by})")
 
@@ -145,7 +141,7 @@ class HoldNews:
         self._notify = notify
         self._told_s: dict[str, float] = {}
 
-    def entering(self, facts: Mapping[str, Any], line: str) -> None:
+    def entering(self, facts: Entering, line: str) -> None:
         """Tell of a hold, as the journal does: a door that goes on and off wakes nobody a hundred times."""
         rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
         if rule and now_s - self._told_s.get(rule, -HOLD_TOLD_AGAIN_S) < HOLD_TOLD_AGAIN_S:
@@ -154,7 +150,7 @@ class HoldNews:
         self._notify("hold", _waits_for(facts), line)
 
 
-def _waits_for(facts: Mapping[str, Any]) -> str:
+def _waits_for(facts: Entering) -> str:
     """Say what a run that holds waits for."""
     if "rule" in facts:
         return f"is held by the {words(facts['rule'])} interlock: {facts['why']}"

@@ -41,6 +41,26 @@ GUARDED = frozenset(
 _MOST_BYTES = 64
 
 
+class Sensors(Protocol):
+    """Readings of the run's devices that interlocks look at (`bench.run.run_devices.RunDevices`)."""
+
+    def camera_c(self) -> float | None:
+        """Read the camera's temperature, degrees Celsius; None where it measures none."""
+        ...
+
+    def last_mev_s(self) -> float:
+        """Return the event rate of the last recording, Mev/s."""
+        ...
+
+    def dark_mev_s(self, duration_s: float) -> float:
+        """Measure the event rate in the dark for so many seconds, Mev/s."""
+        ...
+
+    def reopen(self) -> str:
+        """Open the devices again; return why that failed, or nothing."""
+        ...
+
+
 class Interlock(Protocol):
     """One interlock."""
 
@@ -315,41 +335,32 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def interlocks_of(
-    said: InterlocksConfig,
-    folder: Path,
-    *,
-    read_c: Callable[[], float | None],
-    last_mev_s: Callable[[], float],
-    dark_mev_s: Callable[[float], float],
-    reopen: Callable[[], str],
-) -> list[Interlock]:
-    """Make the interlocks a station names.
+def interlocks_of(config: InterlocksConfig, folder: Path, sensors: Sensors) -> list[Interlock]:
+    """Make the interlocks that a station names.
 
     Parameters
     ----------
-    said
-        What the station file says.
+    config
+        The station file's ``interlocks`` section.
     folder
         The run folder.
-    read_c
-        Reads the camera's temperature.
-    last_mev_s
-        Event rate of the last recording.
-    dark_mev_s
-        Records so many seconds in the dark, and gives the event rate.
-    reopen
-        Tries to open the devices anew; says why that failed.
+    sensors
+        Readings of the run's devices.
+
+    Returns
+    -------
+    list of Interlock
+        Those that the station names, in a fixed order.
     """
     found: list[Interlock] = []
-    if said.door is not None:
-        found.append(Door(said.door))
-    if said.disk_space is not None:
-        found.append(DiskSpace(said.disk_space, folder))
-    if said.camera_temperature is not None:
-        found.append(CameraTemperature(said.camera_temperature, read_c))
-    if said.event_rate is not None:
-        found.append(EventRate(said.event_rate, last_mev_s, dark_mev_s))
-    if said.device_lost is not None:
-        found.append(DeviceLost(said.device_lost, reopen))
+    if config.door is not None:
+        found.append(Door(config.door))
+    if config.disk_space is not None:
+        found.append(DiskSpace(config.disk_space, folder))
+    if config.camera_temperature is not None:
+        found.append(CameraTemperature(config.camera_temperature, sensors.camera_c))
+    if config.event_rate is not None:
+        found.append(EventRate(config.event_rate, sensors.last_mev_s, sensors.dark_mev_s))
+    if config.device_lost is not None:
+        found.append(DeviceLost(config.device_lost, sensors.reopen))
     return found

@@ -25,7 +25,8 @@ from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
 from bench.plan.job import Job
 from bench.plan.plan import Plan
-from bench.records.history import Event, History, replay
+from bench.records.events import Event, LedgerPlace
+from bench.records.history import History, replay
 from bench.records.journal import Entry, Journal, read_journal
 from bench.records.ledger import Ledger
 from bench.records.run_folder import (
@@ -218,13 +219,13 @@ def _ledger(launch: Launch) -> Ledger:
     return Ledger(home_folder(), utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic)
 
 
-def _begin(ledger: Ledger, job: Job, folder: Path) -> Mapping[str, Any]:
+def _begin(ledger: Ledger, job: Job, folder: Path) -> LedgerPlace:
     camera = job.station.camera.serial
     return ledger.begin(run_id=folder.name, folder=folder, camera=camera, simulated=job.simulated)
 
 
 @contextmanager
-def _ending(ledger: Ledger, place: Mapping[str, Any], folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
+def _ending(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
     """Enter into the ledger how the run of the block ended: as it tells by what it is given; else it failed."""
     how = "failed"
 
@@ -295,7 +296,7 @@ def _seal_finished(folder: RunFolder, journal: Journal, launch: Launch) -> RunEn
     return RunEnd("finished", "", folder.path, outcome)
 
 
-def _refuse_changed(folder: Path, hashes: dict[str, str]) -> None:
+def _refuse_changed(folder: Path, hashes: Mapping[str, str]) -> None:
     for name, sha256 in hashes.items():
         try:
             data = (folder / name).read_bytes()

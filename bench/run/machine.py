@@ -1,17 +1,19 @@
-"""The states of a run and the edges between them; what is done in a state is the runner's business.
+"""The states of a run and the edges between them; the work of each state stands in `bench.run.state_work`.
 
 One `transitions` machine without automatic transitions: only the edges in ``EDGES`` exist. The work of a
 state runs in its ``on_enter``; an exception there leaves the machine in the state that failed (so the state
-never lies about what was going on), and only ``abort`` and ``fail`` lead on. The intent of every change is
-told to the journal before it, its outcome in ``finalize_event``, which `transitions` runs even after an exception.
+always names the work that was going on), and only ``abort`` and ``fail`` lead on. The intent of every change is
+journaled before it, its outcome in ``finalize_event``, which `transitions` runs even after an exception.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol, Unpack, cast
 
 from transitions import EventData, Machine
+
+from bench.records.events import Circumstances, Entering, LeftOff
 
 READY = (
     "homing",
@@ -58,8 +60,29 @@ EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
 )
 """(trigger, states it leaves, state it enters)."""
 
-Tell = Callable[[str, Mapping[str, Any]], None]
 Work = Callable[..., None]
+"""The work of a state: called with the step, the causes, and the circumstances by name."""
+
+
+class Numbered(Protocol):
+    """A step of a script, as far as the machine is concerned."""
+
+    @property
+    def number(self) -> int:
+        """Number of the step in the script, from 1."""
+        ...
+
+
+class Listener(Protocol):
+    """Takes note of every change of state; the journal, first of all."""
+
+    def entering(self, data: Entering) -> None:
+        """Take note of a change before it is made."""
+        ...
+
+    def left_off(self, data: LeftOff) -> None:
+        """Take note that the work of a state has ended, well or not."""
+        ...
 
 
 class RunMachine:
@@ -68,15 +91,19 @@ class RunMachine:
     Parameters
     ----------
     work
-        What to do on entering a state, by state name; called with the keyword arguments of ``fire``.
-    tell
-        Called with ("entering", facts) before a change and ("left_off", facts) when its work has ended, well
-        or not.
+        What to do on entering a state, by state name.
+    listener
+        Takes note of a change before it is made, and when its work has ended.
+
+    Raises
+    ------
+    ValueError
+        When work is given for a state that does not exist.
     """
 
-    def __init__(self, work: Mapping[str, Work], tell: Tell) -> None:
+    def __init__(self, work: Mapping[str, Work], listener: Listener) -> None:
         self.state = "idle"
-        self._tell = tell
+        self._news = listener
         self._work = work
         unknown = set(work) - set(STATES)
         if unknown:
@@ -96,20 +123,33 @@ class RunMachine:
             finalize_event=self._conclude,
         )
 
-    def fire(self, trigger: str, **facts: Any) -> None:
+    def fire(
+        self, trigger: str, step: Numbered | None = None, *causes: Any, **circumstances: Unpack[Circumstances]
+    ) -> None:
         """Take an edge and do the work of the state it leads to.
+
+        Parameters
+        ----------
+        trigger
+            Name of the edge.
+        step
+            The step of the script that the edge is taken for. The work is given the step; the journal, its number.
+        causes
+            Given to the work alone.
+        circumstances
+            Given to work and journal.
 
         Raises
         ------
         transitions.MachineError
             When there is no such edge from the present state.
         Exception
-            Whatever the work raises, or the telling; the machine then stays in the state whose work failed.
+            Whatever the work raises, or the journal; the machine then stays in the state whose work failed.
         """
-        self._untold: Exception | None = None
-        self.trigger(trigger, **facts)  # type: ignore[attr-defined]
-        if self._untold is not None:
-            raise self._untold
+        self._unwritten: Exception | None = None
+        self.trigger(trigger, step, *causes, **circumstances)  # type: ignore[attr-defined]
+        if self._unwritten is not None:
+            raise self._unwritten
 
     def can(self, trigger: str) -> bool:
         """Whether that edge leaves the present state."""
@@ -117,20 +157,24 @@ class RunMachine:
 
     def _intend(self, event: EventData) -> None:
         assert event.transition is not None
-        self._tell("entering", {"state": event.transition.dest, "from": self.state, **event.kwargs})
+        step: Numbered | None = next(iter(event.args), None)
+        number = {} if step is None else {"step": step.number}
+        self._news.entering(
+            cast("Entering", {"state": event.transition.dest, "from": self.state, **number, **event.kwargs})
+        )
 
     def _run_work(self, event: EventData) -> None:
         work = self._work.get(self.state)
         if work is not None:
-            work(**event.kwargs)
+            work(*event.args, **event.kwargs)
 
     def _conclude(self, event: EventData) -> None:
         if event.transition is None:  # refused: no such edge, nothing was intended
             return
-        facts: dict[str, Any] = {"state": self.state}
+        facts: LeftOff = {"state": self.state}
         if event.error is not None:
             facts["error"] = f"{type(event.error).__name__}: {event.error}"
         try:
-            self._tell("left_off", facts)
+            self._news.left_off(facts)
         except Exception as error:  # noqa: BLE001 - `transitions` would only log it; `fire` raises it
-            self._untold = error
+            self._unwritten = error

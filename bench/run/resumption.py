@@ -25,11 +25,11 @@ def remaining(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptSt
     for wanted in ((MoveStep, SettleStep, RecordStep), (SolveStep, ReportStep)):
         first = next((i for i in undone if isinstance(steps[i], wanted)), None)
         if first is not None:
-            again |= set(_ground(steps, first))
+            again |= set(_places_to_repeat(steps, first))
     return [steps[i] for i in sorted({*again, *undone})]
 
 
-def ground(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
+def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
     """Find what the next recording stands on among the steps before ``step``: the move and the settling after it.
 
     Nothing where a move comes before the next recording anyway, or where no recording follows.
@@ -98,7 +98,7 @@ def _has(steps: Sequence[ScriptStep], kind: type) -> bool:
     return any(isinstance(step, kind) for step in steps)
 
 
-def _ground(steps: Sequence[ScriptStep], first: int) -> list[int]:
+def _places_to_repeat(steps: Sequence[ScriptStep], first: int) -> list[int]:
     """Places of what the step at ``first`` stands on, and of what lies between and belongs to it."""
     solving = isinstance(steps[first], SolveStep | ReportStep)
     base: type = SolveStep if solving else MoveStep

@@ -1,62 +1,46 @@
 """Runs a script: which step comes next, what follows a failure, and how every way out ends safe.
 
-Drives the state machine through the steps not yet done and journals each; the work itself stands in
+The runner drives the state machine through the steps not yet done and journals each. The work of each state stands in
 `bench.run.state_work`. However a run ends, the stage is stopped, the light off and the camera stopped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
-from bench.base.errors import BenchError, StorageError
-from bench.plan.job import DEVICE_STEPS, Job, ParkStep, ScriptStep
-from bench.records.history import Event, RunLog
+from bench.base.errors import StorageError
+from bench.base.failure import FORESEEN, Failure
+from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
+from bench.records.events import Entering, Event, FailureData, LeftOff
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
+from bench.records.run_log import RunLog
 from bench.results.result import Outcome, ResultWriter
 from bench.run.attempts import Attempts
 from bench.run.control import Inbox
 from bench.run.heartbeat import Pulse
-from bench.run.holding import HoldNews
-from bench.run.interlocks import Trip
+from bench.run.holding import Holding, HoldNews
+from bench.run.interlocks import Interlocks, Trip, interlocks_of
 from bench.run.machine import RunMachine
-from bench.run.resumption import crash_looped, ground, remaining, steps_of_pose
+from bench.run.resumption import crash_looped, remaining
+from bench.run.run_devices import RunDevices
+from bench.run.safe_points import SafePoints
 from bench.run.state_work import StateWork
+from bench.run.steps import Steps
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
-from calib.errors import CalibrationError
-from drivers.errors import CameraLost, DriverError, PortLost, ReplyTimeout
-from sequences.script import (
-    LightStep,
-    MoveStep,
-    PromptStep,
-    RecordStep,
-    ReportStep,
-    SettleStep,
-    SolveStep,
-    WaitStep,
-)
+from drivers.errors import CameraLost, PortLost, ReplyTimeout
+from sequences.script import RecordStep, WaitStep
 
 LOST = (PortLost, CameraLost, ReplyTimeout)
-"""A device went away, or says nothing any more."""
-_FORESEEN = (BenchError, DriverError, CalibrationError)
+"""A device is gone, or no longer answers."""
 
-_TRIGGERS: Mapping[type, str] = {
-    LightStep: "set_light",
-    MoveStep: "slew",
-    SettleStep: "settle",
-    WaitStep: "wait",
-    PromptStep: "hold",
-    ParkStep: "park",
-    SolveStep: "solve",
-    ReportStep: "report",
-}
-"""The edge a step takes; a RecordStep takes several."""
+End = Literal["finished", "aborted", "failed"]
 
 
 @dataclass(frozen=True)
@@ -73,13 +57,16 @@ class RunEnd:
         Its result, where there is one.
     unsafe
         Devices that did not confirm that they are safe, in plain words; empty when all did.
+    failure
+        The error that ended a failed run, with its place and remedy; None for other runs.
     """
 
-    how: str
+    how: End
     why: str
     folder: Path
     outcome: Outcome | None
     unsafe: Sequence[str] = ()
+    failure: Failure | None = None
 
 
 class Runner:
@@ -115,22 +102,32 @@ class Runner:
         notify: Callable[[str, str, str], None] = lambda _occasion, _what, _key: None,
         results: ResultWriter | None = None,
     ) -> None:
-        self._notify = notify
-        self._left_out: dict[int, set[int]] = {}  # steps of the poses that are skipped
-        self._hold_news = HoldNews(clock, notify)
         self._job = job
         self._folder = folder
-        self._log = RunLog(journal)
         self._clock = clock
         self._progress = progress
-        self._work = StateWork(job, folder, self._log, open_devices, clock, progress.say, results)
-        self._machine = RunMachine(self._work.table(), self._tell)
-        self._attempts = Attempts(self, folder, self._log, job.camera_kind.ending, progress.say)
-        names = {pose.index: pose.name for pose in job.plan.poses}
+        self._notify = notify
+        self._hold_news = HoldNews(clock, notify)
+        self._results = results or ResultWriter(job, folder)
+        self._log = log = RunLog(journal)
+        self._devices = RunDevices(job, folder, log, open_devices, progress.say)
+        self._interlocks = Interlocks(
+            interlocks_of(job.station.interlocks, folder.path, self._devices), clock
+        )
+        holding = Holding(self._devices, log, self._interlocks, clock, progress.say)
+        work = StateWork(job, folder, log, self._devices, holding, self._results, clock)
+        self._machine = RunMachine(work.table(), self)
+        self._steps = Steps(job, self._machine)
+        self._safe_points = SafePoints(
+            job, log, self._machine, self._steps, self._interlocks, clock, progress.say
+        )
+        self._attempts = Attempts(
+            self._machine, self._steps, self._safe_points, folder, log, job.camera_kind.ending, progress.say
+        )
         self._pulse = Pulse(folder.path, clock)
-        self._interlocks = self._work.interlocks
+        names = {pose.index: pose.name for pose in job.plan.poses}
         looks = (self._pulse.beat, self._see_supervisor, self._interlocks.look)
-        self._inbox = Inbox(folder.path, self._log, names, clock, looks)
+        self._inbox = Inbox(folder.path, log, names, clock, looks)
 
     def run(self) -> RunEnd:
         """Do every step not yet done.
@@ -143,32 +140,33 @@ class Runner:
         Raises
         ------
         Exception
-            Only what nobody foresaw; the bench is safe even then.
+            Only a defect of the program; the bench is safe even then.
         """
         try:
             with self._inbox:
                 self._work_through()
-            self._log.tell(Event.RUN_ENDED, how="finished", why="")
+            self._log.write(Event.RUN_ENDED, how="finished", why="")
         except Aborted as stop:
-            return self._end_early("aborted", stop.reason, "abort_done")
-        except _FORESEEN as error:
-            return self._end_early("failed", str(error), "fail")
+            return self._end_early("aborted", stop.reason)
+        except FORESEEN as error:
+            return self._end_early("failed", str(error), Failure.of(error))
         except BaseException as error:
-            self._end_early("failed", f"unforeseen: {type(error).__name__}: {error}", "fail", crashed=True)
+            why = f"unforeseen: {type(error).__name__}: {error}"
+            self._end_early("failed", why, Failure.of(error), crashed=True)
             raise
         finally:
             with self._clock.shielded():
-                self._work.make_safe()
-                self._work.close()
-        return RunEnd("finished", "", self._folder.path, self._work.results.outcome, self._work.unsafe)
+                self._devices.make_safe()
+                self._devices.close()
+        return RunEnd("finished", "", self._folder.path, self._results.outcome, self._devices.unsafe)
 
     def _work_through(self) -> None:
         history = self._log.history
         if history.resumed:
             self._machine.fire("recover")
-            self._check_what_was_stored()
+            self._check_unchecked()
             for pose_index, why in crash_looped(history).items():
-                self._skip(pose_index, why)
+                self._safe_points.skip(pose_index, why)
         steps = remaining(self._job.steps, history.done_steps)
         if any(isinstance(step, DEVICE_STEPS) for step in steps):
             self._guarded(None, partial(self._machine.fire, "preflight"))
@@ -180,203 +178,148 @@ class Runner:
                 self._next(step)
         self._machine.fire("finish")
 
+    def _end_early(
+        self, how: End, why: str, failure: Failure | None = None, *, crashed: bool = False
+    ) -> RunEnd:
+        """Make the bench safe and write the end to the journal, which may be what failed."""
+        with self._clock.shielded():
+            try:
+                self._folder.release_reserve()
+                if self._machine.can(
+                    "abort"
+                ):  # not where it had finished, and only that could not be written
+                    self._machine.fire("abort")
+                    self._machine.fire("abort_done" if how == "aborted" else "fail")
+                self._write_end(how, why, failure, crashed=crashed)
+            except StorageError as error:
+                why = f"{why} Besides, the journal could not be written: {error}"
+            finally:
+                self._devices.make_safe()
+        return RunEnd(how, why, self._folder.path, None, self._devices.unsafe, failure)
+
+    def _write_end(self, how: End, why: str, failure: Failure | None, *, crashed: bool) -> None:
+        if failure is None:
+            self._log.write(Event.RUN_ENDED, how=how, why=why)
+            return
+        error: FailureData = {
+            "kind": failure.kind,
+            "what": failure.what,
+            "where": failure.where,
+            "remedy": failure.remedy,
+        }
+        if crashed:
+            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, crashed=True)
+        else:
+            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error)
+
+    # ------------------------------------------------------------------ which steps
+
     def _make_ready(self, steps: list[ScriptStep]) -> None:
         """Find the stage's reference, and set the light as the script last set it."""
         self._interlocks.heed()
         if self._machine.state != "preflight":  # an interlock held meanwhile
             self._machine.fire("preflight")
         self._machine.fire("home")
-        self._rearm(steps)
+        self._set_light_of_resumed(steps)
 
-    def _next(self, step: ScriptStep) -> None:
-        """Do a step, unless its pose is skipped."""
-        self._safe_point(step)
-        if step.number in self._skipped_steps():
-            self._leave_out(step)
-        else:
-            self._do(step)
-
-    def _end_early(self, how: str, why: str, last_edge: str, *, crashed: bool = False) -> RunEnd:
-        """Make the bench safe and tell the journal, which may be what failed."""
-        with self._clock.shielded():
-            try:
-                self._folder.release_reserve()
-                if self._machine.can("abort"):  # not where it had finished, and only that could not be told
-                    self._machine.fire("abort")
-                    self._machine.fire(last_edge)
-                self._log.tell(Event.RUN_ENDED, how=how, why=why, **({"crashed": True} if crashed else {}))
-            except StorageError as error:
-                why = f"{why} Besides, the journal could not be told: {error}"
-            finally:
-                self._work.make_safe()
-        return RunEnd(how, why, self._folder.path, None, self._work.unsafe)
-
-    # ------------------------------------------------------------------ which steps
-
-    def _rearm(self, steps: list[ScriptStep]) -> None:
+    def _set_light_of_resumed(self, steps: list[ScriptStep]) -> None:
         """Set the light as the script last set it, where a resumed run goes on with recordings."""
         if self._log.history.resumed and steps:
             first = next((step for step in steps if isinstance(step, RecordStep)), None)
             light = self._job.light_before(first)
             if light is not None and light not in steps:
-                self._set_light_again(light)
+                self._steps.set_light(light)
 
-    def _set_light_again(self, light: LightStep) -> None:
-        self._work.step = light
-        self._machine.fire("set_light", step=light.number)
-
-    def _check_what_was_stored(self) -> None:
-        """Look at recordings that were stored, but not looked at when the process died."""
+    def _check_unchecked(self) -> None:
+        """Measure recordings that were stored, but not measured when the process died."""
         history = self._log.history
         for step in self._job.steps:
             if isinstance(step, RecordStep) and (attempt := history.unchecked(step.pose.index)) is not None:
-                self._work.step = step
-                self.fire_at("check", step, attempt=attempt.attempt)
+                self._steps.fire_at("check", step, attempt=attempt.attempt)
                 if step.pose.index in history.accepted():
-                    self._log.tell(Event.STEP_DONE, step=step.number)
+                    self._log.write(Event.STEP_DONE, step=step.number)
 
-    # ------------------------------------------------------------------ what interlocks ask for
+    def _next(self, step: ScriptStep) -> None:
+        """Do a step, unless its pose is skipped."""
+        self._safe_points.reach(step)
+        done = self._log.history.done_steps
+        if self._safe_points.is_skipped(step):
+            if step.number not in done:
+                self._log.write(Event.STEP_DONE, step=step.number, skipped=True)
+            return
+        if isinstance(step, RecordStep):
+            self._attempts.record(step)
+        else:
+            self._steps.take(step)
+        if step.number not in done:
+            self._log.write(Event.STEP_DONE, step=step.number)
+        done_s = self._job.done_after_s(step)
+        if done_s is not None:
+            self._progress.done(done_s)
+
+    # ------------------------------------------------------------------ interlocks
 
     def _guarded(self, step: ScriptStep | None, work: Callable[[], None]) -> None:
-        """Do work with devices; where an interlock holds before or in the midst of it, wait, and do it again."""
+        """Do work with devices. Where an interlock holds before or during the work, wait, and do the work again."""
         again = False
         while True:
             try:
                 if again and step is not None:
                     self._interlocks.heed()
-                    self._prepare_again(step)
+                    self._steps.prepare_again(step)
                 work()
             except Interrupted:
-                self._hold_by_rule(step, self._interlocks.take())
+                self._hold_for(self._interlocks.take(), step)
             except LOST as error:
                 trip = self._interlocks.lost(str(error))
                 if trip is None:
                     raise
-                self._hold_by_rule(step, trip)
+                self._hold_for(trip, step)
                 if step is not None:
                     self._guarded(None, partial(self._make_ready, []))
             else:
                 return
             again = True
 
-    def _hold_by_rule(self, step: ScriptStep | None, trip: Trip) -> None:
+    def _hold_for(self, trip: Trip, step: ScriptStep | None) -> None:
         if self._machine.state == "recording" and isinstance(step, RecordStep):
             self._attempts.lose(step, trip.text)
-        self._work.step, self._work.holding.trip = step, trip
         self._progress.say(f"Held by {trip.text}; the run goes on by itself once that is over.")
-        number = {} if step is None else {"step": step.number}
-        self._machine.fire("hold", **number, rule=trip.interlock.name, why=trip.why)
+        self._machine.fire("hold", step, trip, rule=trip.interlock.name, why=trip.why)
 
-    # ------------------------------------------------------------------ what operators ask for
+    # ------------------------------------------------------------------ changes of state, and the supervisor
 
-    def _safe_point(self, step: ScriptStep) -> None:
-        """Between two pieces of work, before ``step``: stop, hold, or skip poses, as asked."""
-        self._clock.check()
-        self._interlocks.heed()
-        holder = self._log.history.holder
-        if holder and self._machine.can("hold"):
-            self._hold(step, holder)
-        history = self._log.history
-        accepted = history.accepted()
-        for pose_index, by in list(history.to_skip.items()):
-            if pose_index not in history.skipped and pose_index not in accepted:
-                self._skip(pose_index, f"{by} asked for it")
-        if holder and step.number not in self._skipped_steps():
-            self._prepare_again(step)
+    def entering(self, data: Entering) -> None:
+        """Journal a change of state before it is made; then pulse, interlocks and progress follow.
 
-    def _hold(self, step: ScriptStep, by: str) -> None:
-        begin_s = self._clock.monotonic()
-        self._work.step = step
-        self._progress.say(f"Held by {by}; `starbench release` lets the run go on.")
-        self._machine.fire("hold", step=step.number, by=by)
-        held_s = self._clock.monotonic() - begin_s
-        before = "parking" if isinstance(step, ParkStep) else f"step {step.number}"
-        self._log.tell(Event.DEVIATION, what=f"Held by {by} for {held_s:.0f} s before {before}.")
+        Parameters
+        ----------
+        data
+            The states, the step and its circumstances.
+        """
+        self._log.write_entering(data)
+        state = data["state"]
+        self._pulse.entering(state)
+        self._interlocks.entering(state)
+        self._progress.show(state, pose=data.get("pose"), detail=data.get("pose_name", ""))
+        if state == "holding":
+            self._hold_news.entering(data, self._log.journal.head)
 
-    def _prepare_again(self, step: ScriptStep) -> None:
-        """After a hold, where recordings follow: the light as it was, and the move they stand on, repeated."""
-        here = self._job.place(step)
-        if not any(isinstance(coming, RecordStep) for coming in self._job.steps[here:]):
-            return
-        light = self._job.light_before(step)
-        if light is not None and not isinstance(step, LightStep):
-            self._set_light_again(light)
-        for stood_on in ground(self._job.steps, step):
-            self._work.step = stood_on
-            self._take(stood_on)
+    def left_off(self, data: LeftOff) -> None:
+        """Journal that the work of a state has ended; nothing interrupts what is between two states.
 
-    def _skip(self, pose_index: int, why: str) -> None:
-        name = self._job.record_step(pose_index).pose.name
-        what = f"Pose {pose_index} ({name}) was skipped: {why}."
-        self._log.tell(Event.POSE_SKIPPED, pose=pose_index, pose_name=name, what=what)
-        self._progress.say(what)
-
-    def _skipped_steps(self) -> set[int]:
-        for pose in self._log.history.skipped.keys() - self._left_out.keys():
-            self._left_out[pose] = {s.number for s in steps_of_pose(self._job.steps, pose)}
-        return set[int]().union(*self._left_out.values())
-
-    def _leave_out(self, step: ScriptStep) -> None:
-        if step.number not in self._log.history.done_steps:
-            self._log.tell(Event.STEP_DONE, step=step.number, skipped=True)
-
-    # ------------------------------------------------------------------ one step
-
-    def _do(self, step: ScriptStep) -> None:
-        self._work.step = step
-        if isinstance(step, RecordStep):
-            self._attempts.record(step)
-        else:
-            self._take(step)
-        if step.number not in self._log.history.done_steps:
-            self._log.tell(Event.STEP_DONE, step=step.number)
-        done_s = self._job.done_after_s(step)
-        if done_s is not None:
-            self._progress.done(done_s)
-
-    def _take(self, step: ScriptStep) -> None:
-        """Take the one edge of a step that records nothing."""
-        if isinstance(step, MoveStep):
-            self.fire_at("slew", step, target_deg=dict(step.pose.angles_deg))
-        else:
-            self._machine.fire(_TRIGGERS[type(step)], step=step.number)
-
-    # ------------------------------------------------------------------ what attempts at a recording need
-
-    def fire_at(self, trigger: str, step: MoveStep | RecordStep, **facts: Any) -> None:
-        """Take an edge for a step at its pose, and do the work of the state it leads to."""
-        self._machine.fire(trigger, step=step.number, pose=step.pose.index, pose_name=step.pose.name, **facts)
-
-    def ask(self, question: PromptStep, step: RecordStep) -> None:
-        """Hold for the answer to a question about a step. Raises Aborted where it is no."""
-        self._work.step = question
-        self._machine.fire("hold", step=step.number)
-        self._work.step = step
-
-    def between(self, step: RecordStep) -> None:
-        """Be at a safe point between two attempts of a step."""
-        self._safe_point(step)
-        self._work.step = step
-
-    # ------------------------------------------------------------------ what others are told
+        Parameters
+        ----------
+        data
+            The state, and the error where the work failed.
+        """
+        self._log.write_left_off(data)
+        self._interlocks.left_off()
 
     def _see_supervisor(self) -> None:
-        """Note that nobody watches this process any more, and go on: the run is as good as before."""
+        """Journal that no process watches this one any more, and go on: the run is as good as before."""
         if self._pulse.lost_supervisor():
-            self._log.tell(Event.SUPERVISOR_LOST)
+            self._log.write(Event.SUPERVISOR_LOST)
             self._notify(
                 "failure", "goes on, but what watched it is gone: nothing follows it", self._log.journal.head
             )
-
-    def _tell(self, event: str, facts: Mapping[str, Any]) -> None:
-        self._log.tell(Event(event), **facts)
-        if event == Event.ENTERING:
-            self._pulse.entering(facts["state"])
-            self._interlocks.entering(facts["state"])
-            self._progress.show(
-                facts["state"], pose=facts.get("pose"), detail=str(facts.get("pose_name", ""))
-            )
-            if facts["state"] == "holding":
-                self._hold_news.entering(facts, self._log.journal.head)
-        else:
-            self._interlocks.left_off()

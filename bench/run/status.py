@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import RunFolderError, StorageError
+from bench.records.events import Event
 from bench.records.folder_lock import is_locked
-from bench.records.history import Event, History, replay
+from bench.records.history import History, replay
 from bench.records.journal import Entry, read_journal
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storage_errors

@@ -14,18 +14,18 @@ from typing import Any, Protocol, cast
 from bench.stations.devices import Camera
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraConfig
-from bench.views.gates import FILTERS_THAT_EAT_FLICKER, Gate, recording_gates, refusals
+from bench.views.gates import FILTERS_TO_DISABLE, Gate, recording_gates, refusals
 from bench.views.measure import Expect, Measurement, measure
 from bench.views.pictures import measure_pictures, picture_gates, picture_refusals
 from bench.views.recording_window import periods_in_window, recording_duration_s
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
-from drivers.camera.frames import FrameCamera, FrameSettings
+from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings
 from drivers.camera.recording import compile_decoder
 from sequences.script import Flicker, RecordStep
 
-Facts = Mapping[str, Any]
-"""What a driver told of a recording, as the journal holds it."""
+StoredFacts = Mapping[str, Any]
+"""A driver's facts of a recording by field, as the journal holds them."""
 
 
 class CameraKind(Protocol):
@@ -44,7 +44,9 @@ class CameraKind(Protocol):
         """Set the camera; return the settings as read back, and every reason against a run."""
         ...
 
-    def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> Facts:
+    def record(
+        self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float
+    ) -> RecordingFacts | FrameFacts:
         """Record into a new file."""
         ...
 
@@ -55,16 +57,16 @@ class CameraKind(Protocol):
         ...
 
     def judge(
-        self, facts: Facts, step: RecordStep, frequency_hz: float, found: Measurement
+        self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
         """Judge a recording by its numbers; return also what speaks against it besides a failed gate."""
         ...
 
-    def counts(self, facts: Facts) -> dict[str, Any]:
+    def counts(self, facts: StoredFacts) -> dict[str, Any]:
         """Give what results tell of a recording."""
         ...
 
-    def conditions(self, accepted: Sequence[Facts]) -> dict[str, Any]:
+    def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
         """Give what results tell of the camera's state over the recordings accepted."""
         ...
 
@@ -98,17 +100,17 @@ class EventKind:
         filters = event_camera.filters()
         reasons = [
             f"camera: its {f.upper()} filter cannot be switched off"
-            for f in FILTERS_THAT_EAT_FLICKER
+            for f in FILTERS_TO_DISABLE
             if filters.get(f)
         ]
         if not settings.trigger_in:
             reasons.append("camera: its trigger input cannot be enabled")
         return asdict(settings), reasons
 
-    def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> Facts:
+    def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> RecordingFacts:
         """Record so long that the window's whole periods lie inside."""
         duration_s = recording_duration_s(step.window_ms, frequency_hz)
-        return asdict(cast("EventCamera", camera).record(path, duration_s))
+        return cast("EventCamera", camera).record(path, duration_s)
 
     def measure(
         self, path: Path, step: RecordStep, frequency_hz: float, target: StarTarget, expect: Expect | None
@@ -125,35 +127,37 @@ class EventKind:
         )
 
     def judge(
-        self, facts: Facts, step: RecordStep, frequency_hz: float, found: Measurement
+        self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
         """Judge stars, event rate, triggers, flicker and motion."""
-        told = RecordingFacts(**facts)
+        recorded = RecordingFacts(**facts)
         return (
-            recording_gates(told, step.gates, frequency_hz, found.facts, found.stars),
-            refusals(told, step.gates, ()),
+            recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars),
+            refusals(recorded, step.gates, ()),
         )
 
-    def counts(self, facts: Facts) -> dict[str, Any]:
+    def counts(self, facts: StoredFacts) -> dict[str, Any]:
         """Events, triggers, span and rate."""
-        events, duration_s = facts["events"], facts["duration_s"]
+        recorded = RecordingFacts(**facts)
+        events, duration_s = recorded.events, recorded.duration_s
         return {
             "events": events,
-            "triggers": facts["triggers"],
+            "triggers": recorded.triggers,
             "duration_s": duration_s,
             "event_rate_mev_s": events / duration_s / 1e6 if duration_s else None,
-            "temperature_c": facts["temperature_c"],
+            "temperature_c": recorded.temperature_c,
         }
 
-    def conditions(self, accepted: Sequence[Facts]) -> dict[str, Any]:
+    def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
         """Biases and filters as read back last, illumination then, mean temperature."""
-        last = accepted[-1]
-        temperatures = [facts["temperature_c"] for facts in accepted if facts["temperature_c"] is not None]
+        recorded = [RecordingFacts(**facts) for facts in accepted]
+        last = recorded[-1]
+        temperatures = [one.temperature_c for one in recorded if one.temperature_c is not None]
         return {
-            "biases": last["biases"],
-            "filters": last["filters"],
+            "biases": last.biases,
+            "filters": last.filters,
             "temperature_c": sum(temperatures) / len(temperatures) if temperatures else None,
-            "illumination_lux": last["illumination_lux"],
+            "illumination_lux": last.illumination_lux,
         }
 
 
@@ -183,9 +187,9 @@ class FrameKind:
         """Set exposure and gain."""
         return asdict(cast("FrameCamera", camera).apply(self._settings)), []
 
-    def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> Facts:  # noqa: ARG002
+    def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> FrameFacts:  # noqa: ARG002
         """Take the pictures."""
-        return asdict(cast("FrameCamera", camera).capture(path, self._pictures))
+        return cast("FrameCamera", camera).capture(path, self._pictures)
 
     def measure(
         self,
@@ -200,27 +204,29 @@ class FrameKind:
 
     def judge(
         self,
-        facts: Facts,
+        facts: StoredFacts,
         step: RecordStep,
         frequency_hz: float,  # noqa: ARG002
         found: Measurement,
     ) -> tuple[list[Gate], list[str]]:
         """Judge stars, saturation and motion."""
-        return picture_gates(facts, step.gates, found), picture_refusals(facts)
+        recorded = FrameFacts(**facts)
+        return picture_gates(recorded, step.gates, found), picture_refusals(recorded)
 
-    def counts(self, facts: Facts) -> dict[str, Any]:
+    def counts(self, facts: StoredFacts) -> dict[str, Any]:
         """Pictures, and how many of their pixels are saturated."""
+        recorded = FrameFacts(**facts)
         return {
-            "pictures": facts["frames"],
-            "bits": facts["bits"],
-            "saturated_percent": 100 * facts["saturated_share"],
+            "pictures": recorded.frames,
+            "bits": recorded.bits,
+            "saturated_percent": 100 * recorded.saturated_share,
         }
 
-    def conditions(self, accepted: Sequence[Facts]) -> dict[str, Any]:
+    def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
         """Pictures a pose, their depth, and the settings that the station names."""
-        last = accepted[-1]
+        last = FrameFacts(**accepted[-1])
         asked = {name: value for name, value in asdict(self._settings).items() if value is not None}
-        return {"pictures": last["frames"], "bits": last["bits"], **asked}
+        return {"pictures": last.frames, "bits": last.bits, **asked}
 
 
 def camera_kind(station: Station) -> CameraKind:

@@ -7,18 +7,18 @@ at it again gives the same stars.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.events import CaptureStored
 from bench.records.history import Attempt, History
 from bench.views.measure import Expect
 from calib.stars.pointing import LabelledView, predict_grid
 from calib.target import StarTarget
 
 
-def by_earlier_poses(history: History, stored: Mapping[str, Any], target: StarTarget) -> Expect:
+def by_earlier_poses(history: History, stored: CaptureStored, target: StarTarget) -> Expect:
     """Expect the stars of a recording by the accepted ones of which the tag named the stars.
 
     Parameters
@@ -34,9 +34,9 @@ def by_earlier_poses(history: History, stored: Mapping[str, Any], target: StarTa
 
     def expect(image_size: tuple[int, int]) -> NDArray[np.float64]:
         seen = [
-            LabelledView(np.array(told["grid"]), best_readings(attempt.stored["measured_deg"]))
+            LabelledView(np.array(measured["grid"]), best_readings(attempt.stored["measured_deg"]))
             for attempt in history.accepted().values()
-            if (told := _told(attempt)).get("named_by") in ("tag", "part of the tag")
+            if (measured := attempt.measured).get("named_by") in ("tag", "part of the tag")
         ]
         return predict_grid(seen, here, image_size, target.pitch_mm).grid
 
@@ -45,7 +45,7 @@ def by_earlier_poses(history: History, stored: Mapping[str, Any], target: StarTa
 
 def as_before(attempt: Attempt) -> Expect | None:
     """Expect of a recording what was expected when it was accepted; None where the tag named its stars."""
-    grid = _told(attempt).get("expected_grid")
+    grid = attempt.measured.get("expected_grid")
     return None if grid is None else lambda _image_size: np.array(grid)
 
 
@@ -53,8 +53,3 @@ def best_readings(measured_deg: Mapping[str, float]) -> dict[str, float]:
     """Where a stage stood, by axis: what its encoders read, where it has some (``pan_encoder``)."""
     axes = ("pan", "tilt", "roll")
     return {a: measured_deg.get(f"{a}_encoder", measured_deg[a]) for a in axes if a in measured_deg}
-
-
-def _told(attempt: Attempt) -> Mapping[str, Any]:
-    """What a recording showed of itself."""
-    return (attempt.checked or {}).get("measured", {})

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from bench.records.events import GateData, MeasuredFacts
 from drivers.camera import RecordingFacts
 from sequences.script import Gates
 
@@ -20,7 +21,7 @@ period is known to some microseconds from trigger edges, less well from the even
 LAG_PERIODS = (-0.28, 0.2)
 """When in the period the ON events may begin, counted from the sync signal's rise: of a sine they come from a quarter
 before, as soon as the light grows, of a square in dim light a little after it. An inverted sync signal is half off."""
-FILTERS_THAT_EAT_FLICKER = ("afk", "stc", "trail", "erc")
+FILTERS_TO_DISABLE = ("afk", "stc", "trail", "erc")
 MARGIN = 0.1
 """A value within this share of its limit passes, but only just: marginal."""
 
@@ -35,7 +36,7 @@ class Gate:
     limit: str
     verdict: Verdict
 
-    def as_data(self) -> dict[str, Any]:
+    def as_data(self) -> GateData:
         """Give the gate as results and journal carry it."""
         return {
             "name": self.name,
@@ -67,7 +68,7 @@ def at_most(name: str, value: float, limit: float, unit: str) -> Gate:
 
 
 def recording_gates(
-    facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: Mapping[str, Any], stars: int
+    facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: MeasuredFacts, stars: int
 ) -> list[Gate]:
     """Judge one recording by its numbers.
 
@@ -90,22 +91,22 @@ def recording_gates(
         at_least("stars", stars, gates.min_stars, ""),
         at_most("event rate", rate_mev_s, gates.max_event_rate_mev_s, "Mev/s"),
     ]
-    told = numbers_of(facts, gates, frequency_hz, measured)
+    numbers = numbers_of(facts, gates, frequency_hz, measured)
     limits = dict(gates.limits)
     if measured.get("flicker_source") in FREQUENCY_TOLERANCE:
         limits.setdefault("max_flicker_off_percent", 100 * FREQUENCY_TOLERANCE[measured["flicker_source"]])
     for name, limit in limits.items():
         which, fact = name.split("_", 1)
-        if told.get(fact) is not None:
+        if numbers.get(fact) is not None:
             judge = at_least if which == "min" else at_most
-            judged.append(judge(_label(fact), float(told[fact]), limit, _unit(fact)))
-    if told.get("flicker_lag_periods") is not None:
-        judged.append(_in_phase(float(told["flicker_lag_periods"])))
+            judged.append(judge(_label(fact), float(numbers[fact]), limit, _unit(fact)))
+    if numbers.get("flicker_lag_periods") is not None:
+        judged.append(_in_phase(float(numbers["flicker_lag_periods"])))
     return judged
 
 
 def numbers_of(
-    facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: Mapping[str, Any]
+    facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: MeasuredFacts
 ) -> dict[str, Any]:
     """All numbers of a recording that a sequence may limit, by name; parameters as for `recording_gates`."""
     told = {**measured, **(measured.get("image") or {})}
@@ -177,7 +178,7 @@ def refusals(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> lis
     """Say why a recording does not count; empty when it does."""
     reasons = failures(judged)
     reasons += [f"data lost: {gap}" for gap in facts.gaps]
-    eaten = [f for f in FILTERS_THAT_EAT_FLICKER if facts.filters.get(f)]
+    eaten = [f for f in FILTERS_TO_DISABLE if facts.filters.get(f)]
     if eaten:
         reasons.append(f"on-chip filters were on: {', '.join(eaten)}")
     if gates.require_triggers and facts.triggers == 0:

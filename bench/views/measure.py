@@ -7,7 +7,7 @@ recording is made here, from the file alone, so that it can be made again from t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.events import MeasuredFacts
 from calib.errors import (
     CalibrationError,
     DegenerateViews,
@@ -85,7 +86,7 @@ class Measurement:
 
     view: View | None
     picture: Picture | None
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: MeasuredFacts = field(default_factory=MeasuredFacts)
     fault: str = ""
 
     @property
@@ -128,7 +129,7 @@ def measure(
     Measurement
         Also when the file cannot be read or no stars are found: the fault then says why.
     """
-    facts: dict[str, Any] = {}
+    facts: MeasuredFacts = {}
     picture: Picture | None = None
     try:
         raw = RawFile.open(path)
@@ -152,7 +153,7 @@ def measure(
 
 
 def named(
-    image: NDArray[Any], target: StarTarget, name: str, expect: Expect | None, facts: dict[str, Any]
+    image: NDArray[Any], target: StarTarget, name: str, expect: Expect | None, facts: MeasuredFacts
 ) -> View:
     """Find the stars of an image, by the expected pose where the tag does not name them.
 
@@ -181,7 +182,7 @@ def named(
     return seen.view
 
 
-def aligned_poses(facts: Iterable[Mapping[str, Any]]) -> int:
+def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
     """Count the recordings whose stars have edges along the pixels, in an image of fired and silent pixels.
 
     Such an edge crosses all pixels of a row at one place, and neighbouring stars err alike: more than a star's own
@@ -220,7 +221,7 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
 
 
-def _agreement(flicker: Flicker, events: Events) -> dict[str, Any]:
+def _agreement(flicker: Flicker, events: Events) -> MeasuredFacts:
     """Hold the flicker by the triggers against the one that the events tell; nothing where there is only one."""
     if flicker.source != "triggers":
         return {}
@@ -250,7 +251,7 @@ def _halves(
         yield make_images(*_arrays(events), size, flicker, window_us=half).named(kind)
 
 
-def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Mapping[str, Any]) -> float | None:
+def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
     """Length of the stars' shift from the first half of a recording to the second; None where halves cannot tell.
 
     Parameters
@@ -313,8 +314,8 @@ def _span_us(t: NDArray[np.int64], triggers: Triggers) -> tuple[float, float]:
     return float(min(a[0] for a in times)), float(max(a[-1] for a in times)) + 1.0
 
 
-def _flicker_facts(flicker: Flicker, triggers: Triggers, span_us: tuple[float, float]) -> dict[str, Any]:
-    facts: dict[str, Any] = {
+def _flicker_facts(flicker: Flicker, triggers: Triggers, span_us: tuple[float, float]) -> MeasuredFacts:
+    facts: MeasuredFacts = {
         "flicker_hz": flicker.frequency_hz,
         "flicker_source": flicker.source,
         "flicker_duty": flicker.duty,
@@ -333,7 +334,7 @@ def _choose(images: EventImages, kind: str) -> ChosenImage:
     return ChosenImage(name, images.named(name), "asked for by the sequence")
 
 
-def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> dict[str, Any]:
+def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> MeasuredFacts:
     facts = images.facts
     return {
         "image": {

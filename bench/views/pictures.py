@@ -6,20 +6,20 @@ still. Every number is made from the file alone, so that it can be made again fr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.events import MeasuredFacts
 from bench.views.gates import Gate, at_least, at_most
 from bench.views.measure import Expect, Measurement, Picture, motion_px, named
 from calib.errors import CalibrationError
 from calib.events.motion import MOVING_PX
 from calib.stars.vignetting import downweight_vignetted
 from calib.target import StarTarget
-from drivers.camera.frames import read_frames
+from drivers.camera.frames import FrameFacts, read_frames
 from drivers.errors import RecordingFileError
 from sequences.script import Gates
 
@@ -49,7 +49,7 @@ def measure_pictures(
         Also when the file cannot be read or no stars are found: the fault then says why. Its facts are ``image``
         (``kind``, ``reason``, ``pictures``), ``motion_px``, and what named the stars (`bench.views.measure.named`).
     """
-    facts: dict[str, Any] = {}
+    facts: MeasuredFacts = {}
     picture: Picture | None = None
     try:
         frames = read_frames(path)
@@ -66,13 +66,13 @@ def measure_pictures(
     return Measurement(view, picture, facts)
 
 
-def picture_gates(facts: Mapping[str, Any], gates: Gates, found: Measurement) -> list[Gate]:
+def picture_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
     """Judge the pictures of a pose; of the sequence's gates, those that tell of stars apply.
 
     Parameters
     ----------
     facts
-        ``drivers.camera.frames.FrameFacts`` as the journal holds them.
+        What the driver states of the capture.
     gates
         What the sequence demands.
     found
@@ -80,17 +80,17 @@ def picture_gates(facts: Mapping[str, Any], gates: Gates, found: Measurement) ->
     """
     judged = [
         at_least("stars", found.stars, gates.min_stars, ""),
-        at_most("saturated pixels", 100 * float(facts["saturated_share"]), 100 * MOST_SATURATED, "%"),
+        at_most("saturated pixels", 100 * facts.saturated_share, 100 * MOST_SATURATED, "%"),
     ]
-    if found.facts.get("motion_px") is not None:
-        most_px = gates.limits.get("max_motion_px", MOVING_PX)
-        judged.append(at_most("stars moved", float(found.facts["motion_px"]), most_px, "px"))
+    motion_px = found.facts.get("motion_px")
+    if motion_px is not None:
+        judged.append(at_most("stars moved", motion_px, gates.limits.get("max_motion_px", MOVING_PX), "px"))
     return judged
 
 
-def picture_refusals(facts: Mapping[str, Any]) -> list[str]:
+def picture_refusals(facts: FrameFacts) -> list[str]:
     """Say why pictures do not count, whatever they show; empty when they do."""
-    return [] if facts["complete"] else ["the pictures ended before their number"]
+    return [] if facts.complete else ["the pictures ended before their number"]
 
 
 def _mean(frames: NDArray[Any]) -> NDArray[np.float32]:

@@ -115,7 +115,8 @@ from pathlib import Path
 from bench.base.clock import BenchClock
 from bench.run.control import Inbox
 from bench.run.heartbeat import Pulse
-from bench.records.history import Event, RunLog
+from bench.records.events import Event
+from bench.records.run_log import RunLog
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 clock = BenchClock()

@@ -22,7 +22,8 @@ import bench.rehearsal.rehearsal
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
 from bench.records.captures import stored_captures
-from bench.records.history import Event, replay
+from bench.records.events import Event
+from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.storage import sha256_of
 

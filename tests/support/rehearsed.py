@@ -9,7 +9,7 @@ import bench.rehearsal.rehearsal
 from bench.base.clock import VirtualClock
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
-from bench.records.history import Event
+from bench.records.events import Event
 from bench.records.journal import Journal, read_journal
 from bench.records.unsynced_journal import UnsyncedJournal
 from bench.rehearsal.rehearsal import RehearsedJob, rehearse_job
@@ -42,9 +42,7 @@ class Scene:
     def __init__(self, folder, *, station="", poses=TWO, end="", attempts=2):
         self.folder = folder / "run"
         sequence = write_sequence(folder / "sequence.yaml", poses, attempts=attempts, end=end)
-        planned = make_plan(
-            *load_documents(str(sequence), str(write_station(folder / "station.yaml", station)))
-        )
+        planned = make_plan(*load_documents(str(sequence), str(write_station(folder / "station.yaml", station))))
         assert not planned.faults, [str(fault) for fault in planned.faults]
         self.task = Job.from_plan(planned, seed=1, operator=None)
         self.hook = lambda _name: None

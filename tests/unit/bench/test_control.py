@@ -12,10 +12,12 @@ from pydantic import ValidationError
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
+from bench.records.events import Event
 from bench.records.folder_lock import is_locked
-from bench.records.history import Attempt, Event, History, RunLog, replay
+from bench.records.history import Attempt, History, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
+from bench.records.run_log import RunLog
 from bench.run import control
 from bench.run.control import CONTROL, Command, Inbox, command_text, refusal, send
 
@@ -135,7 +137,7 @@ def test_an_abort_ends_the_wait_of_the_run_at_once(run):
 def test_skip_means_the_pose_at_work_unless_another_is_named(run):
     folder, log, clock = run
     with Inbox(folder, log, POSES, clock):
-        log.tell(Event.ENTERING, state="recording", pose=2)
+        log.write(Event.ENTERING, state="recording", pose=2)
         assert send(folder, command("skip"))["pose"] == 2
         assert send(folder, command("skip", pose=3))["pose"] == 3
     assert set(log.history.to_skip) == {2, 3}
@@ -205,7 +207,7 @@ def test_a_command_to_a_run_that_ends_at_this_moment_is_said_to_be_too_late(run,
         inbox.close()
         write(path, data)
 
-    monkeypatch.setattr(control, "write_whole", too_late)
+    monkeypatch.setattr(control, "write_atomic", too_late)
     with Inbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="was ending"):
         send(folder, command("hold"))
 

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.records.history import Event, replay
+from bench.records.events import Event
+from bench.records.history import replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
 from bench.run import launch
@@ -29,7 +30,7 @@ def crashed(tmp_path, monkeypatch):
     monkeypatch.setattr(launch, "_job_of", lambda _folder, entries: (None, replay(entries)))
     monkeypatch.setattr(launch, "intentions", lambda *_: [])
     monkeypatch.setattr(
-        launch, "_ledger", lambda _: SimpleNamespace(knows=lambda _place: True, end=lambda *_, **__: None)
+        launch, "_ledger", lambda _: SimpleNamespace(contains=lambda _place: True, end=lambda *_, **__: None)
     )
     monkeypatch.setattr(launch, "_run_and_seal", lambda *_, **__: SimpleNamespace(how="finished"))
     return tmp_path / "run"

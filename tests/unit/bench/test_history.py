@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.errors import JournalBroken
-from bench.records.history import Attempt, Event, History, replay
+from bench.records.events import Event
+from bench.records.history import Attempt, History, replay
 from bench.records.journal import Journal
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}

@@ -4,7 +4,8 @@ import pytest
 from rehearsed import Scene, with_runner
 
 from bench.base.clock import VirtualClock
-from bench.records.history import Event, replay
+from bench.records.events import Event
+from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.run.interlocks import Interlocks
 from bench.run.status import read_status, status_text

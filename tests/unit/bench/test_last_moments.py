@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from rehearsed import Scene, with_runner
 
-from bench.records.history import Event
+from bench.records.events import Event
 from bench.terminal.prompt import Reply
 
 PROMPT = '  - prompt: {text: "Cap off?", default: abort, timeout_s: 5}\n'
@@ -17,7 +17,7 @@ def scene(tmp_path, monkeypatch):
 
 
 def commanded(scene, word, **more):
-    scene.runner._log.tell(Event.COMMANDED, id="x", word=word, by="ada", taken=True, why="", **more)
+    scene.runner._log.write(Event.COMMANDED, id="x", word=word, by="ada", taken=True, why="", **more)
 
 
 def test_an_answer_that_was_taken_as_the_time_was_up_counts(scene, monkeypatch):

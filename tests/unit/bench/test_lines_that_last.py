@@ -5,8 +5,9 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.records.history import Event, RunLog
+from bench.records.events import Event
 from bench.records.journal import Journal
+from bench.records.run_log import RunLog
 
 POSE = {"pose": 1, "pose_name": "p"}
 STORED = {**POSE, "attempt": 1, "capture": "c", "size": 1, "sha256": "0"}
@@ -34,14 +35,14 @@ def log(tmp_path):
     path = tmp_path / "journal.jsonl"
     with Journal.create(path, utc_now=lambda: datetime.now(UTC), monotonic=lambda: 0.0) as journal:
         log = RunLog(journal)
-        log.tell(Event.CAPTURE_STORED, **STORED)
+        log.write(Event.CAPTURE_STORED, **STORED)
         yield log
 
 
 def syncs(log, monkeypatch, event, data):
     synced = []
     monkeypatch.setattr(os, "fsync", synced.append)
-    log.tell(event, **data)
+    log.write(event, **data)
     return len(synced)
 
 

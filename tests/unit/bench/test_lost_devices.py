@@ -3,7 +3,7 @@
 import pytest
 from rehearsed import Scene
 
-from bench.records.history import Event
+from bench.records.events import Event
 from drivers.errors import CameraLost, PortLost, PortNotFound, ReplyTimeout, WrongDevice
 
 LOST = [PortLost("gone"), CameraLost("gone"), ReplyTimeout("silent")]

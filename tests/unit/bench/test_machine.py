@@ -1,6 +1,7 @@
 """The state machine: each edge, each missing edge, and what an exception leaves behind."""
 
 from itertools import product
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -13,10 +14,21 @@ TRIGGERS = sorted({trigger for trigger, _, _ in EDGES})
 TARGETS = {(source, trigger): target for trigger, sources, target in EDGES for source in sources}
 
 
+class Told:
+    """Keeps what it is told, in a list of (event, data); a subclass may refuse it."""
+
+    def __init__(self, told=None):
+        self.told = [] if told is None else told
+
+    def entering(self, data):
+        self.told.append(("entering", data))
+
+    def left_off(self, data):
+        self.told.append(("left_off", data))
+
+
 def machine_in(state, work=None, told=None):
-    machine = RunMachine(
-        work or {}, lambda event, facts: told.append((event, facts)) if told is not None else None
-    )
+    machine = RunMachine(work or {}, Told(told))
     machine._machine.set_state(state)
     return machine
 
@@ -25,10 +37,11 @@ def machine_in(state, work=None, told=None):
 def test_each_edge_leads_where_the_table_says_and_runs_the_work_of_that_state(source, trigger):
     did = []
     target = TARGETS[source, trigger]
-    machine = machine_in(source, {target: lambda **facts: did.append(facts)})
-    machine.fire(trigger, step=7)
+    machine = machine_in(source, {target: lambda *given, **facts: did.append((given, facts))})
+    step, cause = SimpleNamespace(number=7), object()
+    machine.fire(trigger, step, cause, pose=2)
     assert machine.state == target
-    assert did == [{"step": 7}]
+    assert did == [((step, cause), {"pose": 2})]
 
 
 @pytest.mark.parametrize(("source", "trigger"), sorted(set(product(STATES, TRIGGERS)) - set(TARGETS)))
@@ -59,13 +72,13 @@ def test_no_state_can_be_jumped_to():
 def test_intent_is_told_before_the_work_and_the_outcome_after_it_even_when_it_fails():
     told = []
 
-    def fail(**_):
+    def fail(*_, **__):
         told.append("work")
         raise OSError("lamp on fire")
 
     machine = machine_in("homing", {"lighting": fail}, told)
     with pytest.raises(OSError, match="lamp on fire"):
-        machine.fire("set_light", step=3)
+        machine.fire("set_light", SimpleNamespace(number=3))
     assert told == [
         ("entering", {"state": "lighting", "from": "homing", "step": 3}),
         "work",
@@ -77,10 +90,11 @@ def test_intent_is_told_before_the_work_and_the_outcome_after_it_even_when_it_fa
 def test_a_state_whose_intent_cannot_be_told_is_not_entered():
     did = []
 
-    def full(event, facts):
-        raise OSError("disk full")
+    class Full(Told):
+        def entering(self, data):
+            raise OSError("disk full")
 
-    machine = RunMachine({"preflight": lambda **_: did.append(1)}, full)
+    machine = RunMachine({"preflight": lambda *_: did.append(1)}, Full())
     with pytest.raises(OSError, match="disk full"):
         machine.fire("preflight")
     assert machine.state == "idle"
@@ -88,11 +102,11 @@ def test_a_state_whose_intent_cannot_be_told_is_not_entered():
 
 
 def test_an_outcome_that_cannot_be_told_is_an_error():
-    def full(event, facts):
-        if event == "left_off":
+    class Full(Told):
+        def left_off(self, data):
             raise OSError("disk full")
 
-    machine = RunMachine({}, full)
+    machine = RunMachine({}, Full())
     with pytest.raises(OSError, match="disk full"):
         machine.fire("preflight")
     assert machine.state == "preflight"
@@ -100,7 +114,7 @@ def test_an_outcome_that_cannot_be_told_is_an_error():
 
 def test_work_for_an_unknown_state_is_refused():
     with pytest.raises(ValueError, match="dancing"):
-        RunMachine({"dancing": lambda **_: None}, lambda *_: None)
+        RunMachine({"dancing": lambda *_: None}, Told())
 
 
 @given(st.lists(st.sampled_from(TRIGGERS), max_size=60))

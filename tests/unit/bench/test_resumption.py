@@ -5,9 +5,10 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.plan.job import Job
-from bench.records.history import Event, History, replay
+from bench.records.events import Event
+from bench.records.history import History, replay
 from bench.records.journal import Journal
-from bench.run.resumption import crash_looped, ground, intentions, remaining, steps_of_pose
+from bench.run.resumption import crash_looped, steps_to_repeat, intentions, remaining, steps_of_pose
 from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
 
 
@@ -46,10 +47,10 @@ def test_a_report_stands_on_the_solution(steps):
 
 def test_a_recording_stands_on_its_move_and_a_move_on_nothing(steps):
     by_number = {step.number: step for step in steps}
-    assert [type(s) for s in ground(steps, by_number[7])] == [MoveStep, SettleStep]
-    assert [type(s) for s in ground(steps, by_number[6])] == [MoveStep]
-    assert ground(steps, by_number[5]) == []
-    assert ground(steps, by_number[11]) == []
+    assert [type(s) for s in steps_to_repeat(steps, by_number[7])] == [MoveStep, SettleStep]
+    assert [type(s) for s in steps_to_repeat(steps, by_number[6])] == [MoveStep]
+    assert steps_to_repeat(steps, by_number[5]) == []
+    assert steps_to_repeat(steps, by_number[11]) == []
 
 
 def test_a_pose_is_its_move_its_settling_and_its_recording(steps):

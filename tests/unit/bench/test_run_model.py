@@ -15,7 +15,8 @@ from rehearsed import Scene, with_runner
 
 from bench.base.clock import VirtualClock
 from bench.records.captures import stored_captures
-from bench.records.history import Event, replay
+from bench.records.events import Event
+from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.storage import sha256_of
 from bench.records.unsynced_journal import UnsyncedJournal

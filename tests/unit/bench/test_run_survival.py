@@ -10,7 +10,8 @@ from rehearsed import Journal, Scene
 
 from bench.base.clock import VirtualClock
 from bench.base.errors import BenchError, RunFolderError, StorageError
-from bench.records.history import Event, replay
+from bench.records.events import Event
+from bench.records.history import replay
 from bench.records.journal import CLOCK_JUMPED, read_journal
 from bench.run.launch import read_intentions
 from bench.run.resumption import intentions

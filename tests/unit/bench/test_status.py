@@ -7,7 +7,7 @@ import pytest
 
 from bench.base.errors import RunFolderError
 from bench.plan.plan import load_documents, make_plan
-from bench.records.history import Event
+from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.run.status import follow, read_status, status_text

@@ -1,0 +1,67 @@
+"""One shape for every error that was foreseen, whichever package raised it: kind, what, where, remedy.
+
+The five packages do not import each other, so each has an error tree of its own with the same three attributes; a test
+holds them to that. This module is the only place that reads the attributes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from bench.base.errors import BenchError
+from calib.errors import CalibrationError
+from drivers.errors import DriverError
+from sequences.errors import SequencesError
+
+FORESEEN = (BenchError, CalibrationError, DriverError, SequencesError)
+"""Errors that state what is wrong and what to do; any other exception is a defect."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why something failed.
+
+    Attributes
+    ----------
+    kind
+        The error's class, as in the tree at the head of each package's ``errors`` module.
+    what
+        What is wrong.
+    where
+        The device, port, file or view it concerns; empty where it concerns none.
+    remedy
+        What the operator should do; empty where nothing is known.
+    """
+
+    kind: str
+    what: str
+    where: str = ""
+    remedy: str = ""
+
+    @classmethod
+    def of(cls, error: BaseException) -> Failure:
+        """Describe an error.
+
+        Parameters
+        ----------
+        error
+            A foreseen error, or any other exception, which is then a defect of the program.
+
+        Returns
+        -------
+        Failure
+            With the error's own place and remedy where it has them.
+        """
+        if isinstance(error, FORESEEN):
+            return cls(type(error).__name__, error.what, error.where, error.remedy)
+        return cls(type(error).__name__, str(error), "", "This is a defect of the program. Please report it.")
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the failure as JSON holds it.
+
+        Returns
+        -------
+        dict
+            ``kind``, ``what``, ``where``, ``remedy``.
+        """
+        return asdict(self)

@@ -1,0 +1,323 @@
+"""The events of a run's journal, and the type of what each carries.
+
+`RunLog.tell` takes exactly these payloads, and a replay gives them back; nothing else in a journal means anything.
+This module holds types only. Angles are in degrees, times in seconds unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from typing import Any, Literal, NotRequired, TypedDict
+
+from bench.records.captures import CAPTURE_STORED
+
+
+class Event(StrEnum):
+    """What a line of a run's journal states."""
+
+    RUN_STARTED = "run_started"
+    """First line of a run."""
+    RUN_RESUMED = "run_resumed"
+    """A process took the run up again."""
+    DEVICES = "devices"
+    """The identities that the devices gave."""
+    ENTERING = "entering"
+    """The machine is about to enter a state."""
+    LEFT_OFF = "left_off"
+    """The work of a state ended."""
+    CAPTURE_STORED = CAPTURE_STORED
+    """A recording is complete and in its place."""
+    STEP_DONE = "step_done"
+    """A step of the script is done and will not be done again."""
+    ATTEMPT_CHECKED = "attempt_checked"
+    """A recording was measured, and accepted or refused."""
+    ATTEMPT_LOST = "attempt_lost"
+    """The camera could not complete a recording; nothing was stored."""
+    SOLVED = "solved"
+    """A calibration stands: its main numbers."""
+    RECOVERED = "recovered"
+    """What a crash had left of the run folder."""
+    ASKED = "asked"
+    """The run asks the operator a question."""
+    ANSWERED = "answered"
+    """The operator's answer, or the default."""
+    COMMANDED = "commanded"
+    """An operator's command from another terminal, taken or refused."""
+    POSE_SKIPPED = "pose_skipped"
+    """A pose will not be recorded any more; a deviation."""
+    INTERLOCK_RELEASED = "interlock_released"
+    """An interlock that held the run releases it."""
+    SUPERVISOR_LOST = "supervisor_lost"
+    """The process that watched this one is gone; the run goes on to its own end."""
+    DEVIATION = "deviation"
+    """The run departed from its sequence; printed in the report."""
+    RUN_ENDED = "run_ended"
+    """Last line of a run."""
+
+
+class LedgerPlace(TypedDict):
+    """Where a run stands in the bench's ledger: its number, the ledger's head, and the runs of its camera by end."""
+
+    number: int
+    head: str
+    of_camera: Mapping[str, int]
+
+
+class RunStarted(TypedDict):
+    """Payload of ``run_started``: names, hashes of the files, seed, operator, versions."""
+
+    id: str
+    sequence: str
+    station: str
+    sha256: Mapping[str, str]
+    seed: int
+    operator: str | None
+    simulated: bool
+    software: Mapping[str, str]
+    ledger: NotRequired[LedgerPlace]
+    rehearsal: NotRequired[bool]
+
+
+class RunResumed(TypedDict):
+    """Payload of ``run_resumed``; ``crash`` where the process before it crashed by itself."""
+
+    torn_bytes: int
+    software: Mapping[str, str]
+    crash: NotRequired[str]
+    ledger: NotRequired[LedgerPlace]
+    rehearsal: NotRequired[bool]
+
+
+class DevicesFound(TypedDict):
+    """Payload of ``devices``: identities, and the camera's settings as read back."""
+
+    camera: Mapping[str, Any]
+    stage: Sequence[Mapping[str, Any]]
+    light: Mapping[str, Any]
+    camera_settings: Mapping[str, Any]
+
+
+class Circumstances(TypedDict, total=False):
+    """What the journal adds to a change of state: the pose, the attempt, the target, or why the run holds."""
+
+    pose: int
+    pose_name: str
+    target_deg: Mapping[str, float]
+    attempt: int
+    wait_s: float
+    by: str
+    rule: str
+    why: str
+
+
+Entering = TypedDict(
+    "Entering",
+    {
+        "state": str,
+        "from": str,
+        "step": NotRequired[int],
+        "pose": NotRequired[int],
+        "pose_name": NotRequired[str],
+        "target_deg": NotRequired[Mapping[str, float]],
+        "attempt": NotRequired[int],
+        "wait_s": NotRequired[float],
+        "by": NotRequired[str],
+        "rule": NotRequired[str],
+        "why": NotRequired[str],
+    },
+)
+"""Payload of ``entering``: the states, the step, and its `Circumstances`."""
+
+
+class LeftOff(TypedDict):
+    """Payload of ``left_off``; ``error`` where the work did not end well."""
+
+    state: str
+    error: NotRequired[str]
+
+
+class CaptureStored(TypedDict):
+    """Payload of ``capture_stored``: name, size and hash of the file, and what was known when it was recorded."""
+
+    capture: str
+    size: int
+    sha256: str
+    pose: int
+    pose_name: str
+    attempt: int
+    commanded_deg: Mapping[str, float]
+    measured_deg: Mapping[str, float]
+    measured_after_deg: Mapping[str, float]
+    light: Mapping[str, Any]
+    facts: Mapping[str, Any]
+    """`drivers.camera.RecordingFacts` or `drivers.camera.frames.FrameFacts`, by field."""
+
+
+class StepDone(TypedDict):
+    """Payload of ``step_done``."""
+
+    step: int
+    skipped: NotRequired[bool]
+
+
+class GateData(TypedDict):
+    """One quality gate as judged (`bench.views.gates.Gate`)."""
+
+    name: str
+    value: float
+    unit: str
+    limit: str
+    verdict: str
+
+
+class ImageFacts(TypedDict, total=False):
+    """The image in which the stars of a recording were found: of events, or the mean of ``pictures`` frames."""
+
+    kind: str
+    reason: str
+    pictures: int
+    window_us: Sequence[float]
+    periods: int
+    events_per_edge: float | None
+    events_per_edge_on: float | None
+    events_per_edge_off: float | None
+    lit_pixels: int
+    on_share: float | None
+    first_on_spread_us: float | None
+    hot_pixels: int
+    silent_rows: int
+
+
+class MeasuredFacts(TypedDict, total=False):
+    """Numbers measured in a recording; a number that could not be measured is absent or None."""
+
+    image: ImageFacts
+    flicker_hz: float
+    flicker_source: Literal["triggers", "events"]
+    flicker_duty: float | None
+    triggers_found: int
+    triggers_expected: int
+    trigger_jitter_us: float | None
+    flicker_from_events_hz: float
+    flicker_disagreement_percent: float
+    flicker_lag_periods: float
+    named_by: str
+    grid: Sequence[Sequence[float]]
+    expected_grid: Sequence[Sequence[float]]
+    motion_px: float | None
+    rehearsed: bool
+
+
+class AttemptChecked(TypedDict):
+    """Payload of ``attempt_checked``: the verdict, its reasons, and the numbers behind it."""
+
+    pose: int
+    attempt: int
+    accepted: bool
+    reasons: Sequence[str]
+    stars: int
+    gates: Sequence[GateData]
+    measured: MeasuredFacts
+
+
+class AttemptLost(TypedDict):
+    """Payload of ``attempt_lost``; ``kept`` names the file that holds what there is of it."""
+
+    pose: int
+    pose_name: str
+    attempt: int
+    why: str
+    kept: str | None
+
+
+class Solved(TypedDict):
+    """Payload of ``solved``: model, convergence, rms, values and standard uncertainties by parameter."""
+
+    model: str
+    converged: bool
+    rms_px: float
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+
+
+class Recovered(TypedDict):
+    """Payload of ``recovered``: files by what recovery found or did (`bench.records.run_folder.RecoveryNotes`)."""
+
+    intact: Sequence[str]
+    missing: Sequence[str]
+    changed: Sequence[str]
+    interrupted: Sequence[str]
+    unnamed: Sequence[str]
+
+
+class Asked(TypedDict):
+    """Payload of ``asked``."""
+
+    step: int
+    text: str
+    default: str
+    timeout_s: float | None
+
+
+class Answered(TypedDict):
+    """Payload of ``answered``."""
+
+    step: int
+    answer: str
+    by: str
+
+
+class Commanded(TypedDict):
+    """Payload of ``commanded``: the command, who gave it, whether it was taken, and why not."""
+
+    id: str
+    word: str
+    taken: bool
+    why: str
+    by: NotRequired[str]
+    pose: NotRequired[int]
+    answer: NotRequired[str]
+
+
+class PoseSkipped(TypedDict):
+    """Payload of ``pose_skipped``."""
+
+    pose: int
+    pose_name: str
+    what: str
+
+
+class InterlockReleased(TypedDict):
+    """Payload of ``interlock_released``; that the interlock held stands in the line ``entering``."""
+
+    rule: str
+    held_s: float
+
+
+class SupervisorLost(TypedDict):
+    """Payload of ``supervisor_lost``: nothing."""
+
+
+class Deviation(TypedDict):
+    """Payload of ``deviation``."""
+
+    what: str
+
+
+class FailureData(TypedDict):
+    """An error as JSON holds it (`bench.base.errors.Failure`)."""
+
+    kind: str
+    what: str
+    where: str
+    remedy: str
+
+
+class RunEnded(TypedDict):
+    """Payload of ``run_ended``; ``error`` where the run failed, ``crashed`` where the error was not foreseen."""
+
+    how: Literal["finished", "aborted", "failed"]
+    why: str
+    error: NotRequired[FailureData]
+    crashed: NotRequired[bool]

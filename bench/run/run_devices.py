@@ -1,0 +1,226 @@
+"""The devices of one run: opened when the first step needs them, opened again after a loss, made safe at the end.
+
+This module owns the open devices; states, holds and interlocks reach them through it. It decides nothing about the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Any, cast
+
+from bench.plan.job import Job
+from bench.records.events import Event
+from bench.records.run_folder import RunFolder
+from bench.records.run_log import RunLog
+from bench.records.storage import storage_errors
+from bench.stations.devices import Devices
+from drivers.camera import EventCamera
+from drivers.errors import DriverError, WrongDevice
+
+PROBE = "probe.raw"
+"""A short recording in the dark, never kept."""
+
+
+class RunDevices:
+    """Stage, light and camera of a run, open or not.
+
+    Parameters
+    ----------
+    job, folder, log
+        The run.
+    open_devices
+        Opens the station's devices.
+    say
+        Shows a line to the operator.
+
+    Attributes
+    ----------
+    unsafe
+        Devices that did not confirm that they are safe, in plain words.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        folder: RunFolder,
+        log: RunLog,
+        open_devices: Callable[[], Devices],
+        say: Callable[[str], None],
+    ) -> None:
+        self.unsafe: list[str] = []
+        self._is_event_camera = job.camera_kind.name == "event"
+        self._folder = folder
+        self._log = log
+        self._open_devices = open_devices
+        self._say = say
+        self._devices: Devices | None = None
+        self._made_safe = False
+        self._rate_heeded = 0
+
+    @property
+    def opened(self) -> Devices:
+        """The open devices; the state machine has no edge to a state that needs them before preflight."""
+        assert self._devices is not None
+        return self._devices
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the devices are open."""
+        return self._devices is not None
+
+    def open(self) -> Devices:
+        """Open the devices, unless they are open.
+
+        Returns
+        -------
+        Devices
+            The open devices.
+
+        Raises
+        ------
+        DriverError, SimulationError
+            As `Devices` raises them.
+        """
+        if self._devices is None:
+            self._devices = self._open_devices()
+        return self._devices
+
+    def truth(self) -> Mapping[str, Any] | None:
+        """Return the truth of the simulated bench.
+
+        Returns
+        -------
+        dict or None
+            None on a real bench, and where no device is open.
+        """
+        return self._devices.truth() if self._devices is not None else None
+
+    def position_deg(self) -> dict[str, float]:
+        """Read the stage's axes.
+
+        Returns
+        -------
+        dict
+            Angle by axis, degrees, and ``{axis}_encoder`` where an axis has an encoder.
+        """
+        stage = self.opened.stage
+        return {**stage.position_deg(), **{f"{axis}_encoder": a for axis, a in stage.encoder_deg().items()}}
+
+    # ------------------------------------------------------------------ safety
+
+    def switch_off_light(self) -> None:
+        """Switch the light off, if devices are open.
+
+        Raises
+        ------
+        DriverError
+            When the light does not confirm.
+        """
+        if self._devices is not None:
+            self._devices.light.off()
+
+    def come_to_rest(self) -> None:
+        """Stop the stage, switch the light off, stop the camera. A device that does not confirm becomes a deviation."""
+        if self._devices is not None:
+            for fault in self._devices.make_safe():
+                self._say(f"CHECK THE BENCH: {fault}")
+                self._log.write(Event.DEVIATION, what=f"Held, and {fault}")
+
+    def make_safe(self) -> None:
+        """Stop the stage, switch the light off, stop the camera, each independently of the others; once. Never raises.
+
+        Devices that did not confirm stand in ``unsafe`` afterwards.
+        """
+        if self._devices is None or self._made_safe:
+            return
+        self._made_safe = True
+        self.unsafe = self._devices.make_safe()
+        for fault in self.unsafe:
+            self._say(f"CHECK THE BENCH: {fault}")
+
+    def close(self) -> None:
+        """Close the ports; nothing moves."""
+        if self._devices is not None:
+            self._devices.close()
+
+    # ------------------------------------------------------------------ what interlocks read
+
+    def reopen(self) -> str:
+        """Close all devices and open them again, each with the serial number it had. Nothing moves.
+
+        Returns
+        -------
+        str
+            Why a device cannot be opened yet; empty when all are open.
+
+        Raises
+        ------
+        WrongDevice
+            When another device answers in the place of one.
+        """
+        if self._devices is not None:
+            self._devices.close()
+            self._devices = None
+        try:
+            self._devices = self._open_devices()
+        except WrongDevice:
+            raise
+        except DriverError as error:
+            return str(error)
+        self.come_to_rest()
+        return ""
+
+    def camera_c(self) -> float | None:
+        """Read the temperature of the event camera's sensor.
+
+        Returns
+        -------
+        float or None
+            Degrees Celsius; None where no camera is open or it does not measure its temperature.
+        """
+        if self._devices is None or not self._is_event_camera:
+            return None
+        return cast("EventCamera", self._devices.camera).temperature_c()
+
+    def last_mev_s(self) -> float:
+        """Return the event rate of the last recording, unless a dark recording was made since.
+
+        Returns
+        -------
+        float
+            Millions of events a second; 0 where there is no such recording.
+        """
+        attempts = self._log.history.attempts
+        if len(attempts) <= self._rate_heeded:
+            return 0.0
+        return _rate_mev_s(attempts[-1].stored["facts"])
+
+    def dark_mev_s(self, duration_s: float) -> float:
+        """Measure the event rate by a short recording in the dark, which is not kept.
+
+        Parameters
+        ----------
+        duration_s
+            Length of the recording, s.
+
+        Returns
+        -------
+        float
+            Millions of events a second; 0 for a camera without events.
+        """
+        self._rate_heeded = len(self._log.history.attempts)
+        if not self._is_event_camera:
+            return 0.0
+        part = self._folder.part_path(PROBE)
+        try:
+            facts = cast("EventCamera", self.opened.camera).record(part, duration_s)
+        finally:
+            with storage_errors(part):
+                part.unlink(missing_ok=True)
+        return _rate_mev_s(asdict(facts))
+
+
+def _rate_mev_s(facts: Mapping[str, Any]) -> float:
+    duration_s = facts.get("duration_s") or 0.0
+    return facts.get("events", 0) / duration_s / 1e6 if duration_s else 0.0

@@ -1,0 +1,109 @@
+"""Takes single steps of a script through the state machine, and sets light and stage up again after a hold.
+
+Which step comes next is the runner's business; how often a recording is tried, that of `bench.run.attempts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Unpack
+
+from bench.plan.job import Job, ParkStep, ScriptStep
+from bench.records.events import Circumstances
+from bench.run.machine import RunMachine
+from bench.run.resumption import steps_to_repeat
+from sequences.script import (
+    LightStep,
+    MoveStep,
+    PromptStep,
+    RecordStep,
+    ReportStep,
+    SettleStep,
+    SolveStep,
+    WaitStep,
+)
+
+_TRIGGERS: Mapping[type, str] = {
+    LightStep: "set_light",
+    MoveStep: "slew",
+    SettleStep: "settle",
+    WaitStep: "wait",
+    PromptStep: "hold",
+    ParkStep: "park",
+    SolveStep: "solve",
+    ReportStep: "report",
+}
+"""The edge that a step takes; a RecordStep takes several."""
+
+
+class Steps:
+    """Steps of one run's script.
+
+    Parameters
+    ----------
+    job
+        The script.
+    machine
+        The run's state machine.
+    """
+
+    def __init__(self, job: Job, machine: RunMachine) -> None:
+        self._job = job
+        self._machine = machine
+
+    def take(self, step: ScriptStep) -> None:
+        """Take the one edge of a step that records nothing.
+
+        Parameters
+        ----------
+        step
+            Any step but a RecordStep.
+        """
+        if isinstance(step, MoveStep):
+            self.fire_at("slew", step, target_deg=dict(step.pose.angles_deg))
+        else:
+            self._machine.fire(_TRIGGERS[type(step)], step)
+
+    def fire_at(
+        self, trigger: str, step: MoveStep | RecordStep, **circumstances: Unpack[Circumstances]
+    ) -> None:
+        """Take an edge for a step at its pose.
+
+        Parameters
+        ----------
+        trigger
+            The edge.
+        step
+            The step; its pose is journaled.
+        circumstances
+            What the journal states besides.
+        """
+        at_pose: Circumstances = {"pose": step.pose.index, "pose_name": step.pose.name, **circumstances}
+        self._machine.fire(trigger, step, **at_pose)
+
+    def set_light(self, light: LightStep) -> None:
+        """Set the light as a light step says, whether or not the script has come to it.
+
+        Parameters
+        ----------
+        light
+            The light step.
+        """
+        self._machine.fire("set_light", light)
+
+    def prepare_again(self, step: ScriptStep) -> None:
+        """Set up the bench again after a hold: the light, and the move and settling that the next recording needs.
+
+        Parameters
+        ----------
+        step
+            The step that comes next.
+        """
+        here = self._job.place(step)
+        if not any(isinstance(coming, RecordStep) for coming in self._job.steps[here:]):
+            return
+        light = self._job.light_before(step)
+        if light is not None and not isinstance(step, LightStep):
+            self.set_light(light)
+        for needed in steps_to_repeat(self._job.steps, step):
+            self.take(needed)
