@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Protocol
 
 from bench.base.clock import Aborted, BenchClock
+from bench.base.linux_process import out_of_memory_kills, waits_for_disk
 from bench.records.folder_lock import is_locked
 from bench.records.run_folder import STATION_COPY
 from bench.run.crash_log import note_crash
@@ -145,16 +146,6 @@ def make_safe_after(folder: Path, clock: BenchClock) -> list[str]:
         return [f"the station file of {folder} cannot be read: {error}"]
 
 
-def out_of_memory_kills(path: Path = Path("/proc/vmstat")) -> int:
-    """How many processes the kernel has killed for want of memory since it started; 0 where it does not tell."""
-    with suppress(OSError):
-        for line in path.read_text(encoding="ascii").splitlines():
-            name, _, value = line.partition(" ")
-            if name == "oom_kill":
-                return int(value)
-    return 0
-
-
 # ---------------------------------------------------------------- a worker, our own or another's
 
 
@@ -269,17 +260,8 @@ def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
 
 
 def _is_due(sign: Sign | None, left_over: Sign | None) -> bool:
-    """Whether the process should have given another sign soon after this one."""
-    return sign is not None and sign != left_over and not _waits_for_disk(sign)
-
-
-def _waits_for_disk(sign: Sign, proc: Path = Path("/proc")) -> bool:
-    """Whether the kernel has a thread of a process wait for the disk (state D): its sign of life may be what waits."""
-    for path in proc.glob(f"{sign.pid}/task/*/stat"):
-        with suppress(OSError, IndexError):
-            if path.read_text().rpartition(")")[2].split()[0] == "D":
-                return True
-    return False
+    """Whether another sign of life is due: not while a thread waits for the disk, which may delay the sign itself."""
+    return sign is not None and sign != left_over and not waits_for_disk(sign.pid)
 
 
 def _end_now(worker: _Worker) -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.base.clock import BenchClock
+from bench.base.linux_process import start_ticks, thread_waits_for_disk
 from bench.records.storage import storage_errors
 
 CONTROL = "control"
@@ -63,8 +64,7 @@ class Pulse:
         self._clock = clock
         self._state = "idle"
         self._since_s = time.monotonic()
-        self._own = os.getpid(), _started(os.getpid())
-        self._worker = _main_thread_stat()
+        self._own = os.getpid(), start_ticks(os.getpid())
         self._watched_by = _supervisor()
 
     def entering(self, state: str) -> None:
@@ -92,11 +92,8 @@ class Pulse:
 
     def _may_take_long(self) -> bool:
         """Whether nothing moves, or the kernel has it wait for the disk (state D), which no driver's wait does."""
-        if self._state in UNHURRIED:
-            return True
-        with suppress(OSError, IndexError):
-            return self._worker.read_text().rpartition(")")[2].split()[0] == "D"
-        return False
+        pid = self._own[0]
+        return self._state in UNHURRIED or thread_waits_for_disk(pid, pid)
 
 
 def read_sign(folder: Path) -> Sign | None:
@@ -114,22 +111,10 @@ def open_process(sign: Sign) -> int | None:
         process = os.pidfd_open(sign.pid)
     except OSError:
         return None
-    if _started(sign.pid) == sign.started:
+    if start_ticks(sign.pid) == sign.started:
         return process
     os.close(process)
     return None
-
-
-def _started(pid: int) -> int:
-    """When a process started, in ticks since the system did; 0 when there is none."""
-    try:
-        return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19])
-    except (OSError, IndexError, ValueError):
-        return 0
-
-
-def _main_thread_stat() -> Path:
-    return Path(f"/proc/self/task/{os.getpid()}/stat")
 
 
 def _supervisor() -> int | None:

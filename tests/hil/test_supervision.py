@@ -14,7 +14,8 @@ from running import PATIENCE_S, entering, journal, results, start
 from servers import WebServer, serving
 
 from bench.base.clock import Aborted, BenchClock
-from bench.batch.supervisor import OUT_OF_MEMORY, adopt, out_of_memory_kills, supervise
+from bench.base.linux_process import out_of_memory_kills
+from bench.batch.supervisor import OUT_OF_MEMORY, adopt, supervise
 from bench.run.crash_log import read_crash
 from bench.simulated import SimulatedBench
 from bench.stations.devices import _open_light, make_orphans_safe

@@ -9,6 +9,7 @@ import time
 import pytest
 
 from bench.base.clock import BenchClock
+from bench.base.linux_process import start_ticks, thread_waits_for_disk
 from bench.run import heartbeat
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SUPERVISOR, Pulse, Sign, open_process, read_sign
 
@@ -64,10 +65,14 @@ def test_a_state_just_entered_is_given_its_time(pulse, tmp_path):
 
 
 @pytest.mark.parametrize(("letter", "given"), [("D", True), ("S", False), ("R", False)])
-def test_waiting_for_the_disk_is_no_hang(pulse, tmp_path, letter, given):
+def test_waiting_for_the_disk_is_no_hang(pulse, tmp_path, monkeypatch, letter, given):
     pulse._state, pulse._clock.quiet = "recording", 30.0
-    pulse._worker = tmp_path / "stat"
-    pulse._worker.write_text(f"12 (python (x)) {letter} 1 1 1")
+    stat = tmp_path / "12" / "task" / "12" / "stat"
+    stat.parent.mkdir(parents=True)
+    stat.write_text(f"12 (python (x)) {letter} 1 1 1")
+    monkeypatch.setattr(
+        heartbeat, "thread_waits_for_disk", lambda *_: thread_waits_for_disk(12, 12, tmp_path)
+    )
     assert moments(pulse, tmp_path) is given
 
 
@@ -98,7 +103,7 @@ def test_a_sign_cut_short_is_none(tmp_path, text):
 
 
 def test_only_the_process_that_gave_the_sign_is_opened():
-    started = heartbeat._started(os.getpid())
+    started = start_ticks(os.getpid())
     own = open_process(Sign(os.getpid(), started, 0))
     assert own is not None
     os.close(own)

@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.batch.supervisor import QUIET_S, SILENCE_S, _waits_for_disk, _watch, supervise
+from bench.base.linux_process import waits_for_disk
+from bench.batch.supervisor import QUIET_S, SILENCE_S, _watch, supervise
 from bench.run.heartbeat import Sign
 
 
@@ -24,7 +25,7 @@ def test_a_process_with_a_thread_that_waits_for_the_disk_is_not_taken_to_hang(tm
         task = tmp_path / "7" / "task" / str(7 + number)
         task.mkdir(parents=True)
         (task / "stat").write_text(f"{7 + number} (a ) name) {state} 1 7 7")
-    assert _waits_for_disk(Sign(7, 1, 1), tmp_path) is waits
+    assert waits_for_disk(7, tmp_path) is waits
 
 
 @pytest.mark.parametrize(("on_disk", "how_long_s"), [(False, SILENCE_S), (True, QUIET_S)])
@@ -32,7 +33,7 @@ def test_silence_is_borne_for_longer_where_the_disk_may_be_its_cause(
     tmp_path, monkeypatch, on_disk, how_long_s
 ):
     clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
-    monkeypatch.setattr("bench.batch.supervisor._waits_for_disk", lambda _sign: on_disk)
+    monkeypatch.setattr("bench.batch.supervisor.waits_for_disk", lambda _pid: on_disk)
     signs = [Sign(1, 1, 0)]
     monkeypatch.setattr("bench.batch.supervisor.read_sign", lambda _folder: signs[-1])
 

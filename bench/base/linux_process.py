@@ -1,0 +1,106 @@
+"""Processes as the Linux kernel reports them below ``/proc``: start time, waits for the disk, lack of memory.
+
+Source: the manual pages proc(5), proc_pid_stat(5) and proc_vmstat(5). On a system without ``/proc`` every function
+returns its neutral value. `docs/decisions/0002-dependencies.md` says why psutil does not do this.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+PROC = Path("/proc")
+_STATE, _START_TIME = 0, 19
+"""Positions in ``/proc/PID/stat`` after the name of the program: fields 3 and 22 of proc_pid_stat(5)."""
+_WAITS_FOR_DISK = "D"
+
+
+def start_ticks(pid: int, proc: Path = PROC) -> int:
+    """Return when a process started. With its number this identifies a process: numbers are used again.
+
+    Parameters
+    ----------
+    pid
+        Number of the process.
+    proc
+        Root of the process file system.
+
+    Returns
+    -------
+    int
+        Kernel clock ticks since the system booted, independent of the system time; 0 if there is no such process.
+    """
+    try:
+        return int(_stat(proc / str(pid) / "stat")[_START_TIME])
+    except (OSError, IndexError, ValueError):
+        return 0
+
+
+def thread_waits_for_disk(pid: int, thread: int, proc: Path = PROC) -> bool:
+    """Return whether a thread is in state D, an uninterruptible wait, which is usually a wait for the disk.
+
+    Parameters
+    ----------
+    pid
+        Number of the process.
+    thread
+        Number of the thread; that of the main thread is the number of the process.
+    proc
+        Root of the process file system.
+
+    Returns
+    -------
+    bool
+        False also if there is no such thread.
+    """
+    return _is_waiting(proc / str(pid) / "task" / str(thread) / "stat")
+
+
+def waits_for_disk(pid: int, proc: Path = PROC) -> bool:
+    """Return whether any thread of a process is in state D, an uninterruptible wait.
+
+    Parameters
+    ----------
+    pid
+        Number of the process.
+    proc
+        Root of the process file system.
+
+    Returns
+    -------
+    bool
+        False also if there is no such process.
+    """
+    return any(_is_waiting(path) for path in proc.glob(f"{pid}/task/*/stat"))
+
+
+def out_of_memory_kills(path: Path = PROC / "vmstat") -> int:
+    """Return how many processes the kernel has killed for lack of memory since it booted.
+
+    Parameters
+    ----------
+    path
+        Statistics of the virtual memory.
+
+    Returns
+    -------
+    int
+        The count; 0 if the kernel does not report it.
+    """
+    with suppress(OSError):
+        for line in path.read_text(encoding="ascii").splitlines():
+            name, _, value = line.partition(" ")
+            if name == "oom_kill":
+                return int(value)
+    return 0
+
+
+def _is_waiting(stat: Path) -> bool:
+    with suppress(OSError, IndexError):
+        return _stat(stat)[_STATE] == _WAITS_FOR_DISK
+    return False
+
+
+def _stat(path: Path) -> list[str]:
+    """Return the fields after the program's name, which stands in brackets and may contain anything."""
+    return path.read_text().rpartition(")")[2].split()
