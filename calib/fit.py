@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from calib.adjustment import degeneracy
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.centre_drift import WORRYING, centre_drift
-from calib.adjustment.initialization import passport_states, planar_states, spherical_states, winner
-from calib.adjustment.levenberg_marquardt import Loss, Refined, refine
+from calib.adjustment.initialization import best_start, passport_starts, planar_starts, spherical_starts
+from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
 from calib.adjustment.observations import Observations
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.errors import DegenerateViews, NotConverged
 from calib.model import aberrations as imperfections
@@ -69,7 +69,7 @@ class Fit:
     model: str
     views: Sequence[View]
     bundle: Bundle
-    refined: Refined
+    refined: Refinement
     loss: Loss
     whole: Bundle
     used: NDArray[np.bool_]
@@ -78,9 +78,9 @@ class Fit:
     discs: Sequence[Disc] = ()
 
     @property
-    def state(self) -> State:
+    def parameters(self) -> AdjustmentParameters:
         """The optimum."""
-        return self.refined.state
+        return self.refined.parameters
 
 
 def fit(
@@ -117,21 +117,23 @@ def fit(
         bundle = replace(bundle, free_centres=True, drift_mm=options.drift_mm)
     bundle, refined, loss = refine_robustly(bundle, start, options)
     if options.passport:
-        require_agreement(bundle, refined.state, loss, options.passport)
+        require_agreement(bundle, refined.parameters, loss, options.passport)
     known, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole, used = bundle, np.ones(len(bundle.observations.view), np.bool_)
     if options.guard_band < 1 and discs:
         used = np.concatenate(
             [inside(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
         )
-        shifts = _shifts(views, discs, refined.state.collimator, terms) if terms else None
+        shifts = _shifts(views, discs, refined.parameters.collimator, terms) if terms else None
         whole = replace(bundle, observations=Observations.from_views(views), displacements=shifts)
     return Fit(
         model, views, bundle, refined, loss, whole, used, known, left_out, discs if terms and discs else ()
     )
 
 
-def begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tuple[Bundle, State]:
+def begin(
+    views: Sequence[View], options: CalibrationOptions, model: str
+) -> tuple[Bundle, AdjustmentParameters]:
     """Return what the ideal model estimates, and where to begin."""
     h = np.array([view_homography(view) for view in views])
     size, distortion = views[0].image_size, tuple(options.distortion)
@@ -140,27 +142,27 @@ def begin(views: Sequence[View], options: CalibrationOptions, model: str) -> tup
     observations = Observations.from_views(views)
     bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
     if options.passport:
-        states = list(passport_states(h, size, distortion, options.passport))
+        states = list(passport_starts(h, size, distortion, options.passport))
     elif model == "planar":
-        states = list(planar_states(h, size, distortion))
+        states = list(planar_starts(h, size, distortion))
     else:
-        states = list(spherical_states(h, size, distortion))
-    return bundle, winner(bundle, states)
+        states = list(spherical_starts(h, size, distortion))
+    return bundle, best_start(bundle, states)
 
 
 def _with_terms(
     views: Sequence[View],
     discs: Sequence[Disc],
     bundle: Bundle,
-    start: State,
+    start: AdjustmentParameters,
     options: CalibrationOptions,
     terms: tuple[str, ...],
-) -> tuple[Bundle, State]:
+) -> tuple[Bundle, AdjustmentParameters]:
     """Add a collimator's imperfections, expressed about the ideal model's optimum; or those of the passport."""
     if options.passport:
         collimator = options.passport.collimator(start.collimator)
     else:
-        ideal = refine(bundle, start, Loss("l2"), options.max_iterations).state.collimator
+        ideal = refine(bundle, start, Loss("l2"), options.max_iterations).parameters.collimator
         collimator = replace(
             ideal, imperfections=dict.fromkeys(terms, 0.0), reference=(ideal.x, ideal.y, ideal.r)
         )
@@ -185,8 +187,8 @@ def _shifts(
 
 
 def refine_robustly(
-    bundle: Bundle, start: State, options: CalibrationOptions
-) -> tuple[Bundle, Refined, Loss]:
+    bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
+) -> tuple[Bundle, Refinement, Loss]:
     """Refine with the loss asked for; its limit, and the noise priors are weighed by, come from the residuals.
 
     The spread is the robust standard deviation per axis at the least squares optimum, and then at each robust
@@ -198,13 +200,13 @@ def refine_robustly(
     iterations = refined.iterations
     robust = options.loss != "l2" and given is None
     for _ in range(_LIMIT_ROUNDS if robust or bundle.prior or bundle.drifts else 0):
-        residuals = bundle.residuals(refined.state)
+        residuals = bundle.weighted_residuals(refined.parameters)
         spread = float(np.median(np.linalg.norm(residuals, axis=1)) / _RAYLEIGH_MEDIAN)
         if not spread > 0:
             break
         loss = Loss(options.loss, _LIMIT_SIGMAS * spread) if robust else loss
         bundle = replace(bundle, noise_variance=spread**2)
-        refined = refine(bundle, refined.state, loss, options.max_iterations)
+        refined = refine(bundle, refined.parameters, loss, options.max_iterations)
         iterations += refined.iterations
     return bundle, replace(refined, iterations=iterations), loss
 
@@ -213,21 +215,21 @@ def _uncertainty(
     views: Sequence[View],
     options: CalibrationOptions,
     bundle: Bundle,
-    refined: Refined,
+    refined: Refinement,
     loss: Loss,
     *,
     leave_out: bool,
 ) -> tuple[uncertainty.Uncertainty, LeftOut | None]:
     """Refuse what is no calibration; else say how sure it is."""
-    state = refined.state
+    parameters = refined.parameters
     if options.passport is None:
-        degeneracy.require_turned(state)
-    why = degeneracy.reason(views, state)
+        degeneracy.require_turned(parameters)
+    why = degeneracy.reason(views, parameters)
     try:
-        known = uncertainty.at_optimum(bundle, state, loss)
+        known = uncertainty.at_optimum(bundle, parameters, loss)
     except DegenerateViews as error:
         raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
-    degeneracy.require_constrained(state, bundle.names, known.covariance, why)
+    degeneracy.require_constrained(parameters, bundle.names, known.covariance, why)
     if not refined.converged:
         raise NotConverged(
             f"No optimum after {refined.iterations} steps. {why}".strip(),
@@ -235,33 +237,33 @@ def _uncertainty(
         )
     left_out = None
     if len(views) >= MIN_VIEWS and (leave_out or known.disagree):
-        left_out = leave_one_out(bundle, state, loss)
+        left_out = leave_one_out(bundle, parameters, loss)
     if options.passport is None:
-        found = partial(disagreement, bundle, state, loss)
-        return uncertainty.inflated(known, bundle, state, loss, found), left_out
-    known = uncertainty.with_passport(bundle, state, known, options.passport)
-    degeneracy.require_constrained(state, known.names, known.covariance, "The passport knows no better.")
+        found = partial(disagreement, bundle, parameters, loss)
+        return uncertainty.inflated(known, bundle, parameters, loss, found), left_out
+    known = uncertainty.with_passport(bundle, parameters, known, options.passport)
+    degeneracy.require_constrained(parameters, known.names, known.covariance, "The passport knows no better.")
     return known, left_out
 
 
 def summary(fitted: Fit) -> Calibration:
     """Put a fit into its final shape."""
-    state, whole, used = fitted.state, fitted.whole, fitted.used
-    misses = whole.misses_px(state)
-    weights = used * fitted.loss.weights(np.linalg.norm(whole.residuals(state), axis=1))
-    lengths = np.linalg.norm(misses, axis=1)
+    parameters, whole, used = fitted.parameters, fitted.whole, fitted.used
+    residuals = whole.residuals_px(parameters)
+    weights = used * fitted.loss.weights(np.linalg.norm(whole.weighted_residuals(parameters), axis=1))
+    lengths = np.linalg.norm(residuals, axis=1)
     rows = whole.observations.slices
     counted = [lengths[r][used[r]] for r in rows]
     return Calibration(
         model=fitted.model,
-        camera=state.camera,
-        collimator=None if fitted.model == "planar" else state.collimator,
-        rotations=state.rotations,
-        centres=state.centres,
+        camera=parameters.camera,
+        collimator=None if fitted.model == "planar" else parameters.collimator,
+        rotations=parameters.rotations,
+        centres=parameters.centres,
         parameter_names=fitted.known.names,
-        values=state.values(fitted.known.names),
+        values=parameters.values(fitted.known.names),
         covariance=fitted.known.covariance,
-        residuals_px=[misses[r] for r in rows],
+        residuals_px=[residuals[r] for r in rows],
         weights=[weights[r] for r in rows],
         rms_px=_rms(lengths[used]),
         mean_px=float(lengths[used].mean()),
@@ -276,7 +278,7 @@ def summary(fitted: Fit) -> Calibration:
         ),
         converged=fitted.refined.converged,
         iterations=fitted.refined.iterations,
-        rotation_covariance=uncertainty.of_rotations(fitted.bundle, state, fitted.known),
+        rotation_covariance=uncertainty.of_rotations(fitted.bundle, parameters, fitted.known),
         budget={
             source: dict(zip(fitted.known.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
             for source, variances in fitted.known.budget.items()
@@ -295,7 +297,7 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
         f"The views disagree {ratio}; the uncertainties say so. A {fitted.model} collimator is not all."
     )
     if fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:
-        drift = centre_drift(fitted.bundle, fitted.state, fitted.loss)
+        drift = centre_drift(fitted.bundle, fitted.parameters, fitted.loss)
         if np.linalg.norm(drift) > WORRYING:
             shares = " / ".join(f"{100 * share:.2f}" for share in drift)
             notes.append(
@@ -308,11 +310,11 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
 def _weakness(fitted: Fit) -> list[str]:
     """Name views that leave a focal length hardly known, and why they do."""
     sigmas = np.sqrt(np.diag(fitted.known.covariance))
-    known = dict(zip(fitted.known.names, sigmas / fitted.state.values(fitted.known.names), strict=True))
+    known = dict(zip(fitted.known.names, sigmas / fitted.parameters.values(fitted.known.names), strict=True))
     name = max(("fx", "fy"), key=lambda focal: known[focal])
     if known[name] < _WEAK:
         return []
-    why = degeneracy.reason(fitted.views, fitted.state)
+    why = degeneracy.reason(fitted.views, fitted.parameters)
     text = f"Weak geometry: {name} is known to {100 * known[name]:.1f} % only (1 sigma). {why}".strip()
     return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
 

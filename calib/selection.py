@@ -59,11 +59,11 @@ def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
 
 def candidate(fitted: Fit) -> Candidate:
     """Summarise a fit; BIC with each residual component as one Gaussian measurement."""
-    misses = fitted.bundle.misses_px(fitted.state)
+    residuals = fitted.bundle.residuals_px(fitted.parameters)
     shared = len(fitted.bundle.names)
-    local = fitted.state.rotations.shape[0] * (6 if fitted.bundle.free_centres else 3)
-    mean_square = float((misses**2).mean())
-    bic = misses.size * np.log(mean_square) + (shared + local) * np.log(misses.size)
+    local = fitted.parameters.rotations.shape[0] * (6 if fitted.bundle.free_centres else 3)
+    mean_square = float((residuals**2).mean())
+    bic = residuals.size * np.log(mean_square) + (shared + local) * np.log(residuals.size)
     rms = float(np.sqrt(2.0 * mean_square))
     unseen = None if fitted.left_out is None else fitted.left_out.total_rms_px
     return Candidate(fitted.model, shared + local, rms, unseen, float(bic))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.observations import Observations
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import CENTRE
 from calib.model.prior import Prior
 
@@ -90,23 +90,27 @@ class Bundle:
         shifts = None if self.displacements is None else self.displacements[np.concatenate(kept)]
         return replace(self, observations=obs.taken(kept), displacements=shifts)
 
-    def prior_cost(self, state: State) -> float:
+    def prior_cost(self, parameters: AdjustmentParameters) -> float:
         """Return what the priors add to the cost, in the residuals' unit."""
-        cost = float((state.offsets**2).sum()) / self.drift_mm**2 if self.drifts else 0.0
+        cost = float((parameters.offsets**2).sum()) / self.drift_mm**2 if self.drifts else 0.0
         if self.prior is not None:
-            off = state.values(self.prior.names) - self.prior.mean
+            off = parameters.values(self.prior.names) - self.prior.mean
             cost += float(off @ self.prior.information @ off)
         return float(0.5 * self.noise_variance * cost)
 
-    def misses_px(self, state: State) -> Array:
+    def residuals_px(self, parameters: AdjustmentParameters) -> Array:
         """Return (N, 2) star found minus star projected, px; NaN where a star cannot be projected."""
-        return np.asarray(self.observations.points_px - state.camera.project(self._in_camera(state)))
+        return np.asarray(
+            self.observations.points_px - parameters.camera.project(self._in_camera(parameters))
+        )
 
-    def residuals(self, state: State) -> Array:
+    def weighted_residuals(self, parameters: AdjustmentParameters) -> Array:
         """Return (N, 2) the misses in units of the stars' own uncertainty."""
-        return self.observations.whitened(self.misses_px(state))
+        return self.observations.whitened(self.residuals_px(parameters))
 
-    def normal_equations(self, state: State, pull: Array, root: Array | None = None) -> NormalEquations:
+    def normal_equations(
+        self, parameters: AdjustmentParameters, pull: Array, root: Array | None = None
+    ) -> NormalEquations:
         """Linearise at a state.
 
         Parameters
@@ -118,7 +122,7 @@ class Bundle:
         root
             (N, 2, 2) symmetric root of the cost's second derivative by it; None: unity.
         """
-        normal, gradient = self._view_equations(state, pull, root)
+        normal, gradient = self._view_equations(parameters, pull, root)
         n = len(self.names)
         equations = NormalEquations(
             normal[:, :n, :n].sum(axis=0),
@@ -127,67 +131,75 @@ class Bundle:
             gradient[:, n:].copy(),
             normal[:, :n, n:].copy(),
         )
-        self._add_priors(equations, state)
+        self._add_priors(equations, parameters)
         return equations
 
-    def scores(self, state: State, pull: Array, root: Array | None = None) -> Iterator[tuple[Array, Array]]:
+    def scores(
+        self, parameters: AdjustmentParameters, pull: Array, root: Array | None = None
+    ) -> Iterator[tuple[Array, Array]]:
         """Yield, for each view, its own information on the shared parameters (G, G) and its pull at them (G,)."""
         n = len(self.names)
-        for i, (normal, gradient) in enumerate(zip(*self._view_equations(state, pull, root), strict=True)):
+        for i, (normal, gradient) in enumerate(
+            zip(*self._view_equations(parameters, pull, root), strict=True)
+        ):
             local, local_gradient, coupling = normal[n:, n:], gradient[n:], normal[:n, n:]
             if self.drifts:
                 local = local + self.local_stiffness
-                local_gradient[3:] -= self._drift_stiffness * state.offsets[i]
+                local_gradient[3:] -= self._drift_stiffness * parameters.offsets[i]
             solved = np.linalg.solve(local, np.column_stack([coupling.T, local_gradient]))
             yield normal[:n, :n] - coupling @ solved[:, :-1], gradient[:n] - coupling @ solved[:, -1]
 
-    def _view_equations(self, state: State, pull: Array, root: Array | None) -> tuple[Array, Array]:
+    def _view_equations(
+        self, parameters: AdjustmentParameters, pull: Array, root: Array | None
+    ) -> tuple[Array, Array]:
         """Return each view's normal matrix (n, G + L, G + L) and gradient (n, G + L), priors aside."""
         weight = self.observations.whitening if root is None else root @ self.observations.whitening
         square = np.ascontiguousarray((np.swapaxes(weight, 1, 2) @ weight).transpose(1, 2, 0))
         pulled = np.ascontiguousarray(self.observations.unwhitened(pull).T)
         normal, gradient = [], []
-        for rows, slopes in zip(self.observations.slices, self.slopes(state), strict=True):
+        for rows, slopes in zip(self.observations.slices, self.jacobians(parameters), strict=True):
             flat, own = slopes.reshape(len(slopes), -1), square[:, :, rows]
             weighted = slopes * np.stack([own[0, 0], own[1, 1]]) + slopes[:, ::-1] * own[0, 1]
             normal.append(flat @ weighted.reshape(flat.shape).T)
             gradient.append(flat @ pulled[:, rows].reshape(-1))
         return np.array(normal), np.array(gradient)
 
-    def _add_priors(self, equations: NormalEquations, state: State) -> None:
+    def _add_priors(self, equations: NormalEquations, parameters: AdjustmentParameters) -> None:
         """Add what the priors pull at a state."""
         if self.drifts:
             equations.local[:, [3, 4, 5], [3, 4, 5]] += self._drift_stiffness
-            equations.local_gradient[:, 3:] -= self._drift_stiffness * state.offsets
+            equations.local_gradient[:, 3:] -= self._drift_stiffness * parameters.offsets
         if self.prior is not None:
             at = [self.names.index(name) for name in self.prior.names]
             information = self.noise_variance * self.prior.information
             equations.shared[np.ix_(at, at)] += information
-            equations.shared_gradient[at] -= information @ (state.values(self.prior.names) - self.prior.mean)
+            equations.shared_gradient[at] -= information @ (
+                parameters.values(self.prior.names) - self.prior.mean
+            )
 
-    def _in_camera(self, state: State) -> Array:
+    def _in_camera(self, parameters: AdjustmentParameters) -> Array:
         """Return (N, 3) the stars in the camera frame: R (P - c)."""
         points = self.observations.target.copy()
         if self.displacements is not None:
-            coefficients = np.array(list(state.collimator.imperfections.values()))
+            coefficients = np.array(list(parameters.collimator.imperfections.values()))
             points[:, :2] += self.displacements @ coefficients
-        views = zip(self.observations.slices, state.rotations, state.centres, strict=True)
+        views = zip(self.observations.slices, parameters.rotations, parameters.centres, strict=True)
         for rows, rotation, centre in views:
             points[rows] = (points[rows] - centre) @ rotation.T
         return points
 
-    def slopes(self, state: State) -> Iterator[Array]:
+    def jacobians(self, parameters: AdjustmentParameters) -> Iterator[Array]:
         """Yield, for each view, (G + L, 2, n) the projection's derivatives, px, by its parameters, then by its own.
 
         View by view and one contiguous row a parameter: what is worked on stays in the processor's cache.
         """
-        camera, points = state.camera, self._in_camera(state)
+        camera, points = parameters.camera, self._in_camera(parameters)
         _, by_points, by_camera = camera.project_with_jacobians(points)
         along, by_camera = by_points.transpose(2, 1, 0), by_camera.transpose(2, 1, 0)
         shifts = None if self.displacements is None else self.displacements.transpose(2, 1, 0)
         count, depth = len(self.names), 6 if self.free_centres else 3
-        places = self._places(state)
-        for rows, rotation in zip(self.observations.slices, state.rotations, strict=True):
+        places = self._places(parameters)
+        for rows, rotation in zip(self.observations.slices, parameters.rotations, strict=True):
             x, y, z = points[rows].T
             u, v, w = along[:, :, rows]
             slopes = np.empty((count + depth, 2, len(x)))
@@ -206,12 +218,12 @@ class Bundle:
                     row[:] = -(by_centre[0] * shifts[at, 0, rows] + by_centre[1] * shifts[at, 1, rows])
             yield slopes
 
-    def _places(self, state: State) -> list[tuple[str, int]]:
+    def _places(self, parameters: AdjustmentParameters) -> list[tuple[str, int]]:
         """Return for each free shared parameter what it belongs to, and its place there."""
         kinds = {
-            "camera": state.camera.parameter_names,
+            "camera": parameters.camera.parameter_names,
             "centre": CENTRE,
-            "imperfection": tuple(state.collimator.imperfections),
+            "imperfection": tuple(parameters.collimator.imperfections),
         }
         known = {name: (kind, at) for kind, names in kinds.items() for at, name in enumerate(names)}
         return [known[name] for name in self.names]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, refine
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ _LEASH = 1e-2
 _ROUNDS = 2
 
 
-def centre_drift(bundle: Bundle, state: State, loss: Loss) -> Array:
+def centre_drift(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Array:
     """Return (3,) root mean square wander of the views' centres along x, y and z, as shares of r.
 
     Parameters
@@ -33,10 +33,10 @@ def centre_drift(bundle: Bundle, state: State, loss: Loss) -> Array:
     bundle, state, loss
         A model whose views share one centre, and its optimum.
     """
-    r = state.collimator.r
+    r = parameters.collimator.r
     freed = replace(bundle, free_centres=True, drift_mm=_LEASH * r)
     for _ in range(_ROUNDS):
-        spread = float((freed.residuals(state) ** 2).mean())
+        spread = float((freed.weighted_residuals(parameters) ** 2).mean())
         freed = replace(freed, noise_variance=spread)
-        state = refine(freed, state, loss, tolerance=1e-8).state
-    return np.asarray(np.sqrt((state.offsets**2).mean(axis=0)) / r)
+        parameters = refine(freed, parameters, loss, tolerance=1e-8).parameters
+    return np.asarray(np.sqrt((parameters.offsets**2).mean(axis=0)) / r)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
 from calib.model.beam import Disc
 from calib.model.rotation import log_map
@@ -28,7 +28,7 @@ _PARALLEL_SINE = 0.05
 _NARROW_DEG = 5.0
 
 
-def require_turned(state: State) -> None:
+def require_turned(parameters: AdjustmentParameters) -> None:
     """Refuse views that all show one pose: noise alone would tell the focal length.
 
     Raises
@@ -36,14 +36,16 @@ def require_turned(state: State) -> None:
     DegenerateViews
         When no view is turned against the first by half a degree.
     """
-    if np.linalg.norm(turns_deg(state.rotations), axis=1).max(initial=0.0) < _SAME_POSE_DEG:
+    if np.linalg.norm(turns_deg(parameters.rotations), axis=1).max(initial=0.0) < _SAME_POSE_DEG:
         raise DegenerateViews(
-            f"All {len(state.rotations)} views show the same pose.",
+            f"All {len(parameters.rotations)} views show the same pose.",
             remedy="Turn the camera by some degrees between views.",
         )
 
 
-def require_constrained(state: State, names: Sequence[str], covariance: Array, why: str) -> None:
+def require_constrained(
+    parameters: AdjustmentParameters, names: Sequence[str], covariance: Array, why: str
+) -> None:
     """Refuse a result whose focal lengths are hardly known.
 
     Raises
@@ -52,7 +54,7 @@ def require_constrained(state: State, names: Sequence[str], covariance: Array, w
         When the 1-sigma of a focal length exceeds a twentieth of it.
     """
     sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
-    for name, value in (("fx", state.camera.fx), ("fy", state.camera.fy)):
+    for name, value in (("fx", parameters.camera.fx), ("fy", parameters.camera.fy)):
         if name in sigmas and not sigmas[name] <= MAX_FOCAL_SIGMA * value:
             share = 100.0 * sigmas[name] / value
             raise DegenerateViews(
@@ -80,15 +82,15 @@ def require_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
         )
 
 
-def reason(views: Sequence[View], state: State) -> str:
+def reason(views: Sequence[View], parameters: AdjustmentParameters) -> str:
     """Say in words why views may constrain little; empty when their geometry looks sound."""
-    turns = turns_deg(state.rotations)
+    turns = turns_deg(parameters.rotations)
     lengths = np.linalg.norm(turns, axis=1)
     if len(views) > 1 and (np.linalg.norm(turns[:, :2], axis=1) < _PARALLEL_SINE * lengths.max()).all():
         return "The views differ only by a roll about the optical axis."
     if len(views) > 2 and np.linalg.svd(turns, compute_uv=False)[1] < _PARALLEL_SINE * lengths.max():
         return "All views are turned about one axis."
-    beam = beam_deg(state, views)
+    beam = beam_deg(parameters, views)
     if beam < _NARROW_DEG:
         return f"The stars span no more than +-{beam:.1f} degrees: too narrow a beam."
     return ""
@@ -99,10 +101,10 @@ def turns_deg(rotations: Array) -> Array:
     return np.asarray(np.rad2deg(log_map(rotations[1:] @ rotations[0].T)))
 
 
-def beam_deg(state: State, views: Sequence[View]) -> float:
+def beam_deg(parameters: AdjustmentParameters, views: Sequence[View]) -> float:
     """Return the half angle of the beam: the largest a view's stars span about their middle, degrees."""
     widest = 0.0
-    for view, centre in zip(views, state.centres, strict=True):
+    for view, centre in zip(views, parameters.centres, strict=True):
         rays = np.column_stack([view.target_mm, np.zeros(len(view))]) - centre
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         middle = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))

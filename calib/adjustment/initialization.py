@@ -11,14 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.levenberg_marquardt import Loss, Refined, refine
-from calib.adjustment.parameters import State
+from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.passport import Passport
-from calib.model.planar import poses, zhang_matrix
-from calib.model.spherical import linear_start, matrix_about, rotations_about, two_view_starts
+from calib.model.planar import poses_from_homographies, zhang_matrix
+from calib.model.spherical import (
+    camera_matrix_from_centre,
+    linear_solution,
+    rotations_from_centre,
+    two_view_solutions,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,29 +38,31 @@ _FINAL_STEPS = 30
 _RACE_TOLERANCE = 1e-6
 
 
-def spherical_states(
+def spherical_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str]
-) -> Iterator[State]:
+) -> Iterator[AdjustmentParameters]:
     """Yield starts of the spherical model, the most trusted first; distortion zero.
 
     The linear solutions with the principal point free and at the image's centre; of two views, every real root;
     Zhang's camera, and a range
     of focal lengths, each with the mean of the centres it gives.
     """
-    starts = [linear_start(homographies, image_size, free_principal_point=free) for free in (True, False)]
+    solutions = [
+        linear_solution(homographies, image_size, free_principal_point=free) for free in (True, False)
+    ]
     if len(homographies) == 2:
-        starts += two_view_starts(homographies, image_size)
-    for start in starts:
-        if start is not None:
-            yield _about(homographies, start.collimator, _camera(start.matrix, image_size, distortion))
-    for state in planar_states(homographies, image_size, distortion):
-        x, y, z = np.median(state.centres, axis=0)
-        yield _about(homographies, Collimator(float(x), float(y), float(-z)), state.camera)
+        solutions += two_view_solutions(homographies, image_size)
+    for solution in solutions:
+        if solution is not None:
+            yield _about(homographies, solution.collimator, _camera(solution.matrix, image_size, distortion))
+    for start in planar_starts(homographies, image_size, distortion):
+        x, y, z = np.median(start.centres, axis=0)
+        yield _about(homographies, Collimator(float(x), float(y), float(-z)), start.camera)
 
 
-def planar_states(
+def planar_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str]
-) -> Iterator[State]:
+) -> Iterator[AdjustmentParameters]:
     """Yield starts of the planar model, the most trusted first: Zhang's, then a range of focal lengths."""
     matrices = [
         zhang_matrix(homographies, image_size, free_principal_point=True),
@@ -67,27 +74,27 @@ def planar_states(
         matrices.append(np.array([[f, 0.0, middle[0]], [0.0, f, middle[1]], [0.0, 0.0, 1.0]]))
     for matrix in matrices:
         if matrix is not None:
-            rotations, centres = poses(homographies, matrix)
-            yield State(
+            rotations, centres = poses_from_homographies(homographies, matrix)
+            yield AdjustmentParameters(
                 _camera(matrix, image_size, distortion), Collimator(0.0, 0.0, 0.0), rotations, centres
             )
 
 
-def passport_states(
+def passport_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str], passport: Passport
-) -> Iterator[State]:
+) -> Iterator[AdjustmentParameters]:
     """Yield starts with a collimator known beforehand: from its centre alone, then as without it."""
-    spherical = list(spherical_states(homographies, image_size, distortion))
+    spherical = list(spherical_starts(homographies, image_size, distortion))
     middle = spherical[0].collimator if len(homographies) > 1 else _looked_at(homographies, image_size)
     collimator = passport.collimator(middle)
-    matrix = matrix_about(homographies, collimator)
+    matrix = camera_matrix_from_centre(homographies, collimator)
     if matrix is not None:
         yield _about(homographies, collimator, _camera(matrix, image_size, distortion))
-    for state in spherical:
-        yield _about(homographies, passport.collimator(state.collimator), state.camera)
+    for start in spherical:
+        yield _about(homographies, passport.collimator(start.collimator), start.camera)
 
 
-def winner(bundle: Bundle, states: Sequence[State]) -> State:
+def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> AdjustmentParameters:
     """Refine every start a little on a share of the stars, the best of them further, and return the best.
 
     Raises
@@ -97,34 +104,34 @@ def winner(bundle: Bundle, states: Sequence[State]) -> State:
     """
     thinned = bundle.thinned(_RACE_STARS)
 
-    heat = _raced(thinned, states, _HEAT_STEPS)
-    final = _raced(thinned, [one.state for one in heat[:_FINALISTS]], _FINAL_STEPS)
+    heat = _raced(thinned, starts, _HEAT_STEPS)
+    final = _raced(thinned, [one.parameters for one in heat[:_FINALISTS]], _FINAL_STEPS)
     if not final or not _is_camera(final[0]):
         raise DegenerateViews(
             "No camera explains these views.",
             remedy="Check that the stars' ids belong to this target, and add views that look at it aslant.",
         )
-    return final[0].state
+    return final[0].parameters
 
 
-def _raced(bundle: Bundle, starts: Sequence[State], steps: int) -> list[Refined]:
+def _raced(bundle: Bundle, starts: Sequence[AdjustmentParameters], steps: int) -> list[Refinement]:
     """Refine every start by some steps; those that are cameras come first, and of these the best."""
     ends = (refine(bundle, start, Loss("l2"), steps, _RACE_TOLERANCE) for start in starts)
     finite = (one for one in ends if np.isfinite(one.cost))
     return sorted(finite, key=lambda one: (not _is_camera(one), one.cost))
 
 
-def _is_camera(refined: Refined) -> bool:
+def _is_camera(refined: Refinement) -> bool:
     """Tell whether focal lengths and radius are positive."""
-    camera = refined.state.camera
-    return camera.fx > 0 and camera.fy > 0 and refined.state.collimator.r >= 0
+    camera = refined.parameters.camera
+    return camera.fx > 0 and camera.fy > 0 and refined.parameters.collimator.r >= 0
 
 
-def _about(homographies: Array, collimator: Collimator, camera: CameraModel) -> State:
-    """Return the state of a camera about a known centre."""
+def _about(homographies: Array, collimator: Collimator, camera: CameraModel) -> AdjustmentParameters:
+    """Return the start of a camera about a known centre."""
     ideal = Collimator(collimator.x, collimator.y, collimator.r)
-    rotations = rotations_about(homographies, camera.matrix, ideal)
-    return State(camera, ideal, rotations, np.zeros((len(rotations), 3)))
+    rotations = rotations_from_centre(homographies, camera.matrix, ideal)
+    return AdjustmentParameters(camera, ideal, rotations, np.zeros((len(rotations), 3)))
 
 
 def _looked_at(homographies: Array, image_size: tuple[int, int]) -> Collimator:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.normal_equations import NormalEquations
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import InputMismatch
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class Loss:
             return np.asarray(1.0 / (1.0 + (lengths / self.limit) ** 2))
         return np.ones_like(lengths)
 
-    def slopes(self, lengths: Array) -> Array:
+    def second_derivatives(self, lengths: Array) -> Array:
         """Return rho''(e) for each star: how fast its pull grows along the residual."""
         if self.name == "huber" and np.isfinite(self.limit):
             return np.where(lengths <= self.limit, 1.0, 0.0)
@@ -83,14 +83,14 @@ class Loss:
             return None
         lengths = np.linalg.norm(residuals, axis=1)
         unit = residuals / np.maximum(lengths, np.finfo(float).tiny)[:, None]
-        along = np.sqrt(np.maximum(self.slopes(lengths), 0.0))
+        along = np.sqrt(np.maximum(self.second_derivatives(lengths), 0.0))
         across = np.sqrt(self.weights(lengths))
         outer = unit[:, :, None] * unit[:, None, :]
         return np.asarray(across[:, None, None] * np.eye(2) + (along - across)[:, None, None] * outer)
 
 
 @dataclass(frozen=True)
-class Refined:
+class Refinement:
     """Where a refinement ended.
 
     Attributes
@@ -105,7 +105,7 @@ class Refined:
         Steps tried.
     """
 
-    state: State
+    parameters: AdjustmentParameters
     cost: float
     converged: bool
     iterations: int
@@ -113,11 +113,11 @@ class Refined:
 
 def refine(
     bundle: Bundle,
-    start: State,
+    start: AdjustmentParameters,
     loss: Loss,
     max_iterations: int = 100,
     tolerance: float = RELATIVE_TOLERANCE,
-) -> Refined:
+) -> Refinement:
     """Minimise the robust cost from a start (Levenberg-Marquardt, Nielsen's rule for the damping).
 
     Parameters
@@ -138,7 +138,7 @@ def refine(
     Refined
         ``converged`` is False when the bound was met or the start cannot be projected.
     """
-    state, (cost, equations) = start, _linearised(bundle, start, loss)
+    parameters, (cost, equations) = start, _linearised(bundle, start, loss)
     damping, growth, iteration = _FIRST_DAMPING, 2.0, 0
     while equations is not None and iteration < max_iterations and damping < _MAX_DAMPING:
         iteration += 1
@@ -149,18 +149,18 @@ def refine(
             continue
         promised = equations.decrement(shared, local)
         if promised * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
-            return Refined(state, cost, converged=True, iterations=iteration)
-        candidate = state.moved(bundle.names, shared, local)
+            return Refinement(parameters, cost, converged=True, iterations=iteration)
+        candidate = parameters.moved(bundle.names, shared, local)
         candidate_cost = loss.cost(_lengths(_residuals(bundle, candidate))) + bundle.prior_cost(candidate)
         gain = 2.0 * (cost - candidate_cost) / promised
         if gain > 0.0:
-            state, (cost, equations) = candidate, _linearised(bundle, candidate, loss)
+            parameters, (cost, equations) = candidate, _linearised(bundle, candidate, loss)
             damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         elif promised * (1.0 + damping) <= _rounding(bundle, cost):
-            return Refined(state, cost, converged=True, iterations=iteration)
+            return Refinement(parameters, cost, converged=True, iterations=iteration)
         else:
             damping, growth = damping * growth, growth * 2.0
-    return Refined(state, cost, converged=False, iterations=iteration)
+    return Refinement(parameters, cost, converged=False, iterations=iteration)
 
 
 def _rounding(bundle: Bundle, cost: float) -> float:
@@ -174,21 +174,23 @@ def _rounding(bundle: Bundle, cost: float) -> float:
     return float(_ROUNDED_OPERATIONS * each * np.sqrt(2.0 * cost))
 
 
-def _linearised(bundle: Bundle, state: State, loss: Loss) -> tuple[float, NormalEquations | None]:
+def _linearised(
+    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
+) -> tuple[float, NormalEquations | None]:
     """Return the cost at a state and the normal equations there; none where a star cannot be projected."""
-    residuals = _residuals(bundle, state)
+    residuals = _residuals(bundle, parameters)
     lengths = _lengths(residuals)
-    cost = loss.cost(lengths) + bundle.prior_cost(state)
+    cost = loss.cost(lengths) + bundle.prior_cost(parameters)
     if not np.isfinite(cost):
         return float("inf"), None
     pull = residuals * loss.weights(lengths)[:, None]
-    return cost, bundle.normal_equations(state, pull, loss.curvature_root(residuals))
+    return cost, bundle.normal_equations(parameters, pull, loss.curvature_root(residuals))
 
 
-def _residuals(bundle: Bundle, state: State) -> Array:
+def _residuals(bundle: Bundle, parameters: AdjustmentParameters) -> Array:
     """Return (N, 2) residuals; infinite where a star cannot be projected."""
     with np.errstate(invalid="ignore", over="ignore"):
-        residuals = bundle.residuals(state)
+        residuals = bundle.weighted_residuals(parameters)
     return np.where(np.isfinite(residuals), residuals, np.inf)
 
 

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class State:
+class AdjustmentParameters:
     """A camera, a collimator and each view's rotation and centre.
 
     Attributes
@@ -52,7 +52,7 @@ class State:
         known = self.shared
         return np.array([known[name] for name in names])
 
-    def moved(self, names: Sequence[str], shared: Array, local: Array) -> State:
+    def moved(self, names: Sequence[str], shared: Array, local: Array) -> AdjustmentParameters:
         """Return the state after a step.
 
         `shared` adds to the named parameters; `local`, (n, 3 or 6), turns each view by a rotation vector on the
@@ -64,9 +64,9 @@ class State:
         camera = self.camera.with_values(np.array([known[name] for name in self.camera.parameter_names]))
         rotations = exp_map(local[:, :3]) @ self.rotations
         offsets = self.offsets + local[:, 3:] if local.shape[1] > 3 else self.offsets
-        return State(camera, self.collimator.with_values(known), rotations, offsets)
+        return AdjustmentParameters(camera, self.collimator.with_values(known), rotations, offsets)
 
-    def only(self, kept: Sequence[int]) -> State:
+    def only(self, kept: Sequence[int]) -> AdjustmentParameters:
         """Return the state with some of its views."""
         index = list(kept)
         return replace(self, rotations=self.rotations[index], offsets=self.offsets[index])

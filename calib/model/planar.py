@@ -56,7 +56,7 @@ def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
     return float(a[i] * b[j] + (a[j] * b[i] if i != j else 0.0))
 
 
-def poses(homographies: Array, matrix: Array) -> tuple[Array, Array]:
+def poses_from_homographies(homographies: Array, matrix: Array) -> tuple[Array, Array]:
     """Return rotations (n, 3, 3), camera <- target, and camera centres (n, 3) in the target frame, mm.
 
     H ~ K [r1 r2 t] with t = -R c.

@@ -24,7 +24,7 @@ _IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1), (2, 2))
 
 
 @dataclass(frozen=True)
-class Start:
+class ClosedFormSolution:
     """Where a refinement of the spherical model begins.
 
     Attributes
@@ -39,9 +39,9 @@ class Start:
     collimator: Collimator
 
 
-def linear_start(
+def linear_solution(
     homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
-) -> Start | None:
+) -> ClosedFormSolution | None:
     """Solve the shared equation of n views in the least squares sense.
 
     Parameters
@@ -71,7 +71,7 @@ def linear_start(
     return _read_out(image, solution[len(unknown) :], to_unit, plane)
 
 
-def two_view_starts(homographies: Array, image_size: tuple[int, int]) -> list[Start]:
+def two_view_solutions(homographies: Array, image_size: tuple[int, int]) -> list[ClosedFormSolution]:
     """Solve two views with a free principal point: every real root that is a camera.
 
     Twelve equations determine the eleven ratios of the unknowns too weakly. The two weakest directions of the
@@ -102,7 +102,7 @@ def two_view_starts(homographies: Array, image_size: tuple[int, int]) -> list[St
 
 def _read_out(
     image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
-) -> Start | None:
+) -> ClosedFormSolution | None:
     """Return the camera and the centre that entries of K K^T (the last one 1) and of the right side mean."""
     cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
     squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])
@@ -118,10 +118,10 @@ def _read_out(
     matrix = np.linalg.inv(to_unit) @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     x_mm, y_mm, _ = plane @ [x, y, 1.0]
     collimator = Collimator(float(x_mm), float(y_mm), float(np.sqrt(r_squared) * plane[0, 0]))
-    return Start(matrix, collimator)
+    return ClosedFormSolution(matrix, collimator)
 
 
-def rotations_about(homographies: Array, matrix: Array, collimator: Collimator) -> Array:
+def rotations_from_centre(homographies: Array, matrix: Array, collimator: Collimator) -> Array:
     """Return each view's rotation, (n, 3, 3), given the camera matrix and the shared centre.
 
     H ~ K R [e1 e2 -c], so R is the rotation nearest to K^-1 H [e1 e2 -c]^-1.
@@ -131,7 +131,7 @@ def rotations_about(homographies: Array, matrix: Array, collimator: Collimator) 
     return nearest_rotation(np.linalg.inv(matrix) @ homographies @ np.linalg.inv(frame))
 
 
-def matrix_about(homographies: Array, collimator: Collimator) -> Array | None:
+def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Array | None:
     """Return the camera matrix, given the centre: K K^T ~ H A H^T, the mean over views; one view is enough.
 
     A is the right side of the shared equation. None when the mean is no camera.

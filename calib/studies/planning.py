@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.observations import Observations
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.collimator import CENTRE, Collimator
 from calib.studies.predicted_views import ExpectedBench, predicted_view
@@ -126,8 +126,8 @@ def _information(bench: ExpectedBench, view: View, rotation: Array) -> Array:
     """Return what a view tells of the shared parameters, its own rotation unknown."""
     ideal = Collimator(bench.collimator.x, bench.collimator.y, bench.collimator.r)
     bundle = Bundle(Observations.from_views([view]), _names(bench))
-    state = State(bench.camera, ideal, rotation[None], np.zeros((1, 3)))
-    ((information, _),) = bundle.scores(state, np.zeros((len(view), 2)))
+    parameters = AdjustmentParameters(bench.camera, ideal, rotation[None], np.zeros((1, 3)))
+    ((information, _),) = bundle.scores(parameters, np.zeros((len(view), 2)))
     return information
 
 

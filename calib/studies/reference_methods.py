@@ -117,7 +117,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baselin
     camera = CameraModel(fx, fy, cx, cy, views[0].image_size, {name: coefficients[name] for name in names})
     spreads = dict(zip((*PINHOLE, *family), np.ravel(spread).tolist(), strict=False))
     planar = fit_model(views, CalibrationOptions("planar", names, "l2"), "planar", leave_out=True)
-    lengths = np.linalg.norm(planar.bundle.misses_px(planar.state), axis=1)
+    lengths = np.linalg.norm(planar.bundle.residuals_px(planar.parameters), axis=1)
     return Baseline(
         _opencv_name(options),
         camera,
@@ -139,16 +139,16 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Base
     bundle, start = begin(views, options, "spherical")
     loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.per_px)
     refined = refine(bundle, start, loss)
-    state = refined.state
-    known = uncertainty.at_optimum(bundle, state, loss)
+    parameters = refined.parameters
+    known = uncertainty.at_optimum(bundle, parameters, loss)
     if not refined.converged:
         raise NotConverged(f"No optimum after {refined.iterations} steps.", remedy="Add views.")
-    lengths = np.linalg.norm(bundle.misses_px(state), axis=1)
-    left_out = leave_one_out(bundle, state, loss).total_rms_px if len(views) >= MIN_VIEWS else None
+    lengths = np.linalg.norm(bundle.residuals_px(parameters), axis=1)
+    left_out = leave_one_out(bundle, parameters, loss).total_rms_px if len(views) >= MIN_VIEWS else None
     sigmas = np.sqrt(np.diag(known.covariance)).tolist()
     return Baseline(
         _PUBLISHED,
-        state.camera,
+        parameters.camera,
         dict(zip(bundle.names, sigmas, strict=True)),
         float(np.sqrt(np.mean(lengths**2))),
         float(lengths.mean()),

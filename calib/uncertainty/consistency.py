@@ -13,7 +13,7 @@ from scipy import special
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, refine
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews, PassportContradicted
 from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
@@ -23,7 +23,9 @@ from calib.uncertainty import covariance as uncertainty
 _FALSE_ALARMS = 1e-4
 
 
-def require_agreement(bundle: Bundle, state: State, loss: Loss, passport: Passport) -> None:
+def require_agreement(
+    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, passport: Passport
+) -> None:
     """Refuse a passport whose centre these views contradict.
 
     One view, or views that do not tell the centre, cannot contradict it.
@@ -33,21 +35,21 @@ def require_agreement(bundle: Bundle, state: State, loss: Loss, passport: Passpo
     PassportContradicted
         With both values, their uncertainties, and chi-square.
     """
-    spread = float((bundle.residuals(state) ** 2).mean())
-    names = (*state.camera.parameter_names, *state.collimator.parameter_names)
+    spread = float((bundle.weighted_residuals(parameters) ** 2).mean())
+    names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
     terms = passport.prior_of(passport.terms)
     free = replace(bundle, names=names, prior=terms, noise_variance=spread)
-    refined = refine(free, state, loss)
-    if len(state.rotations) < 2 or not refined.converged:
+    refined = refine(free, parameters, loss)
+    if len(parameters.rotations) < 2 or not refined.converged:
         return
     try:
-        known = uncertainty.at_optimum(free, refined.state, loss)
+        known = uncertainty.at_optimum(free, refined.parameters, loss)
     except DegenerateViews:
         return
     asked = [name for name in passport.names if name in CENTRE]
     ours = [names.index(name) for name in asked]
     growth = max(known.disagreement if known.disagree else 1.0, passport.disagreement)
-    found, covariance = refined.state.values(asked), growth**2 * known.covariance[np.ix_(ours, ours)]
+    found, covariance = refined.parameters.values(asked), growth**2 * known.covariance[np.ix_(ours, ours)]
     stated, own = np.array([passport.known[name] for name in asked]), passport.covariance_of(asked)
     off, together = found - stated, covariance + own
     chi_square = float(off @ np.linalg.solve(together, off))

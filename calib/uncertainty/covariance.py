@@ -18,7 +18,7 @@ from scipy import special
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
 from calib.model.passport import Passport
 from calib.uncertainty.cluster_robust import sandwich
@@ -83,7 +83,7 @@ class Uncertainty:
         return float(special.stdtrit(self.effective_freedom, tail))
 
 
-def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
+def at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Uncertainty:
     """Return the covariance of the shared parameters at the optimum, were the model right.
 
     Raises
@@ -91,27 +91,27 @@ def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
     DegenerateViews
         When there are no more measurements than parameters, or the views leave a parameter free.
     """
-    residuals = bundle.residuals(state)
+    residuals = bundle.weighted_residuals(parameters)
     lengths = np.linalg.norm(residuals, axis=1)
-    equations = bundle.normal_equations(state, residuals)
-    parameters = len(bundle.names) + equations.local_gradient.size
+    equations = bundle.normal_equations(parameters, residuals)
+    count = len(bundle.names) + equations.local_gradient.size
     known = len(bundle.prior.names) if bundle.prior else 0
-    known += state.offsets.size if bundle.drifts else 0
-    freedom = 2 * len(lengths) - parameters + known
+    known += parameters.offsets.size if bundle.drifts else 0
+    freedom = 2 * len(lengths) - count + known
     if freedom <= 0:
         raise DegenerateViews(
-            f"{2 * len(lengths)} measurements for {parameters} parameters.",
+            f"{2 * len(lengths)} measurements for {count} parameters.",
             remedy="Add views, or views with more stars.",
         )
     influence = loss.weights(lengths) * lengths
     # The mean of rho's second derivative over directions in the plane: half its trace.
-    slope = 0.5 * (loss.weights(lengths) + loss.slopes(lengths)).mean()
+    slope = 0.5 * (loss.weights(lengths) + loss.second_derivatives(lengths)).mean()
     variance = float((influence**2).sum() / freedom)
     factor = variance / float(slope) ** 2
     # Priors weigh noise_variance in these equations, so that is what the inverse is to be scaled by.
     scale = bundle.noise_variance if known else factor
     covariance = scale * inverse_information(equations.reduced(), bundle.names)
-    ratio, views_freedom = _birge(bundle, state, loss, variance)
+    ratio, views_freedom = _birge(bundle, parameters, loss, variance)
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
@@ -125,15 +125,17 @@ def at_optimum(bundle: Bundle, state: State, loss: Loss) -> Uncertainty:
     )
 
 
-def with_passport(bundle: Bundle, state: State, known: Uncertainty, passport: Passport) -> Uncertainty:
+def with_passport(
+    bundle: Bundle, parameters: AdjustmentParameters, known: Uncertainty, passport: Passport
+) -> Uncertainty:
     """Return the uncertainty of all parameters where a passport held some of them.
 
     The stars count by what views disagree on, here or when the passport was made: their noise alone would let a
     model's small faults pass for knowledge.
     """
-    names = (*state.camera.parameter_names, *state.collimator.parameter_names)
+    names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
     whole = replace(bundle, names=names)
-    information = whole.normal_equations(state, whole.residuals(state)).reduced()
+    information = whole.normal_equations(parameters, whole.weighted_residuals(parameters)).reduced()
     growth = max(known.disagreement if known.disagree else 1.0, passport.disagreement)
     noise = known.variance_factor
     stars, total = (considered(information / v, names, passport) for v in (noise, growth**2 * noise))
@@ -183,13 +185,13 @@ def considered(information: Array, names: Sequence[str], passport: Passport) -> 
     return covariance
 
 
-def of_rotations(bundle: Bundle, state: State, known: Uncertainty) -> Array:
+def of_rotations(bundle: Bundle, parameters: AdjustmentParameters, known: Uncertainty) -> Array:
     """Return (3 n, 3 n) the joint covariance of all views' rotations, rad^2, turns on the camera's side.
 
     What the stars of each view leave, and what all share through the camera and the collimator.
     """
     whole = replace(bundle, names=known.names)
-    equations = whole.normal_equations(state, whole.residuals(state))
+    equations = whole.normal_equations(parameters, whole.weighted_residuals(parameters))
     growth = known.disagreement if known.disagree else 1.0
     inverse = np.linalg.inv(equations.local)
     answer = -(inverse @ np.swapaxes(equations.coupling, 1, 2))[:, :3].reshape(-1, len(known.names))
@@ -210,7 +212,11 @@ def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
 
 
 def inflated(
-    known: Uncertainty, bundle: Bundle, state: State, loss: Loss, found: Callable[[], Disagreement]
+    known: Uncertainty,
+    bundle: Bundle,
+    parameters: AdjustmentParameters,
+    loss: Loss,
+    found: Callable[[], Disagreement],
 ) -> Uncertainty:
     """Return the uncertainty with what the views disagree on; unchanged when they agree.
 
@@ -228,12 +234,12 @@ def inflated(
     """
     if not known.disagree:
         return known
-    views = len(state.rotations)
+    views = len(parameters.rotations)
     if views >= _MANY_VIEWS:
-        return _by_pulls(known, bundle, state, loss, None)
+        return _by_pulls(known, bundle, parameters, loss, None)
     shared = found()
     shaped = _with_fields(known, shared)
-    return shaped if views < _PULL_VIEWS else _by_pulls(shaped, bundle, state, loss, shared.pulls)
+    return shaped if views < _PULL_VIEWS else _by_pulls(shaped, bundle, parameters, loss, shared.pulls)
 
 
 def _with_fields(known: Uncertainty, shared: Disagreement) -> Uncertainty:
@@ -251,16 +257,16 @@ def _with_fields(known: Uncertainty, shared: Disagreement) -> Uncertainty:
 
 
 def _by_pulls(
-    known: Uncertainty, bundle: Bundle, state: State, loss: Loss, working: Array | None
+    known: Uncertainty, bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, working: Array | None
 ) -> Uncertainty:
     """Return the uncertainty with each sigma as the views' pulls show it, but no less than the stars leave.
 
     `working` (n, G, G) is what the covariance of each pull is taken for; None: what the stars' noise gives it. The
     degrees of freedom differ from parameter to parameter; their median stands for all.
     """
-    residuals = bundle.residuals(state)
+    residuals = bundle.weighted_residuals(parameters)
     pull = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
-    scores = list(bundle.scores(state, pull, loss.curvature_root(residuals)))
+    scores = list(bundle.scores(parameters, pull, loss.curvature_root(residuals)))
     information, pulls = (np.array(each) for each in zip(*scores, strict=True))
     working = known.variance_factor * information if working is None else working
     prior = bundle.prior_information
@@ -277,17 +283,19 @@ def _by_pulls(
     )
 
 
-def _birge(bundle: Bundle, state: State, loss: Loss, variance: float) -> tuple[float, int]:
+def _birge(
+    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, variance: float
+) -> tuple[float, int]:
     """Return the mean square by which views pull at the shared parameters, over what noise explains.
 
     At the optimum the views' pulls s_i cancel. Noise gives each the covariance variance * A_i, A_i its own
     information on the shared parameters; the sum of s_i^T A_i^+ s_i has as many degrees of freedom as
     the views tell directions, less the parameters they share.
     """
-    residuals = bundle.residuals(state)
+    residuals = bundle.weighted_residuals(parameters)
     pull = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
     total, freedom = 0.0, -len(bundle.names) + (len(bundle.prior.names) if bundle.prior else 0)
-    for information, score in bundle.scores(state, pull):
+    for information, score in bundle.scores(parameters, pull):
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
         told = eigenvalues > _TOLD * eigenvalues[-1]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, refine
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import Collimator
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class LeftOut:
         return np.asarray((n - 1) / n * off.T @ off)
 
 
-def leave_one_out(bundle: Bundle, state: State, loss: Loss) -> LeftOut:
+def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> LeftOut:
     """Refit without each view in turn, from the optimum of all: to the end, or by a step where views are many.
 
     Parameters
@@ -67,53 +67,57 @@ def leave_one_out(bundle: Bundle, state: State, loss: Loss) -> LeftOut:
         What was fitted, its optimum, and the loss with the limit it ended with; at least 3 views.
     """
     values, rms, stars = [], [], []
-    for i, near in enumerate(_steps_without(bundle, state, loss)):
-        others = [j for j in range(len(state.rotations)) if j != i]
+    for i, near in enumerate(_steps_without(bundle, parameters, loss)):
+        others = [j for j in range(len(parameters.rotations)) if j != i]
         fewer, without = bundle.only(others), near.only(others)
-        far = _cost(fewer, without, loss) > _cost(fewer, state.only(others), loss)
+        far = _cost(fewer, without, loss) > _cost(fewer, parameters.only(others), loss)
         if far or len(others) < _STEP_VIEWS:
-            start = state.only(others) if far else without
-            without = refine(fewer, start, loss, tolerance=_TOLERANCE).state
+            start = parameters.only(others) if far else without
+            without = refine(fewer, start, loss, tolerance=_TOLERANCE).parameters
         values.append(without.values(bundle.names))
-        misses = _alone(bundle, without, state.rotations[i], i)
-        rms.append(np.sqrt((misses**2).sum(axis=1).mean()))
-        stars.append(len(misses))
+        residuals = _alone(bundle, without, parameters.rotations[i], i)
+        rms.append(np.sqrt((residuals**2).sum(axis=1).mean()))
+        stars.append(len(residuals))
     return LeftOut(np.array(values), np.array(rms), np.array(stars))
 
 
-def _steps_without(bundle: Bundle, state: State, loss: Loss) -> Iterator[State]:
+def _steps_without(
+    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
+) -> Iterator[AdjustmentParameters]:
     """Yield, for each view, the state one Newton step from the optimum of all towards that without it.
 
     Without view i, the reduced normal equations are H - A_i, and what pulls is its missing pull, -s_i.
     """
-    residuals = bundle.residuals(state)
+    residuals = bundle.weighted_residuals(parameters)
     lengths = np.linalg.norm(residuals, axis=1)
     pull, root = residuals * loss.weights(lengths)[:, None], loss.curvature_root(residuals)
-    equations = bundle.normal_equations(state, pull, root)
+    equations = bundle.normal_equations(parameters, pull, root)
     information = equations.reduced()
     answers = np.linalg.solve(equations.local, np.swapaxes(equations.coupling, 1, 2))
-    for own, score in bundle.scores(state, pull, root):
+    for own, score in bundle.scores(parameters, pull, root):
         left = information - own
         # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
         scale = 1.0 / np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
         step = np.linalg.lstsq(left * np.outer(scale, scale), scale * score, rcond=None)[0]
         shared = np.asarray(-scale * step, np.float64)
-        yield state.moved(bundle.names, shared, -answers @ shared)
+        yield parameters.moved(bundle.names, shared, -answers @ shared)
 
 
-def _cost(bundle: Bundle, state: State, loss: Loss) -> float:
+def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:
     """Return the robust cost; infinite where a star cannot be projected."""
     with np.errstate(invalid="ignore", over="ignore"):
-        cost = loss.cost(np.linalg.norm(bundle.residuals(state), axis=1)) + bundle.prior_cost(state)
+        cost = loss.cost(np.linalg.norm(bundle.weighted_residuals(parameters), axis=1)) + bundle.prior_cost(
+            parameters
+        )
     return cost if np.isfinite(cost) else float("inf")
 
 
-def _alone(bundle: Bundle, others: State, rotation: Array, i: int) -> Array:
+def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, i: int) -> Array:
     """Return the residuals, px, of a view of which only the rotation is solved."""
     collimator = others.collimator
     if bundle.free_centres and not bundle.drifts:
         x, y, z = others.centres.mean(axis=0)
         collimator = Collimator(float(x), float(y), float(-z))
     view = replace(bundle.only([i]), names=(), free_centres=False, prior=None)
-    start = State(others.camera, collimator, rotation[None], np.zeros((1, 3)))
-    return view.misses_px(refine(view, start, Loss("l2")).state)
+    start = AdjustmentParameters(others.camera, collimator, rotation[None], np.zeros((1, 3)))
+    return view.residuals_px(refine(view, start, Loss("l2")).parameters)

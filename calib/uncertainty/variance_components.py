@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ class _Evidence:
     noise: float
 
 
-def disagreement(bundle: Bundle, state: State, loss: Loss) -> Disagreement:
+def disagreement(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Disagreement:
     """Measure what views disagree on, at the optimum.
 
     Parameters
@@ -96,7 +96,7 @@ def disagreement(bundle: Bundle, state: State, loss: Loss) -> Disagreement:
     bundle, state, loss
         What was fitted, its optimum, and the loss with the limit it ended with.
     """
-    evidence = _evidence(bundle, state, loss)
+    evidence = _evidence(bundle, parameters, loss)
     eigenvalues, vectors = np.linalg.eigh(evidence.shown)
     told = eigenvalues > _SHOWN * eigenvalues[-1]
     roots = np.sqrt(eigenvalues[told])
@@ -161,17 +161,17 @@ def _variances(z: Array, parts: Sequence[Array], noise: float) -> tuple[Array, A
     return variances, 0.5 * np.array([[(a * b.T).sum() for b in weighed] for a in weighed])
 
 
-def _evidence(bundle: Bundle, state: State, loss: Loss) -> _Evidence:
+def _evidence(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> _Evidence:
     """Collect what residuals show, each view's own rotation and the shared parameters' answer taken out."""
-    obs, residuals = bundle.observations, bundle.residuals(state)
+    obs, residuals = bundle.observations, bundle.weighted_residuals(parameters)
     weights = loss.weights(np.linalg.norm(residuals, axis=1))
     count = len(bundle.names)
     # The target's displacement moves the image as the centre's does, the other way.
     moving = replace(bundle, names=("x", "y"), prior=None, free_centres=False)
     shown, answers, pulls, groups, squares = [], [], [], [], 0.0
     known = []
-    rims = _rims(bundle, state)
-    slopes_of_all = zip(obs.slices, bundle.slopes(state), moving.slopes(state), strict=True)
+    rims = _rims(bundle, parameters)
+    slopes_of_all = zip(obs.slices, bundle.jacobians(parameters), moving.jacobians(parameters), strict=True)
     for rows, slopes, moves in slopes_of_all:
         fields, group = _fields(obs.target[rows, :2], None if rims is None else rims[rows])
         by_field = -np.einsum("aim,maf->fim", moves[:2], fields)
@@ -231,9 +231,9 @@ def _fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[np.int
     return fields, np.array([0, *bent, 1, *bent, *[_DEGREES + 2] * rims.shape[2]])
 
 
-def _rims(bundle: Bundle, state: State) -> Array | None:
+def _rims(bundle: Bundle, parameters: AdjustmentParameters) -> Array | None:
     """Return (N, 2, R) the displacements of the model's rim; None when it has none."""
-    at = [i for i, name in enumerate(state.collimator.imperfections) if name.startswith("rim_")]
+    at = [i for i, name in enumerate(parameters.collimator.imperfections) if name.startswith("rim_")]
     return bundle.displacements[:, :, at] if at and bundle.displacements is not None else None
 
 

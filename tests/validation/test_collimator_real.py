@@ -116,7 +116,7 @@ def test_the_data_choose_the_richest_collimator(views):
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("size", [2, 3])
 def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
-    from calib.adjustment.initialization import spherical_states
+    from calib.adjustment.initialization import spherical_starts
     from calib.adjustment.levenberg_marquardt import Loss, refine
     from calib.fit import begin
     from calib.model.homography import view_homography
@@ -126,6 +126,6 @@ def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
         subset = [views[i] for i in rng.choice(20, size, replace=False)]
         bundle, _ = begin(subset, L2, "spherical")
         h = np.array([view_homography(view) for view in subset])
-        ends = [refine(bundle, s, Loss("l2")).cost for s in spherical_states(h, SIZE, ("k1", "k2"))]
+        ends = [refine(bundle, s, Loss("l2")).cost for s in spherical_starts(h, SIZE, ("k1", "k2"))]
         misses = np.concatenate(calibrate(subset, L2).residuals_px)
         assert 0.5 * (misses**2).sum() <= min(ends) * (1 + 1e-6)

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from calib.adjustment.levenberg_marquardt import Loss, refine
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
 from calib.fit import begin
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
 from calib.model.rotation import exp_map
-from calib.model.spherical import rotations_about
+from calib.model.spherical import rotations_from_centre
 from tests.validation.test_collimator_real import read
 
 L2 = CalibrationOptions(loss="l2")
@@ -53,8 +53,8 @@ def far_starts(whole, homographies, rng):
             x, y, r = collimator.values[:3] + np.append(rng.uniform(-10, 10, 2), 0.0)
             collimator = Collimator(x, y, r * rng.uniform(0.8, 1.25))
             turns = np.deg2rad(rng.normal(0, 5, turns.shape))
-        rotations = exp_map(turns) @ rotations_about(homographies, camera.matrix, collimator)
-        yield State(camera, collimator, rotations, np.zeros_like(turns))
+        rotations = exp_map(turns) @ rotations_from_centre(homographies, camera.matrix, collimator)
+        yield AdjustmentParameters(camera, collimator, rotations, np.zeros_like(turns))
 
 
 def least_cost(views, whole, rng):
@@ -62,7 +62,7 @@ def least_cost(views, whole, rng):
     bundle, _ = begin(views, L2, "spherical")
     homographies = np.array([view_homography(view) for view in views])
     ends = [refine(bundle, start, Loss("l2"), 300) for start in far_starts(whole, homographies, rng)]
-    return min(end.cost for end in ends if end.state.camera.fx > 0 and end.state.collimator.r > 0)
+    return min(end.cost for end in ends if end.parameters.camera.fx > 0 and end.parameters.collimator.r > 0)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.observations import Observations
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
@@ -15,9 +15,9 @@ from calib.model.collimator import Collimator
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
 
 
-def state_near(bench, rng, n=3):
+def parameters_near(bench, rng, n=3):
     camera = CameraModel(3300.0, 3310.0, 640.0, 360.0, bench.size, {"k1": 0.1, "k2": -0.5})
-    return State(
+    return AdjustmentParameters(
         camera, Collimator(97.5, 140.0, 254.0), bench.rotations[:n], 0.3 * rng.standard_normal((n, 3))
     )
 
@@ -26,9 +26,9 @@ def state_near(bench, rng, n=3):
 def test_gradient_and_curvature_are_those_of_the_cost(bench, free_centres):
     rng = np.random.default_rng(6)
     bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES, free_centres=free_centres)
-    state = state_near(bench, rng)
-    residuals = bundle.residuals(state)
-    equations = bundle.normal_equations(state, residuals)
+    parameters = parameters_near(bench, rng)
+    residuals = bundle.weighted_residuals(parameters)
+    equations = bundle.normal_equations(parameters, residuals)
     depth = 6 if free_centres else 3
     scales = np.concatenate([[1, 1, 1, 1, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2], [1e-4] * 3, [1e-2] * 3])[: 9 + depth]
 
@@ -38,8 +38,8 @@ def test_gradient_and_curvature_are_those_of_the_cost(bench, free_centres):
             shared[i] = scale * 1e-2
         else:
             local[1, i - 9] = scale * 1e-2
-        plus = bundle.residuals(state.moved(NAMES, shared, local))
-        minus = bundle.residuals(state.moved(NAMES, -shared, -local))
+        plus = bundle.weighted_residuals(parameters.moved(NAMES, shared, local))
+        minus = bundle.weighted_residuals(parameters.moved(NAMES, -shared, -local))
         slope = (plus - minus) / (2e-2 * scale)
         gradient = -(slope * residuals).sum()
         curvature = (slope**2).sum()
@@ -52,8 +52,8 @@ def test_gradient_and_curvature_are_those_of_the_cost(bench, free_centres):
 def test_reduced_step_solves_the_whole_system(bench):
     rng = np.random.default_rng(7)
     bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES)
-    state = state_near(bench, rng)
-    equations = bundle.normal_equations(state, bundle.residuals(state))
+    parameters = parameters_near(bench, rng)
+    equations = bundle.normal_equations(parameters, bundle.weighted_residuals(parameters))
     whole = np.zeros((9 + 9, 9 + 9))
     whole[:9, :9] = equations.shared
     for i in range(3):

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from calib.adjustment.initialization import passport_states, planar_states, spherical_states
+from calib.adjustment.initialization import passport_starts, planar_starts, spherical_starts
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import CalibrationError
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
 from calib.model.passport import Passport
 from calib.model.planar import zhang_matrix
-from calib.model.spherical import linear_start, matrix_about, two_view_starts
+from calib.model.spherical import camera_matrix_from_centre, linear_solution, two_view_solutions
 from tests.unit.calib.conftest import Bench, rotation
 
 SIZE = (1280, 720)
@@ -44,12 +44,12 @@ def mappings(turns, focal, centre=(97.0, 140.1, -255.0)):
 def closed_forms(h):
     """Camera matrix and centre of all the closed forms give."""
     for free in (True, False):
-        yield linear_start(h, SIZE, free_principal_point=free)
+        yield linear_solution(h, SIZE, free_principal_point=free)
         matrix = zhang_matrix(h, SIZE, free_principal_point=free)
         yield None if matrix is None else (matrix, None)
     if len(h) == 2:
-        yield from two_view_starts(h, SIZE)
-    matrix = matrix_about(h, Collimator(97.0, 140.1, 255.0))
+        yield from two_view_solutions(h, SIZE)
+    matrix = camera_matrix_from_centre(h, Collimator(97.0, 140.1, 255.0))
     yield None if matrix is None else (matrix, None)
 
 
@@ -83,18 +83,18 @@ def test_every_closed_form_gives_a_real_camera_or_none(turns, focal, blur):
 def test_there_is_always_somewhere_to_begin(turns, focal, known):
     h = mappings(turns, focal)
     passport = Passport.of_radius(255.0, 0.1)
-    lists = [list(planar_states(h, SIZE, ("k1", "k2")))]
+    lists = [list(planar_starts(h, SIZE, ("k1", "k2")))]
     if known or len(h) == 1:
-        lists.append(list(passport_states(h, SIZE, ("k1", "k2"), passport)))
+        lists.append(list(passport_starts(h, SIZE, ("k1", "k2"), passport)))
     else:
-        lists.append(list(spherical_states(h, SIZE, ("k1", "k2"))))
+        lists.append(list(spherical_starts(h, SIZE, ("k1", "k2"))))
     for states in lists:
         assert states
-        for state in states:
-            assert_real(state.camera.matrix)
-            assert np.isfinite(state.rotations).all()
-            assert np.isfinite(state.centres).all()
-            assert np.linalg.det(state.rotations) == pytest.approx(1.0)
+        for parameters in states:
+            assert_real(parameters.camera.matrix)
+            assert np.isfinite(parameters.rotations).all()
+            assert np.isfinite(parameters.centres).all()
+            assert np.linalg.det(parameters.rotations) == pytest.approx(1.0)
 
 
 @pytest.mark.slow
@@ -121,18 +121,18 @@ def test_a_calibration_ends_in_finite_numbers_or_a_named_reason(turns, noise, kn
 @pytest.mark.parametrize("centre", [(97.0, 140.1, -255.0), (0.0, 0.0, -5000.0), (-3000.0, 40.0, -60.0)])
 def test_closed_forms_are_exact_whatever_the_scales(focal, centre):
     turns = np.array([[-5, 2, 0], [0.5, -2.5, 10], [5, 2.5, -20], [2, 1, 70]])
-    start = linear_start(mappings(turns, focal, centre), SIZE, free_principal_point=True)
+    start = linear_solution(mappings(turns, focal, centre), SIZE, free_principal_point=True)
     assert start is not None
     assert np.diag(start.matrix)[:2] == pytest.approx([focal, focal], rel=1e-5)
     assert start.collimator.values == pytest.approx([centre[0], centre[1], -centre[2]], rel=1e-4, abs=1e-3)
     for h in mappings(turns, focal, centre):
-        alone = matrix_about(h[None], Collimator(centre[0], centre[1], -centre[2]))
+        alone = camera_matrix_from_centre(h[None], Collimator(centre[0], centre[1], -centre[2]))
         assert np.diag(alone)[:2] == pytest.approx([focal, focal], rel=1e-6)
 
 
 def test_one_view_of_a_known_collimator_begins_at_its_camera(bench):
     h = np.array([view_homography(view) for view in bench.views()[:1]])
     known = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), 1e-4 * np.eye(3))
-    first = next(passport_states(h, SIZE, (), known))
+    first = next(passport_starts(h, SIZE, (), known))
     assert first.camera.fx == pytest.approx(bench.fx, rel=0.05)
     assert first.collimator.r == 255.0

@@ -8,7 +8,7 @@ import pytest
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.adjustment.observations import Observations
-from calib.adjustment.parameters import State
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import calibrate
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel
@@ -25,7 +25,9 @@ def start_of(bench, rng, spread):
         bench.fx * s[0], bench.fy * s[0], bench.cx * s[1], bench.cy * s[2], bench.size, {"k1": 0.0, "k2": 0.0}
     )
     turns = exp_map(0.1 * spread * rng.standard_normal((3, 3))) @ bench.rotations
-    return State(camera, Collimator(97 * s[3], 140 * s[4], 255 * s[5]), turns, np.zeros((3, 3)))
+    return AdjustmentParameters(
+        camera, Collimator(97 * s[3], 140 * s[4], 255 * s[5]), turns, np.zeros((3, 3))
+    )
 
 
 @pytest.mark.parametrize("loss", [Loss("l2"), Loss("huber", 2.0), Loss("cauchy", 3.0)])
@@ -34,9 +36,9 @@ def test_the_optimum_does_not_depend_on_the_start(bench, loss):
     bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES)
     ends = [refine(bundle, start_of(bench, rng, spread), loss) for spread in (0.0, 0.1, 0.2)]
     assert all(end.converged for end in ends)
-    sigma = np.sqrt(np.diag(at_optimum(bundle, ends[0].state, loss).covariance))
+    sigma = np.sqrt(np.diag(at_optimum(bundle, ends[0].parameters, loss).covariance))
     for end in ends[1:]:
-        assert np.abs((end.state.values(NAMES) - ends[0].state.values(NAMES)) / sigma).max() < 1e-3
+        assert np.abs((end.parameters.values(NAMES) - ends[0].parameters.values(NAMES)) / sigma).max() < 1e-3
 
 
 def test_at_the_optimum_no_direction_lowers_the_robust_cost(bench):
@@ -46,9 +48,9 @@ def test_at_the_optimum_no_direction_lowers_the_robust_cost(bench):
     bundle, loss = Bundle(Observations.from_views(views), NAMES), Loss("huber", 1.5)
     end = refine(bundle, start_of(bench, rng, 0.0), loss)
     for _ in range(40):
-        shared = 1e-4 * rng.standard_normal(9) * np.maximum(np.abs(end.state.values(NAMES)), 0.1)
-        moved = end.state.moved(NAMES, shared, 1e-5 * rng.standard_normal((3, 3)))
-        assert loss.cost(np.linalg.norm(bundle.residuals(moved), axis=1)) > end.cost
+        shared = 1e-4 * rng.standard_normal(9) * np.maximum(np.abs(end.parameters.values(NAMES)), 0.1)
+        moved = end.parameters.moved(NAMES, shared, 1e-5 * rng.standard_normal((3, 3)))
+        assert loss.cost(np.linalg.norm(bundle.weighted_residuals(moved), axis=1)) > end.cost
 
 
 def test_robust_losses_resist_wrong_stars_where_least_squares_does_not(bench):
@@ -60,7 +62,7 @@ def test_robust_losses_resist_wrong_stars_where_least_squares_does_not(bench):
     off = {}
     for loss in (Loss("l2"), Loss("huber", 2.0), Loss("cauchy", 3.0)):
         end = refine(bundle, start_of(bench, rng, 0.0), loss)
-        off[loss.name] = abs(end.state.camera.fx - bench.fx)
+        off[loss.name] = abs(end.parameters.camera.fx - bench.fx)
     assert off["l2"] > 20
     assert off["huber"] < 8
     assert off["cauchy"] < 8
@@ -71,7 +73,7 @@ def test_weights_and_slopes_are_derivatives_of_the_cost(loss):
     lengths, h = np.array([0.1, 0.7, 1.4, 1.7, 5.0]), 1e-4
     cost = np.array([[loss.cost(np.array([e + d])) for d in (-h, 0.0, h)] for e in lengths])
     assert np.allclose(loss.weights(lengths) * lengths, (cost[:, 2] - cost[:, 0]) / (2 * h), rtol=1e-6)
-    assert np.allclose(loss.slopes(lengths), (cost @ [1, -2, 1]) / h**2, atol=1e-5)
+    assert np.allclose(loss.second_derivatives(lengths), (cost @ [1, -2, 1]) / h**2, atol=1e-5)
 
 
 def test_a_start_that_cannot_be_projected_does_not_converge(bench):

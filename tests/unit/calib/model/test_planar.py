@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.model.homography import view_homography
-from calib.model.planar import poses, zhang_matrix
+from calib.model.planar import poses_from_homographies, zhang_matrix
 
 SIZE = (1280, 720)
 
@@ -25,7 +25,7 @@ def test_ideal_views_give_the_exact_camera(ideal, free):
 def test_poses_follow_from_the_camera(ideal):
     bench, h = ideal
     matrix = np.array([[bench.fx, 0, bench.cx], [0, bench.fy, bench.cy], [0, 0, 1]])
-    turns, centres = poses(h, matrix)
+    turns, centres = poses_from_homographies(h, matrix)
     assert np.allclose(centres, bench.centre, atol=1e-5)
     assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3))
 

@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
-from calib.model.spherical import linear_start, matrix_about, rotations_about, two_view_starts
+from calib.model.spherical import (
+    camera_matrix_from_centre,
+    linear_solution,
+    rotations_from_centre,
+    two_view_solutions,
+)
 
 SIZE = (1280, 720)
 
@@ -18,7 +23,7 @@ def homographies(views):
 
 def test_three_ideal_views_give_the_exact_camera_and_centre(make_bench):
     bench = make_bench(k=(0.0, 0.0))
-    start = linear_start(homographies(bench.views()), SIZE, free_principal_point=True)
+    start = linear_solution(homographies(bench.views()), SIZE, free_principal_point=True)
     expected = [[bench.fx, 0, bench.cx], [0, bench.fy, bench.cy], [0, 0, 1]]
     assert np.allclose(start.matrix, expected, rtol=1e-5)
     assert start.collimator.values == pytest.approx([97.0, 140.1, 255.0], rel=1e-5)
@@ -26,7 +31,9 @@ def test_three_ideal_views_give_the_exact_camera_and_centre(make_bench):
 
 def test_two_ideal_views_do_when_the_principal_point_is_the_images_centre(make_bench):
     bench = make_bench(k=(0.0, 0.0), cx=639.5, cy=359.5)
-    start = linear_start(homographies(bench.views(poses=bench.poses[:2])), SIZE, free_principal_point=False)
+    start = linear_solution(
+        homographies(bench.views(poses=bench.poses[:2])), SIZE, free_principal_point=False
+    )
     assert np.diag(start.matrix) == pytest.approx([bench.fx, bench.fy, 1.0], rel=1e-6)
     assert start.collimator.values == pytest.approx([97.0, 140.1, 255.0], rel=1e-6)
 
@@ -34,7 +41,7 @@ def test_two_ideal_views_do_when_the_principal_point_is_the_images_centre(make_b
 @pytest.mark.parametrize("principal_point", [(642.1, 363.3), (500.0, 420.0)])
 def test_two_ideal_views_give_the_principal_point_too_among_their_roots(make_bench, principal_point):
     bench = make_bench(k=(0.0, 0.0), cx=principal_point[0], cy=principal_point[1])
-    starts = two_view_starts(homographies(bench.views(poses=bench.poses[:2])), SIZE)
+    starts = two_view_solutions(homographies(bench.views(poses=bench.poses[:2])), SIZE)
     assert 1 <= len(starts) <= 2
     best = min(starts, key=lambda start: abs(start.matrix[0, 0] - bench.fx))
     assert np.allclose(best.matrix[:2, 2], principal_point, atol=1e-2)
@@ -45,21 +52,21 @@ def test_two_ideal_views_give_the_principal_point_too_among_their_roots(make_ben
 def test_a_known_centre_gives_the_camera_from_one_view(make_bench):
     bench = make_bench(k=(0.0, 0.0))
     h = homographies(bench.views()[:1])
-    matrix = matrix_about(h, Collimator(97.0, 140.1, 255.0))
+    matrix = camera_matrix_from_centre(h, Collimator(97.0, 140.1, 255.0))
     assert np.allclose(matrix, [[bench.fx, 0, bench.cx], [0, bench.fy, bench.cy], [0, 0, 1]], rtol=1e-6)
 
 
 def test_too_few_views_give_no_start(bench):
     h = homographies(bench.views())
-    assert linear_start(h[:1], SIZE, free_principal_point=False) is None
-    assert linear_start(h[:2], SIZE, free_principal_point=True) is None
+    assert linear_solution(h[:1], SIZE, free_principal_point=False) is None
+    assert linear_solution(h[:2], SIZE, free_principal_point=True) is None
 
 
 def test_rotations_follow_from_camera_and_centre(make_bench):
     bench = make_bench(k=(0.0, 0.0))
     h = homographies(bench.views())
-    start = linear_start(h, SIZE, free_principal_point=True)
-    turns = rotations_about(h, start.matrix, start.collimator)
+    start = linear_solution(h, SIZE, free_principal_point=True)
+    turns = rotations_from_centre(h, start.matrix, start.collimator)
     assert np.allclose(turns, bench.rotations, atol=1e-5)
 
 
@@ -69,7 +76,7 @@ def test_any_homographies_give_a_real_camera_or_none(seed, noise, n, free):
     rng = np.random.default_rng(seed)
     h = np.array([[10.0, 0, 600], [0, 10.0, 300], [0, 0, 1.0]]) * (1 + noise * rng.standard_normal((n, 3, 3)))
     h = h / np.cbrt(np.linalg.det(h))[:, None, None]
-    starts = [linear_start(h, SIZE, free_principal_point=free), *two_view_starts(h[:2], SIZE)]
+    starts = [linear_solution(h, SIZE, free_principal_point=free), *two_view_solutions(h[:2], SIZE)]
     for start in filter(None, starts):
         numbers = np.append(start.matrix, start.collimator.values)
         assert np.isrealobj(numbers)

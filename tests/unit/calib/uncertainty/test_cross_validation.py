@@ -15,10 +15,10 @@ L2 = CalibrationOptions(loss="l2")
 def test_what_is_left_out_has_no_part_in_the_estimate(bench):
     views = bench.views(np.random.default_rng(101), 0.05, poses=POSES)
     whole = fit(views, L2, "spherical")
-    left = leave_one_out(whole.bundle, whole.state, whole.loss)
+    left = leave_one_out(whole.bundle, whole.parameters, whole.loss)
     without = fit(views[1:], L2, "spherical")
     sigma = np.sqrt(np.diag(without.known.covariance))
-    assert np.abs((left.values[0] - without.state.values(whole.bundle.names)) / sigma).max() < 0.02
+    assert np.abs((left.values[0] - without.parameters.values(whole.bundle.names)) / sigma).max() < 0.02
     assert left.stars.tolist() == [len(view) for view in views]
 
 
@@ -29,7 +29,7 @@ def test_a_view_that_belongs_is_predicted_to_the_noise_and_one_that_does_not_is_
     centre = np.array(bench.centre) + np.array([3.0, 0.0, 0.0])
     views[2] = bench.view("moved", bench.turn(*POSES[2]), rng, 0.02, centre)
     fitted = fit(views, L2, model)
-    left = leave_one_out(fitted.bundle, fitted.state, fitted.loss)
+    left = leave_one_out(fitted.bundle, fitted.parameters, fitted.loss)
     if model == "spherical":
         assert left.rms_px.argmax() == 2
     assert left.rms_px[2] > 5 * 0.02 * np.sqrt(2)
@@ -54,11 +54,11 @@ def test_of_many_views_a_step_leads_where_a_refit_without_one_ends(bench):
     rng = np.random.default_rng(104)
     poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(10)]
     whole = fit(bench.views(rng, 0.05, poses=poses), L2, "spherical")
-    left = leave_one_out(whole.bundle, whole.state, whole.loss)
+    left = leave_one_out(whole.bundle, whole.parameters, whole.loss)
     sigma = np.sqrt(np.diag(whole.known.covariance))
-    moved = (left.values - whole.state.values(whole.bundle.names)) / sigma
+    moved = (left.values - whole.parameters.values(whole.bundle.names)) / sigma
     assert np.abs(moved).max() > 0.3
     for i in (0, 7):
         others = [j for j in range(10) if j != i]
-        refit = refine(whole.bundle.only(others), whole.state.only(others), whole.loss).state
+        refit = refine(whole.bundle.only(others), whole.parameters.only(others), whole.loss).parameters
         assert np.abs((left.values[i] - refit.values(whole.bundle.names)) / sigma).max() < 0.03

@@ -32,7 +32,7 @@ def displaced(bench, rng, size_mm, count=3):
 
 def of(views):
     fitted = fit(views, L2, "spherical")
-    return fitted, disagreement(fitted.bundle, fitted.state, fitted.loss)
+    return fitted, disagreement(fitted.bundle, fitted.parameters, fitted.loss)
 
 
 def test_stars_that_miss_each_on_its_own_show_no_field(bench):
