@@ -165,19 +165,8 @@ def _write(
         t_edge = edge_t[k] if k < edge_t.size else end
         first = min(t_event, t_edge)
         # Ticks come first: an event at the time of a tick is sent after it.
-        while state[_TICK] <= first and state[_TICK] < end:
-            tick = state[_TICK]
-            words[n] = TIME_HIGH | ((tick >> 12) & 0xFFF)
-            n += 1
-            state[_LOW] = -1
-            if (tick - state[_START]) % MARK_US == 0:
-                n = _write_time_low(words, n, state, tick)
-            if tick >= state[_COUNT_END]:
-                while entered < entered_t.size and entered_t[entered] < tick:
-                    entered += 1
-                    state[_COUNT_IN] += 1
-                n = _write_counters(words, n, state)
-            state[_TICK] = tick + TICK_US
+        if state[_TICK] <= first and state[_TICK] < end:
+            n, entered = _write_ticks(words, n, state, entered_t, entered, first, end)
         if first == end:
             break
         n = _write_time_low(words, n, state, int(first))
@@ -186,20 +175,51 @@ def _write(
             n += 1
             k += 1
             continue
-        last = i + 1
-        while (
-            last < t.size
-            and t[last] == t_event
-            and y[last] == y[i]
-            and p[last] == p[i]
-            and x[last] > x[last - 1]
-        ):
-            last += 1
+        last = _run_end(t, x, y, p, i)
         n = _write_run(words, n, state, x, y, p, i, last, width)
         state[_COUNT_OUT] += last - i
         i = last
     state[_COUNT_IN] += entered_t.size - entered
     return n
+
+
+@njit(cache=True, nogil=True)
+def _write_ticks(
+    words: NDArray, n: int, state: NDArray, entered_t: NDArray, entered: int, first: int, end: int
+) -> tuple[int, int]:
+    """Write each TIME_HIGH not after ``first`` and before ``end``, with the counters that are due.
+
+    ``entered`` counts the events of the slice that have entered the rate controller; it is returned with n.
+    """
+    while state[_TICK] <= first and state[_TICK] < end:
+        tick = state[_TICK]
+        words[n] = TIME_HIGH | ((tick >> 12) & 0xFFF)
+        n += 1
+        state[_LOW] = -1
+        if (tick - state[_START]) % MARK_US == 0:
+            n = _write_time_low(words, n, state, tick)
+        if tick >= state[_COUNT_END]:
+            while entered < entered_t.size and entered_t[entered] < tick:
+                entered += 1
+                state[_COUNT_IN] += 1
+            n = _write_counters(words, n, state)
+        state[_TICK] = tick + TICK_US
+    return n, entered
+
+
+@njit(cache=True, nogil=True)
+def _run_end(t: NDArray, x: NDArray, y: NDArray, p: NDArray, first: int) -> int:
+    """Return the end of the run that begins at ``first``: one time, row and polarity, from left to right."""
+    last = first + 1
+    while (
+        last < t.size
+        and t[last] == t[first]
+        and y[last] == y[first]
+        and p[last] == p[first]
+        and x[last] > x[last - 1]
+    ):
+        last += 1
+    return last
 
 
 @njit(cache=True, nogil=True)
