@@ -1,4 +1,4 @@
-"""The clock through which drivers wait; whoever opens a driver passes it in.
+"""The clock through which drivers wait; the program that opens a driver passes it in.
 
 The bench passes a clock whose ``sleep`` raises as soon as the operator asks to stop, so a driver can be stopped at each
 of its waits. With a virtual clock, a night passes in seconds.

@@ -277,7 +277,7 @@ class Link:
                 if time.monotonic() > end:
                     self._buffer.clear()
                     raise ReplyGarbled(
-                        f"the device talks without pause for {limit_s:g} s.",
+                        f"the device sends without pause for {limit_s:g} s.",
                         where=self.name,
                         remedy="Check the port and the baud rate in the station file.",
                     )

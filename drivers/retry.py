@@ -30,7 +30,7 @@ def repeat(
     Parameters
     ----------
     attempt
-        Sends one request and returns what the reply says. Another call is made only after a ReplyError.
+        Sends one request and returns what it reads. Another call is made only after a ReplyError.
     tries
         How often ``attempt`` is called in all, at least once.
     before_next
@@ -79,7 +79,7 @@ def resynchronise(
     quiet_s: float,
     limit_s: float,
     clear_device: Callable[[], object] = do_nothing,
-    hear: Callable[[bytes], object] = do_nothing,
+    inspect_old: Callable[[bytes], object] = do_nothing,
     silence_after: bool = True,
 ) -> bool:
     """Bring a line back into step: throw away what is old, then prove that nothing old is left.
@@ -99,8 +99,8 @@ def resynchronise(
         Longest wait for that silence, in seconds.
     clear_device
         Sends what makes the device forget the beginning of a command. Called after the line was silent.
-    hear
-        Takes the old bytes, for the messages in them that must not be lost.
+    inspect_old
+        Gets the old bytes before they are lost, for unsolicited messages in them.
     silence_after
         Whether nothing may follow the marker's answer.
 
@@ -115,7 +115,7 @@ def resynchronise(
         The marker was not answered at the last attempt, or the device does not fall silent.
     """
     for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
-        hear(link.drain(quiet_s, limit_s))
+        inspect_old(link.drain(quiet_s, limit_s))
         clear_device()
         try:
             expected = exchange_marker()

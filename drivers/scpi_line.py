@@ -1,4 +1,4 @@
-"""Talk to an SCPI instrument: its identity and its error queue. What the instrument does is none of its business.
+"""Talk to an SCPI instrument: its identity and its error queue. Commands of particular instruments do not belong here.
 
 Sources: "Standard Commands for Programmable Instruments (SCPI), Volume 1: Syntax and Style", SCPI Consortium, 1999,
 for ``SYSTem:ERRor?`` and the error numbers; IEEE 488.2 for ``*IDN?``.

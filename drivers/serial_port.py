@@ -164,7 +164,7 @@ class SerialPort:
             return action(*arguments, **named)
         except _LOST as error:
             self._lost = True
-            raise self._port_lost(f"the system says: {error}.") from error
+            raise self._port_lost(f"the system reports: {error}.") from error
 
     def _port_lost(self, why: str) -> PortLost:
         return PortLost(
@@ -190,7 +190,7 @@ def _open(address: str, baudrate: int, stopbits: int) -> Any:
         )
     except _NO_SERIAL_PORT as error:
         raise PortNotFound(
-            f"this is no port: {error}.",
+            f"this is not a port: {error}.",
             where=address,
             remedy="Name a device file or socket://host:port in the station file.",
         ) from error

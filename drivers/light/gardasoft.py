@@ -154,10 +154,8 @@ class GardasoftLight:
         width_ms = round(period_ms * settings.duty_percent / 100.0, 4)
         if self.is_on():
             self._set("frequency", f"TT1,{period_ms:.4f}")
-        else:
-            self._set(
-                "level", f"RS{self._channel},0"
-            )  # keeps the lamp dark: the trigger must run to accept a period
+        else:  # the trigger must run to accept a period: keep the lamp dark meanwhile
+            self._set("level", f"RS{self._channel},0")
             self._set("frequency", f"TT1,{period_ms:.4f}")
             self._set("frequency", "TT0")
         self._set("pulse", f"RT{self._channel},{width_ms:.4f},{_DELAY_MS},{percent:.1f}")
@@ -188,18 +186,17 @@ class GardasoftLight:
             The controller refuses the command, or a steady level reads back differently.
         """
         if self._steady_percent is None:
+            dark = "the trigger was started, but does not run."
             self._set("trigger", "TT1")
         else:
+            dark = "the light was switched on, but is dark."
             self._set("level", f"RS{self._channel},{self._steady_percent:.1f}")
             self._check_steady(self._steady_percent)
         if not self.is_on():
-            steady = self._steady_percent is not None
             raise LightFault(
-                "the light was switched on, but is dark."
-                if steady
-                else "the trigger was started, but does not run.",
+                dark,
                 where=self._line.name,
-                remedy="Look which error the controller shows.",
+                remedy="Look up the error that the controller shows in its manual.",
             )
         self._switched_on = True
 
@@ -356,7 +353,7 @@ class GardasoftLight:
             )
         period_ms = self._line.parse_quantity(general, "TP").value
         if period_ms <= 0:
-            raise self._line.garbled_reply(f"a period of {period_ms} ms.")
+            raise self._line.garbled_reply(f"the controller reports a period of {period_ms} ms.")
         percent = self._line.parse_quantity(channel, "S").value
         return LightSettings(
             waveform="square",
@@ -370,5 +367,5 @@ class GardasoftLight:
     def _trigger_runs(self) -> bool:
         state = self._line.query_fields("ST0").get("TM")
         if state not in {"0", "1"}:
-            raise self._line.garbled_reply(f"a trigger state {state!r}.")
+            raise self._line.garbled_reply(f"the controller reports the trigger state {state!r}.")
         return state == "1"

@@ -25,7 +25,7 @@ _FACTORS = {"us": 1e-3, "ms": 1.0, "s": 1e3, "%": 1.0, "": 1.0}
 
 REFUSALS = {
     1: "a value is invalid",
-    2: "it does not know this command",
+    2: "unknown command",
     3: "a number has the wrong form",
     4: "wrong number of values",
     5: "a time was out of range and was changed to a valid one",

@@ -240,27 +240,20 @@ def _check_settings(asked: LightSettings, got: LightSettings, where: str) -> Non
     Of a steady light, only the waveform and the level count.
     """
     level_v = _LEVEL_V + _LEVEL_REL * max(abs(asked.high_v), abs(asked.low_v))
-    pairs = [
-        ("waveform", asked.waveform, got.waveform, asked.waveform == got.waveform),
-        (
-            "frequency_hz",
-            asked.frequency_hz,
-            got.frequency_hz,
-            math.isclose(asked.frequency_hz, got.frequency_hz, rel_tol=_FREQUENCY_REL),
-        ),
-        (
-            "duty_percent",
-            asked.duty_percent,
-            got.duty_percent,
-            asked.waveform != "square" or abs(asked.duty_percent - got.duty_percent) <= _DUTY_PERCENT,
-        ),
-        ("high_v", asked.high_v, got.high_v, abs(asked.high_v - got.high_v) <= level_v),
-        ("low_v", asked.low_v, got.low_v, abs(asked.low_v - got.low_v) <= level_v),
-        ("sync_output", asked.sync_output, got.sync_output, asked.sync_output == got.sync_output),
-    ]
-    counts = {"waveform", "high_v"} if asked.waveform == "steady" else {name for name, *_ in pairs}
+    agrees = {
+        "waveform": asked.waveform == got.waveform,
+        "frequency_hz": math.isclose(asked.frequency_hz, got.frequency_hz, rel_tol=_FREQUENCY_REL),
+        "duty_percent": asked.waveform != "square"
+        or abs(asked.duty_percent - got.duty_percent) <= _DUTY_PERCENT,
+        "high_v": abs(asked.high_v - got.high_v) <= level_v,
+        "low_v": abs(asked.low_v - got.low_v) <= level_v,
+        "sync_output": asked.sync_output == got.sync_output,
+    }
+    counts = {"waveform", "high_v"} if asked.waveform == "steady" else set(agrees)
     wrong = [
-        f"{name}: asked {want}, got {have}" for name, want, have, same in pairs if not same and name in counts
+        f"{name}: asked {getattr(asked, name)}, got {getattr(got, name)}"
+        for name, agreed in agrees.items()
+        if name in counts and not agreed
     ]
     if wrong:
         raise SettingRefused(

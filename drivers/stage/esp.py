@@ -1,15 +1,14 @@
 """Newport stages on an ESP300, ESP301 or ESP302 controller, in degrees.
 
-This module implements the controller's commands (``1PA5``, ``1MD?``) and its error buffer. The controller does not
-tell whether an axis has a reference, so only a homing by this driver counts; a restart, or a motor that was switched
+This module implements the controller's commands (``1PA5``, ``1MD?``). The controller does not
+report whether an axis has a reference, so only a homing by this driver counts; a restart, or a motor that was switched
 off, undoes it. ``drivers.stage.watched`` watches the moves.
 
-Source: Newport, "ESP300" and "ESP301 User's Manual", section 3 (remote mode) and the appendix on error messages.
+Source: Newport, "ESP300" and "ESP301 User's Manual", section 3 (remote mode).
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -19,6 +18,7 @@ from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, W
 from drivers.readings import read_until_agreed
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion
+from drivers.stage.esp_errors import EspError, parse_error
 from drivers.stage.watched import AxisState, StopCheck, WatchedStage
 from drivers.text_line import PROMPT_S, TextLine
 from drivers.wire_log import WireLog
@@ -28,29 +28,6 @@ _DEGREES = 7
 _RESOLUTION = 1e-4
 """Largest difference of two equal settings, in degrees: the controller prints no more digits."""
 _MOST_ERRORS = 20
-_ERROR = re.compile(r"(\d{1,4}), ?(\d{1,12}), ?([ -~]+)")
-
-AXIS_ERRORS = {
-    0: "motor type not defined",
-    1: "parameter out of range",
-    2: "amplifier fault",
-    3: "following error beyond its threshold",
-    4: "positive limit switch reached",
-    5: "negative limit switch reached",
-    6: "positive software limit reached",
-    7: "negative software limit reached",
-    8: "motor or stage not connected",
-    9: "feedback signal lost",
-    10: "speed beyond its maximum",
-    11: "acceleration beyond its maximum",
-    13: "motor off",
-    15: "jerk beyond its maximum",
-    17: "critical settings are protected",
-    18: "stage device error",
-    19: "the stage's data are invalid",
-    20: "homing aborted",
-}
-"""Meanings of the last two digits of an error of an axis; the digits before them are the number of the axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,30 +96,6 @@ class EspAxis:
             Angle, in degrees.
         """
         return self.zero_deg + self.direction * controller_deg
-
-
-@dataclass(frozen=True)
-class EspError:
-    """One entry of the error buffer.
-
-    Attributes
-    ----------
-    code
-        Error number; 0 for an empty buffer.
-    time
-        Time since the controller started, in servo cycles.
-    text
-        The controller's own description.
-    """
-
-    code: int
-    time: int
-    text: str
-
-    def __str__(self) -> str:
-        axis, number = divmod(self.code, 100)
-        words = AXIS_ERRORS.get(number, self.text.lower()) if axis else self.text.lower()
-        return f"{words} (error {self.code})"
 
 
 class EspStage(WatchedStage[EspAxis]):
@@ -351,10 +304,9 @@ class EspStage(WatchedStage[EspAxis]):
         found: list[EspError] = []
         while len(found) < _MOST_ERRORS:
             text = self._line.query("TB?")
-            match = _ERROR.fullmatch(text)
-            if match is None:
+            error = parse_error(text)
+            if error is None:
                 raise self._line.garbled_reply(f"TB? answered {text!r}.")
-            error = EspError(int(match[1]), int(match[2]), match[3])
             if not error.code:
                 self._note_time(error.time)
                 return found

@@ -1,6 +1,6 @@
 """A home-built gimbal on a GRBL 1.1 board: its axes X, Y, Z are rotary, and the board's "mm" are degrees.
 
-Moves are jogs, because a jog can be cancelled without losing the position. GRBL does not tell whether it has a
+Moves are jogs, because a jog can be cancelled without losing the position. GRBL does not report whether it has a
 reference, so only a homing by this driver counts; a restart or an alarm undoes it.
 
 Source of the settings: "Grbl v1.1 Configuration", https://github.com/gnea/grbl/tree/master/doc/markdown.

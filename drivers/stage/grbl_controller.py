@@ -297,7 +297,7 @@ class GrblController:
             exchange_marker,
             quiet_s=_QUIET_S,
             limit_s=_LONGEST_DRAIN_S,
-            hear=self._take_push_messages,
+            inspect_old=self._take_push_messages,
         ):
             raise ReplyGarbled(
                 "the board sends more than it was asked for.", where=self.name, remedy="Check the port."

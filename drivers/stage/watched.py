@@ -1,4 +1,4 @@
-"""Watch every move of a stage to its end, whatever the make of its controller: limits, start, arrival, stop.
+"""Watch every move of a stage to its end, for controllers of all makes: limits, start, arrival, stop.
 
 A driver of a controller family implements the abstract methods, which talk on its wire. The decisions whether a move
 has arrived or failed are made here, once for all families. This module implements no protocol.
@@ -106,7 +106,7 @@ class WatchedStage(ABC, Generic[A]):
 
     @abstractmethod
     def _has_reference(self) -> bool:
-        """Whether every axis has a reference, as far as the controller can tell."""
+        """Whether every axis has a reference, as far as the controller reports it."""
 
     @abstractmethod
     def faults(self) -> Sequence[str]:

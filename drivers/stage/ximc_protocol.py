@@ -50,8 +50,8 @@ BORDERS_STOP = 0x06
 """Flags of borders at which the controller stops."""
 
 REFUSALS = {
-    b"errc": "it does not know this command",
-    b"errv": "a value is out of its range, and was corrected",
+    b"errc": "unknown command",
+    b"errv": "a value is out of range and was corrected",
 }
 _DAMAGED = b"errd"
 

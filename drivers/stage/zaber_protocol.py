@@ -63,16 +63,16 @@ _STOPPING_WARNINGS = frozenset({"WL", "WM"})
 
 REFUSALS = {
     "AGAIN": "the device is not ready for this command yet",
-    "BADAXIS": "it has no such axis",
-    "BADCOMMAND": "it does not know this command",
-    "BADDATA": "the value is out of its range",
-    "BADMESSAGEID": "it does not take this message id",
-    "DEVICEONLY": "this command is not one of an axis",
+    "BADAXIS": "no such axis",
+    "BADCOMMAND": "unknown command",
+    "BADDATA": "the value is out of range",
+    "BADMESSAGEID": "invalid message id",
+    "DEVICEONLY": "this command is for the device, not for an axis",
     "DRIVERDISABLED": "the motor driver is off",
-    "FULL": "it has no room left",
+    "FULL": "no room left in the device",
     "INACTIVE": "the axis is inactive",
     "LOCKSTEP": "the axis belongs to a lockstep group",
-    "NOACCESS": "it needs a higher access level",
+    "NOACCESS": "a higher access level is needed",
     "PARKED": "the axis is parked",
     "STATUSBUSY": "the axis is moving",
 }

@@ -128,7 +128,7 @@ def test_a_device_that_never_falls_silent_ends_the_draining(clock) -> None:
             return b"x"
 
     link, _ = make(Babbler(), clock)
-    with pytest.raises(ReplyGarbled, match="talks without pause"):
+    with pytest.raises(ReplyGarbled, match="sends without pause"):
         link.drain(0.001, 0.01)
 
 

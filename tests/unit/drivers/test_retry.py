@@ -111,12 +111,12 @@ def test_with_message_ids_nothing_waits_for_silence_after_the_marker() -> None:
     assert line.events == ["drain", "marker"]
 
 
-def test_old_bytes_are_heard_before_the_device_is_cleared() -> None:
+def test_old_bytes_are_inspected_before_the_device_is_cleared() -> None:
     line = Line(b"ALARM:1\r\n")
     assert bring_into_step(
         line,
         True,
-        hear=lambda old: line.events.append(old.decode().strip()),
+        inspect_old=lambda old: line.events.append(old.decode().strip()),
         clear_device=lambda: line.events.append("clear"),
     )
     assert line.events == ["drain", "ALARM:1", "clear", "marker", "drain"]
