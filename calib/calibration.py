@@ -196,7 +196,7 @@ class Calibration:
     views: tuple[ViewSummary, ...]
     converged: bool
     iterations: int
-    disagreement: float = 1.0
+    birge_ratio: float = 1.0
     coverage_factor: float = 2.0
     left_out_rms_px: float | None = None
     rotation_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -240,7 +240,7 @@ class Calibration:
             self.values[at],
             self.covariance[np.ix_(at, at)],
             self.collimator.reference,
-            self.disagreement,
+            self.birge_ratio,
             tuple(view.name for view in self.views),
             conditions or {},
         )
@@ -261,7 +261,7 @@ class Calibration:
             "mean_px": self.mean_px,
             "variance_factor": self.variance_factor,
             "degrees_of_freedom": self.degrees_of_freedom,
-            "disagreement": self.disagreement,
+            "disagreement": self.birge_ratio,
             "coverage_factor": self.coverage_factor,
             "left_out_rms_px": self.left_out_rms_px,
             "budget": {source: dict(sigmas) for source, sigmas in self.budget.items()},

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
 from calib.errors import DegenerateViews, InputMismatch
-from calib.fit import fit, summary
-from calib.model.aberrations import rung_of
+from calib.fit import fit_model, summarize
+from calib.model.aberrations import model_with_terms
 from calib.selection import choose
 from calib.view import View
 
@@ -48,10 +48,10 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     options = options or CalibrationOptions()
     _check(views, 1 if options.passport else 2)
     if options.passport:
-        return summary(fit(views, options, rung_of(options.passport.terms)))
+        return summarize(fit_model(views, options, model_with_terms(options.passport.terms)))
     if options.model == "auto":
         return choose(views, options)
-    return summary(fit(views, options, options.model))
+    return summarize(fit_model(views, options, options.model))
 
 
 def _check(views: Sequence[View], fewest: int) -> None:

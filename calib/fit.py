@@ -12,25 +12,35 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment import degeneracy
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.centre_drift import WORRYING, centre_drift
+from calib.adjustment.degeneracy import (
+    explain_weak_geometry,
+    require_constrained,
+    require_distinct_poses,
+    require_visible_rims,
+)
 from calib.adjustment.initialization import best_start, passport_starts, planar_starts, spherical_starts
 from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
 from calib.errors import DegenerateViews, NotConverged
-from calib.model import aberrations as imperfections
-from calib.model.aberrations import LADDER, displacements
-from calib.model.beam import Disc, inside, visible_discs, within
+from calib.model.aberrations import LADDER, aberration_prior, displacements
+from calib.model.beam import Disc, inside_guard_band, visible_discs, without_guard_band
 from calib.model.camera import PINHOLE
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
-from calib.uncertainty import covariance as uncertainty
-from calib.uncertainty.consistency import require_agreement
-from calib.uncertainty.cross_validation import MIN_VIEWS, LeftOut, leave_one_out
-from calib.uncertainty.variance_components import disagreement
+from calib.uncertainty.consistency import check_passport
+from calib.uncertainty.covariance import (
+    Uncertainty,
+    covariance_at_optimum,
+    inflate,
+    propagate_passport,
+    rotation_covariance,
+)
+from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
+from calib.uncertainty.variance_components import variance_components
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -58,9 +68,9 @@ class Fit:
         What was minimised, where it ended, and the loss it ended with.
     whole, used
         The same with the stars of the guard band too, and which of its stars were used.
-    known
+    uncertainty
         Covariance of the shared parameters.
-    left_out
+    cross_validation
         What leaving out views shows; None where it was not asked for, or the views are too few.
     discs
         The views' visible discs; none where the model needs none.
@@ -73,8 +83,8 @@ class Fit:
     loss: Loss
     whole: Bundle
     used: NDArray[np.bool_]
-    known: uncertainty.Uncertainty
-    left_out: LeftOut | None
+    uncertainty: Uncertainty
+    cross_validation: CrossValidation | None
     discs: Sequence[Disc] = ()
 
     @property
@@ -83,7 +93,7 @@ class Fit:
         return self.refined.parameters
 
 
-def fit(
+def fit_model(
     views: Sequence[View],
     options: CalibrationOptions,
     model: str,
@@ -108,21 +118,21 @@ def fit(
     kept = views
     if terms or options.guard_band < 1:
         discs = discs or visible_discs(views)
-        degeneracy.require_rims(views, discs)
-        kept = [within(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
-    bundle, start = begin(kept, options, model)
+        require_visible_rims(views, discs)
+        kept = [without_guard_band(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
+    bundle, start = initialize(kept, options, model)
     if terms and discs:
         bundle, start = _with_terms(kept, discs, bundle, start, options, terms)
     if model == "drift":
         bundle = replace(bundle, free_centres=True, drift_mm=options.drift_mm)
     bundle, refined, loss = refine_robustly(bundle, start, options)
     if options.passport:
-        require_agreement(bundle, refined.parameters, loss, options.passport)
+        check_passport(bundle, refined.parameters, loss, options.passport)
     known, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole, used = bundle, np.ones(len(bundle.observations.view), np.bool_)
     if options.guard_band < 1 and discs:
         used = np.concatenate(
-            [inside(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
+            [inside_guard_band(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
         )
         shifts = _shifts(views, discs, refined.parameters.collimator, terms) if terms else None
         whole = replace(bundle, observations=Observations.from_views(views), displacements=shifts)
@@ -131,7 +141,7 @@ def fit(
     )
 
 
-def begin(
+def initialize(
     views: Sequence[View], options: CalibrationOptions, model: str
 ) -> tuple[Bundle, AdjustmentParameters]:
     """Return what the ideal model estimates, and where to begin."""
@@ -164,10 +174,10 @@ def _with_terms(
     else:
         ideal = refine(bundle, start, Loss("l2"), options.max_iterations).parameters.collimator
         collimator = replace(
-            ideal, imperfections=dict.fromkeys(terms, 0.0), reference=(ideal.x, ideal.y, ideal.r)
+            ideal, aberrations=dict.fromkeys(terms, 0.0), reference=(ideal.x, ideal.y, ideal.r)
         )
         names = (*bundle.names, *terms)
-        bundle = replace(bundle, names=names, prior=imperfections.expected(terms))
+        bundle = replace(bundle, names=names, prior=aberration_prior(terms))
     bundle = replace(bundle, displacements=_shifts(views, discs, collimator, terms))
     return bundle, replace(start, collimator=collimator)
 
@@ -194,12 +204,12 @@ def refine_robustly(
     The spread is the robust standard deviation per axis at the least squares optimum, and then at each robust
     one, so that the result depends on the data alone and not on the start.
     """
-    given = None if options.huber_px is None else options.huber_px * bundle.observations.per_px
+    given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
     loss = Loss("l2") if given is None else Loss(options.loss, given)
     refined = refine(bundle, start, loss, options.max_iterations)
     iterations = refined.iterations
     robust = options.loss != "l2" and given is None
-    for _ in range(_LIMIT_ROUNDS if robust or bundle.prior or bundle.drifts else 0):
+    for _ in range(_LIMIT_ROUNDS if robust or bundle.prior or bundle.has_drift_prior else 0):
         residuals = bundle.weighted_residuals(refined.parameters)
         spread = float(np.median(np.linalg.norm(residuals, axis=1)) / _RAYLEIGH_MEDIAN)
         if not spread > 0:
@@ -219,34 +229,34 @@ def _uncertainty(
     loss: Loss,
     *,
     leave_out: bool,
-) -> tuple[uncertainty.Uncertainty, LeftOut | None]:
+) -> tuple[Uncertainty, CrossValidation | None]:
     """Refuse what is no calibration; else say how sure it is."""
     parameters = refined.parameters
     if options.passport is None:
-        degeneracy.require_turned(parameters)
-    why = degeneracy.reason(views, parameters)
+        require_distinct_poses(parameters)
+    why = explain_weak_geometry(views, parameters)
     try:
-        known = uncertainty.at_optimum(bundle, parameters, loss)
+        known = covariance_at_optimum(bundle, parameters, loss)
     except DegenerateViews as error:
         raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
-    degeneracy.require_constrained(parameters, bundle.names, known.covariance, why)
+    require_constrained(parameters, bundle.names, known.covariance, why)
     if not refined.converged:
         raise NotConverged(
             f"No optimum after {refined.iterations} steps. {why}".strip(),
             remedy="Add views from other angles, or estimate fewer distortion coefficients.",
         )
     left_out = None
-    if len(views) >= MIN_VIEWS and (leave_out or known.disagree):
+    if len(views) >= MIN_VIEWS and (leave_out or known.inconsistent):
         left_out = leave_one_out(bundle, parameters, loss)
     if options.passport is None:
-        found = partial(disagreement, bundle, parameters, loss)
-        return uncertainty.inflated(known, bundle, parameters, loss, found), left_out
-    known = uncertainty.with_passport(bundle, parameters, known, options.passport)
-    degeneracy.require_constrained(parameters, known.names, known.covariance, "The passport knows no better.")
+        found = partial(variance_components, bundle, parameters, loss)
+        return inflate(known, bundle, parameters, loss, found), left_out
+    known = propagate_passport(bundle, parameters, known, options.passport)
+    require_constrained(parameters, known.names, known.covariance, "The passport knows no better.")
     return known, left_out
 
 
-def summary(fitted: Fit) -> Calibration:
+def summarize(fitted: Fit) -> Calibration:
     """Put a fit into its final shape."""
     parameters, whole, used = fitted.parameters, fitted.whole, fitted.used
     residuals = whole.residuals_px(parameters)
@@ -260,28 +270,30 @@ def summary(fitted: Fit) -> Calibration:
         collimator=None if fitted.model == "planar" else parameters.collimator,
         rotations=parameters.rotations,
         centres=parameters.centres,
-        parameter_names=fitted.known.names,
-        values=parameters.values(fitted.known.names),
-        covariance=fitted.known.covariance,
+        parameter_names=fitted.uncertainty.names,
+        values=parameters.values(fitted.uncertainty.names),
+        covariance=fitted.uncertainty.covariance,
         residuals_px=[residuals[r] for r in rows],
         weights=[weights[r] for r in rows],
         rms_px=_rms(lengths[used]),
         mean_px=float(lengths[used].mean()),
-        variance_factor=fitted.known.variance_factor,
-        degrees_of_freedom=fitted.known.degrees_of_freedom,
-        disagreement=fitted.known.disagreement,
-        coverage_factor=fitted.known.coverage_factor,
-        left_out_rms_px=fitted.left_out.total_rms_px if fitted.left_out else None,
+        variance_factor=fitted.uncertainty.variance_factor,
+        degrees_of_freedom=fitted.uncertainty.degrees_of_freedom,
+        birge_ratio=fitted.uncertainty.birge_ratio,
+        coverage_factor=fitted.uncertainty.coverage_factor,
+        left_out_rms_px=fitted.cross_validation.total_rms_px if fitted.cross_validation else None,
         views=tuple(
             ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
             for view, own in zip(fitted.views, counted, strict=True)
         ),
         converged=fitted.refined.converged,
         iterations=fitted.refined.iterations,
-        rotation_covariance=uncertainty.of_rotations(fitted.bundle, parameters, fitted.known),
+        rotation_covariance=rotation_covariance(fitted.bundle, parameters, fitted.uncertainty),
         budget={
-            source: dict(zip(fitted.known.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
-            for source, variances in fitted.known.budget.items()
+            source: dict(
+                zip(fitted.uncertainty.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True)
+            )
+            for source, variances in fitted.uncertainty.budget.items()
         },
         notes=_notes(fitted),
     )
@@ -290,9 +302,9 @@ def summary(fitted: Fit) -> Calibration:
 def _notes(fitted: Fit) -> tuple[str, ...]:
     """Say what the reader should know."""
     notes = [*_weakness(fitted), *_rims_out_of_sight(fitted)]
-    if not fitted.known.disagree:
+    if not fitted.uncertainty.inconsistent:
         return tuple(notes)
-    ratio = f"{fitted.known.disagreement:.1f} times more than their stars' noise explains"
+    ratio = f"{fitted.uncertainty.birge_ratio:.1f} times more than their stars' noise explains"
     notes.append(
         f"The views disagree {ratio}; the uncertainties say so. A {fitted.model} collimator is not all."
     )
@@ -309,19 +321,25 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
 
 def _weakness(fitted: Fit) -> list[str]:
     """Name views that leave a focal length hardly known, and why they do."""
-    sigmas = np.sqrt(np.diag(fitted.known.covariance))
-    known = dict(zip(fitted.known.names, sigmas / fitted.parameters.values(fitted.known.names), strict=True))
+    sigmas = np.sqrt(np.diag(fitted.uncertainty.covariance))
+    known = dict(
+        zip(
+            fitted.uncertainty.names, sigmas / fitted.parameters.values(fitted.uncertainty.names), strict=True
+        )
+    )
     name = max(("fx", "fy"), key=lambda focal: known[focal])
     if known[name] < _WEAK:
         return []
-    why = degeneracy.reason(fitted.views, fitted.parameters)
+    why = explain_weak_geometry(fitted.views, fitted.parameters)
     text = f"Weak geometry: {name} is known to {100 * known[name]:.1f} % only (1 sigma). {why}".strip()
     return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
 
 
 def _rims_out_of_sight(fitted: Fit) -> list[str]:
     """Name views whose place in the pupil was told by other views."""
-    names = [view.name for view, disc in zip(fitted.views, fitted.discs, strict=False) if disc.borrowed]
+    names = [
+        view.name for view, disc in zip(fitted.views, fitted.discs, strict=False) if disc.uses_other_views
+    ]
     if not names:
         return []
     return [

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.calibration import Calibration, CalibrationOptions, Candidate
 from calib.errors import CalibrationError
-from calib.fit import Fit, fit, summary
+from calib.fit import Fit, fit_model, summarize
 from calib.model.aberrations import LADDER
 from calib.model.beam import visible_discs
 from calib.view import View
@@ -45,19 +45,19 @@ def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
     errors: dict[str, CalibrationError] = {}
     for model in MODELS:
         try:
-            fits.append(fit(views, options, model, leave_out=True, discs=discs))
+            fits.append(fit_model(views, options, model, leave_out=True, discs=discs))
         except CalibrationError as error:
             errors[model] = error
     if not fits:
         raise next(iter(errors.values()))
-    candidates = tuple(candidate(one) for one in fits)
+    candidates = tuple(as_candidate(one) for one in fits)
     few = len(views) < _ENOUGH_VIEWS
     place = _by_criterion(candidates) if few else _by_prediction(candidates)
-    result, reason = summary(fits[place]), _reason(place, candidates, few=few)
+    result, reason = summarize(fits[place]), _reason(place, candidates, few=few)
     return replace(result, candidates=candidates, notes=(*result.notes, *_not_fitted(errors), reason))
 
 
-def candidate(fitted: Fit) -> Candidate:
+def as_candidate(fitted: Fit) -> Candidate:
     """Summarise a fit; BIC with each residual component as one Gaussian measurement."""
     residuals = fitted.bundle.residuals_px(fitted.parameters)
     shared = len(fitted.bundle.names)
@@ -65,7 +65,7 @@ def candidate(fitted: Fit) -> Candidate:
     mean_square = float((residuals**2).mean())
     bic = residuals.size * np.log(mean_square) + (shared + local) * np.log(residuals.size)
     rms = float(np.sqrt(2.0 * mean_square))
-    unseen = None if fitted.left_out is None else fitted.left_out.total_rms_px
+    unseen = None if fitted.cross_validation is None else fitted.cross_validation.total_rms_px
     return Candidate(fitted.model, shared + local, rms, unseen, float(bic))
 
 

@@ -12,7 +12,7 @@ from bench.commands.output import STOPPED, print_json
 if TYPE_CHECKING:
     from bench.results.offline import OfflineResult
     from bench.run.runner import RunEnd
-    from calib.studies.reference_methods import Baseline, NoAnswer
+    from calib.studies.reference_methods import MethodFailure, MethodResult
 
 
 def show_run(end: RunEnd, *, as_json: bool) -> int:
@@ -42,7 +42,7 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
 
 
 def print_calibration(
-    result: OfflineResult, baselines: list[Baseline | NoAnswer] | None, *, as_json: bool
+    result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None, *, as_json: bool
 ) -> None:
     """Show a calibration made without devices, and other methods on the same points where asked for."""
     if as_json:
@@ -111,11 +111,11 @@ def unit_text(name: str) -> str:
     return "" if unit == "1" else unit
 
 
-def baseline_dict(row: Baseline | NoAnswer) -> dict[str, Any]:
+def baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
     """Give one method's answer as JSON holds it, or why it has none."""
-    from calib.studies.reference_methods import NoAnswer
+    from calib.studies.reference_methods import MethodFailure
 
-    if isinstance(row, NoAnswer):
+    if isinstance(row, MethodFailure):
         return {"name": row.name, "failed": row.why}
     return {
         "name": row.name,
@@ -127,14 +127,14 @@ def baseline_dict(row: Baseline | NoAnswer) -> dict[str, Any]:
     }
 
 
-def comparison_text(baselines: list[Baseline | NoAnswer]) -> str:
+def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
     """Lay out what several methods make of the same points."""
-    from calib.studies.reference_methods import NoAnswer
+    from calib.studies.reference_methods import MethodFailure
 
     head = f"  {'':<34}{'fx':>10}{'stated':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
     lines = ["On the same points:", head]
     for row in baselines:
-        if isinstance(row, NoAnswer):
+        if isinstance(row, MethodFailure):
             lines.append(f"  {row.name:<34}no answer: {row.why}")
             continue
         left_out = f"{row.left_out_rms_px:.4f}" if row.left_out_rms_px is not None else "-"

@@ -14,7 +14,7 @@ from bench.plan.plan_text import render_plan
 from bench.report.text import with_uncertainty
 from bench.results.studies import expected_uncertainty, suggest_poses
 from calib.model.passport import Passport
-from calib.studies.monte_carlo import Study
+from calib.studies.monte_carlo import MonteCarloStudy
 from calib.studies.planning import Forecast
 from calib.studies.rig import RelativeRotation
 
@@ -33,7 +33,7 @@ def show_passport(passport: Passport, *, as_json: bool) -> int:
         click.echo(f"  {name}: {', '.join(condition) if isinstance(condition, list) else condition}")
     if passport.views:
         click.echo(f"  from {len(passport.views)} views: {', '.join(passport.views)}")
-        click.echo(f"  they differed by {passport.disagreement:.1f} times their stars' noise")
+        click.echo(f"  they differed by {passport.birge_ratio:.1f} times their stars' noise")
     return 0
 
 
@@ -50,7 +50,7 @@ def show_rig(turn: RelativeRotation, skipped: Sequence[str], *, as_json: bool) -
         click.echo(f"  rotation vector {axis} {angle:>12.6f} deg = {told} ± {expanded} arcsec (k = 2)")
     for row in turn.rotation:
         click.echo("  [" + " ".join(f"{number:>13.9f}" for number in row) + "]")
-    for view, off in zip(turn.views, turn.disagreement_arcsec, strict=True):
+    for view, off in zip(turn.views, turn.residuals_arcsec, strict=True):
         click.echo(f"  {view}: off by {' '.join(f'{axis:.1f}' for axis in off)} arcsec")
     verdict = (
         "the rig is rigid" if turn.rigid else "THE RIG FLEXED, or the cameras did not see the same poses"
@@ -62,7 +62,7 @@ def show_rig(turn: RelativeRotation, skipped: Sequence[str], *, as_json: bool) -
     return 0
 
 
-def show_study(study: Study, *, as_json: bool) -> int:
+def show_study(study: MonteCarloStudy, *, as_json: bool) -> int:
     """Show what repeated calibrations showed."""
     low, high = study.coverage_band
     held = all(low <= share <= high for share in study.coverage.values())
@@ -100,13 +100,13 @@ def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
 def _worth_dict(worth: Forecast | None) -> dict[str, Any] | None:
     if worth is None:
         return None
-    return {"sigma": dict(worth.sigma), "worst_px": worth.map.worst_px, "stars": list(worth.stars)}
+    return {"sigma": dict(worth.sigma), "worst_px": worth.projection_map.worst_px, "stars": list(worth.stars)}
 
 
 def _worth_text(worth: Forecast) -> str:
     shown = ("fx", "cx", "cy", "r")
     sigmas = ", ".join(f"{name} {worth.sigma[name]:.2g}" for name in shown if name in worth.sigma)
     return (
-        f"Expected, 1 sigma: {sigmas}; a direction anywhere on the sensor to {worth.map.worst_px:.2g} px"
-        f" ({worth.map.worst_arcsec:.2g} arcsec)."
+        f"Expected, 1 sigma: {sigmas}; a direction anywhere on the sensor to {worth.projection_map.worst_px:.2g} px"
+        f" ({worth.projection_map.worst_arcsec:.2g} arcsec)."
     )

@@ -11,7 +11,7 @@ from typing import Any
 from bench.views.expected_grid import best_readings
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
-from calib.studies.hand_eye import witness
+from calib.studies.hand_eye import check_hand_eye
 from calib.studies.split_half import split_half
 from calib.view import View
 
@@ -48,12 +48,12 @@ def gimbal_check(
     """
     readings = [{f"{axis}_deg": deg for axis, deg in best_readings(pose).items()} for pose in readings_deg]
     try:
-        told = witness(calibration.rotations, calibration.rotation_covariance, readings)
+        told = check_hand_eye(calibration.rotations, calibration.rotation_covariance, readings)
     except CalibrationError:  # too few poses, or axes that did not move
         return None
     return {
         "rms_arcsec": told.rms_arcsec,
         "scale": dict(told.scale),
         "scale_sigma": dict(told.scale_sigma),
-        "agrees": told.agrees,
+        "agrees": told.consistent,
     }

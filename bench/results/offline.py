@@ -28,7 +28,7 @@ from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError, TooFewStars
 from calib.stars.detect import detect_view
 from calib.stars.vignetting import downweight_vignetted
-from calib.studies.reference_methods import Baseline, NoAnswer, others, ours
+from calib.studies.reference_methods import MethodFailure, MethodResult, reference_results, starbench_result
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera.frames import mean_frame
@@ -172,12 +172,12 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
     return OfflineResult(calibration, planar, skipped, views)
 
 
-def compare_methods(result: OfflineResult, choices: OfflineOptions) -> list[Baseline | NoAnswer]:
+def compare_methods(result: OfflineResult, choices: OfflineOptions) -> list[MethodResult | MethodFailure]:
     """Hold a calibration against the published recipe and OpenCV's planar method, on the same points.
 
     A method without an answer says why in its row; that is no fault of ours.
     """
-    return [ours(result.calibration), *others(result.views, choices.options)]
+    return [starbench_result(result.calibration), *reference_results(result.views, choices.options)]
 
 
 @dataclass(frozen=True)

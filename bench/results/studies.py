@@ -22,7 +22,7 @@ from calib.engine import CalibrationOptions
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
-from calib.studies.monte_carlo import Study, repeat
+from calib.studies.monte_carlo import MonteCarloStudy, run_monte_carlo
 from calib.studies.planning import Forecast, forecast, next_poses
 from calib.studies.predicted_views import ExpectedBench
 
@@ -119,7 +119,7 @@ def run_study(
     outliers: float,
     model: str,
     loss: str,
-) -> Study:
+) -> MonteCarloStudy:
     """Calibrate an imagined camera ``runs`` times.
 
     Parameters
@@ -147,7 +147,7 @@ def run_study(
     options = CalibrationOptions(model=model, loss=loss)  # type: ignore[arg-type]
     with Progress(console=Console(stderr=True), transient=True) as shown:
         task = shown.add_task("calibrating", total=runs)
-        return repeat(
+        return run_monte_carlo(
             bench,
             poses,
             options,
@@ -159,7 +159,7 @@ def run_study(
         )
 
 
-def write_study_plot(study: Study, path: Path) -> None:
+def write_study_plot(study: MonteCarloStudy, path: Path) -> None:
     """Draw the errors of each parameter, in their stated sigmas, beside the normal distribution; an SVG file."""
     figure = Figure(figsize=(9, 6), layout="constrained")
     FigureCanvasSVG(figure)

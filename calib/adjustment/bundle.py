@@ -52,20 +52,24 @@ class Bundle:
     noise_variance: float = 1.0
 
     @property
-    def drifts(self) -> bool:
+    def has_drift_prior(self) -> bool:
         """Whether each view's centre is free, but bound to the shared one."""
         return self.free_centres and bool(np.isfinite(self.drift_mm))
 
     @property
-    def _drift_stiffness(self) -> float:
+    def _drift_information(self) -> float:
         """What binds a centre, in the residuals' unit over mm^2."""
         return self.noise_variance / self.drift_mm**2
 
     @property
-    def local_stiffness(self) -> Array:
+    def local_prior_information(self) -> Array:
         """(L, L) what binds a view's own parameters beforehand, in the residuals' unit."""
         free = 6 if self.free_centres else 3
-        return np.diag([0.0] * 3 + [self._drift_stiffness] * 3) if self.drifts else np.zeros((free, free))
+        return (
+            np.diag([0.0] * 3 + [self._drift_information] * 3)
+            if self.has_drift_prior
+            else np.zeros((free, free))
+        )
 
     @property
     def prior_information(self) -> Array:
@@ -76,11 +80,11 @@ class Bundle:
             information[np.ix_(at, at)] = self.noise_variance * self.prior.information
         return information
 
-    def only(self, kept: Sequence[int]) -> Bundle:
+    def subset(self, kept: Sequence[int]) -> Bundle:
         """Return the same with some of its views."""
         rows = self.observations.rows(kept)
         shifts = None if self.displacements is None else self.displacements[np.concatenate(rows)]
-        return replace(self, observations=self.observations.taken(rows), displacements=shifts)
+        return replace(self, observations=self.observations.with_rows(rows), displacements=shifts)
 
     def thinned(self, stars: int) -> Bundle:
         """Return the same with some tens of stars of each view, evenly taken."""
@@ -88,11 +92,11 @@ class Bundle:
         steps = [max(1, (rows.stop - rows.start) // stars) for rows in obs.slices]
         kept = [np.arange(rows.start, rows.stop, step) for rows, step in zip(obs.slices, steps, strict=True)]
         shifts = None if self.displacements is None else self.displacements[np.concatenate(kept)]
-        return replace(self, observations=obs.taken(kept), displacements=shifts)
+        return replace(self, observations=obs.with_rows(kept), displacements=shifts)
 
     def prior_cost(self, parameters: AdjustmentParameters) -> float:
         """Return what the priors add to the cost, in the residuals' unit."""
-        cost = float((parameters.offsets**2).sum()) / self.drift_mm**2 if self.drifts else 0.0
+        cost = float((parameters.offsets**2).sum()) / self.drift_mm**2 if self.has_drift_prior else 0.0
         if self.prior is not None:
             off = parameters.values(self.prior.names) - self.prior.mean
             cost += float(off @ self.prior.information @ off)
@@ -109,7 +113,7 @@ class Bundle:
         return self.observations.whitened(self.residuals_px(parameters))
 
     def normal_equations(
-        self, parameters: AdjustmentParameters, pull: Array, root: Array | None = None
+        self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None = None
     ) -> NormalEquations:
         """Linearise at a state.
 
@@ -117,12 +121,12 @@ class Bundle:
         ----------
         state
             Where.
-        pull
+        influence
             (N, 2) gradient of the cost by each star's residual.
-        root
+        curvature_root
             (N, 2, 2) symmetric root of the cost's second derivative by it; None: unity.
         """
-        normal, gradient = self._view_equations(parameters, pull, root)
+        normal, gradient = self._view_equations(parameters, influence, curvature_root)
         n = len(self.names)
         equations = NormalEquations(
             normal[:, :n, :n].sum(axis=0),
@@ -135,40 +139,44 @@ class Bundle:
         return equations
 
     def scores(
-        self, parameters: AdjustmentParameters, pull: Array, root: Array | None = None
+        self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None = None
     ) -> Iterator[tuple[Array, Array]]:
         """Yield, for each view, its own information on the shared parameters (G, G) and its pull at them (G,)."""
         n = len(self.names)
         for i, (normal, gradient) in enumerate(
-            zip(*self._view_equations(parameters, pull, root), strict=True)
+            zip(*self._view_equations(parameters, influence, curvature_root), strict=True)
         ):
             local, local_gradient, coupling = normal[n:, n:], gradient[n:], normal[:n, n:]
-            if self.drifts:
-                local = local + self.local_stiffness
-                local_gradient[3:] -= self._drift_stiffness * parameters.offsets[i]
+            if self.has_drift_prior:
+                local = local + self.local_prior_information
+                local_gradient[3:] -= self._drift_information * parameters.offsets[i]
             solved = np.linalg.solve(local, np.column_stack([coupling.T, local_gradient]))
             yield normal[:n, :n] - coupling @ solved[:, :-1], gradient[:n] - coupling @ solved[:, -1]
 
     def _view_equations(
-        self, parameters: AdjustmentParameters, pull: Array, root: Array | None
+        self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None
     ) -> tuple[Array, Array]:
         """Return each view's normal matrix (n, G + L, G + L) and gradient (n, G + L), priors aside."""
-        weight = self.observations.whitening if root is None else root @ self.observations.whitening
+        weight = (
+            self.observations.whitening
+            if curvature_root is None
+            else curvature_root @ self.observations.whitening
+        )
         square = np.ascontiguousarray((np.swapaxes(weight, 1, 2) @ weight).transpose(1, 2, 0))
-        pulled = np.ascontiguousarray(self.observations.unwhitened(pull).T)
+        weighted_influence = np.ascontiguousarray(self.observations.unwhitened(influence).T)
         normal, gradient = [], []
         for rows, slopes in zip(self.observations.slices, self.jacobians(parameters), strict=True):
             flat, own = slopes.reshape(len(slopes), -1), square[:, :, rows]
             weighted = slopes * np.stack([own[0, 0], own[1, 1]]) + slopes[:, ::-1] * own[0, 1]
             normal.append(flat @ weighted.reshape(flat.shape).T)
-            gradient.append(flat @ pulled[:, rows].reshape(-1))
+            gradient.append(flat @ weighted_influence[:, rows].reshape(-1))
         return np.array(normal), np.array(gradient)
 
     def _add_priors(self, equations: NormalEquations, parameters: AdjustmentParameters) -> None:
         """Add what the priors pull at a state."""
-        if self.drifts:
-            equations.local[:, [3, 4, 5], [3, 4, 5]] += self._drift_stiffness
-            equations.local_gradient[:, 3:] -= self._drift_stiffness * parameters.offsets
+        if self.has_drift_prior:
+            equations.local[:, [3, 4, 5], [3, 4, 5]] += self._drift_information
+            equations.local_gradient[:, 3:] -= self._drift_information * parameters.offsets
         if self.prior is not None:
             at = [self.names.index(name) for name in self.prior.names]
             information = self.noise_variance * self.prior.information
@@ -181,7 +189,7 @@ class Bundle:
         """Return (N, 3) the stars in the camera frame: R (P - c)."""
         points = self.observations.target.copy()
         if self.displacements is not None:
-            coefficients = np.array(list(parameters.collimator.imperfections.values()))
+            coefficients = np.array(list(parameters.collimator.aberrations.values()))
             points[:, :2] += self.displacements @ coefficients
         views = zip(self.observations.slices, parameters.rotations, parameters.centres, strict=True)
         for rows, rotation, centre in views:
@@ -223,7 +231,7 @@ class Bundle:
         kinds = {
             "camera": parameters.camera.parameter_names,
             "centre": CENTRE,
-            "imperfection": tuple(parameters.collimator.imperfections),
+            "aberration": tuple(parameters.collimator.aberrations),
         }
         known = {name: (kind, at) for kind, names in kinds.items() for at, name in enumerate(names)}
         return [known[name] for name in self.names]

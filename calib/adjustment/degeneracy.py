@@ -28,7 +28,7 @@ _PARALLEL_SINE = 0.05
 _NARROW_DEG = 5.0
 
 
-def require_turned(parameters: AdjustmentParameters) -> None:
+def require_distinct_poses(parameters: AdjustmentParameters) -> None:
     """Refuse views that all show one pose: noise alone would tell the focal length.
 
     Raises
@@ -36,7 +36,7 @@ def require_turned(parameters: AdjustmentParameters) -> None:
     DegenerateViews
         When no view is turned against the first by half a degree.
     """
-    if np.linalg.norm(turns_deg(parameters.rotations), axis=1).max(initial=0.0) < _SAME_POSE_DEG:
+    if np.linalg.norm(relative_rotations_deg(parameters.rotations), axis=1).max(initial=0.0) < _SAME_POSE_DEG:
         raise DegenerateViews(
             f"All {len(parameters.rotations)} views show the same pose.",
             remedy="Turn the camera by some degrees between views.",
@@ -63,7 +63,7 @@ def require_constrained(
             )
 
 
-def require_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
+def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
     """Refuse views most of which do not show their beam's rim, where its disc's centre is asked for.
 
     Raises
@@ -71,7 +71,7 @@ def require_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
     DegenerateViews
         Naming the first such view.
     """
-    hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.seen]
+    hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.rim_visible]
     unknown = any(not np.isfinite(disc.sigma_mm) for disc in discs)
     if unknown or len(hidden) > (1.0 - _SHOWING_RIM) * len(views):
         raise DegenerateViews(
@@ -82,26 +82,26 @@ def require_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
         )
 
 
-def reason(views: Sequence[View], parameters: AdjustmentParameters) -> str:
+def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameters) -> str:
     """Say in words why views may constrain little; empty when their geometry looks sound."""
-    turns = turns_deg(parameters.rotations)
+    turns = relative_rotations_deg(parameters.rotations)
     lengths = np.linalg.norm(turns, axis=1)
     if len(views) > 1 and (np.linalg.norm(turns[:, :2], axis=1) < _PARALLEL_SINE * lengths.max()).all():
         return "The views differ only by a roll about the optical axis."
     if len(views) > 2 and np.linalg.svd(turns, compute_uv=False)[1] < _PARALLEL_SINE * lengths.max():
         return "All views are turned about one axis."
-    beam = beam_deg(parameters, views)
+    beam = beam_half_angle_deg(parameters, views)
     if beam < _NARROW_DEG:
         return f"The stars span no more than +-{beam:.1f} degrees: too narrow a beam."
     return ""
 
 
-def turns_deg(rotations: Array) -> Array:
+def relative_rotations_deg(rotations: Array) -> Array:
     """Return (n - 1, 3) the rotation vector from the first view to each other one, degrees."""
     return np.asarray(np.rad2deg(log_map(rotations[1:] @ rotations[0].T)))
 
 
-def beam_deg(parameters: AdjustmentParameters, views: Sequence[View]) -> float:
+def beam_half_angle_deg(parameters: AdjustmentParameters, views: Sequence[View]) -> float:
     """Return the half angle of the beam: the largest a view's stars span about their middle, degrees."""
     widest = 0.0
     for view, centre in zip(views, parameters.centres, strict=True):

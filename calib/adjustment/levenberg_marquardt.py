@@ -150,7 +150,7 @@ def refine(
         promised = equations.decrement(shared, local)
         if promised * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
             return Refinement(parameters, cost, converged=True, iterations=iteration)
-        candidate = parameters.moved(bundle.names, shared, local)
+        candidate = parameters.after_step(bundle.names, shared, local)
         candidate_cost = loss.cost(_lengths(_residuals(bundle, candidate))) + bundle.prior_cost(candidate)
         gain = 2.0 * (cost - candidate_cost) / promised
         if gain > 0.0:
@@ -170,7 +170,7 @@ def _rounding(bundle: Bundle, cost: float) -> float:
     machine's epsilon of its coordinates, at random.
     """
     obs = bundle.observations
-    each = np.finfo(float).eps * float(np.abs(obs.points_px).max()) * obs.per_px
+    each = np.finfo(float).eps * float(np.abs(obs.points_px).max()) * obs.sigmas_per_px
     return float(_ROUNDED_OPERATIONS * each * np.sqrt(2.0 * cost))
 
 
@@ -183,8 +183,8 @@ def _linearised(
     cost = loss.cost(lengths) + bundle.prior_cost(parameters)
     if not np.isfinite(cost):
         return float("inf"), None
-    pull = residuals * loss.weights(lengths)[:, None]
-    return cost, bundle.normal_equations(parameters, pull, loss.curvature_root(residuals))
+    influence = residuals * loss.weights(lengths)[:, None]
+    return cost, bundle.normal_equations(parameters, influence, loss.curvature_root(residuals))
 
 
 def _residuals(bundle: Bundle, parameters: AdjustmentParameters) -> Array:

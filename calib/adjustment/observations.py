@@ -68,7 +68,7 @@ class Observations:
         )
 
     @property
-    def per_px(self) -> float:
+    def sigmas_per_px(self) -> float:
         """The factor from px to units of the typical star's uncertainty."""
         return float(np.sqrt(np.median(np.abs(np.linalg.det(self.whitening)))))
 
@@ -91,7 +91,7 @@ class Observations:
         """Return the rows of some views, view by view."""
         return [np.arange(self.slices[i].start, self.slices[i].stop) for i in views]
 
-    def taken(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
+    def with_rows(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
         """Return views made of the given rows, view by view."""
         every = np.concatenate(rows)
         counts = [len(r) for r in rows]

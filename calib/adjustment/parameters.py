@@ -52,7 +52,7 @@ class AdjustmentParameters:
         known = self.shared
         return np.array([known[name] for name in names])
 
-    def moved(self, names: Sequence[str], shared: Array, local: Array) -> AdjustmentParameters:
+    def after_step(self, names: Sequence[str], shared: Array, local: Array) -> AdjustmentParameters:
         """Return the state after a step.
 
         `shared` adds to the named parameters; `local`, (n, 3 or 6), turns each view by a rotation vector on the
@@ -66,7 +66,7 @@ class AdjustmentParameters:
         offsets = self.offsets + local[:, 3:] if local.shape[1] > 3 else self.offsets
         return AdjustmentParameters(camera, self.collimator.with_values(known), rotations, offsets)
 
-    def only(self, kept: Sequence[int]) -> AdjustmentParameters:
+    def subset(self, kept: Sequence[int]) -> AdjustmentParameters:
         """Return the state with some of its views."""
         index = list(kept)
         return replace(self, rotations=self.rotations[index], offsets=self.offsets[index])

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 #: Each coefficient and its size in real collimators: the 1-sigma, about zero, of what is assumed beforehand. So weak
 #: that twenty views overrule it, strong enough that three do not follow their noise.
-SCALES: Mapping[str, float] = {
+EXPECTED_SIGMA: Mapping[str, float] = {
     "pupil_shift": 0.2,
     "radial": 0.05,
     "field_curve": 0.05,
@@ -58,16 +58,16 @@ LADDER: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def rung_of(terms: Sequence[str]) -> str:
+def model_with_terms(terms: Sequence[str]) -> str:
     """Return the lowest rung of the ladder that has all the terms; the highest, if none has."""
     return next((name for name, own in LADDER.items() if set(terms) <= set(own)), list(LADDER)[-1])
 
 
-def expected(terms: Sequence[str]) -> Prior | None:
+def aberration_prior(terms: Sequence[str]) -> Prior | None:
     """Return what is assumed of coefficients beforehand; None when there are none."""
     if not terms:
         return None
-    information = np.diag([SCALES[name] ** -2 for name in terms])
+    information = np.diag([EXPECTED_SIGMA[name] ** -2 for name in terms])
     return Prior(tuple(terms), np.zeros(len(terms)), information)
 
 
@@ -85,7 +85,7 @@ def displacements(
     reference
         Centre x, y, r, mm, about which the terms are expressed.
     terms
-        Names out of `SCALES`.
+        Names out of `EXPECTED_SIGMA`.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def displacements(
     unknown = [name for name in terms if name not in shapes]
     if unknown:
         raise InputMismatch(
-            f"Unknown imperfection {unknown[0]!r}.", remedy=f"Known are: {', '.join(SCALES)}."
+            f"Unknown imperfection {unknown[0]!r}.", remedy=f"Known are: {', '.join(EXPECTED_SIGMA)}."
         )
     if not terms:
         return np.zeros((len(h), 2, 0))

@@ -53,12 +53,12 @@ class Disc:
     centre_mm: Array
     radius_mm: float
     sigma_mm: float
-    borrowed: bool = False
+    uses_other_views: bool = False
 
     @property
-    def seen(self) -> bool:
+    def rim_visible(self) -> bool:
         """Whether the view's own stars show where the disc lies."""
-        return not self.borrowed and self.sigma_mm <= _SEEN_SIGMA * self.radius_mm
+        return not self.uses_other_views and self.sigma_mm <= _SEEN_SIGMA * self.radius_mm
 
 
 def visible_discs(views: Sequence[View]) -> list[Disc]:
@@ -74,13 +74,13 @@ def visible_discs(views: Sequence[View]) -> list[Disc]:
         As `calib.model.homography.view_homography`.
     """
     discs = [visible_disc(view) for view in views]
-    seen = np.array([[*disc.centre_mm, disc.radius_mm] for disc in discs if disc.seen])
+    seen = np.array([[*disc.centre_mm, disc.radius_mm] for disc in discs if disc.rim_visible])
     if not len(seen):
         return discs
     middle = seen.mean(axis=0)
     alike = middle, _ALIKE * middle[2]
     return [
-        disc if disc.seen else replace(visible_disc(view, alike), borrowed=True)
+        disc if disc.rim_visible else replace(visible_disc(view, alike), uses_other_views=True)
         for view, disc in zip(views, discs, strict=True)
     ]
 
@@ -127,11 +127,11 @@ def visible_disc(view: View, alike: tuple[Array, Array] | None = None) -> Disc:
     return Disc(np.array([x, y]), abs(radius), sigma)
 
 
-def within(view: View, disc: Disc, share: float) -> View:
+def without_guard_band(view: View, disc: Disc, share: float) -> View:
     """Return the view's stars within a share of the disc's radius: the guard band taken off."""
     if share >= 1.0:
         return view
-    kept = inside(view, disc, share)
+    kept = inside_guard_band(view, disc, share)
     return View(
         view.name,
         view.image_size,
@@ -142,7 +142,7 @@ def within(view: View, disc: Disc, share: float) -> View:
     )
 
 
-def inside(view: View, disc: Disc, share: float) -> NDArray[np.bool_]:
+def inside_guard_band(view: View, disc: Disc, share: float) -> NDArray[np.bool_]:
     """Tell, star by star, which lie within a share of the disc's radius; all do within a share of 1."""
     away = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
     return np.asarray((away <= share * disc.radius_mm) | (share >= 1.0))

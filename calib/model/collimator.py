@@ -37,7 +37,7 @@ class Collimator:
     x: float
     y: float
     r: float
-    imperfections: Mapping[str, float] = field(default_factory=dict)
+    aberrations: Mapping[str, float] = field(default_factory=dict)
     reference: tuple[float, float, float] | None = None
 
     @property
@@ -48,19 +48,19 @@ class Collimator:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters, as `values` orders them."""
-        return (*CENTRE, *self.imperfections)
+        return (*CENTRE, *self.aberrations)
 
     @property
     def values(self) -> Array:
         """(3 + number of coefficients,) x, y, r and the coefficients."""
-        return np.array([self.x, self.y, self.r, *self.imperfections.values()])
+        return np.array([self.x, self.y, self.r, *self.aberrations.values()])
 
     def with_values(self, known: Mapping[str, float]) -> Collimator:
         """Return the collimator with the parameters that `known` names."""
         return replace(
             self,
             **{name: known.get(name, getattr(self, name)) for name in CENTRE},
-            imperfections={name: known.get(name, value) for name, value in self.imperfections.items()},
+            aberrations={name: known.get(name, value) for name, value in self.aberrations.items()},
         )
 
     def to_dict(self) -> dict[str, float]:

@@ -55,7 +55,7 @@ class Passport:
     values: Array
     covariance: Array
     reference: tuple[float, float, float] | None = None
-    disagreement: float = 1.0
+    birge_ratio: float = 1.0
     views: tuple[str, ...] = ()
     conditions: Mapping[str, Any] = field(default_factory=dict)
 
@@ -84,7 +84,7 @@ class Passport:
         return tuple(name for name in self.names if name not in CENTRE)
 
     @property
-    def known(self) -> Mapping[str, float]:
+    def values_by_name(self) -> Mapping[str, float]:
         """The parameters by name."""
         return dict(zip(self.names, self.values.tolist(), strict=True))
 
@@ -93,12 +93,12 @@ class Passport:
         start = Collimator(
             otherwise.x, otherwise.y, otherwise.r, dict.fromkeys(self.terms, 0.0), self.reference
         )
-        return start.with_values(self.known)
+        return start.with_values(self.values_by_name)
 
-    def only(self, names: Sequence[str]) -> Passport:
+    def subset(self, names: Sequence[str]) -> Passport:
         """Return what it knows of some of the parameters; those it does not know are passed over."""
         kept = tuple(name for name in self.names if name in names)
-        values = np.array([self.known[name] for name in kept])
+        values = np.array([self.values_by_name[name] for name in kept])
         return replace(self, names=kept, values=values, covariance=self.covariance_of(kept))
 
     def covariance_of(self, names: Sequence[str]) -> Array:
@@ -106,11 +106,11 @@ class Passport:
         at = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(at, at)]
 
-    def prior_of(self, names: Sequence[str]) -> Prior | None:
+    def prior(self, names: Sequence[str]) -> Prior | None:
         """Return what it knows of some of the parameters as a prior of the refinement; None for no names."""
         if not names:
             return None
-        mean = np.array([self.known[name] for name in names])
+        mean = np.array([self.values_by_name[name] for name in names])
         floor = np.diag((_FLOOR * np.maximum(np.abs(mean), 1e-3)) ** 2)
         return Prior(tuple(names), mean, np.asarray(np.linalg.inv(self.covariance_of(names) + floor)))
 
@@ -122,7 +122,7 @@ class Passport:
             "values": self.values.tolist(),
             "covariance": self.covariance.tolist(),
             "reference": list(self.reference) if self.reference else None,
-            "disagreement": self.disagreement,
+            "disagreement": self.birge_ratio,
             "views": list(self.views),
             "conditions": dict(self.conditions),
         }

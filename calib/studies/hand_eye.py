@@ -28,7 +28,7 @@ _STEPS = 50
 
 
 @dataclass(frozen=True)
-class GimbalWitness:
+class HandEyeCheck:
     """What rotations and readings say of each other.
 
     Attributes
@@ -49,9 +49,9 @@ class GimbalWitness:
 
     scale: Mapping[str, float]
     scale_sigma: Mapping[str, float]
-    mounting: Array
-    standing: Array
-    disagreement_arcsec: Array
+    camera_from_head: Array
+    base_from_target: Array
+    residuals_arcsec: Array
     sigma_arcsec: Array
     chi_square: float
     degrees_of_freedom: int
@@ -59,17 +59,17 @@ class GimbalWitness:
     @property
     def rms_arcsec(self) -> float:
         """Root mean square turn by which rotations and readings disagree."""
-        return float(np.sqrt((self.disagreement_arcsec**2).sum(axis=1).mean()))
+        return float(np.sqrt((self.residuals_arcsec**2).sum(axis=1).mean()))
 
     @property
-    def agrees(self) -> bool:
+    def consistent(self) -> bool:
         """Whether the disagreement is within what chance allows in 999 of 1000 cases."""
         return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
 
 
-def witness(
+def check_hand_eye(
     rotations: Array, covariance: Array, readings_deg: Sequence[Mapping[str, float]]
-) -> GimbalWitness:
+) -> HandEyeCheck:
     """Hold a gimbal's readings against the rotations of a calibration.
 
     Parameters
@@ -95,25 +95,30 @@ def witness(
     if len(angles) < _MIN_VIEWS or not moved.any():
         raise DegenerateViews(f"{len(angles)} views with {moved.sum()} axes moved tell nothing of a gimbal.")
     free = [int(i) for i in np.flatnonzero(moved)] if 3 * len(angles) > 6 + moved.sum() else []
-    scales, standing, mounting = np.ones(3), np.eye(3), np.eye(3)
-    standing = nearest_rotation(np.mean(np.swapaxes(_heads(angles, scales), 1, 2) @ rotations, axis=0))
+    scales, base_from_target, camera_from_head = np.ones(3), np.eye(3), np.eye(3)
+    base_from_target = nearest_rotation(
+        np.mean(np.swapaxes(_heads(angles, scales), 1, 2) @ rotations, axis=0)
+    )
     information = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
     for _ in range(_STEPS):
-        off, slopes = _linearised(rotations, angles, scales, mounting, standing, free)
+        off, slopes = _linearised(rotations, angles, scales, camera_from_head, base_from_target, free)
         normal = slopes.T @ information @ slopes
         step = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slopes.T @ information @ off
-        mounting, standing = exp_map(step[:3]) @ mounting, exp_map(step[3:6]) @ standing
+        camera_from_head, base_from_target = (
+            exp_map(step[:3]) @ camera_from_head,
+            exp_map(step[3:6]) @ base_from_target,
+        )
         scales[free] += step[6:]
         if np.abs(step).max() < 1e-13:
             break
-    off, slopes = _linearised(rotations, angles, scales, mounting, standing, free)
+    off, slopes = _linearised(rotations, angles, scales, camera_from_head, base_from_target, free)
     spread = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ information @ slopes, rcond=1e-12, hermitian=True)))
     told = int(np.linalg.matrix_rank(slopes, tol=1e-9))
-    return GimbalWitness(
+    return HandEyeCheck(
         {AXES[i]: float(scales[i]) for i in free},
         {AXES[i]: float(spread[6 + k]) for k, i in enumerate(free)},
-        mounting,
-        standing,
+        camera_from_head,
+        base_from_target,
         ARCSEC * off.reshape(-1, 3),
         ARCSEC * np.sqrt(np.diag(covariance)).reshape(-1, 3),
         float(off @ information @ off),
@@ -135,18 +140,23 @@ def _heads(angles: Array, scales: Array) -> Array:
 
 
 def _linearised(
-    rotations: Array, angles: Array, scales: Array, mounting: Array, standing: Array, free: Sequence[int]
+    rotations: Array,
+    angles: Array,
+    scales: Array,
+    camera_from_head: Array,
+    base_from_target: Array,
+    free: Sequence[int],
 ) -> tuple[Array, Array]:
     """Return (3 n,) seen less read, and its (3 n, 6 + s) slopes by mounting, standing and scales."""
     heads = _heads(angles, scales)
-    read = mounting @ heads @ standing
+    read = camera_from_head @ heads @ base_from_target
     off = log_map(rotations @ np.swapaxes(read, 1, 2)).reshape(-1)
     by_mounting = np.tile(np.eye(3), (len(angles), 1))
-    by_standing = (mounting @ heads).reshape(-1, 3)
+    by_standing = (camera_from_head @ heads).reshape(-1, 3)
     columns = [by_mounting, by_standing]
     for i in free:
         step = np.zeros(3)
         step[i] = 1e-6
-        further = mounting @ _heads(angles, scales + step) @ standing
+        further = camera_from_head @ _heads(angles, scales + step) @ base_from_target
         columns.append(log_map(further @ np.swapaxes(read, 1, 2)).reshape(-1, 1) / 1e-6)
     return off, np.hstack(columns)

@@ -29,7 +29,7 @@ _GROSS_PX = 2.0
 
 
 @dataclass(frozen=True)
-class Study:
+class MonteCarloStudy:
     """What repeated calibrations showed.
 
     Attributes
@@ -88,7 +88,7 @@ class Study:
         return float(low) / len(self.values), float(high) / len(self.values)
 
 
-def repeat(
+def run_monte_carlo(
     bench: ExpectedBench,
     poses_deg: Sequence[Mapping[str, float]],
     options: CalibrationOptions,
@@ -98,7 +98,7 @@ def repeat(
     drift_mm: float = 0.0,
     outliers: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
-) -> Study:
+) -> MonteCarloStudy:
     """Calibrate imagined views again and again, with new noise each time.
 
     Parameters
@@ -140,7 +140,7 @@ def repeat(
             progress(run + 1, runs)
     true = np.array([truth[name] for name in names])
     numbers = (np.array(values), np.array(sigmas), np.array(factors), np.array(chi_squares))
-    return Study(names, true, *numbers, tuple(failed))
+    return MonteCarloStudy(names, true, *numbers, tuple(failed))
 
 
 def _noisy(

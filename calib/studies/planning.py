@@ -19,7 +19,7 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.collimator import CENTRE, Collimator
 from calib.studies.predicted_views import ExpectedBench, predicted_view
-from calib.uncertainty.covariance import considered, inverse_information
+from calib.uncertainty.covariance import consider_covariance, inverse_information
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 
@@ -36,7 +36,7 @@ class Forecast:
         Expected 1-sigma of each parameter.
     covariance
         Of the parameters, in the order of `sigma`.
-    map
+    projection_map
         Expected projection uncertainty over the sensor, at infinity.
     stars
         Number of stars each pose will show.
@@ -44,7 +44,7 @@ class Forecast:
 
     sigma: Mapping[str, float]
     covariance: Array
-    map: ProjectionMap
+    projection_map: ProjectionMap
     stars: tuple[int, ...]
 
 
@@ -140,7 +140,7 @@ def _covariance(bench: ExpectedBench, information: Array) -> Array:
     """Return the covariance of the shared parameters that information leaves, a passport's held."""
     if bench.passport is None:
         return inverse_information(information, _names(bench))
-    return considered(information, _names(bench), bench.passport.only(CENTRE))
+    return consider_covariance(information, _names(bench), bench.passport.subset(CENTRE))
 
 
 def _map(bench: ExpectedBench, covariance: Array) -> ProjectionMap:

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, NotConverged
-from calib.fit import begin
-from calib.fit import fit as fit_model
+from calib.fit import fit_model, initialize
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
-from calib.uncertainty import covariance as uncertainty
+from calib.uncertainty.covariance import covariance_at_optimum
 from calib.uncertainty.cross_validation import MIN_VIEWS, leave_one_out
 from calib.view import View
 
@@ -34,7 +33,7 @@ _PUBLISHED = "published recipe, spherical"
 
 
 @dataclass(frozen=True)
-class Baseline:
+class MethodResult:
     """One method's answer.
 
     Attributes
@@ -60,29 +59,31 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class NoAnswer:
+class MethodFailure:
     """A method that has no answer on these points, and why."""
 
     name: str
     why: str
 
 
-def others(views: Sequence[View], options: CalibrationOptions) -> list[Baseline | NoAnswer]:
+def reference_results(
+    views: Sequence[View], options: CalibrationOptions
+) -> list[MethodResult | MethodFailure]:
     """Ask every other method on the same points; one that has no answer says why, and the next is asked."""
-    rows: list[Baseline | NoAnswer] = []
+    rows: list[MethodResult | MethodFailure] = []
     methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
     for name, method in methods:
         try:
             rows.append(method(views, options))
         except CalibrationError as error:
-            rows.append(NoAnswer(name, str(error)))
+            rows.append(MethodFailure(name, str(error)))
     return rows
 
 
-def ours(calibration: Calibration) -> Baseline:
+def starbench_result(calibration: Calibration) -> MethodResult:
     """Put our own calibration into the same row."""
     name = f"Starbench, {calibration.model} model"
-    return Baseline(
+    return MethodResult(
         name,
         calibration.camera,
         calibration.sigma,
@@ -92,7 +93,7 @@ def ours(calibration: Calibration) -> Baseline:
     )
 
 
-def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baseline:
+def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
     """Calibrate by OpenCV's ``calibrateCamera`` (Zhang's method), with the same distortion coefficients.
 
     A fisheye lens by its ``fisheye.calibrate``, which states no uncertainties.
@@ -118,17 +119,17 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> Baselin
     spreads = dict(zip((*PINHOLE, *family), np.ravel(spread).tolist(), strict=False))
     planar = fit_model(views, CalibrationOptions("planar", names, "l2"), "planar", leave_out=True)
     lengths = np.linalg.norm(planar.bundle.residuals_px(planar.parameters), axis=1)
-    return Baseline(
+    return MethodResult(
         _opencv_name(options),
         camera,
         {name: spreads[name] for name in (*PINHOLE, *names) if name in spreads},
         float(rms),
         float(lengths.mean()),
-        planar.left_out.total_rms_px if planar.left_out else None,
+        planar.cross_validation.total_rms_px if planar.cross_validation else None,
     )
 
 
-def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Baseline:
+def published_recipe(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
     """Calibrate as the paper says: linear spherical solution, then Huber, no more; sigmas from J^T J alone.
 
     Raises
@@ -136,17 +137,17 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Base
     DegenerateViews, NotConverged
         When the views leave a parameter free, or there is no optimum.
     """
-    bundle, start = begin(views, options, "spherical")
-    loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.per_px)
+    bundle, start = initialize(views, options, "spherical")
+    loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.sigmas_per_px)
     refined = refine(bundle, start, loss)
     parameters = refined.parameters
-    known = uncertainty.at_optimum(bundle, parameters, loss)
+    known = covariance_at_optimum(bundle, parameters, loss)
     if not refined.converged:
         raise NotConverged(f"No optimum after {refined.iterations} steps.", remedy="Add views.")
     lengths = np.linalg.norm(bundle.residuals_px(parameters), axis=1)
     left_out = leave_one_out(bundle, parameters, loss).total_rms_px if len(views) >= MIN_VIEWS else None
     sigmas = np.sqrt(np.diag(known.covariance)).tolist()
-    return Baseline(
+    return MethodResult(
         _PUBLISHED,
         parameters.camera,
         dict(zip(bundle.names, sigmas, strict=True)),
@@ -182,7 +183,7 @@ def _by_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Arr
     OpenCV starts such a lens from half a circle across the image, far from any that looks into a collimator; what wins
     the race of our own closed forms starts it here.
     """
-    start = begin(views, CalibrationOptions("planar", names, "l2"), "planar")[1].camera
+    start = initialize(views, CalibrationOptions("planar", names, "l2"), "planar")[1].camera
     held = [f"FIX_K{name[-1]}" for name in FISHEYE if name not in names]
     rms, matrix, found, _, _ = cv2.fisheye.calibrate(
         [np.column_stack([v.target_mm, np.zeros(len(v))])[None] for v in views],

@@ -42,7 +42,7 @@ class RelativeRotation:
     rotation: Array
     covariance: Array
     views: tuple[str, ...]
-    disagreement_arcsec: Array
+    residuals_arcsec: Array
     chi_square: float
     degrees_of_freedom: int
 
@@ -71,7 +71,7 @@ class RelativeRotation:
             "translation": None,
             "translation_note": "not observable: behind a collimator the target stands at infinity",
             "views": list(self.views),
-            "disagreement_arcsec": self.disagreement_arcsec.tolist(),
+            "disagreement_arcsec": self.residuals_arcsec.tolist(),
             "chi_square": self.chi_square,
             "degrees_of_freedom": self.degrees_of_freedom,
             "rigid": self.rigid,

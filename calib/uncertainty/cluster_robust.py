@@ -24,26 +24,28 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 #: Directions in which a view's pull varies by less than this share of the most are told by that view alone.
-_TOLD = 1e-9
+_DETERMINED = 1e-9
 
 
 @dataclass(frozen=True)
-class Sandwich:
+class ClusterRobustCovariance:
     """Variances of the shared parameters by the views' pulls.
 
     Attributes
     ----------
     variances
         (G,) of each parameter.
-    freedom
+    degrees_of_freedom
         (G,) degrees of freedom behind each (Satterthwaite, were the working covariance right); 0: no pull shows it.
     """
 
     variances: Array
-    freedom: Array
+    degrees_of_freedom: Array
 
 
-def sandwich(pulls: Array, informations: Array, working: Array, prior: Array, prior_pull: Array) -> Sandwich:
+def cluster_robust_covariance(
+    scores: Array, informations: Array, working: Array, prior: Array, prior_score_covariance: Array
+) -> ClusterRobustCovariance:
     """Return the variances that the views' own pulls show.
 
     Parameters
@@ -60,7 +62,7 @@ def sandwich(pulls: Array, informations: Array, working: Array, prior: Array, pr
     # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
     scale = 1.0 / np.sqrt(np.diag(informations.sum(axis=0) + prior))
     both = np.outer(scale, scale)
-    own, noise, known = informations * both, working * both, prior_pull * both
+    own, noise, known = informations * both, working * both, prior_score_covariance * both
     inverse = np.linalg.inv(own.sum(axis=0) + prior * both)
     leverage = own @ inverse
     total = noise.sum(axis=0) + known
@@ -69,9 +71,9 @@ def sandwich(pulls: Array, informations: Array, working: Array, prior: Array, pr
     larger = np.array([_enlarged(m, c) for m, c in zip(noise, left, strict=True)])
     answers = inverse @ larger
     lost = (noise - larger @ left @ larger.transpose(0, 2, 1)).sum(axis=0) + known
-    shown = np.einsum("njg,ng->nj", answers, pulls * scale)
+    shown = np.einsum("njg,ng->nj", answers, scores * scale)
     variances = (shown**2).sum(axis=0) + np.maximum(np.diag(inverse @ lost @ inverse), 0.0)
-    return Sandwich(variances * scale**2, _freedom(answers, leverage, noise, total))
+    return ClusterRobustCovariance(variances * scale**2, _freedom(answers, leverage, noise, total))
 
 
 def _enlarged(noise: Array, left: Array) -> Array:
@@ -83,8 +85,8 @@ def _enlarged(noise: Array, left: Array) -> Array:
 def _root(matrix: Array, power: float) -> Array:
     """Return a power of a symmetric, not negative matrix on the directions it tells."""
     eigenvalues, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    told = eigenvalues > _TOLD * eigenvalues[-1]
-    return np.asarray((vectors[:, told] * eigenvalues[told] ** power) @ vectors[:, told].T)
+    determined = eigenvalues > _DETERMINED * eigenvalues[-1]
+    return np.asarray((vectors[:, determined] * eigenvalues[determined] ** power) @ vectors[:, determined].T)
 
 
 def _freedom(answers: Array, leverage: Array, noise: Array, total: Array) -> Array:

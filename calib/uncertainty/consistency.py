@@ -17,15 +17,13 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews, PassportContradicted
 from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
-from calib.uncertainty import covariance as uncertainty
+from calib.uncertainty.covariance import covariance_at_optimum
 
 #: A passport that is right is refused this rarely.
 _FALSE_ALARMS = 1e-4
 
 
-def require_agreement(
-    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, passport: Passport
-) -> None:
+def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, passport: Passport) -> None:
     """Refuse a passport whose centre these views contradict.
 
     One view, or views that do not tell the centre, cannot contradict it.
@@ -37,20 +35,20 @@ def require_agreement(
     """
     spread = float((bundle.weighted_residuals(parameters) ** 2).mean())
     names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
-    terms = passport.prior_of(passport.terms)
+    terms = passport.prior(passport.terms)
     free = replace(bundle, names=names, prior=terms, noise_variance=spread)
     refined = refine(free, parameters, loss)
     if len(parameters.rotations) < 2 or not refined.converged:
         return
     try:
-        known = uncertainty.at_optimum(free, refined.parameters, loss)
+        known = covariance_at_optimum(free, refined.parameters, loss)
     except DegenerateViews:
         return
     asked = [name for name in passport.names if name in CENTRE]
     ours = [names.index(name) for name in asked]
-    growth = max(known.disagreement if known.disagree else 1.0, passport.disagreement)
+    growth = max(known.birge_ratio if known.inconsistent else 1.0, passport.birge_ratio)
     found, covariance = refined.parameters.values(asked), growth**2 * known.covariance[np.ix_(ours, ours)]
-    stated, own = np.array([passport.known[name] for name in asked]), passport.covariance_of(asked)
+    stated, own = np.array([passport.values_by_name[name] for name in asked]), passport.covariance_of(asked)
     off, together = found - stated, covariance + own
     chi_square = float(off @ np.linalg.solve(together, off))
     if chi_square > special.chdtri(len(asked), _FALSE_ALARMS):

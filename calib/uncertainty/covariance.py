@@ -21,22 +21,22 @@ from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
 from calib.model.passport import Passport
-from calib.uncertainty.cluster_robust import sandwich
-from calib.uncertainty.variance_components import Disagreement
+from calib.uncertainty.cluster_robust import cluster_robust_covariance
+from calib.uncertainty.variance_components import VarianceComponents
 
 Array = NDArray[np.float64]
 
 #: Below this, the information matrix scaled to a unit diagonal is singular to working precision.
 _SINGULAR = 1e-13
 #: A view alone tells a direction of the shared parameters when its eigenvalue exceeds this.
-_TOLD = 1e-6
+_DETERMINED = 1e-6
 #: Views that agree are found to disagree this rarely.
 _FALSE_ALARMS = 1e-3
 #: From this number of views on, their pulls at the parameters tell more than how their stars miss alike.
-_PULL_VIEWS = 5
+_SCORE_VIEWS = 5
 #: From this number on, what shape the pulls' covariance is taken for matters little, and the fields take long.
 _MANY_VIEWS = 16
-_DISAGREEMENT = "disagreement of the views"
+_INCONSISTENCY = "disagreement of the views"
 #: Probability that k = 2 covers for a Gaussian.
 _COVERAGE = 0.9545
 
@@ -69,21 +69,21 @@ class Uncertainty:
     covariance: Array
     variance_factor: float
     degrees_of_freedom: int
-    disagreement: float = 1.0
-    disagree: bool = False
-    effective_freedom: float = float("inf")
+    birge_ratio: float = 1.0
+    inconsistent: bool = False
+    effective_degrees_of_freedom: float = float("inf")
     budget: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def coverage_factor(self) -> float:
         """The k for which value +- k sigma covers 95.45 % (Student)."""
         tail = 0.5 + 0.5 * _COVERAGE
-        if np.isinf(self.effective_freedom):
+        if np.isinf(self.effective_degrees_of_freedom):
             return float(special.ndtri(tail))
-        return float(special.stdtrit(self.effective_freedom, tail))
+        return float(special.stdtrit(self.effective_degrees_of_freedom, tail))
 
 
-def at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Uncertainty:
+def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Uncertainty:
     """Return the covariance of the shared parameters at the optimum, were the model right.
 
     Raises
@@ -96,7 +96,7 @@ def at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> 
     equations = bundle.normal_equations(parameters, residuals)
     count = len(bundle.names) + equations.local_gradient.size
     known = len(bundle.prior.names) if bundle.prior else 0
-    known += parameters.offsets.size if bundle.drifts else 0
+    known += parameters.offsets.size if bundle.has_drift_prior else 0
     freedom = 2 * len(lengths) - count + known
     if freedom <= 0:
         raise DegenerateViews(
@@ -118,14 +118,14 @@ def at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> 
         covariance,
         factor,
         freedom,
-        disagreement=float(np.sqrt(ratio)),
-        disagree=bool(ratio > limit),
-        effective_freedom=float(views_freedom if ratio > limit else freedom),
+        birge_ratio=float(np.sqrt(ratio)),
+        inconsistent=bool(ratio > limit),
+        effective_degrees_of_freedom=float(views_freedom if ratio > limit else freedom),
         budget=_budget(bundle, covariance),
     )
 
 
-def with_passport(
+def propagate_passport(
     bundle: Bundle, parameters: AdjustmentParameters, known: Uncertainty, passport: Passport
 ) -> Uncertainty:
     """Return the uncertainty of all parameters where a passport held some of them.
@@ -136,10 +136,12 @@ def with_passport(
     names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
     whole = replace(bundle, names=names)
     information = whole.normal_equations(parameters, whole.weighted_residuals(parameters)).reduced()
-    growth = max(known.disagreement if known.disagree else 1.0, passport.disagreement)
+    growth = max(known.birge_ratio if known.inconsistent else 1.0, passport.birge_ratio)
     noise = known.variance_factor
-    stars, total = (considered(information / v, names, passport) for v in (noise, growth**2 * noise))
-    alone = considered(information / noise, names, replace(passport, covariance=0.0 * passport.covariance))
+    stars, total = (consider_covariance(information / v, names, passport) for v in (noise, growth**2 * noise))
+    alone = consider_covariance(
+        information / noise, names, replace(passport, covariance=0.0 * passport.covariance)
+    )
     own = np.diag(alone)
     return replace(
         known,
@@ -147,13 +149,13 @@ def with_passport(
         covariance=total,
         budget={
             "stars": own,
-            _DISAGREEMENT: np.diag(total) - np.diag(stars),
+            _INCONSISTENCY: np.diag(total) - np.diag(stars),
             "passport of the collimator": np.diag(stars) - own,
         },
     )
 
 
-def considered(information: Array, names: Sequence[str], passport: Passport) -> Array:
+def consider_covariance(information: Array, names: Sequence[str], passport: Passport) -> Array:
     """Return the covariance of all parameters, those of a passport held at its values.
 
     With S the information, f the free and p the held parameters: a change of p moves f by -S_ff^-1 S_fp, so
@@ -185,14 +187,14 @@ def considered(information: Array, names: Sequence[str], passport: Passport) -> 
     return covariance
 
 
-def of_rotations(bundle: Bundle, parameters: AdjustmentParameters, known: Uncertainty) -> Array:
+def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, known: Uncertainty) -> Array:
     """Return (3 n, 3 n) the joint covariance of all views' rotations, rad^2, turns on the camera's side.
 
     What the stars of each view leave, and what all share through the camera and the collimator.
     """
     whole = replace(bundle, names=known.names)
     equations = whole.normal_equations(parameters, whole.weighted_residuals(parameters))
-    growth = known.disagreement if known.disagree else 1.0
+    growth = known.birge_ratio if known.inconsistent else 1.0
     inverse = np.linalg.inv(equations.local)
     answer = -(inverse @ np.swapaxes(equations.coupling, 1, 2))[:, :3].reshape(-1, len(known.names))
     joint = answer @ known.covariance @ answer.T
@@ -207,16 +209,16 @@ def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
     if bundle.prior is None:
         return {"stars": variances}
     at = [bundle.names.index(name) for name in bundle.prior.names]
-    pulled = np.einsum("gk,kl,gl->g", covariance[:, at], bundle.prior.information, covariance[:, at])
-    return {"stars": variances - pulled, "known beforehand": pulled}
+    by_prior = np.einsum("gk,kl,gl->g", covariance[:, at], bundle.prior.information, covariance[:, at])
+    return {"stars": variances - by_prior, "known beforehand": by_prior}
 
 
-def inflated(
+def inflate(
     known: Uncertainty,
     bundle: Bundle,
     parameters: AdjustmentParameters,
     loss: Loss,
-    found: Callable[[], Disagreement],
+    found: Callable[[], VarianceComponents],
 ) -> Uncertainty:
     """Return the uncertainty with what the views disagree on; unchanged when they agree.
 
@@ -232,31 +234,37 @@ def inflated(
     found
         Measures what views disagree on (`variance_components`); asked where they disagree and are fewer than 16.
     """
-    if not known.disagree:
+    if not known.inconsistent:
         return known
     views = len(parameters.rotations)
     if views >= _MANY_VIEWS:
-        return _by_pulls(known, bundle, parameters, loss, None)
+        return _by_scores(known, bundle, parameters, loss, None)
     shared = found()
     shaped = _with_fields(known, shared)
-    return shaped if views < _PULL_VIEWS else _by_pulls(shaped, bundle, parameters, loss, shared.pulls)
+    return (
+        shaped
+        if views < _SCORE_VIEWS
+        else _by_scores(shaped, bundle, parameters, loss, shared.score_covariances)
+    )
 
 
-def _with_fields(known: Uncertainty, shared: Disagreement) -> Uncertainty:
+def _with_fields(known: Uncertainty, shared: VarianceComponents) -> Uncertainty:
     """Return the uncertainty by the fields that neighbouring stars share."""
-    budget = {"stars": np.diag(shared.stars), "known beforehand": np.diag(shared.prior)}
+    budget = {"stars": np.diag(shared.star_covariance), "known beforehand": np.diag(shared.prior_covariance)}
     return replace(
         known,
         covariance=shared.covariance,
-        effective_freedom=max(1.0, min(shared.effective_freedom, known.effective_freedom)),
+        effective_degrees_of_freedom=max(
+            1.0, min(shared.effective_degrees_of_freedom, known.effective_degrees_of_freedom)
+        ),
         budget={
             **{source: budget[source] for source in known.budget},
-            _DISAGREEMENT: np.diag(shared.fields),
+            _INCONSISTENCY: np.diag(shared.field_covariance),
         },
     )
 
 
-def _by_pulls(
+def _by_scores(
     known: Uncertainty, bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, working: Array | None
 ) -> Uncertainty:
     """Return the uncertainty with each sigma as the views' pulls show it, but no less than the stars leave.
@@ -265,21 +273,23 @@ def _by_pulls(
     degrees of freedom differ from parameter to parameter; their median stands for all.
     """
     residuals = bundle.weighted_residuals(parameters)
-    pull = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
-    scores = list(bundle.scores(parameters, pull, loss.curvature_root(residuals)))
-    information, pulls = (np.array(each) for each in zip(*scores, strict=True))
+    influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
+    equations = list(bundle.scores(parameters, influence, loss.curvature_root(residuals)))
+    information, scores = (np.array(each) for each in zip(*equations, strict=True))
     working = known.variance_factor * information if working is None else working
     prior = bundle.prior_information
-    shown = sandwich(pulls, information, working, prior, bundle.noise_variance * prior)
-    others = {source: variances for source, variances in known.budget.items() if source != _DISAGREEMENT}
+    shown = cluster_robust_covariance(scores, information, working, prior, bundle.noise_variance * prior)
+    others = {source: variances for source, variances in known.budget.items() if source != _INCONSISTENCY}
     least = sum(others.values(), start=np.zeros(len(known.names)))
     variances = np.maximum(shown.variances, least)
     growth = np.sqrt(variances / np.diag(known.covariance))
     return replace(
         known,
         covariance=known.covariance * np.outer(growth, growth),
-        effective_freedom=max(1.0, min(float(np.median(shown.freedom)), known.effective_freedom)),
-        budget={**others, _DISAGREEMENT: variances - least},
+        effective_degrees_of_freedom=max(
+            1.0, min(float(np.median(shown.degrees_of_freedom)), known.effective_degrees_of_freedom)
+        ),
+        budget={**others, _INCONSISTENCY: variances - least},
     )
 
 
@@ -293,14 +303,14 @@ def _birge(
     the views tell directions, less the parameters they share.
     """
     residuals = bundle.weighted_residuals(parameters)
-    pull = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
+    influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
     total, freedom = 0.0, -len(bundle.names) + (len(bundle.prior.names) if bundle.prior else 0)
-    for information, score in bundle.scores(parameters, pull):
+    for information, score in bundle.scores(parameters, influence):
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-        told = eigenvalues > _TOLD * eigenvalues[-1]
-        total += float(((vectors[:, told].T @ (scale * score)) ** 2 / eigenvalues[told]).sum())
-        freedom += int(told.sum())
+        determined = eigenvalues > _DETERMINED * eigenvalues[-1]
+        total += float(((vectors[:, determined].T @ (scale * score)) ** 2 / eigenvalues[determined]).sum())
+        freedom += int(determined.sum())
     return (total / freedom / variance, freedom) if freedom > 0 and variance > 0 else (1.0, 0)
 
 

@@ -28,7 +28,7 @@ _STEP_VIEWS = 9
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class CrossValidation:
     """What leaving each view out in turn shows.
 
     Attributes
@@ -58,7 +58,7 @@ class LeftOut:
         return np.asarray((n - 1) / n * off.T @ off)
 
 
-def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> LeftOut:
+def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CrossValidation:
     """Refit without each view in turn, from the optimum of all: to the end, or by a step where views are many.
 
     Parameters
@@ -69,16 +69,16 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     values, rms, stars = [], [], []
     for i, near in enumerate(_steps_without(bundle, parameters, loss)):
         others = [j for j in range(len(parameters.rotations)) if j != i]
-        fewer, without = bundle.only(others), near.only(others)
-        far = _cost(fewer, without, loss) > _cost(fewer, parameters.only(others), loss)
+        fewer, without = bundle.subset(others), near.subset(others)
+        far = _cost(fewer, without, loss) > _cost(fewer, parameters.subset(others), loss)
         if far or len(others) < _STEP_VIEWS:
-            start = parameters.only(others) if far else without
+            start = parameters.subset(others) if far else without
             without = refine(fewer, start, loss, tolerance=_TOLERANCE).parameters
         values.append(without.values(bundle.names))
         residuals = _alone(bundle, without, parameters.rotations[i], i)
         rms.append(np.sqrt((residuals**2).sum(axis=1).mean()))
         stars.append(len(residuals))
-    return LeftOut(np.array(values), np.array(rms), np.array(stars))
+    return CrossValidation(np.array(values), np.array(rms), np.array(stars))
 
 
 def _steps_without(
@@ -90,17 +90,17 @@ def _steps_without(
     """
     residuals = bundle.weighted_residuals(parameters)
     lengths = np.linalg.norm(residuals, axis=1)
-    pull, root = residuals * loss.weights(lengths)[:, None], loss.curvature_root(residuals)
-    equations = bundle.normal_equations(parameters, pull, root)
+    influence, root = residuals * loss.weights(lengths)[:, None], loss.curvature_root(residuals)
+    equations = bundle.normal_equations(parameters, influence, root)
     information = equations.reduced()
     answers = np.linalg.solve(equations.local, np.swapaxes(equations.coupling, 1, 2))
-    for own, score in bundle.scores(parameters, pull, root):
+    for own, score in bundle.scores(parameters, influence, root):
         left = information - own
         # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
         scale = 1.0 / np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
         step = np.linalg.lstsq(left * np.outer(scale, scale), scale * score, rcond=None)[0]
         shared = np.asarray(-scale * step, np.float64)
-        yield parameters.moved(bundle.names, shared, -answers @ shared)
+        yield parameters.after_step(bundle.names, shared, -answers @ shared)
 
 
 def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:
@@ -115,9 +115,9 @@ def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float
 def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, i: int) -> Array:
     """Return the residuals, px, of a view of which only the rotation is solved."""
     collimator = others.collimator
-    if bundle.free_centres and not bundle.drifts:
+    if bundle.free_centres and not bundle.has_drift_prior:
         x, y, z = others.centres.mean(axis=0)
         collimator = Collimator(float(x), float(y), float(-z))
-    view = replace(bundle.only([i]), names=(), free_centres=False, prior=None)
+    view = replace(bundle.subset([i]), names=(), free_centres=False, prior=None)
     start = AdjustmentParameters(others.camera, collimator, rotation[None], np.zeros((1, 3)))
     return view.residuals_px(refine(view, start, Loss("l2")).parameters)

@@ -39,56 +39,56 @@ _SETTLED = 5e-3
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class VarianceComponents:
     """What views disagree on, and what it is worth.
 
     Attributes
     ----------
-    sizes_mm
+    sigma_mm
         (7,) 1-sigma displacement of a star by the shifts along X and along Y, by the polynomials of each degree, 1 to
         4, and by the rim; fewer where no view has stars enough for all degrees.
-    fields, stars, prior
+    field_covariance, star_covariance, prior_covariance
         (G, G) covariance of the shared parameters by these fields, by the stars' own noise, and by what was
         known beforehand.
-    pulls
+    score_covariances
         (n, G, G) covariance of each view's pull at the shared parameters, by its fields and its stars.
     effective_freedom
         Degrees of freedom behind the least certain of the variances (Satterthwaite).
     """
 
-    sizes_mm: Array
-    fields: Array
-    stars: Array
-    prior: Array
-    pulls: Array
-    effective_freedom: float
+    sigma_mm: Array
+    field_covariance: Array
+    star_covariance: Array
+    prior_covariance: Array
+    score_covariances: Array
+    effective_degrees_of_freedom: float
 
     @property
     def covariance(self) -> Array:
         """(G, G) covariance of the shared parameters by all."""
-        return np.asarray(self.fields + self.stars + self.prior)
+        return np.asarray(self.field_covariance + self.star_covariance + self.prior_covariance)
 
 
 @dataclass(frozen=True)
 class _Evidence:
     """What the residuals show of the fields' coefficients, all views' one below the other.
 
-    `pull` (C,) is each coefficient's pull at the residuals; were the coefficients u, it would be `shown` (C, C)
+    `score` (C,) is each coefficient's pull at the residuals; were the coefficients u, it would be `shown` (C, C)
     times u. `answer` (G, C) is their pull at the shared parameters, `group` (C,) the size each is drawn by, `view` (C,)
-    whose they are, `known` (n, G, G) each view's information, and `noise` the variance of a star's own noise.
+    whose they are, `information` (n, G, G) each view's information, and `noise` the variance of a star's own noise.
     """
 
-    pull: Array
+    score: Array
     shown: Array
     answer: Array
     group: NDArray[np.int64]
     view: NDArray[np.int64]
-    known: Array
+    information: Array
     inverse: Array
     noise: float
 
 
-def disagreement(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Disagreement:
+def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> VarianceComponents:
     """Measure what views disagree on, at the optimum.
 
     Parameters
@@ -98,46 +98,51 @@ def disagreement(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -
     """
     evidence = _evidence(bundle, parameters, loss)
     eigenvalues, vectors = np.linalg.eigh(evidence.shown)
-    told = eigenvalues > _SHOWN * eigenvalues[-1]
-    roots = np.sqrt(eigenvalues[told])
+    determined = eigenvalues > _SHOWN * eigenvalues[-1]
+    roots = np.sqrt(eigenvalues[determined])
     # Whitened: noise alone gives z unit covariance times its variance.
-    z = (vectors[:, told].T @ evidence.pull) / roots
-    by_coefficient = roots[:, None] * vectors[:, told].T
+    z = (vectors[:, determined].T @ evidence.score) / roots
+    by_coefficient = roots[:, None] * vectors[:, determined].T
     kinds = range(int(evidence.group.max()) + 1)
     parts = [by_coefficient[:, evidence.group == kind] for kind in kinds]
     variances, fisher = _variances(z, [part @ part.T for part in parts], evidence.noise)
     return _of(bundle, evidence, variances, fisher)
 
 
-def _of(bundle: Bundle, evidence: _Evidence, variances: Array, fisher: Array) -> Disagreement:
+def _of(bundle: Bundle, evidence: _Evidence, variances: Array, fisher: Array) -> VarianceComponents:
     """Carry the fields' variances on to the shared parameters."""
     inverse = evidence.inverse
     answers = inverse @ evidence.answer
     each = np.stack([(answers[:, evidence.group == kind] ** 2).sum(axis=1) for kind in range(len(variances))])
     fields = (answers * variances[evidence.group]) @ answers.T
-    stars = evidence.noise * inverse @ evidence.known.sum(axis=0) @ inverse
+    stars = evidence.noise * inverse @ evidence.information.sum(axis=0) @ inverse
     prior = np.zeros_like(inverse)
     if bundle.prior is not None:
         at = [bundle.names.index(name) for name in bundle.prior.names]
-        pulled = bundle.noise_variance * inverse[:, at]
-        prior = pulled @ bundle.prior.information @ pulled.T
+        scaled = bundle.noise_variance * inverse[:, at]
+        prior = scaled @ bundle.prior.information @ scaled.T
     total = np.diag(fields + stars + prior)
     # How uncertain each parameter's variance is: that of the logarithms of the sizes, carried on.
     by_log = (each * variances[:, None]).T
     spread = np.einsum("gk,kl,gl->g", by_log, np.linalg.pinv(fisher, rcond=1e-6, hermitian=True), by_log)
     freedom = 2.0 * total**2 / np.maximum(spread, np.finfo(float).tiny)
-    return Disagreement(
-        np.sqrt(variances), fields, stars, prior, _pulls(evidence, variances), float(freedom.min())
+    return VarianceComponents(
+        np.sqrt(variances),
+        fields,
+        stars,
+        prior,
+        _score_covariances(evidence, variances),
+        float(freedom.min()),
     )
 
 
-def _pulls(evidence: _Evidence, variances: Array) -> Array:
+def _score_covariances(evidence: _Evidence, variances: Array) -> Array:
     """Return (n, G, G) the covariance of each view's pull."""
-    pulls = evidence.noise * evidence.known
-    for i in range(len(pulls)):
+    scores = evidence.noise * evidence.information
+    for i in range(len(scores)):
         own = evidence.view == i
-        pulls[i] += (evidence.answer[:, own] * variances[evidence.group[own]]) @ evidence.answer[:, own].T
-    return np.asarray(pulls)
+        scores[i] += (evidence.answer[:, own] * variances[evidence.group[own]]) @ evidence.answer[:, own].T
+    return np.asarray(scores)
 
 
 def _variances(z: Array, parts: Sequence[Array], noise: float) -> tuple[Array, Array]:
@@ -150,8 +155,8 @@ def _variances(z: Array, parts: Sequence[Array], noise: float) -> tuple[Array, A
     variances = np.array([z @ z / np.trace(part) / len(parts) for part in parts])
     for _ in range(_ROUNDS):
         inverse = np.linalg.inv(sum((v * part for v, part in zip(variances, parts, strict=True)), start=own))
-        pulled = inverse @ z
-        shown = np.array([pulled @ part @ pulled for part in parts])
+        scaled = inverse @ z
+        shown = np.array([scaled @ part @ scaled for part in parts])
         expected = np.array([(inverse * part).sum() for part in parts])
         factors = np.sqrt(shown / expected)
         variances = variances * factors
@@ -168,8 +173,8 @@ def _evidence(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> _
     count = len(bundle.names)
     # The target's displacement moves the image as the centre's does, the other way.
     moving = replace(bundle, names=("x", "y"), prior=None, free_centres=False)
-    shown, answers, pulls, groups, squares = [], [], [], [], 0.0
-    known = []
+    shown, answers, scores, groups, squares = [], [], [], [], 0.0
+    information = []
     rims = _rims(bundle, parameters)
     slopes_of_all = zip(obs.slices, bundle.jacobians(parameters), moving.jacobians(parameters), strict=True)
     for rows, slopes, moves in slopes_of_all:
@@ -181,27 +186,27 @@ def _evidence(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> _
         missed = (np.sqrt(weights[rows])[:, None] * residuals[rows]).T.reshape(-1)
         normal = columns @ columns.T
         local, rest = slice(count, len(slopes)), [*range(count), *range(len(slopes), len(columns))]
-        stiff = normal[local, local] + bundle.local_stiffness
+        stiff = normal[local, local] + bundle.local_prior_information
         left = normal[np.ix_(rest, rest)] - normal[rest, local] @ np.linalg.solve(stiff, normal[local, rest])
-        known.append(left[:count, :count])
+        information.append(left[:count, :count])
         shown.append(left[count:, count:])
         answers.append(left[:count, count:])
-        pulls.append(columns[len(slopes) :] @ missed)
+        scores.append(columns[len(slopes) :] @ missed)
         groups.append(group)
         squares += float(missed @ missed)
-    inverse = np.asarray(np.linalg.inv(sum(known, start=bundle.prior_information)))
-    answer, pull = np.hstack(answers), np.concatenate(pulls)
+    inverse = np.asarray(np.linalg.inv(sum(information, start=bundle.prior_information)))
+    answer, score = np.hstack(answers), np.concatenate(scores)
     freedom = 2 * len(residuals) - count - len(obs.slices) * (6 if bundle.free_centres else 3)
     explained = sum(
         float(own @ np.linalg.pinv(block, rcond=_SHOWN, hermitian=True) @ own)
-        for own, block in zip(pulls, shown, strict=True)
+        for own, block in zip(scores, shown, strict=True)
     )
-    noise = max((squares - explained) / max(freedom - len(pull), 1), _LEAST_NOISE * squares / len(residuals))
+    noise = max((squares - explained) / max(freedom - len(score), 1), _LEAST_NOISE * squares / len(residuals))
     together = _block_diagonal(shown) - answer.T @ inverse @ answer
     group = np.unique(np.concatenate(groups), return_inverse=True)[1]
     view = np.repeat(np.arange(len(groups)), [len(own) for own in groups])
     shown_by = 0.5 * (together + together.T)
-    return _Evidence(pull, shown_by, answer, group, view, np.array(known), inverse, noise)
+    return _Evidence(score, shown_by, answer, group, view, np.array(information), inverse, noise)
 
 
 def _fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[np.int64]]:
@@ -233,7 +238,7 @@ def _fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[np.int
 
 def _rims(bundle: Bundle, parameters: AdjustmentParameters) -> Array | None:
     """Return (N, 2, R) the displacements of the model's rim; None when it has none."""
-    at = [i for i, name in enumerate(parameters.collimator.imperfections) if name.startswith("rim_")]
+    at = [i for i, name in enumerate(parameters.collimator.aberrations) if name.startswith("rim_")]
     return bundle.displacements[:, :, at] if at and bundle.displacements is not None else None
 
 

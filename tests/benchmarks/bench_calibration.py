@@ -28,7 +28,7 @@ import numpy as np
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.fit import fit
 from calib.model.passport import Passport
-from calib.studies.monte_carlo import repeat
+from calib.studies.monte_carlo import run_monte_carlo
 from calib.view import View
 
 sys.path.append(str(Path(__file__).parents[1] / "support"))
@@ -166,7 +166,7 @@ def simulated(_: Sequence[View]) -> None:
         "three views, planar": (POSES, replace(plain, model="planar"), 0.0),
     }
     for name, (poses, options, drift_mm) in lines.items():
-        study = repeat(NARROW, poses, options, 200, 19, drift_mm=drift_mm)
+        study = run_monte_carlo(NARROW, poses, options, 200, 19, drift_mm=drift_mm)
         print(
             f"simulated: {name}: fx off by {study.scatter['fx']:.3g} px rms, stated over it {1 / study.z_rms['fx']:.2f}"
         )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
-from calib.fit import fit
+from calib.fit import fit_model
 from calib.studies.reference_methods import opencv_planar, published_recipe
 from calib.target import StarTarget
 from calib.view import View
@@ -78,11 +78,11 @@ def test_views_left_out_are_predicted_as_the_prototype_found(views):
 
 @pytest.mark.parametrize(("model", "jackknife"), [("spherical", 9.37), ("planar", 6.29)])
 def test_the_sigmas_are_a_little_below_the_jackknife_of_the_prototype(views, model, jackknife):
-    fitted = fit(views, replace(L2, model=model), model, leave_out=True)
+    fitted = fit_model(views, replace(L2, model=model), model, leave_out=True)
     at = fitted.bundle.names.index("fx")
-    assert np.sqrt(fitted.left_out.jackknife[at, at]) == pytest.approx(jackknife, abs=0.02)
+    assert np.sqrt(fitted.cross_validation.jackknife[at, at]) == pytest.approx(jackknife, abs=0.02)
     # What the jackknife overstates: it leaves out a view of twenty, and scales as if all views told alike.
-    assert 0.9 < np.sqrt(fitted.known.covariance[at, at]) / jackknife < 1
+    assert 0.9 < np.sqrt(fitted.uncertainty.covariance[at, at]) / jackknife < 1
 
 
 def test_imperfections_of_the_collimator_predict_views_left_out_twice_as_well(views):
@@ -118,13 +118,13 @@ def test_the_data_choose_the_richest_collimator(views):
 def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
     from calib.adjustment.initialization import spherical_starts
     from calib.adjustment.levenberg_marquardt import Loss, refine
-    from calib.fit import begin
+    from calib.fit import initialize
     from calib.model.homography import view_homography
 
     rng = np.random.default_rng(size)
     for _ in range(100):
         subset = [views[i] for i in rng.choice(20, size, replace=False)]
-        bundle, _ = begin(subset, L2, "spherical")
+        bundle, _ = initialize(subset, L2, "spherical")
         h = np.array([view_homography(view) for view in subset])
         ends = [refine(bundle, s, Loss("l2")).cost for s in spherical_starts(h, SIZE, ("k1", "k2"))]
         misses = np.concatenate(calibrate(subset, L2).residuals_px)

@@ -19,7 +19,7 @@ from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
-from calib.fit import begin
+from calib.fit import initialize
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
 from calib.model.rotation import exp_map
@@ -59,7 +59,7 @@ def far_starts(whole, homographies, rng):
 
 def least_cost(views, whole, rng):
     """The least cost that refinements from far starts end with, among those that are cameras."""
-    bundle, _ = begin(views, L2, "spherical")
+    bundle, _ = initialize(views, L2, "spherical")
     homographies = np.array([view_homography(view) for view in views])
     ends = [refine(bundle, start, Loss("l2"), 300) for start in far_starts(whole, homographies, rng)]
     return min(end.cost for end in ends if end.parameters.camera.fx > 0 and end.parameters.collimator.r > 0)

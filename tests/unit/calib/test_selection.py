@@ -30,10 +30,10 @@ def test_a_collimator_out_of_focus_is_recognised_and_its_camera_found(defocused)
     bench, views = defocused
     result = calibrate(views, AUTO)
     assert result.model == "pupil"
-    assert result.collimator.imperfections["pupil_shift"] == pytest.approx(0.15, abs=0.02)
+    assert result.collimator.aberrations["pupil_shift"] == pytest.approx(0.15, abs=0.02)
     assert result.camera.fx == pytest.approx(bench.fx, abs=4 * result.sigma["fx"])
     spherical = calibrate(views, CalibrationOptions(loss="l2"))
-    assert spherical.disagreement > 3
+    assert spherical.birge_ratio > 3
     assert abs(spherical.camera.fx - bench.fx) > 100
 
 
@@ -76,7 +76,7 @@ def test_views_that_show_a_part_of_the_beam_climb_the_ladder_with_those_that_sho
     poses = ((-2, 1), (1.5, -1, 10), (2, 1, -20), (-1, -1, 60), (1, 0.5, 130), (0, 0.5, 75), (6, 3), (-6, 3))
     result = calibrate(out_of_focus(bench, poses, 46), AUTO)
     assert result.model == "pupil"
-    assert result.collimator.imperfections["pupil_shift"] == pytest.approx(0.15, abs=0.03)
+    assert result.collimator.aberrations["pupil_shift"] == pytest.approx(0.15, abs=0.03)
     assert result.camera.fx == pytest.approx(bench.fx, abs=3 * result.sigma["fx"])
     assert any("out of sight in pose-6, pose-7" in note for note in result.notes)
 

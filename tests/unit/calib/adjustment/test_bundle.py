@@ -38,8 +38,8 @@ def test_gradient_and_curvature_are_those_of_the_cost(bench, free_centres):
             shared[i] = scale * 1e-2
         else:
             local[1, i - 9] = scale * 1e-2
-        plus = bundle.weighted_residuals(parameters.moved(NAMES, shared, local))
-        minus = bundle.weighted_residuals(parameters.moved(NAMES, -shared, -local))
+        plus = bundle.weighted_residuals(parameters.after_step(NAMES, shared, local))
+        minus = bundle.weighted_residuals(parameters.after_step(NAMES, -shared, -local))
         slope = (plus - minus) / (2e-2 * scale)
         gradient = -(slope * residuals).sum()
         curvature = (slope**2).sum()

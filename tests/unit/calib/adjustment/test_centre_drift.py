@@ -7,7 +7,7 @@ import pytest
 
 from calib.adjustment.centre_drift import centre_drift
 from calib.engine import CalibrationOptions, calibrate
-from calib.fit import fit
+from calib.fit import fit_model
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130), (0, 1, 75))
 L2 = CalibrationOptions(loss="l2")
@@ -22,7 +22,7 @@ def wandering(bench, sigma_mm, seed):
 def test_the_wander_is_measured_in_shares_of_the_radius(bench):
     found = [
         centre_drift(one.bundle, one.parameters, one.loss)
-        for one in (fit(wandering(bench, 0.5, seed), L2, "spherical") for seed in range(5))
+        for one in (fit_model(wandering(bench, 0.5, seed), L2, "spherical") for seed in range(5))
     ]
     assert np.sqrt(np.mean(np.square(found), axis=0))[:2] == pytest.approx(0.5 / 255, rel=0.4)
 
@@ -32,7 +32,7 @@ def test_it_does_not_matter_in_which_unit_the_stars_covariances_are(bench):
     scaled = [replace(view, covariances_px2=1e-4 * view.covariances_px2) for view in views]
     found = [
         centre_drift(one.bundle, one.parameters, one.loss)
-        for one in (fit(views, L2, "spherical"), fit(scaled, L2, "spherical"))
+        for one in (fit_model(views, L2, "spherical"), fit_model(scaled, L2, "spherical"))
     ]
     assert found[1] == pytest.approx(found[0], rel=1e-3)
 

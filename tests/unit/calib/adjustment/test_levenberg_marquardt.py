@@ -14,7 +14,7 @@ from calib.errors import InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map
-from calib.uncertainty.covariance import at_optimum
+from calib.uncertainty.covariance import covariance_at_optimum
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
 
@@ -36,7 +36,7 @@ def test_the_optimum_does_not_depend_on_the_start(bench, loss):
     bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES)
     ends = [refine(bundle, start_of(bench, rng, spread), loss) for spread in (0.0, 0.1, 0.2)]
     assert all(end.converged for end in ends)
-    sigma = np.sqrt(np.diag(at_optimum(bundle, ends[0].parameters, loss).covariance))
+    sigma = np.sqrt(np.diag(covariance_at_optimum(bundle, ends[0].parameters, loss).covariance))
     for end in ends[1:]:
         assert np.abs((end.parameters.values(NAMES) - ends[0].parameters.values(NAMES)) / sigma).max() < 1e-3
 
@@ -49,7 +49,7 @@ def test_at_the_optimum_no_direction_lowers_the_robust_cost(bench):
     end = refine(bundle, start_of(bench, rng, 0.0), loss)
     for _ in range(40):
         shared = 1e-4 * rng.standard_normal(9) * np.maximum(np.abs(end.parameters.values(NAMES)), 0.1)
-        moved = end.parameters.moved(NAMES, shared, 1e-5 * rng.standard_normal((3, 3)))
+        moved = end.parameters.after_step(NAMES, shared, 1e-5 * rng.standard_normal((3, 3)))
         assert loss.cost(np.linalg.norm(bundle.weighted_residuals(moved), axis=1)) > end.cost
 
 
@@ -79,7 +79,7 @@ def test_weights_and_slopes_are_derivatives_of_the_cost(loss):
 def test_a_start_that_cannot_be_projected_does_not_converge(bench):
     rng = np.random.default_rng(11)
     bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), NAMES)
-    behind = start_of(bench, rng, 0.0).moved(NAMES, np.zeros(9), np.tile([np.pi, 0, 0], (3, 1)))
+    behind = start_of(bench, rng, 0.0).after_step(NAMES, np.zeros(9), np.tile([np.pi, 0, 0], (3, 1)))
     assert not refine(bundle, behind, Loss("l2")).converged
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch
-from calib.model.aberrations import LADDER, SCALES, displacements, expected
+from calib.model.aberrations import EXPECTED_SIGMA, LADDER, aberration_prior, displacements
 from calib.model.beam import Disc
 
 REFERENCE = (10.0, 20.0, 250.0)
@@ -46,14 +46,14 @@ def test_terms_stand_in_the_order_asked_for():
 def test_each_rung_of_the_ladder_contains_the_one_before():
     rungs = list(LADDER.values())
     assert all(set(low) < set(high) for low, high in itertools.pairwise(rungs))
-    assert set(rungs[-1]) <= set(SCALES)
+    assert set(rungs[-1]) <= set(EXPECTED_SIGMA)
 
 
 def test_what_is_expected_of_a_coefficient_is_zero_give_or_take_its_scale():
-    prior = expected(["tilt_x", "coma"])
+    prior = aberration_prior(["tilt_x", "coma"])
     assert prior.names == ("tilt_x", "coma")
     assert np.allclose(np.linalg.inv(prior.information), np.diag([1e-4, 1e-2]))
-    assert expected([]) is None
+    assert aberration_prior([]) is None
 
 
 def test_an_unknown_imperfection_is_refused():

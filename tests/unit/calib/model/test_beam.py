@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
-from calib.model.beam import visible_disc, visible_discs, within
+from calib.model.beam import visible_disc, visible_discs, without_guard_band
 
 
 def test_centre_and_radius_are_found_within_the_stated_uncertainty(make_bench):
@@ -44,10 +44,10 @@ def test_the_guard_band_takes_the_outer_stars_off(make_bench):
     bench = make_bench(half_angle_deg=4.8, centre=(97.0, 100.0, -255.0))
     view = bench.view("one", bench.turn(0.0, 0.0))
     disc = visible_disc(view)
-    inner = within(view, disc, 0.8)
+    inner = without_guard_band(view, disc, 0.8)
     assert 0.5 * len(view) < len(inner) < 0.75 * len(view)
     assert np.linalg.norm(inner.target_mm - disc.centre_mm, axis=1).max() <= 0.8 * disc.radius_mm
-    assert within(view, disc, 1.0) is view
+    assert without_guard_band(view, disc, 1.0) is view
 
 
 def test_stars_on_no_grid_leave_the_centre_unknown(make_bench):
@@ -86,7 +86,7 @@ def test_other_views_tell_where_a_disc_out_of_sight_lies(partly_seen):
     alone = np.array([visible_disc(view).centre_mm for view in views])
     discs = visible_discs(views)
     together = np.array([disc.centre_mm for disc in discs])
-    assert [disc.borrowed for disc in discs] == [False] * 4 + [True] * 2
+    assert [disc.uses_other_views for disc in discs] == [False] * 4 + [True] * 2
     np.testing.assert_array_equal(together[:4], alone[:4])
     assert np.linalg.norm(alone - truth, axis=1)[4:].min() > 10.0
     assert np.linalg.norm(together - truth, axis=1).max() < 2.5
@@ -95,4 +95,4 @@ def test_other_views_tell_where_a_disc_out_of_sight_lies(partly_seen):
 def test_where_no_view_shows_its_rim_nothing_is_borrowed(make_bench):
     bench = make_bench(half_angle_deg=20.0)
     discs = visible_discs(bench.views())
-    assert not any(disc.seen or disc.borrowed for disc in discs)
+    assert not any(disc.rim_visible or disc.uses_other_views for disc in discs)

@@ -60,7 +60,7 @@ def test_a_passport_with_imperfections_corrects_them(defocused):
     assert passport.terms == ("pupil_shift",)
     result = calibrate(views[:2], with_passport(passport))
     assert result.camera.fx == pytest.approx(bench.fx, abs=4 * result.sigma["fx"])
-    assert result.collimator.imperfections["pupil_shift"] == pytest.approx(0.15, abs=0.02)
+    assert result.collimator.aberrations["pupil_shift"] == pytest.approx(0.15, abs=0.02)
 
 
 def test_a_passport_that_views_contradict_is_refused_with_the_numbers(bench):
@@ -82,7 +82,7 @@ def test_passports_go_round_through_json():
     )
     again = Passport.from_dict(json.loads(json.dumps(passport.to_dict())))
     assert again.to_dict() == passport.to_dict()
-    assert again.known["pupil_shift"] == -0.1
+    assert again.values_by_name["pupil_shift"] == -0.1
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from paper_camera import NARROW, POSES
 
 from calib.engine import CalibrationOptions
 from calib.model.passport import Passport
-from calib.studies.monte_carlo import repeat
+from calib.studies.monte_carlo import run_monte_carlo
 
 EXACT = Passport(("x", "y", "r"), NARROW.collimator.values, np.eye(3) * 1e-8)
 L2 = CalibrationOptions(loss="l2")
@@ -14,26 +14,27 @@ L2 = CalibrationOptions(loss="l2")
 
 def test_one_seed_gives_one_result_and_runs_are_told_as_they_end():
     told = []
-    study = repeat(NARROW, POSES, L2, 3, 5, progress=lambda run, runs: told.append((run, runs)))
-    again = repeat(NARROW, POSES, L2, 3, 5)
+    study = run_monte_carlo(NARROW, POSES, L2, 3, 5, progress=lambda run, runs: told.append((run, runs)))
+    again = run_monte_carlo(NARROW, POSES, L2, 3, 5)
     assert np.array_equal(study.values, again.values)
     assert told == [(1, 3), (2, 3), (3, 3)]
-    assert not np.array_equal(study.values, repeat(NARROW, POSES, L2, 3, 6).values)
+    assert not np.array_equal(study.values, run_monte_carlo(NARROW, POSES, L2, 3, 6).values)
     assert 0.3 < study.z_joint < 3
 
 
 def test_stars_that_are_grossly_wrong_spoil_least_squares_and_not_a_robust_loss():
     plain, robust = (
-        repeat(NARROW, POSES, CalibrationOptions(loss=loss), 4, 5, outliers=0.02) for loss in ("l2", "huber")
+        run_monte_carlo(NARROW, POSES, CalibrationOptions(loss=loss), 4, 5, outliers=0.02)
+        for loss in ("l2", "huber")
     )
-    clean = repeat(NARROW, POSES, L2, 4, 5)
+    clean = run_monte_carlo(NARROW, POSES, L2, 4, 5)
     assert (plain.sigmas > 4 * clean.sigmas).all()
     assert (robust.sigmas < 1.5 * clean.sigmas).all()
     assert robust.z_joint < 3
 
 
 def test_runs_without_a_calibration_are_kept_with_their_reason():
-    study = repeat(NARROW, POSES[:1] * 2, L2, 2, 5)
+    study = run_monte_carlo(NARROW, POSES[:1] * 2, L2, 2, 5)
     assert study.values.size == 0
     assert len(study.failed) == 2
     assert all("same pose" in why for why in study.failed)
@@ -43,7 +44,7 @@ def test_runs_without_a_calibration_are_kept_with_their_reason():
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("loss", ["l2", "huber"])
 def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
-    study = repeat(NARROW, POSES, CalibrationOptions(loss=loss), 500, 17)
+    study = run_monte_carlo(NARROW, POSES, CalibrationOptions(loss=loss), 500, 17)
     low, high = study.coverage_band
     assert not study.failed
     assert all(low <= share <= high for share in study.coverage.values())
@@ -58,7 +59,7 @@ def test_two_sigma_intervals_cover_as_often_as_they_should(loss):
 @pytest.mark.parametrize(("loss", "outliers"), [("l2", 0), ("huber", 0), ("huber", 0.02), ("cauchy", 0.02)])
 def test_errors_are_as_large_as_their_sigmas_for_every_parameter(loss, outliers):
     # 500 runs tell a ratio to 3 %, 2000 to 1.6 %.
-    study = repeat(NARROW, POSES, CalibrationOptions(loss=loss), 2000, 18, outliers=outliers)
+    study = run_monte_carlo(NARROW, POSES, CalibrationOptions(loss=loss), 2000, 18, outliers=outliers)
     low, high = study.coverage_band
     assert all(0.95 < z < 1.05 for z in study.z_rms.values())
     assert all(low <= share <= high for share in study.coverage.values())
@@ -73,7 +74,7 @@ def test_of_views_that_disagree_sigmas_and_intervals_hold(count):
         {"pan_deg": rng.uniform(-6, 6), "tilt_deg": rng.uniform(-3, 3), "roll_deg": rng.uniform(-60, 60)}
         for _ in range(count)
     ]
-    study = repeat(NARROW, poses, L2, 100, 23, drift_mm=0.3)
+    study = run_monte_carlo(NARROW, poses, L2, 100, 23, drift_mm=0.3)
     ratio = np.sqrt((study.sigmas**2).mean(axis=0)) / list(study.scatter.values())
     # A hundred runs tell the scatter to 7 %.
     assert ((ratio > 1 / 1.4) & (ratio < 1.4)).all()
@@ -84,8 +85,10 @@ def test_of_views_that_disagree_sigmas_and_intervals_hold(count):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_spherical_model_is_twice_as_sure_as_the_planar_one():
-    spherical = repeat(NARROW, POSES, L2, 150, 18).scatter["fx"]
-    planar = repeat(NARROW, POSES, CalibrationOptions(model="planar", loss="l2"), 150, 18).scatter["fx"]
+    spherical = run_monte_carlo(NARROW, POSES, L2, 150, 18).scatter["fx"]
+    planar = run_monte_carlo(NARROW, POSES, CalibrationOptions(model="planar", loss="l2"), 150, 18).scatter[
+        "fx"
+    ]
     assert spherical < 15
     assert 18 < planar < 32
 
@@ -94,7 +97,7 @@ def test_the_spherical_model_is_twice_as_sure_as_the_planar_one():
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("count", "limit"), [(1, 0.5), (3, 0.1)])
 def test_a_passport_makes_the_focal_length_a_hundred_times_surer(count, limit):
-    study = repeat(NARROW, POSES[:count], CalibrationOptions(passport=EXACT), 100, 19)
+    study = run_monte_carlo(NARROW, POSES[:count], CalibrationOptions(passport=EXACT), 100, 19)
     assert study.scatter["fx"] < limit
 
 
@@ -102,5 +105,5 @@ def test_a_passport_makes_the_focal_length_a_hundred_times_surer(count, limit):
 @pytest.mark.timeout(1800)
 def test_a_drift_prior_keeps_what_a_wandering_centre_would_spoil():
     free = CalibrationOptions(model="drift", drift_mm=0.1, loss="l2")
-    assert repeat(NARROW, POSES, free, 150, 20, drift_mm=0.1).scatter["fx"] < 12.5
-    assert repeat(NARROW, POSES, L2, 150, 20, drift_mm=0.1).scatter["fx"] > 16
+    assert run_monte_carlo(NARROW, POSES, free, 150, 20, drift_mm=0.1).scatter["fx"] < 12.5
+    assert run_monte_carlo(NARROW, POSES, L2, 150, 20, drift_mm=0.1).scatter["fx"] > 16

@@ -28,7 +28,7 @@ def test_the_forecast_is_what_a_calibration_then_states(bench):
     expected = forecast(BENCH, POSES)
     for name, sigma in result.sigma.items():
         assert expected.sigma[name] == pytest.approx(sigma, rel=0.1)
-    assert expected.map.worst_px == pytest.approx(
+    assert expected.projection_map.worst_px == pytest.approx(
         projection_uncertainty(result.camera, result.camera_covariance, 9).worst_px, rel=0.1
     )
     assert expected.stars == pytest.approx([view.n for view in result.views], abs=6)
@@ -46,7 +46,9 @@ def test_the_next_pose_lowers_the_worst_uncertainty_more_than_any_other():
         {"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, -2.0, 2.0, 6.0) for tilt in (-2.5, 0.0, 2.5)
     ]
     (best,) = next_poses(BENCH, POSES[:2], candidates)
-    worst = {i: forecast(BENCH, [*POSES[:2], pose]).map.worst_px for i, pose in enumerate(candidates)}
+    worst = {
+        i: forecast(BENCH, [*POSES[:2], pose]).projection_map.worst_px for i, pose in enumerate(candidates)
+    }
     assert candidates.index(best) == min(worst, key=lambda i: worst[i])
 
 
@@ -58,9 +60,11 @@ def test_poses_chosen_from_nothing_beat_random_ones():
         for tilt in (-3.0, 0.0, 3.0)
         for roll in (0.0, 90.0)
     ]
-    chosen = forecast(BENCH, next_poses(BENCH, [], candidates, 3)).map.worst_px
+    chosen = forecast(BENCH, next_poses(BENCH, [], candidates, 3)).projection_map.worst_px
     drawn = [
-        forecast(BENCH, [candidates[i] for i in rng.choice(len(candidates), 3, replace=False)]).map.worst_px
+        forecast(
+            BENCH, [candidates[i] for i in rng.choice(len(candidates), 3, replace=False)]
+        ).projection_map.worst_px
         for _ in range(15)
     ]
     assert chosen <= np.quantile(drawn, 0.2)

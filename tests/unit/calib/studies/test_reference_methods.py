@@ -8,7 +8,14 @@ import pytest
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.model.passport import Passport
-from calib.studies.reference_methods import Baseline, NoAnswer, opencv_planar, others, ours, published_recipe
+from calib.studies.reference_methods import (
+    MethodFailure,
+    MethodResult,
+    opencv_planar,
+    published_recipe,
+    reference_results,
+    starbench_result,
+)
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60))
 
@@ -54,7 +61,7 @@ def test_a_fisheye_lens_is_asked_of_opencv_s_fisheye_calibration(make_bench, dis
 
 def test_on_ideal_data_the_published_recipe_is_our_spherical_model(bench):
     views = bench.views(np.random.default_rng(82), 0.05, poses=POSES)
-    own = ours(calibrate(views, CalibrationOptions(loss="l2")))
+    own = starbench_result(calibrate(views, CalibrationOptions(loss="l2")))
     published = published_recipe(views, CalibrationOptions())
     assert published.camera.values == pytest.approx(own.camera.values, rel=1e-6)
     assert published.sigma["r"] == pytest.approx(own.sigma["r"], rel=1e-3)
@@ -64,8 +71,8 @@ def test_on_ideal_data_the_published_recipe_is_our_spherical_model(bench):
 
 def test_a_method_without_an_answer_says_why_and_the_others_stand(bench):
     known = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), 1e-4 * np.eye(3))
-    published, opencv = others(bench.views()[:1], CalibrationOptions(passport=known))
-    assert isinstance(published, Baseline)
-    assert isinstance(opencv, NoAnswer)
+    published, opencv = reference_results(bench.views()[:1], CalibrationOptions(passport=known))
+    assert isinstance(published, MethodResult)
+    assert isinstance(opencv, MethodFailure)
     assert opencv.name == "OpenCV, planar (Zhang)"
     assert "same pose" in opencv.why

@@ -35,7 +35,7 @@ def test_a_rig_that_flexed_is_told(bench):
     bent[1] = exp_map(np.deg2rad([0.0, 0.0, 0.05])) @ bent[1]
     found = relative_rotation(first, replace(second, rotations=bent))
     assert not found.rigid
-    assert np.linalg.norm(found.disagreement_arcsec, axis=1).argmax() == 1
+    assert np.linalg.norm(found.residuals_arcsec, axis=1).argmax() == 1
 
 
 def test_cameras_that_share_no_pose_have_no_relative_rotation(bench):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.uncertainty.cluster_robust import sandwich
+from calib.uncertainty.cluster_robust import cluster_robust_covariance
 
 NOTHING = np.zeros((3, 3))
 
@@ -16,27 +16,32 @@ def experiment(rng, views=5, shared=3):
     return informations, informations + field @ field.transpose(0, 2, 1)
 
 
-def repeated(rng, informations, truth, working, prior=NOTHING, prior_pull=NOTHING, runs=600):
+def repeated(rng, informations, truth, working, prior=NOTHING, prior_score_covariance=NOTHING, runs=600):
     """Mean over runs of the variances stated, of the plain sandwich's, and the true variances."""
-    roots, prior_root = np.linalg.cholesky(truth), np.linalg.cholesky(prior_pull + 1e-12 * np.eye(3))
+    roots, prior_root = (
+        np.linalg.cholesky(truth),
+        np.linalg.cholesky(prior_score_covariance + 1e-12 * np.eye(3)),
+    )
     inverse = np.linalg.inv(informations.sum(axis=0) + prior)
     stated, plain = [], []
     for _ in range(runs):
         drawn = np.einsum("nij,nj->ni", roots, rng.standard_normal(roots.shape[:2]))
         off = inverse @ (drawn.sum(axis=0) + prior_root @ rng.standard_normal(3))
-        pulls = drawn - informations @ off
-        stated.append(sandwich(pulls, informations, working, prior, prior_pull).variances)
-        plain.append(((pulls @ inverse) ** 2).sum(axis=0))
-    true = np.diag(inverse @ (truth.sum(axis=0) + prior_pull) @ inverse)
+        scores = drawn - informations @ off
+        stated.append(
+            cluster_robust_covariance(scores, informations, working, prior, prior_score_covariance).variances
+        )
+        plain.append(((scores @ inverse) ** 2).sum(axis=0))
+    true = np.diag(inverse @ (truth.sum(axis=0) + prior_score_covariance) @ inverse)
     return np.mean(stated, axis=0), np.mean(plain, axis=0), true
 
 
 def test_of_equal_views_it_is_the_scatter_of_their_means():
     values = np.array([1.0, 4.0, 2.0, 9.0])[:, None]
     one = np.ones((4, 1, 1))
-    found = sandwich(values - values.mean(), one, one, np.zeros((1, 1)), np.zeros((1, 1)))
+    found = cluster_robust_covariance(values - values.mean(), one, one, np.zeros((1, 1)), np.zeros((1, 1)))
     assert found.variances == pytest.approx(values.var(ddof=1) / 4)
-    assert found.freedom == pytest.approx(3.0)
+    assert found.degrees_of_freedom == pytest.approx(3.0)
 
 
 def test_it_has_no_bias_where_the_working_covariance_is_right_in_shape():
@@ -64,22 +69,24 @@ def test_what_is_known_beforehand_is_part_of_it():
 
 def test_what_one_view_alone_tells_is_taken_from_the_working_covariance():
     informations = np.array([np.diag([1.0, 4.0]), np.diag([1.0, 0.0]), np.diag([1.0, 0.0])])
-    pulls = np.array([[0.5, 0.0], [-0.25, 0.0], [-0.25, 0.0]])
-    found = sandwich(pulls, informations, 2.0 * informations, np.zeros((2, 2)), np.zeros((2, 2)))
+    scores = np.array([[0.5, 0.0], [-0.25, 0.0], [-0.25, 0.0]])
+    found = cluster_robust_covariance(
+        scores, informations, 2.0 * informations, np.zeros((2, 2)), np.zeros((2, 2))
+    )
     # The first: the sample's variance over 3. The second: 2 * 4 / 4^2, as no pull shows it.
     assert found.variances == pytest.approx([0.1875 / 3, 0.5])
-    assert found.freedom == pytest.approx([2.0, 0.0])
+    assert found.degrees_of_freedom == pytest.approx([2.0, 0.0])
 
 
 def test_units_are_of_no_matter():
     rng = np.random.default_rng(123)
     informations, truth = experiment(rng)
-    pulls = rng.standard_normal((5, 3))
-    pulls -= informations @ np.linalg.solve(informations.sum(axis=0), pulls.sum(axis=0))
+    scores = rng.standard_normal((5, 3))
+    scores -= informations @ np.linalg.solve(informations.sum(axis=0), scores.sum(axis=0))
     units = np.array([1e-5, 1.0, 1e4])
-    here = sandwich(pulls, informations, truth, NOTHING, NOTHING)
-    there = sandwich(
-        pulls * units, *(each * np.outer(units, units) for each in (informations, truth, NOTHING, NOTHING))
+    here = cluster_robust_covariance(scores, informations, truth, NOTHING, NOTHING)
+    there = cluster_robust_covariance(
+        scores * units, *(each * np.outer(units, units) for each in (informations, truth, NOTHING, NOTHING))
     )
     assert there.variances == pytest.approx(here.variances / units**2)
-    assert there.freedom == pytest.approx(here.freedom)
+    assert there.degrees_of_freedom == pytest.approx(here.degrees_of_freedom)

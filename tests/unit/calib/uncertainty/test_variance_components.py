@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
-from calib.fit import fit
-from calib.uncertainty.variance_components import disagreement
+from calib.fit import fit_model
+from calib.uncertainty.variance_components import variance_components
 
 L2 = CalibrationOptions(loss="l2")
 #: A disc of 5.5 degrees is whole in the frame.
@@ -31,15 +31,15 @@ def displaced(bench, rng, size_mm, count=3):
 
 
 def of(views):
-    fitted = fit(views, L2, "spherical")
-    return fitted, disagreement(fitted.bundle, fitted.parameters, fitted.loss)
+    fitted = fit_model(views, L2, "spherical")
+    return fitted, variance_components(fitted.bundle, fitted.parameters, fitted.loss)
 
 
 def test_stars_that_miss_each_on_its_own_show_no_field(bench):
     fitted, found = of(bench.views(np.random.default_rng(111), 0.05, poses=POSES))
     # A star's 0.05 px are 0.004 mm on the target; 300 stars a view tell a field to a tenth of that.
-    assert found.sizes_mm[3:].max() < 0.001
-    ratio = np.sqrt(np.diag(found.covariance) / np.diag(fitted.known.covariance))
+    assert found.sigma_mm[3:].max() < 0.001
+    ratio = np.sqrt(np.diag(found.covariance) / np.diag(fitted.uncertainty.covariance))
     assert (np.abs(ratio - 1) < 0.35).all()
 
 
@@ -48,11 +48,14 @@ def test_a_bent_target_is_found_with_its_degree_and_size(make_bench):
         of(displaced(make_bench(half_angle_deg=HALF_DEG), np.random.default_rng([112, i]), 0.005))[1]
         for i in range(8)
     ]
-    sizes = np.sqrt(np.mean([one.sizes_mm**2 for one in found], axis=0))
+    sizes = np.sqrt(np.mean([one.sigma_mm**2 for one in found], axis=0))
     assert sizes[3] == pytest.approx(0.005, rel=0.4)
     assert sizes[4:].max() < 0.001
-    assert all(np.allclose(one.covariance, one.fields + one.stars + one.prior) for one in found)
-    assert all(1 < one.effective_freedom < 40 for one in found)
+    assert all(
+        np.allclose(one.covariance, one.field_covariance + one.star_covariance + one.prior_covariance)
+        for one in found
+    )
+    assert all(1 < one.effective_degrees_of_freedom < 40 for one in found)
 
 
 def test_centres_that_wander_along_one_axis_are_told_from_the_other(make_bench):
@@ -61,7 +64,7 @@ def test_centres_that_wander_along_one_axis_are_told_from_the_other(make_bench):
         bench, rng = make_bench(half_angle_deg=HALF_DEG), np.random.default_rng([115, i])
         centres = np.array(bench.centre) + rng.normal(scale=(0.05, 0.5, 0.05), size=(4, 3))
         found.append(of(bench.views(rng, 0.005, poses=POSES, centres=centres))[1])
-    along_x, along_y = np.sqrt(np.mean([one.sizes_mm[:2] ** 2 for one in found], axis=0))
+    along_x, along_y = np.sqrt(np.mean([one.sigma_mm[:2] ** 2 for one in found], axis=0))
     assert along_y > 4 * along_x
 
 
@@ -85,13 +88,13 @@ def test_from_five_views_on_their_own_pulls_say_how_sure_they_are(bench, count):
     rng = np.random.default_rng(114)
     poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(count)]
     centres = np.array(bench.centre) + rng.normal(scale=1.0, size=(count, 3))
-    fitted = fit(bench.views(rng, 0.02, poses=poses, centres=centres), L2, "spherical")
-    known = fitted.known
-    assert known.disagree
+    fitted = fit_model(bench.views(rng, 0.02, poses=poses, centres=centres), L2, "spherical")
+    known = fitted.uncertainty
+    assert known.inconsistent
     assert sum(known.budget.values()) == pytest.approx(np.diag(known.covariance))
-    assert 1 < known.effective_freedom < count - 1
+    assert 1 < known.effective_degrees_of_freedom < count - 1
     # The jackknife is larger, the more so the fewer the views.
-    ratio = np.sqrt(np.diag(known.covariance) / np.diag(fitted.left_out.jackknife))
+    ratio = np.sqrt(np.diag(known.covariance) / np.diag(fitted.cross_validation.jackknife))
     assert 0.3 < np.exp(np.log(ratio).mean()) < 1
     # Correlations are those of what is without the views' pulls.
     correlation = known.covariance / np.sqrt(np.outer(*[np.diag(known.covariance)] * 2))
