@@ -130,7 +130,7 @@ class EspStage(WatchedStage[EspAxis]):
         self, port: Port, axes: Sequence[EspAxis], *, clock: Clock, wire_log: WireLog | None = None
     ) -> None:
         super().__init__(axes, clock=clock, where=port.name)
-        self._time = 0
+        self._time_cycles = 0
         self._restarts = 0
         self._homed_at: int | None = None
         try:
@@ -308,7 +308,7 @@ class EspStage(WatchedStage[EspAxis]):
             if error is None:
                 raise self._line.garbled_reply(f"TB? answered {text!r}.")
             if not error.code:
-                self._note_time(error.time)
+                self._note_time(error.time_cycles)
                 return found
             found.append(error)
         raise self._line.garbled_reply("the error buffer never ends.")
@@ -326,10 +326,10 @@ class EspStage(WatchedStage[EspAxis]):
             f"{name}: {error}" if name else str(error) for name, error in zip(whose, errors, strict=True)
         )
 
-    def _note_time(self, time: int) -> None:
-        if time < self._time:
+    def _note_time(self, time_cycles: int) -> None:
+        if time_cycles < self._time_cycles:
             self._restarts += 1
-        self._time = time
+        self._time_cycles = time_cycles
 
     # ------------------------------------------------------------ settings
 

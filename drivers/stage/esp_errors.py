@@ -42,14 +42,14 @@ class EspError:
     ----------
     code
         Error number; 0 for an empty buffer.
-    time
+    time_cycles
         Time since the controller started, in servo cycles.
     text
         The controller's own description.
     """
 
     code: int
-    time: int
+    time_cycles: int
     text: str
 
     def __str__(self) -> str:
