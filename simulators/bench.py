@@ -181,11 +181,21 @@ def _read_config(path: Path | None) -> BenchConfig:
     try:
         given: Any = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigError(f"Cannot read the file: {error.strerror}.", where=str(path)) from error
+        raise ConfigError(
+            f"Cannot read the file: {error.strerror}.",
+            where=str(path),
+            remedy="Check the path given with --config.",
+        ) from error
     except ValueError as error:
-        raise ConfigError(f"The file is not JSON: {error}.", where=str(path)) from error
+        raise ConfigError(
+            f"The file is not JSON: {error}.", where=str(path), remedy="Correct the file at that place."
+        ) from error
     if not isinstance(given, dict):
-        raise ConfigError("Expected a JSON object of sections.", where=str(path))
+        raise ConfigError(
+            "Expected a JSON object of sections.",
+            where=str(path),
+            remedy='Begin with a section, as in: {"stage": {}}',
+        )
     return bench_config(given)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from simulators.config import LightConfig
+from simulators.faults.fault_injection import Light
 from simulators.lights.gardasoft import GardasoftRt
 from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent_generator import SiglentGenerator
@@ -16,20 +17,8 @@ from simulators.ports.serial_device import Dialect
 from simulators.world.world import LightState
 
 
-class LightDriver(Dialect, Protocol):
+class LightDriver(Dialect, Light, Protocol):
     """A light's driver: it answers on a port, and faults can be injected into it."""
-
-    def clip(self, most_v: float | None) -> None:
-        """See `Light.clip`."""
-        ...
-
-    def trip(self) -> None:
-        """See `Light.trip`."""
-        ...
-
-    def exchange(self, serial: str) -> None:
-        """See `Light.exchange`."""
-        ...
 
 
 def make_light(

@@ -199,7 +199,9 @@ def fault_order_from_text(text: str) -> FaultOrder:
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise ConfigError(f"The order cannot be read: {error}.", where=text.strip()) from error
+        raise ConfigError(
+            f"Cannot read the order: {error}.", where=text.strip(), remedy="Close each quotation mark."
+        ) from error
     if len(words) < 2 or any("=" not in word for word in words[2:]):
         raise ConfigError(
             "The order is not complete, or a parameter is not of the form name=value.",
@@ -230,7 +232,11 @@ def fault_order(given: Mapping[str, Any]) -> FaultOrder:
     """
     for key in ("device", "fault"):
         if not isinstance(given.get(key), str):
-            raise ConfigError("The key is missing, or its value is not text.", where=key)
+            raise ConfigError(
+                "The key is missing, or its value is not text.",
+                where=key,
+                remedy=f"Give the name of the {key}.",
+            )
     device, fault = given["device"], given["fault"]
     known = faults_of(device)
     if fault not in known:

@@ -281,7 +281,11 @@ class SerialBridge:
         try:
             self._port = serial.serial_for_url(port, baud, timeout=0)
         except serial.SerialException as error:
-            raise SimulatorError(f"Cannot open the port: {error}.", where=port) from error
+            raise SimulatorError(
+                f"Cannot open the port: {error}.",
+                where=port,
+                remedy="Check the name of the port, and that no other program uses it.",
+            ) from error
         self._baud = baud
 
     @property
