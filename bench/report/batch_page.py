@@ -1,7 +1,7 @@
-"""The summary of a batch as one HTML page: what was run, what failed and why, how each parameter went.
+"""The summary of a batch as one HTML page: its runs, failures with their reasons, and each parameter over time.
 
-Knows the structure of ``summary.json`` and nothing else; formats by `bench.report.text`, draws by
-`bench.report.trend_plots`. Nothing a summary holds can become markup: the template escapes everything.
+Reads ``summary.json`` alone. `bench.report.text` formats the numbers and `bench.report.trend_plots` draws the plots. No
+text of a summary can become markup: the template escapes all of it.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from bench.report.trend_plots import Series, against_temperature, bars_of, over_
 
 _K = 2.0
 _SCATTER_SIGMAS = 3.0
-"""A Birge ratio that exceeds 1 by more than that many of its own standard deviations is more than chance."""
+"""A Birge ratio is significant if it exceeds 1 by more than this number of its own standard deviations."""
 _LEAST_RANGE_C = 0.2
-"""Temperatures that vary by less are one temperature."""
+"""Smallest range of temperatures for which the page shows parameters against temperature, degrees Celsius."""
 _HEADLINE = "fx"
 
 Json = Mapping[str, Any]
 
 
 class RunRow(NamedTuple):
-    """A run as the table prints it."""
+    """A row of the table of runs, as printed."""
 
     item: str
     link: str
@@ -48,7 +48,7 @@ class RunRow(NamedTuple):
 
 
 class TrendRow(NamedTuple):
-    """A parameter as the table of trends prints it."""
+    """A row of a camera's table of parameters, as printed."""
 
     name: str
     meaning: str
@@ -68,12 +68,12 @@ def render_batch(summary: Json) -> str:
     Parameters
     ----------
     summary
-        As ``batch_summary.summarise`` gives it.
+        Content of ``summary.json``, see `batch_summary.summarise`.
 
     Returns
     -------
     str
-        A complete HTML document that needs nothing from anywhere else; a function of ``summary`` alone.
+        A complete HTML document that loads nothing and depends on ``summary`` alone.
     """
     zone = _zone(summary)
     bars = bars_of(summary["items"])
@@ -102,7 +102,7 @@ def render_batch(summary: Json) -> str:
 
 
 def _zone(summary: Json) -> tzinfo | None:
-    """Whose clocks the page shows: the queue's, else this machine's as they stood then."""
+    """Return the time zone of the page: the queue's, otherwise this computer's at the begin of the batch."""
     if summary["zone"]:
         return ZoneInfo(summary["zone"])
     begun = summary["begun_utc"]
@@ -127,17 +127,20 @@ def _local(utc: str | None, zone: tzinfo | None) -> str:
 
 
 def _key_figures(summary: Json) -> list[tuple[str, str]]:
-    """Give the large numbers at the top of the page."""
+    """Return the large numbers at the top of the page, each with its meaning."""
     totals = summary["totals"]
     by_end = totals["by_end"]
     without = sum(n for how, n in by_end.items() if how not in {"finished", "not begun", "withdrawn"})
     return [
         (f"{by_end.get('finished', 0)} of {totals['runs']}", "runs with a result"),
-        (str(without), "without one"),
-        (str(by_end.get("not begun", 0)), "not begun"),
-        (number(totals["poses"]), f"poses, by {number(totals['recordings'])} recordings"),
+        (str(without), "runs without a result"),
+        (str(by_end.get("not begun", 0)), "runs not begun"),
+        (number(totals["poses"]), f"poses, in {number(totals['recordings'])} recordings"),
         (str(totals["deviations"]), "deviations from the sequences"),
-        (duration(3600.0 * totals["hours"]), f"in all, {duration(3600.0 * totals['working_hours'])} at work"),
+        (
+            duration(3600.0 * totals["hours"]),
+            f"in total, {duration(3600.0 * totals['working_hours'])} in runs",
+        ),
     ]
 
 
@@ -164,7 +167,7 @@ def _run_row(item: Json, zone: tzinfo | None) -> RunRow:
 
 
 def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, Any]:
-    """Give a camera's part of the page."""
+    """Return the part of the page about one camera."""
     runs, trends = camera["runs"], camera["parameters"]
     temperatures = [run["temperature_c"] for run in runs]
     warm = (
@@ -206,7 +209,11 @@ def _series(runs: Sequence[Json], trends: Sequence[Json], slope: str) -> list[Se
 
 
 def _scatters(trend: Json, runs: int) -> bool:
-    """Whether runs scatter more than their uncertainties say: the Birge ratio's own scatter is 1 / sqrt(2 (n - 1))."""
+    """Whether the runs scatter significantly more than their uncertainties predict.
+
+    The Birge ratio is the square root of a reduced chi-square with n - 1 degrees of freedom. If the uncertainties are
+    right, its standard deviation is about 1 / sqrt(2 (n - 1)) (Birge, Phys. Rev. 40 (1932) 207).
+    """
     return bool(trend["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1)))
 
 
@@ -218,7 +225,7 @@ def _trend_row(trend: Json, runs: int, *, warm: bool) -> TrendRow:
     follows = warm and trend["per_c"] is not None and trend["per_c"]["seen"]
     scattered = _scatters(trend, runs)
     if moves or follows:
-        verdict, label = "marginal", "changes" if moves else "follows temperature"
+        verdict, label = "marginal", "drifts" if moves else "follows temperature"
     elif scattered:
         verdict, label = "marginal", "scatters"
     else:
@@ -245,16 +252,18 @@ def _slope_text(found: Json | None) -> str:
 
 
 def _verdict(trends: Sequence[Json], runs: int) -> str:
-    """Say in a sentence what the trends amount to."""
+    """Summarise the trends in one sentence."""
     if not trends:
-        return "One run has a result: there is nothing to compare it with."
+        return "Only one run has a result, so there is no comparison."
     moving = [t["name"] for t in trends if t["per_hour"] is not None and t["per_hour"]["seen"]]
     scattered = [t["name"] for t in trends if _scatters(t, runs) and t["name"] not in moving]
-    said = []
+    findings = []
     if moving:
-        said.append(f"{', '.join(moving)} changed over the night by more than 3.5 standard uncertainties")
+        findings.append(
+            f"{', '.join(moving)} changed during the batch by more than 3.5 standard uncertainties"
+        )
     if scattered:
-        said.append(f"{', '.join(scattered)} scattered more than the stated uncertainties say")
-    if not said:
-        return f"All {runs} results agree within their uncertainties; no parameter changed over the night."
-    return f"{'; '.join(said)}."
+        findings.append(f"{', '.join(scattered)} scattered more than the stated uncertainties predict")
+    if not findings:
+        return f"All {runs} results agree within their uncertainties; no parameter changed during the batch."
+    return f"{'; '.join(findings)}."

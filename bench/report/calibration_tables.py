@@ -1,7 +1,7 @@
-"""Rows of the report's tables on the calibration: values, agreement, budget, correlation, comparisons, checks.
+"""Rows of the report's tables about the calibration: values, fit, uncertainty budget, correlation, comparisons, checks.
 
-Knows the structure of results.json; each function takes a part of it and gives rows of printed text, empty where the
-part is missing, so that the page can leave the table out.
+Each function takes a part of results.json and returns rows of printed text. The rows are empty if the part is missing;
+the page then omits the table.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _USUAL_COVERAGE_FACTOR = 2.0
 
 @dataclass(frozen=True)
 class ValueRow:
-    """A calibrated value with its expanded uncertainty."""
+    """A calibrated value with its expanded uncertainty, as printed."""
 
     name: str
     meaning: str
@@ -31,19 +31,41 @@ class ValueRow:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a matrix, and how strongly it is shaded, 0 to 1."""
+    """A cell of a matrix: its text and the strength of its shading, 0 to 1."""
 
     text: str
     shade: float
 
 
 def coverage_factor(calibration: Json) -> float:
-    """Give k: the expanded uncertainty U is this many standard uncertainties and covers about 95 %."""
+    """Return the coverage factor k: U = k u has a coverage probability of about 95 % (JCGM 100, 6.2 and annex G).
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` or ``planar`` of results.json.
+
+    Returns
+    -------
+    float
+        Its ``coverage_factor``; 2 if it has none.
+    """
     return float(calibration.get("coverage_factor") or _USUAL_COVERAGE_FACTOR)
 
 
 def values(calibration: Json) -> list[ValueRow]:
-    """Give each value with its expanded uncertainty."""
+    """Return each estimated value with its expanded uncertainty U = k u (JCGM 100, 6.2.1).
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    list of ValueRow
+        A row for each parameter that has a sigma. The relative uncertainty is printed if it is below 100 %.
+    """
     found = {**calibration["camera"], **(calibration.get("collimator") or {})}
     k = coverage_factor(calibration)
     rows = []
@@ -58,22 +80,45 @@ def values(calibration: Json) -> list[ValueRow]:
 
 
 def fit_statistics(calibration: Json) -> list[tuple[str, str, str]]:
-    """Say how well the model follows the data: what, number, unit."""
+    """Return the statistics of the fit: residuals, numbers of stars and degrees of freedom, variance factors.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name, number and unit; quantities without a number are omitted.
+    """
     stars = sum(view["n"] for view in calibration["views"])
     rows = [
         ("RMS reprojection error", number(calibration["rms_px"], 3), "px"),
         ("mean reprojection error", number(calibration["mean_px"], 3), "px"),
-        ("RMS of poses left out of the fit", number(calibration.get("left_out_rms_px"), 3), "px"),
+        ("RMS reprojection error of left-out poses", number(calibration.get("left_out_rms_px"), 3), "px"),
         (f"stars in {len(calibration['views'])} poses", number(stars), ""),
         ("degrees of freedom", number(calibration.get("degrees_of_freedom")), ""),
         ("variance factor of the stars", number(calibration.get("variance_factor"), 3), ""),
-        ("disagreement of the poses, 1 is none", number(calibration.get("disagreement"), 3), ""),
+        ("Birge ratio of the poses; 1 is agreement", number(calibration.get("disagreement"), 3), ""),
     ]
     return [row for row in rows if row[1] != NOTHING]
 
 
 def budget(calibration: Json) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
-    """Give the names of the parameters and, for each source, its share of each one's variance."""
+    """Return the uncertainty budget: for each source, its share of the variance of each parameter.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    tuple
+        Names of the parameters, and for each source its name and one cell for each parameter. The shares of a parameter
+        add up to 100 %, apart from rounding.
+    """
     sources = calibration.get("budget") or {}
     names = [name for name in calibration["sigma"] if all(name in sigmas for sigmas in sources.values())]
     rows = []
@@ -87,7 +132,18 @@ def budget(calibration: Json) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
 
 
 def correlation(calibration: Json) -> tuple[list[str], list[list[Cell]]]:
-    """Give the names of the parameters and their correlation coefficients."""
+    """Return the correlation coefficients of the parameters (JCGM 100, 5.2.2, equation 14).
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    tuple
+        Names of the parameters, and the rows of the matrix; 0 where a variance is 0.
+    """
     covariance = calibration.get("covariance") or {"names": [], "matrix": []}
     matrix = covariance["matrix"]
     rows = []
@@ -99,7 +155,20 @@ def correlation(calibration: Json) -> tuple[list[str], list[list[Cell]]]:
 
 
 def planar_comparison(calibration: Json, planar: Json | None) -> list[tuple[str, str, str, str, str]]:
-    """Compare with the planar calibration: name, value, U, planar value, planar U."""
+    """Compare the result with the planar calibration of the same stars.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+    planar
+        ``planar`` of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name, value, U, planar value, planar U of each common parameter; the last row has the RMS residuals.
+    """
     if planar is None:
         return []
     k, k_planar = coverage_factor(calibration), coverage_factor(planar)
@@ -113,7 +182,19 @@ def planar_comparison(calibration: Json, planar: Json | None) -> list[tuple[str,
 
 
 def candidates(calibration: Json) -> list[tuple[str, str, str, str, str]]:
-    """List the models that were compared: name, parameters, RMS, RMS of left-out views, BIC."""
+    """List the models that were compared.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name, number of parameters, RMS residual (px), RMS residual of left-out views (px), Bayesian information
+        criterion (BIC; Schwarz, 1978).
+    """
     return [
         (
             str(model["model"]),
@@ -127,7 +208,20 @@ def candidates(calibration: Json) -> list[tuple[str, str, str, str, str]]:
 
 
 def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str, str, str]]:
-    """Compare with the simulated truth: name, value, U, truth, error, error in sigmas."""
+    """Compare the values with the simulated truth.
+
+    Parameters
+    ----------
+    rows
+        ``comparison`` of results.json.
+    k
+        Coverage factor.
+
+    Returns
+    -------
+    list of tuple
+        Name, value, U, truth, value minus truth, and this difference divided by the standard uncertainty.
+    """
     printed = []
     for row in rows:
         value, expanded = with_uncertainty(row["value"], k * row["sigma"])
@@ -139,20 +233,30 @@ def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str,
 
 
 def checks(results: Json) -> list[tuple[str, str]]:
-    """Tell of checks that took no part in the result: halves of the poses apart, and the gimbal's readings."""
+    """Describe the checks that do not influence the result: split half, and the gimbal's readings.
+
+    Parameters
+    ----------
+    results
+        Content of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name of the check and its result in words.
+    """
     rows = []
     if halves := results.get("halves"):
-        told = f"RMS {number(halves['rms_px'], 3)} px over the sensor, at most {number(halves['worst_px'], 3)} px; "
-        told += f"their uncertainties let one expect {number(halves['expected_px'], 3)} px"
-        rows.append(("Every other pose against the rest", told))
+        found = f"RMS difference {number(halves['rms_px'], 3)} px over the sensor, "
+        found += f"at most {number(halves['worst_px'], 3)} px; "
+        found += f"expected from the uncertainties: {number(halves['expected_px'], 3)} px"
+        rows.append(("Split half: every other pose against the rest", found))
     if gimbal := results.get("gimbal"):
-        told = f"RMS {number(gimbal['rms_arcsec'], 3)}\N{DOUBLE PRIME}"
+        found = f"RMS difference {number(gimbal['rms_arcsec'], 3)}\N{DOUBLE PRIME}"
         if gimbal.get("agrees") is False:
-            told += (
-                ", more than the stars' uncertainty explains: the gimbal repeats worse than the camera sees,"
-            )
-            told += " or an axis slipped; the result does not rest on its readings"
-        rows.append(("Rotations against the gimbal", told))
+            found += ", more than the uncertainty of the stars explains: the gimbal's repeatability is worse"
+            found += " than the camera's resolution, or an axis slipped; the result does not use its readings"
+        rows.append(("Hand-eye check: rotations against the gimbal's readings", found))
         for axis, scale in gimbal["scale"].items():
             value, expanded = with_uncertainty(scale, 2 * gimbal["scale_sigma"][axis])
             rows.append(

@@ -1,7 +1,7 @@
-"""How every plot of a report is drawn: style, colours, and SVG that is the same for the same figure.
+"""Common style of all plots: fonts, colours, and reproducible SVG.
 
-Knows Matplotlib; no data. Text stays text, so that it can be searched and takes the page's typeface; nothing here
-depends on the moment or on Matplotlib's global state.
+Depends on Matplotlib only. Text in a plot stays text, so that a reader can search it and it takes the page's typeface.
+The output depends neither on the date nor on Matplotlib's global state.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STYLE: Any = {
     "axes.linewidth": 0.8,
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
-    "path.simplify": False,  # dots are strokes of no length
+    "path.simplify": False,  # dots are lines without length
     "text.color": INK,
     "text.parse_math": False,  # a pose may be called $x$
     "xtick.color": MUTED,
@@ -37,12 +37,33 @@ _SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 
 
 def hide_frame(axes: Axes) -> None:
-    """Leave out the frame's upper and right side."""
+    """Hide the upper and the right side of the frame.
+
+    Parameters
+    ----------
+    axes
+        Axes of a plot.
+    """
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def to_svg(figure: Figure, identifier: str, label: str) -> str:
-    """Render without date; make ids unique on the page, coordinates short."""
+    """Render a figure as SVG without a date, with short coordinates and with ids that are unique on the page.
+
+    Parameters
+    ----------
+    figure
+        The figure.
+    identifier
+        Prefix of all ids in the SVG; different for each plot of a page.
+    label
+        Description for screen readers.
+
+    Returns
+    -------
+    str
+        The ``<svg>`` element.
+    """
     FigureCanvasSVG(figure)
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
@@ -57,7 +78,7 @@ def to_svg(figure: Figure, identifier: str, label: str) -> str:
 
 
 def _shortened(outline: str) -> str:
-    """Shorten a path: a hundredth of a point is enough, and a stroke of no length needs one point only."""
+    """Shorten a path: keep two decimals of a point, and only one point of a line without length."""
     outline = re.sub(r"(\.\d\d)\d+", r"\1", outline)
     outline = re.sub(r"\s*([MLCQz\"])\s*", r"\1", outline)
     return re.sub(r"M([\d.-]+ [\d.-]+)L\1(?=[M\"])", r"M\1h0", outline)

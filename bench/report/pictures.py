@@ -1,6 +1,7 @@
-"""Pictures of the poses: the event image, the stars found in it and where the calibration puts them.
+"""Images of the poses: the event image, the detected stars and their positions projected by the calibration.
 
-Knows images and points; no results. Pixel centres lie at integers, so an image W wide spans -0.5 to W - 0.5.
+Uses images and points alone, not the results. Pixel centres are at integers, so an image of width W spans -0.5 to
+W - 0.5.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from numpy.typing import NDArray
 
 _ALL_PICTURES_BYTES = 1_050_000
 _ENCODINGS = ((1.0, None), (1.0, 85), (1.0, 65), (0.5, 80), (0.5, 60), (0.25, 70))
-"""Scale and JPEG quality (None: PNG), tried in turn until a picture is small enough."""
+"""Scale and JPEG quality (None: PNG), tried in this order until an image is small enough."""
 _RING_PX = 7.0
 _CROSS_PX = 4.0
 _RING_COLOUR, _CROSS_COLOUR = "#ff7a1a", "#00a3e0"
 _CLOSE_UP_PX = 36.0
 MOST_STARS = 12_000
-"""Stars drawn in a plot at most, about."""
+"""Approximate largest number of stars in a plot."""
 _GOLDEN = 0.6180339887498949
 
 
@@ -33,11 +34,13 @@ class ViewPicture:
     Attributes
     ----------
     name
-        The pose's name.
+        Name of the pose.
     image
-        (H, W) uint8, the event image; None for a pose that is shown in plots alone.
-    detected, reprojected
-        (N, 2) float64, px: stars as found, and as the calibration projects them.
+        (H, W) uint8, the event image; None if the pose appears in plots only.
+    detected
+        (N, 2) float64, px: detected stars.
+    reprojected
+        (N, 2) float64, px: the same stars as the calibration projects them.
     ids
         (N,) int64, ids of the stars.
     """
@@ -50,15 +53,28 @@ class ViewPicture:
 
     @property
     def residuals(self) -> NDArray[np.float64]:
-        """(N, 2) star found minus star projected, px."""
+        """(N, 2) float64, px: detected position minus projected position of each star."""
         return self.detected - self.reprojected
 
 
 def thinned(views: Sequence[ViewPicture], most: int = MOST_STARS) -> Sequence[ViewPicture]:
-    """Leave out stars, evenly over all views, until about ``most`` are left; fewer than that stay as they are.
+    """Reduce the stars to about ``most``, evenly over all views; fewer stars stay as they are.
 
-    A star is kept where the fraction of its number times the golden ratio is small: that spreads evenly and falls
-    into step with no grid, so that each view keeps other stars.
+    Star number n is kept if the fractional part of n times the golden ratio is small. This additive recurrence has a
+    low discrepancy: the kept stars are evenly spread, they do not coincide with the rows of the target, and each view
+    keeps different stars.
+
+    Parameters
+    ----------
+    views
+        All poses of the report.
+    most
+        Approximate number of stars to keep, in all views together.
+
+    Returns
+    -------
+    Sequence of ViewPicture
+        The same views with fewer stars; the argument itself if it has no more than ``most`` stars.
     """
     total = sum(len(view.ids) for view in views)
     if total <= most:
@@ -72,7 +88,12 @@ def thinned(views: Sequence[ViewPicture], most: int = MOST_STARS) -> Sequence[Vi
 
 
 def pose_pictures(views: Sequence[ViewPicture]) -> list[tuple[str, str]]:
-    """Draw each pose that has an image as SVG: with rings and crosses, beside it two close-ups of the same image.
+    """Draw each pose that has an image as SVG, with rings and crosses at the stars and two close-ups beside it.
+
+    Parameters
+    ----------
+    views
+        Poses of the report; those without an image are skipped.
 
     Returns
     -------
@@ -111,7 +132,7 @@ def _outline(colour: str, path: str) -> str:
 
 
 def _close_up_centres(view: ViewPicture, size: tuple[int, int]) -> list[NDArray[np.float64]]:
-    """Stars to look at closely: the one nearest to the image's centre and the one with the largest residual."""
+    """Return the star nearest to the image's centre and the star with the largest residual: the close-ups' centres."""
     if not len(view.detected):
         return []
     centre = (np.array(size) - 1) / 2
@@ -141,7 +162,7 @@ def _crosses(points: NDArray[np.float64]) -> str:
 
 
 def _data_uri(image: NDArray[np.uint8], limit_bytes: int) -> str:
-    """Encode an image losslessly where it is small enough, else ever more coarsely."""
+    """Encode an image without loss if the result is small enough, otherwise with increasing loss."""
     data, kind = b"", ""
     for scale, quality in _ENCODINGS:
         shown = (

@@ -1,8 +1,8 @@
 """Plots of residuals, coverage and deviations, as SVG that is the same for the same data.
 
-Of many stars a part is drawn (`thinned`); every number and line in a plot is that of all of them.
-Knows Matplotlib and arrays; no results file. Text stays text, so that it can be searched and takes the
-page's typeface; nothing here depends on the moment or on Matplotlib's global state.
+If there are many stars, a part of them is drawn (`thinned`); every number and line in a plot is computed from all of
+them. Depends on Matplotlib and arrays, on no results file. Text in a plot stays text, so that a reader can search it
+and it takes the page's typeface. The output depends neither on the date nor on Matplotlib's global state.
 """
 
 from __future__ import annotations
@@ -26,22 +26,36 @@ from calib.uncertainty.projection_uncertainty import CameraDifference, Projectio
 Array = NDArray[np.float64]
 
 POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Okabe and Ito's palette: tells the poses apart for every eye; begins again after six."""
+"""Colours of the poses, repeated after six: the palette of Okabe and Ito (2008), safe for colour-blind readers."""
 _REGIONS = (4, 3)
 _LEVELS = 8
 _MESH = 4
-"""Points of a map from one arrow to the next."""
+"""Distance between two arrows, in grid points of the map."""
 _CLOUD_PERCENTILE = 99.5
 
 
 def uncertainty_contours(found: ProjectionMap, k: float, halves: CameraDifference | None = None) -> str:
-    """Draw how sure the camera is of a direction, over the sensor: expanded, px and arc seconds.
+    """Draw the expanded projection uncertainty over the sensor, in px and in arc seconds.
 
-    Beside it, when they are given, how far apart calibrations of two halves of the poses put the same direction.
+    If calibrations of two halves of the poses are given, a third panel shows the difference between their projections.
+
+    Parameters
+    ----------
+    found
+        Standard uncertainty of the projection on a grid over the sensor.
+    k
+        Coverage factor.
+    halves
+        Difference between the cameras of two halves of the poses.
+
+    Returns
+    -------
+    str
+        SVG.
     """
     maps = [(k * found.sigma_px, "U, px"), (k * found.sigma_arcsec, "U, arc seconds")]
     if halves:
-        maps.append((np.linalg.norm(halves.offset_px, axis=2), "Halves of the poses apart, px"))
+        maps.append((np.linalg.norm(halves.offset_px, axis=2), "Difference of the halves, px"))
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 3.5 if len(maps) == 2 else 2.75), layout="constrained")
         panels = figure.subplots(1, len(maps))
@@ -55,7 +69,20 @@ def uncertainty_contours(found: ProjectionMap, k: float, halves: CameraDifferenc
 
 
 def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
-    """Draw the residual of each star where it lies on the sensor, magnified; the factor is told."""
+    """Draw the residual vector of each star at its place on the sensor, magnified by the factor that the plot states.
+
+    Parameters
+    ----------
+    views
+        Poses of the report, with at least one star.
+    image_size
+        Width and height, px.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
     with mpl.rc_context(STYLE):
@@ -71,7 +98,20 @@ def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) 
 
 
 def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
-    """Draw the residuals about zero, and their lengths by distance from the principal point."""
+    """Draw the residuals around zero, and their lengths against the distance from the principal point.
+
+    Parameters
+    ----------
+    views
+        Poses of the report, with at least one star.
+    principal_point
+        cx and cy, px.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
     residuals = np.concatenate([view.residuals for view in views])
     lengths = np.linalg.norm(residuals, axis=1)
     limit = 1.15 * max(float(np.percentile(lengths, _CLOUD_PERCENTILE)), 1e-6)
@@ -96,16 +136,33 @@ def residual_cloud(views: Sequence[ViewPicture], principal_point: tuple[float, f
             xlim=(0, radius.max() * 1.03), ylim=(0, limit), xlabel="distance from the principal point, px"
         )
         radial.set_ylabel("length, px")
-        radial.set_title("Length of the residuals; the line is their RMS by distance")
+        radial.set_title("Length of the residuals; the line is their RMS at each distance")
         hide_frame(cloud)
         hide_frame(radial)
-        return to_svg(figure, "cloud", "Residuals about zero, and by distance from the principal point")
+        return to_svg(
+            figure, "cloud", "Residuals around zero, and against the distance from the principal point"
+        )
 
 
 def coverage(
     views: Sequence[ViewPicture], image_size: tuple[int, int], principal_point: tuple[float, float]
 ) -> str:
-    """Draw where the stars lie on the sensor, and RMS residual and number of stars by region."""
+    """Draw the stars on the sensor with their convex hull, and RMS residual and number of stars for each region.
+
+    Parameters
+    ----------
+    views
+        Poses of the report, with at least one star.
+    image_size
+        Width and height, px.
+    principal_point
+        cx and cy, px.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
     points = np.concatenate([view.detected for view in views])
     squares = np.sum(np.concatenate([view.residuals for view in views]) ** 2, axis=1)
     with mpl.rc_context(STYLE):
@@ -117,7 +174,7 @@ def coverage(
             _strokes(stars, detected, detected, colour, 2.4)
         stars.plot(*principal_point, marker="+", markersize=13, markeredgewidth=1.6, color=INK)
         share = float(cv2.contourArea(hull)) / (image_size[0] * image_size[1])
-        stars.set_title(f"Stars; their hull covers {100 * share:.0f} % of the sensor")
+        stars.set_title(f"Stars; their convex hull covers {100 * share:.0f} % of the sensor")
         _sensor(stars, image_size)
         _region_map(regions, points, squares, image_size)
         regions.set_title("RMS residual, px, and number of stars by region")
@@ -126,7 +183,20 @@ def coverage(
 
 
 def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
-    """Draw how far each value lies from the truth, in its own standard uncertainties."""
+    """Draw the deviation of each value from the truth, in units of its standard uncertainty.
+
+    Parameters
+    ----------
+    names
+        Names of the parameters.
+    error_sigmas
+        For each parameter: value minus truth, divided by the standard uncertainty.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 0.55 + 0.27 * len(names)), layout="constrained")
         axes = figure.add_subplot()
@@ -144,7 +214,7 @@ def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -
 
 
 def _contours(axes: Axes, grid_px: Array, values: Array, name: str) -> None:
-    """Draw a quantity over the sensor, its median and its largest value above it."""
+    """Draw a quantity over the sensor; the title has its median and its largest value."""
     x, y, shown = grid_px[..., 0], grid_px[..., 1], _to_digits(values, 6)
     worst, middle = float(np.nanmax(shown)), float(np.nanmedian(shown))
     levels = np.linspace(0, worst, _LEVELS + 1)
@@ -156,7 +226,7 @@ def _contours(axes: Axes, grid_px: Array, values: Array, name: str) -> None:
 
 
 def _arrows(axes: Axes, halves: CameraDifference) -> None:
-    """Draw where the second half's camera shows what the first one shows there; the longest spans the mesh."""
+    """Draw how the second half's camera shifts the image points of the first half's; the longest arrow is one mesh."""
     every = (slice(_MESH // 2, None, _MESH), slice(_MESH // 2, None, _MESH))
     begins, offsets = (
         halves.grid_px[every].reshape(-1, 2),
@@ -171,7 +241,7 @@ def _arrows(axes: Axes, halves: CameraDifference) -> None:
 
 
 def _by_colour(views: Sequence[ViewPicture]) -> Iterator[tuple[str, Array, Array]]:
-    """Give each colour with the stars and the residuals of all its poses."""
+    """Yield each colour with the stars and the residuals of all poses that have this colour."""
     for number, colour in enumerate(POSE_COLOURS):
         if alike := views[number :: len(POSE_COLOURS)]:
             yield (
@@ -182,7 +252,7 @@ def _by_colour(views: Sequence[ViewPicture]) -> Iterator[tuple[str, Array, Array
 
 
 def _strokes(axes: Axes, begins: Array, ends: Array, colour: str, width: float, alpha: float = 1.0) -> None:
-    """Draw many strokes as one path, which keeps the file small; a stroke of no length is a dot."""
+    """Draw many lines as one path, which keeps the file small; a line without length is a dot."""
     if not len(begins):
         return
     vertices = np.stack([begins, ends], axis=1).reshape(-1, 2)
@@ -257,7 +327,7 @@ def _region_map(axes: Axes, points: Array, squares: Array, image_size: tuple[int
 
 
 def _to_digits(values: Array, digits: int) -> Array:
-    """Round an array to so many digits of its largest value: the last bits differ from process to process."""
+    """Round an array relative to its largest value, because its last bits differ between processes."""
     unit = 10.0 ** (np.ceil(np.log10(max(float(np.nanmax(values)), 1e-30))) - digits)
     return np.asarray(np.round(values / unit) * unit)
 

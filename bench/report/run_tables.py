@@ -1,7 +1,7 @@
-"""Rows of the report's tables on the run: who and what took part, poses, recordings, gates, conditions.
+"""Rows of the report's tables about the run: item and devices, poses, recordings, gates, conditions.
 
-Knows the structure of results.json; each function takes a part of it and gives rows of printed text, empty where the
-part is missing, so that the page can leave the table out.
+Each function takes a part of results.json and returns rows of printed text. The rows are empty if the part is missing;
+the page then omits the table.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _VERDICTS = ("pass", "marginal", "fail")
 
 @dataclass(frozen=True)
 class DeviceRow:
-    """One device as it named itself."""
+    """The identity that one device reported, as printed."""
 
     name: str
     model: str
@@ -32,7 +32,7 @@ class DeviceRow:
 
 @dataclass(frozen=True)
 class PoseRow:
-    """One pose as it was made and found."""
+    """One pose as printed: its angles, its stars and its image."""
 
     name: str
     commanded: str
@@ -47,7 +47,7 @@ class PoseRow:
 
 @dataclass(frozen=True)
 class RecordingRow:
-    """One recording, accepted or not."""
+    """One recording as printed, accepted or refused."""
 
     pose: str
     attempt: str
@@ -65,7 +65,7 @@ class RecordingRow:
 
 @dataclass(frozen=True)
 class GateRow:
-    """One gate over all recordings it was asked of."""
+    """One gate as printed, with the values of all recordings it judged."""
 
     name: str
     limit: str
@@ -75,11 +75,22 @@ class GateRow:
 
 
 def identification(results: Json) -> list[tuple[str, str]]:
-    """Say what was calibrated, by whom, where and when."""
+    """Identify what was calibrated, by whom, where and when (ISO/IEC 17025, 7.8.2.1).
+
+    Parameters
+    ----------
+    results
+        Content of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name and value.
+    """
     run = results["run"]
     camera = (results.get("devices") or {}).get("camera") or {}
     ledger, collimator = run.get("ledger"), run.get("collimator")
-    entered = [("In the laboratory's ledger", _place_in_ledger(ledger))] if ledger else []
+    entered = [("Laboratory's ledger", _place_in_ledger(ledger))] if ledger else []
     item = " ".join(str(camera[key]) for key in ("maker", "model", "sensor") if camera.get(key))
     return [
         ("Item", item or NOTHING),
@@ -98,7 +109,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
 
 
 def _collimator(details: Json) -> str:
-    """Say in one line what the station file says of the collimator."""
+    """Return in one line what the station file says about the collimator."""
     parts = []
     if "serial" in details:
         parts.append(f"serial {details['serial']}")
@@ -110,7 +121,18 @@ def _collimator(details: Json) -> str:
 
 
 def software(results: Json) -> list[tuple[str, str]]:
-    """Name the programs that took part, and the seed of a simulated bench."""
+    """List the programs that computed the result, and the seed of a simulated bench.
+
+    Parameters
+    ----------
+    results
+        Content of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name and version.
+    """
     run = results["run"]
     rows = [(str(name), str(version)) for name, version in (run.get("software") or {}).items()]
     if run.get("seed") is not None:
@@ -119,7 +141,18 @@ def software(results: Json) -> list[tuple[str, str]]:
 
 
 def conditions(found: Json) -> list[tuple[str, str]]:
-    """List the settings and surroundings of the recordings."""
+    """List the settings of light and camera, and the temperature.
+
+    Parameters
+    ----------
+    found
+        ``conditions`` of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name of the device and the setting, and the value with its unit.
+    """
     rows = []
     for part, settings in found.items():
         if isinstance(settings, Mapping):
@@ -130,7 +163,18 @@ def conditions(found: Json) -> list[tuple[str, str]]:
 
 
 def devices(found: Json) -> list[DeviceRow]:
-    """List who the devices said they were."""
+    """List the identities that the devices reported.
+
+    Parameters
+    ----------
+    found
+        ``devices`` of results.json.
+
+    Returns
+    -------
+    list of DeviceRow
+        A row for each device that has a serial number.
+    """
     rows = []
     for part, identities in found.items():
         for identity in identities if isinstance(identities, list) else [identities]:
@@ -148,7 +192,18 @@ def devices(found: Json) -> list[DeviceRow]:
 
 
 def poses(found: Sequence[Json]) -> list[PoseRow]:
-    """Give each pose as it was commanded, measured and found."""
+    """List the poses with their commanded and measured angles and their stars.
+
+    Parameters
+    ----------
+    found
+        ``poses`` of results.json.
+
+    Returns
+    -------
+    list of PoseRow
+        A row for each pose.
+    """
     rows = []
     for pose in found:
         image = pose.get("image") or {}
@@ -169,12 +224,25 @@ def poses(found: Sequence[Json]) -> list[PoseRow]:
 
 
 def _stars(pose: Json) -> str:
-    """Number of stars of a pose, and what named them where it was not the tag."""
-    return number(pose.get("stars")) + (", named by the gimbal" if pose.get("named_by") == "gimbal" else "")
+    """Return the number of stars of a pose, and what identified them if it was not the tag."""
+    return number(pose.get("stars")) + (
+        ", identified by the gimbal" if pose.get("named_by") == "gimbal" else ""
+    )
 
 
 def recordings(found: Sequence[Json]) -> list[RecordingRow]:
-    """List every recording, refused ones too."""
+    """List every recording, including refused ones.
+
+    Parameters
+    ----------
+    found
+        ``poses`` of results.json.
+
+    Returns
+    -------
+    list of RecordingRow
+        A row for each attempt at each pose.
+    """
     return [
         RecordingRow(
             pose=str(pose["name"]),
@@ -196,7 +264,18 @@ def recordings(found: Sequence[Json]) -> list[RecordingRow]:
 
 
 def gates(found: Sequence[Json]) -> list[GateRow]:
-    """Give each gate once, with the range of values it judged and its worst verdict."""
+    """List each gate once, with the range of the values it judged and its worst verdict.
+
+    Parameters
+    ----------
+    found
+        ``gates`` of results.json.
+
+    Returns
+    -------
+    list of GateRow
+        A row for each combination of gate, limit and unit.
+    """
     kinds: dict[tuple[str, str, str], list[Json]] = {}
     for gate in found:
         name = _POSE_PREFIX.sub("", str(gate["name"]), count=1)
@@ -216,9 +295,20 @@ def gates(found: Sequence[Json]) -> list[GateRow]:
 
 
 def alerts(results: Json) -> list[str]:
-    """Tell what a reader must know before the numbers: verdicts that are no pass, and every deviation."""
+    """List what a reader must know before using the values: gates that did not pass, and every deviation.
+
+    Parameters
+    ----------
+    results
+        Content of results.json.
+
+    Returns
+    -------
+    list of str
+        A sentence for each gate and each deviation.
+    """
     details = [
-        f"Gate {row.verdict}: {row.name}: {row.values}, limit {row.limit} ({row.count} passed)."
+        f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
         for row in gates(results.get("gates") or [])
         if row.verdict != "pass"
     ]
@@ -226,8 +316,8 @@ def alerts(results: Json) -> list[str]:
 
 
 def _place_in_ledger(ledger: Json) -> str:
-    standing = ", ".join(f"{count} {how}" for how, count in ledger["of_camera"].items())
-    return f"run {ledger['number']}; of this camera {standing}, this one included"
+    counts = ", ".join(f"{count} {how}" for how, count in ledger["of_camera"].items())
+    return f"run {ledger['number']}; runs of this camera, including this one: {counts}"
 
 
 def _angles(found: Json | None, decimals: int) -> str:
@@ -245,7 +335,7 @@ def _image(image: Json) -> str:
     if image.get("periods"):
         details.append(f"{value_text(image['periods'])} periods")
     if image.get("events_per_edge") is not None:
-        details.append(f"{number(image['events_per_edge'], 2)} events an edge")
+        details.append(f"{number(image['events_per_edge'], 2)} events per edge")
     if image.get("on_share") is not None:
         details.append(f"{100 * image['on_share']:.0f} % ON")
     if image.get("hot_pixels") is not None:

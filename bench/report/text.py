@@ -1,7 +1,7 @@
-"""Numbers and moments as a reader of a report expects them: rounded to what is known of them.
+"""Printed form of numbers, times and other values: rounded according to their uncertainty.
 
 An expanded uncertainty has two significant digits, and its value ends at the same digit (JCGM 100, 7.2.6;
-ILAC-P14). Knows no report and no markup.
+ILAC-P14). Independent of any report and any markup.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Any
 
 NOTHING = "\N{EN DASH}"
-"""Printed where there is no number."""
+"""Printed in place of a missing value."""
 MINUS = "\N{MINUS SIGN}"
 
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "x": "mm", "y": "mm", "r": "mm"}
@@ -32,10 +32,10 @@ _MEANINGS = {
     "p2": "tangential distortion",
     "x": "collimator axis on the target, X",
     "y": "collimator axis on the target, Y",
-    "r": "collimator focal length, on the target's scale",
+    "r": "collimator focal length, in the target's scale",
     "pupil_shift": "collimator: reticle out of focus",
-    "radial": "collimator: distortion, or a bowed reticle",
-    "field_curve": "collimator: focus varies over the field",
+    "radial": "collimator: distortion, or a curved reticle",
+    "field_curve": "collimator: field curvature",
     "tilt_x": "collimator: reticle tilted, about Y",
     "tilt_y": "collimator: reticle tilted, about X",
     "coma": "collimator: coma",
@@ -47,17 +47,41 @@ _MEANINGS = {
 
 
 def unit_of(parameter: str) -> str:
-    """Give the unit of a parameter; distortion coefficients have none."""
+    """Return the unit of a parameter.
+
+    Parameters
+    ----------
+    parameter
+        Name of the parameter, as in results.json.
+
+    Returns
+    -------
+    str
+        ``px``, ``mm``, or ``1`` for a pure number such as a distortion coefficient.
+    """
     return _UNITS.get(parameter, "1")
 
 
 def meaning_of(parameter: str) -> str:
-    """Say what a parameter is."""
+    """Return the meaning of a parameter in words.
+
+    Parameters
+    ----------
+    parameter
+        Name of the parameter, as in results.json.
+
+    Returns
+    -------
+    str
+        A short description; empty for an unknown parameter.
+    """
     return _MEANINGS.get(parameter, "")
 
 
 def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
     """Print a value and its expanded uncertainty: U to two significant digits, the value to the same digit.
+
+    JCGM 100, 7.2.6. U is rounded half to even, not up.
 
     Parameters
     ----------
@@ -69,7 +93,7 @@ def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
     Returns
     -------
     tuple
-        Value and U. Where U is not a positive number nothing is known of the digits: six are printed.
+        Value and U. If U is not a positive finite number, the value has six significant digits and U is a dash.
 
     Examples
     --------
@@ -89,7 +113,19 @@ def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
 
 
 def number(value: Any, digits: int = 4) -> str:
-    """Print a number to so many significant digits; whole numbers in full.
+    """Print a number with a number of significant digits; integers are printed in full.
+
+    Parameters
+    ----------
+    value
+        A number; None and numbers that are not finite are printed as a dash.
+    digits
+        Significant digits of a number that is not an integer.
+
+    Returns
+    -------
+    str
+        The number without exponent, with a true minus sign and narrow spaces between thousands of an integer.
 
     Examples
     --------
@@ -108,7 +144,17 @@ def number(value: Any, digits: int = 4) -> str:
 
 
 def exact(value: float) -> str:
-    """Print a number that is known exactly, as shortly as it can be written, to nine digits at most.
+    """Print a number that is known exactly, in its shortest form, with nine significant digits at most.
+
+    Parameters
+    ----------
+    value
+        The number.
+
+    Returns
+    -------
+    str
+        The number with a true minus sign.
 
     Examples
     --------
@@ -119,7 +165,19 @@ def exact(value: float) -> str:
 
 
 def fixed(value: Any, decimals: int) -> str:
-    """Print a number to so many decimals.
+    """Print a number with a fixed number of decimals.
+
+    Parameters
+    ----------
+    value
+        A number; None and numbers that are not finite are printed as a dash.
+    decimals
+        Digits after the decimal point.
+
+    Returns
+    -------
+    str
+        The number with a true minus sign, never "minus zero".
 
     Examples
     --------
@@ -133,7 +191,17 @@ def fixed(value: Any, decimals: int) -> str:
 
 
 def moment(text: str | None) -> str:
-    """Print an ISO 8601 moment for a reader, in UTC.
+    """Print an ISO 8601 time in UTC, to the second.
+
+    Parameters
+    ----------
+    text
+        ISO 8601 time in UTC; a dash is printed for None and for an empty text.
+
+    Returns
+    -------
+    str
+        Date and time.
 
     Examples
     --------
@@ -146,7 +214,17 @@ def moment(text: str | None) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Print a span of time.
+    """Print a duration in a unit that suits its length.
+
+    Parameters
+    ----------
+    seconds
+        Duration, s.
+
+    Returns
+    -------
+    str
+        The duration in ms, s, min or h.
 
     Examples
     --------
@@ -163,7 +241,17 @@ def duration(seconds: float) -> str:
 
 
 def value_text(value: Any) -> str:
-    """Print anything that a results file may hold: numbers, lists and mappings too, in one line.
+    """Print any value of results.json in one line: text, numbers, lists and mappings.
+
+    Parameters
+    ----------
+    value
+        The value.
+
+    Returns
+    -------
+    str
+        Its text; a dash for None and for empty values.
 
     Examples
     --------
@@ -184,11 +272,11 @@ def value_text(value: Any) -> str:
 
 
 def _to_digit(value: Decimal, digit: int) -> Decimal:
-    """Round to the decimal digit 10**digit."""
+    """Round to the decimal digit 10**digit, half to even."""
     return value.quantize(Decimal(1).scaleb(digit), rounding=ROUND_HALF_EVEN)
 
 
 def _plain(value: Decimal) -> str:
-    """Print without an exponent, with a true minus and no minus zero."""
+    """Print without exponent, with a true minus sign and no minus zero."""
     text = f"{value:f}"
     return text.removeprefix("-") if not value else text.replace("-", MINUS)

@@ -1,6 +1,6 @@
-"""Plots of a night: when each run was under way, and how each parameter went, over time and against temperature.
+"""Plots of a batch: the time of each run, and each parameter over time and against temperature.
 
-Knows Matplotlib and plain numbers; no file.
+Depends on Matplotlib and plain numbers; reads no file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _COLUMNS = 3
 _MOST_TICKS = 8
 _STEPS_H = (1 / 60, 1 / 30, 1 / 12, 1 / 6, 0.25, 0.5, 1, 2, 3, 6, 12, 24)
 _BEFORE = 0.02
-"""Of the span: an axis of times begins so much before the first, where a round time of day lies there."""
+"""Share of the time span by which an axis may begin earlier, to show a round time of day."""
 _POINT, _LINE_COLOUR = POSE_COLOURS[0], POSE_COLOURS[1]
 END_COLOURS = {
     "finished": "#0072b2",
@@ -38,11 +38,11 @@ END_COLOURS = {
     "aborted": "#e69f00",
     "cut off": "#e69f00",
 }
-"""Of a run's bar, by how it ended."""
+"""Colour of a run's bar for each outcome."""
 
 
 class Bar(NamedTuple):
-    """A run in the picture of a night: its job, when it was under way, and how it ended."""
+    """A bar of the timeline: one attempt at a run, with its job, begin, end and outcome."""
 
     job: str
     begun: datetime
@@ -51,18 +51,18 @@ class Bar(NamedTuple):
 
 
 class Series(NamedTuple):
-    """One parameter over several runs.
+    """The values of one parameter in several runs.
 
     Attributes
     ----------
     name
         The parameter.
     values, sigmas
-        Values and their 1 sigma.
+        Value of each run and its standard uncertainty, in the parameter's unit.
     mean, sigma
-        Weighted mean and its 1 sigma.
+        Weighted mean of the values and its standard uncertainty.
     slope
-        Change per unit of the abscissa, and whether it is more than chance explains; None where there is none.
+        Change per hour or per degree Celsius, and whether it is significant; None if there is no slope.
     """
 
     name: str
@@ -74,7 +74,20 @@ class Series(NamedTuple):
 
 
 def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
-    """Draw when each run was under way, a row a job."""
+    """Draw when each run was in progress, one row for each job.
+
+    Parameters
+    ----------
+    bars
+        One bar for each attempt, at least one.
+    zone
+        Time zone of the axis; None for this computer's.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
     jobs = list(dict.fromkeys(bar.job for bar in bars))
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH_IN, 0.85 + 0.3 * len(jobs)), layout="constrained")
@@ -103,26 +116,58 @@ def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
         )  # fmt: skip
         hide_frame(axes)
         axes.spines["left"].set_visible(False)
-        return to_svg(figure, "timeline", "When each run was under way")
+        return to_svg(figure, "timeline", "Time of each run")
 
 
 def over_time(
     moments: Sequence[datetime], series: Sequence[Series], zone: tzinfo | None, identifier: str
 ) -> str:
-    """Draw each parameter over time; the slope of a series is per hour."""
+    """Draw each parameter over time, with U = 2 u.
+
+    Parameters
+    ----------
+    moments
+        Begin of each run.
+    series
+        One series for each parameter; slopes are per hour.
+    zone
+        Time zone of the axis; None for this computer's.
+    identifier
+        Prefix of the ids in the SVG, unique on the page.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
     hours = np.array([_hours(moment, moments[0]) for moment in moments])
     return _panels(hours, series, identifier, begin=moments[0].astimezone(zone), label="")
 
 
 def against_temperature(degrees_c: Sequence[float], series: Sequence[Series], identifier: str) -> str:
-    """Draw each parameter against the camera's temperature; the slope of a series is per degree Celsius."""
+    """Draw each parameter against the camera's temperature, with U = 2 u.
+
+    Parameters
+    ----------
+    degrees_c
+        Temperature of the camera in each run, degrees Celsius.
+    series
+        One series for each parameter; slopes are per degree Celsius.
+    identifier
+        Prefix of the ids in the SVG, unique on the page.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
     return _panels(np.asarray(degrees_c), series, identifier, begin=None, label="camera, °C")
 
 
 def _panels(
     x: NDArray[np.float64], series: Sequence[Series], identifier: str, *, begin: datetime | None, label: str
 ) -> str:
-    """Draw a panel a parameter; ``x`` are hours after ``begin``, where there is one."""
+    """Draw one panel for each parameter; ``x`` is in hours after ``begin`` if there is one."""
     rows = math.ceil(len(series) / _COLUMNS)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH_IN, 0.45 + _ROW_IN * rows), layout="constrained")
@@ -139,7 +184,7 @@ def _panels(
         if begin is not None:
             _clock(grid[0, 0], begin, float(x.max()))
         _key(figure)
-        return to_svg(figure, identifier, "Parameters over the night")
+        return to_svg(figure, identifier, "Parameters of the runs")
 
 
 def _panel(axes: Axes, x: NDArray[np.float64], one: Series) -> None:
@@ -168,15 +213,15 @@ def _panel(axes: Axes, x: NDArray[np.float64], one: Series) -> None:
 
 def _key(figure: Figure) -> None:
     handles = [
-        Line2D([], [], color=_POINT, marker="o", markersize=4, linewidth=0.9, label="a run, ± U (k = 2)"),
+        Line2D([], [], color=_POINT, marker="o", markersize=4, linewidth=0.9, label="one run, ± U (k = 2)"),
         Line2D([], [], color=MUTED, linewidth=0.8, label="weighted mean"),
-        Patch(color="#dbe6f0", label="its U"),
+        Patch(color="#dbe6f0", label="U of the mean"),
         Line2D(
             [],
             [],
             color=_LINE_COLOUR,
             linewidth=1.8,
-            label="trend, where it exceeds 3.5 standard uncertainties",
+            label="trend, if it exceeds 3.5 standard uncertainties",
         ),
     ]
     figure.legend(handles=handles, loc="outside upper left", ncols=4, frameon=False)
@@ -187,7 +232,7 @@ def _hours(moment: datetime, begin: datetime) -> float:
 
 
 def _clock(axes: Axes, begin: datetime, last_h: float) -> None:
-    """Label an axis of hours after a local moment with times of day."""
+    """Label an axis of hours after a local time with times of day."""
     step_h = next((s for s in _STEPS_H if last_h / s <= _MOST_TICKS), 48.0)
     midnight = begin.replace(hour=0, minute=0, second=0, microsecond=0)
     since_h = _hours(begin, midnight)
@@ -202,7 +247,18 @@ def _clock(axes: Axes, begin: datetime, last_h: float) -> None:
 
 
 def bars_of(items: Sequence[Mapping[str, Any]]) -> list[Bar]:
-    """Take the bars of the timeline from a summary's items: one a try."""
+    """Convert the items of a summary to the bars of the timeline.
+
+    Parameters
+    ----------
+    items
+        ``items`` of ``summary.json``.
+
+    Returns
+    -------
+    list of Bar
+        A bar for each attempt that has ended.
+    """
     return [
         Bar(
             item["job"],

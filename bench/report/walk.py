@@ -1,7 +1,7 @@
-"""The states a run walked through, drawn: a box a state in the order of first entry, an arc an edge taken.
+"""Diagram of a run's states: a box for each state in order of first entry, an arrow for each transition.
 
-Knows names and moments of states; not what they mean. Edges to the right run above the boxes, edges back
-below; a number beside an edge tells how often it was taken.
+Uses the names and times of the states alone. Transitions to the right are drawn above the boxes, transitions back
+below them. A number beside an arrow is the number of times that the transition happened.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _TIMES = "\N{MULTIPLICATION SIGN}"
 
 
 def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
-    """Draw the walk.
+    """Draw the states of a run and the transitions between them.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
     Returns
     -------
     str
-        SVG; each box tells how often its state was entered and how long the run was in it.
+        SVG. Below each box: how often the run entered the state and how much time it spent there.
     """
     names = [str(entry["state"]) for entry in states]
     places = {name: _MARGIN + _STEP * i for i, name in enumerate(dict.fromkeys(names))}
@@ -46,7 +46,7 @@ def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
         _box(name, x, middle, names.count(name), _seconds_in(name, states)) for name, x in places.items()
     ]
     return (
-        f'<svg class="walk" role="img" aria-label="States walked through" viewBox="0 0 {width:g} {height:g}" '
+        f'<svg class="walk" role="img" aria-label="States of the run" viewBox="0 0 {width:g} {height:g}" '
         f'style="max-width:{1.15 * width:.0f}px" xmlns="http://www.w3.org/2000/svg">'
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6" '
         'orient="auto-start-reverse"><path d="M0 0 8 4 0 8z"/></marker></defs>' + "".join(parts) + "</svg>"
@@ -54,7 +54,7 @@ def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _seconds_in(name: str, states: Sequence[Mapping[str, Any]]) -> float | None:
-    """Time spent in a state; None when the run ended in it."""
+    """Return the time spent in a state, s; None if the run ended in it."""
     moments = [datetime.fromisoformat(str(entry["utc"])) for entry in states]
     spans = [
         (later - earlier).total_seconds()
@@ -65,7 +65,7 @@ def _seconds_in(name: str, states: Sequence[Mapping[str, Any]]) -> float | None:
 
 
 def _reach(a: str, b: str, places: Mapping[str, float]) -> float:
-    """Height of an arc: more for edges that pass over more boxes; none between neighbours to the right."""
+    """Return the height of an arrow: larger if it passes more boxes, 0 from a box to its right neighbour."""
     boxes = round((places[b] - places[a]) / _STEP)
     return 0.0 if boxes == 1 else 16.0 + 9.0 * abs(boxes)
 
@@ -90,11 +90,11 @@ def _arc(a: str, b: str, count: int, places: Mapping[str, float], middle: float)
 
 
 def _box(name: str, x: float, middle: float, entered: int, seconds: float | None) -> str:
-    told = [f"{_TIMES}{entered}"] if entered > 1 else []
-    told += [duration(seconds)] if seconds is not None else []
+    notes = [f"{_TIMES}{entered}"] if entered > 1 else []
+    notes += [duration(seconds)] if seconds is not None else []
     centre = x + _WIDTH / 2
     return (
         f'<rect class="state" x="{x:g}" y="{middle - _HEIGHT / 2:g}" width="{_WIDTH:g}" height="{_HEIGHT:g}" rx="5"/>'
         f'<text class="name" x="{centre:g}" y="{middle + 4:g}">{escape(name)}</text>'
-        f'<text class="told" x="{centre:g}" y="{middle + _HEIGHT / 2 + 14:g}">{", ".join(told)}</text>'
+        f'<text class="note" x="{centre:g}" y="{middle + _HEIGHT / 2 + 14:g}">{", ".join(notes)}</text>'
     )

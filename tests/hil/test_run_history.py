@@ -26,7 +26,7 @@ def test_every_run_is_entered_listed_and_compared(tmp_path):
     assert said.returncode == 0, said.stderr
     assert results(whole)["run"]["ledger"]["number"] == 2
     assert results(whole)["run"]["ledger"]["of_camera"] == {"open": 2}
-    assert "run 2; of this camera 2 open, this one included" in (whole / "report.html").read_text()
+    assert "run 2; runs of this camera, including this one: 2 open" in (whole / "report.html").read_text()
     assert starbench("resume", killed, home=home).returncode == 0
     first, second = Ledger(home, **CLOCKS).runs()
     assert (first.how, second.how) == ("finished", "finished")
