@@ -1,1 +1,1 @@
-"""Images to stars: the tag, the grid, the label and the centre of each star with its covariance."""
+"""Images to stars: the tag, the grid of stars, their labels, and the centre of each star with its covariance."""

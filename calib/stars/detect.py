@@ -1,8 +1,8 @@
-"""Stars of the target in an image of one pose: which, where, and how surely.
+"""Detection of the target's stars in an image of one pose: which star is where, with its covariance.
 
-Knows the order of the work: tag, growth, symmetry, rejection, likelihood, covariances. An image may come from
-events or from a frame camera, of any number type and either contrast. A star that is cut, too faint or out of
-line is left out: no star is better than a wrong one.
+The module defines the order of the steps: tag, growth, symmetry, rejection, likelihood, covariances. The image may come
+from events or from a frame camera, with any number type and either contrast. A star that is cut, too faint or off the
+smooth map of the others is left out, because no star is better than a wrong one.
 """
 
 from __future__ import annotations
@@ -14,15 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, StarsUnnamed, TargetNotFound, TooFewStars
-from calib.stars.centring import (
-    LocalMap,
-    StarTemplate,
-    SymmetryFit,
-    refine_by_symmetry,
-    smooth,
-    star_contrasts,
-    symmetry_samples,
-)
+from calib.stars.centring import LocalMap, SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import fit_grid_map
 from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
@@ -31,36 +23,37 @@ from calib.stars.lattice import find_lattice
 from calib.stars.likelihood import refine_by_likelihood
 from calib.stars.noise import variance_factor
 from calib.stars.tag import find_tag
+from calib.stars.template import StarTemplate, star_contrasts
 from calib.target import StarTarget
 from calib.view import View
 
-#: Blur before refinement, px.
+#: Blur of the image before the refinement by symmetry, px.
 BLUR_PX = 1.0
-#: Correlation with its print that a star needs in the end.
+#: Least correlation of a refined star with its pattern.
 MIN_CORRELATION = 0.5
-#: Contrast of a star's faintest octant, as a share of its median one: less, and it is cut by the rim.
+#: Least contrast of a star's faintest octant, as a share of its median one. Below it, the rim cuts the star.
 MIN_OCTANT = 0.35
-#: Contrast of a star as a share of the median star's.
+#: Least contrast of a star, as a share of the median star's.
 MIN_CONTRAST = 0.2
-#: Stars further from the view's smooth map than this many of its sigmas are out of line ...
-OUT_OF_LINE_SIGMAS = 7.0
-#: ... unless within this, px.
-IN_LINE_PX = 0.05
-#: Distance of the samples of the first refinement, px; the second has them a pixel apart.
-COARSE_STEP_PX = 1.6
-#: How far refinement may walk, in pitches.
-WALK = 0.06
-#: Share of the stars found without the tag that may stand where none is printed.
+#: A star is an outlier if it is further from the smooth map of the view than this many standard deviations ...
+OUTLIER_SIGMAS = 7.0
+#: ... and further than this, px.
+OUTLIER_PX = 0.05
+#: Distance of the samples in the first and in the second refinement, px.
+COARSE_STEP_PX, FINE_STEP_PX = 1.6, 1.0
+#: Largest move of a centre in a refinement, pitches.
+MAX_MOVE_PITCHES = 0.06
+#: Largest share of the stars found without the tag that may lie where none is printed.
 MAX_STRAY = 0.02
-#: Stars that a view needs at least.
+#: Least number of stars of a view.
 MIN_STARS = 12
-#: Stars from which a view can teach how its pixels look near edges.
+#: Least number of stars from which the statistics of pixels near edges are learnt.
 MIN_FOR_LIKELIHOOD = 40
-#: Variance of centres by symmetry, in units of what residuals of independent pixels would promise, as usual.
-USUAL_EXCESS = 6.0
-#: 1-sigma of the shift, px, of a star across which the light changes by its own strength in a pitch.
-UNEVEN_PX = 0.035
-#: How far, in sigmas, symmetry and likelihood may put a star apart.
+#: Typical factor of the symmetry's covariances, because the residuals of neighbouring pixels are not independent.
+TYPICAL_SYMMETRY_FACTOR = 6.0
+#: Standard uncertainty of a centre, px, per unit of the light's slope (1/pitch by symmetry, px/pitch by likelihood).
+UNEVEN_LIGHT_PX = 0.035
+#: Largest distance between the centres by symmetry and by likelihood, standard deviations.
 MAX_APART_SIGMAS = 6.0
 
 
@@ -68,28 +61,28 @@ NamedBy = Literal["tag", "part of the tag", "expected pose"]
 
 
 class Detection(NamedTuple):
-    """What an image showed.
+    """Stars detected in an image.
 
     Attributes
     ----------
     view
         The stars.
     named_by
-        What told which star is which: the whole tag, a part of it, or nothing but the pose that was expected.
+        What identified the stars: the whole tag, a part of it, or only the expected pose.
     """
 
     view: View
     named_by: NamedBy
 
 
-class _Stars(NamedTuple):
-    """Candidates on their way through refinement and rejection."""
+class _Candidates(NamedTuple):
+    """Possible stars: (N, 2) nodes of the target and (N, 2) px."""
 
     nodes: NDArray[np.int64]
     points: NDArray[np.float64]
 
-    def kept(self, mask: NDArray[np.bool_]) -> _Stars:
-        return _Stars(self.nodes[mask], self.points[mask])
+    def select(self, mask: NDArray[np.bool_]) -> _Candidates:
+        return _Candidates(self.nodes[mask], self.points[mask])
 
 
 def detect_view(
@@ -99,26 +92,29 @@ def detect_view(
     name: str = "view",
     expected: NDArray[np.float64] | None = None,
 ) -> View:
-    """Find the target's stars.
+    """Detect the target's stars as a view.
 
     Parameters
     ----------
     image
-        (H, W), any integer or floating type, white bright or white dark.
+        (H, W) of any integer or floating type; white may be bright or dark.
     target
-        The printed target.
+        Printed target.
     name
-        The pose's name, for the view and for messages.
+        Name of the pose, for the view and for messages.
     expected
-        (3, 3) homography from [column row 1] of the target's grid to [u v 1] px, to a third of a pitch, as pose,
-        collimator and camera let expect it; needed only where the tag is not in view.
+        (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px, right to a third of a
+        pitch, by the pose. It is needed only if the tag is not in view.
 
     Returns
     -------
     View
-        Stars wholly in view, by rising id, with their centres' covariances.
+        Stars that lie completely in the image, in ascending order of their ids, with covariances.
 
-    Raises as `detect_stars` does.
+    Raises
+    ------
+    TargetNotFound, TooFewStars, InputMismatch
+        As `detect_stars`.
     """
     return detect_stars(image, target, name=name, expected=expected).view
 
@@ -130,40 +126,52 @@ def detect_stars(
     name: str = "view",
     expected: NDArray[np.float64] | None = None,
 ) -> Detection:
-    """Find the target's stars, and say what told their names; parameters as for `detect_view`.
+    """Detect the target's stars, and report what identified them.
+
+    Parameters
+    ----------
+    image
+        (H, W) of any integer or floating type; white may be bright or dark.
+    target
+        Printed target.
+    name
+        Name of the pose, for the view and for messages.
+    expected
+        (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px, right to a third of a
+        pitch, by the pose. It is needed only if the tag is not in view.
+
+    Returns
+    -------
+    Detection
+        Stars that lie completely in the image, in ascending order of their ids, with covariances.
 
     Raises
     ------
     StarsUnnamed
-        When the target's tag is not in the image, nor enough of it, nor a pose to do without.
+        If neither the tag nor an expected pose identifies the stars.
     TargetNotFound
-        When there are no stars, or the tag is there more than once.
+        If the image shows no stars, a wrong tag, or the tag more than once.
     TooFewStars
-        When fewer than `MIN_STARS` stars pass.
+        If fewer than `MIN_STARS` stars pass all tests.
     InputMismatch
-        When the image is not one plane.
+        If the image does not have two axes, or is empty.
     """
     if image.ndim != 2 or image.size == 0:
         raise InputMismatch(
-            f"An image of shape {image.shape}.", where=f"view {name}", remedy="Give one grey plane (H, W)."
+            f"The image has shape {image.shape}.",
+            where=f"view {name}",
+            remedy="Give one grey plane (H, W).",
         )
-    values = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
-    seed = find_tag(image, target, name=name)
-    if seed is not None:
-        grown = grow_star_grid(values, start_at_tag(seed, target), target.segments, _printed(target))
-        stars, sign = _Stars(grown.nodes(), grown.places()), seed.sign
-        named_by: NamedBy = "tag"
-    else:
-        stars, sign, named_by = _without_tag(values, target, expected, name)
-    _enough(len(stars.nodes), name)
-    stars, _, _ = _refined(values, stars, target, sign, COARSE_STEP_PX)
-    _enough(len(stars.nodes), name)
-    stars, fine, shape = _refined(values, stars, target, sign, 1.0)
-    _enough(len(stars.nodes), name)
-    points, covariances = _best_placed(image, stars, fine, shape, target)
+    smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
+    candidates, sign, named_by = _candidates(image, smoothed, target, expected, name)
+    for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
+        _require_enough(len(candidates.nodes), name)
+        candidates, fit, local_map = _refined(smoothed, candidates, target, sign, step_px)
+    _require_enough(len(candidates.nodes), name)
+    points, covariances = _best_centres(image, candidates, fit, local_map, target)
     kept = np.isfinite(points).all(axis=1)
-    _enough(int(np.count_nonzero(kept)), name)
-    ids = target.id_at(stars.nodes[kept, 0], stars.nodes[kept, 1])
+    _require_enough(int(np.count_nonzero(kept)), name)
+    ids = target.id_at(candidates.nodes[kept, 0], candidates.nodes[kept, 1])
     order = np.argsort(ids)
     view = View(
         name=name,
@@ -176,15 +184,30 @@ def detect_stars(
     return Detection(view, named_by)
 
 
+def _candidates(
+    image: NDArray[np.generic],
+    smoothed: NDArray[np.float32],
+    target: StarTarget,
+    expected: NDArray[np.float64] | None,
+    name: str,
+) -> tuple[_Candidates, float, NamedBy]:
+    """Find possible stars, starting at the tag if it can be read; return also the contrast and what labelled them."""
+    tag = find_tag(image, target, name=name)
+    if tag is None:
+        return _candidates_without_tag(smoothed, target, expected, name)
+    grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, _printed(target))
+    return _Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
+
+
 def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
-    """Whether a star is printed at nodes of the target."""
+    """Return a function that tells for nodes of the target whether a star is printed there."""
     return lambda nodes: np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
 
 
-def _without_tag(
+def _candidates_without_tag(
     image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
-) -> tuple[_Stars, float, NamedBy]:
-    """Find stars from any of them on, and number them by what is seen of the tag, or else by the expected pose."""
+) -> tuple[_Candidates, float, NamedBy]:
+    """Find possible stars starting at any of them, and label them by the visible part of the tag or by the pose."""
     start = find_lattice(image, target.segments)
     size = max(target.columns, target.rows)
     grown = StarGrid()
@@ -194,18 +217,18 @@ def _without_tag(
         )
     if start is None or len(grown.points) < MIN_STARS:
         raise TargetNotFound(
-            f"Tag {target.tag_id} of family 36h11 is not in the image, nor are stars.",
+            f"Tag {target.tag_id} of family 36h11 is not in the image, and no stars are either.",
             where=f"view {name}",
             remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
         )
     named_by: NamedBy = "part of the tag"
     try:
-        numbering = label_by_tag(image, grown, start.sign, target, name=name)
+        labels = label_by_tag(image, grown, start.sign, target, name=name)
     except StarsUnnamed:
         if expected is None:
             raise
-        numbering, named_by = label_by_pose(grown, expected, name=name), "expected pose"
-    nodes = numbering.apply(grown.nodes())
+        labels, named_by = label_by_pose(grown, expected, name=name), "expected pose"
+    nodes = labels.apply(grown.nodes())
     printed = _printed(target)(nodes)
     if np.count_nonzero(~printed) > MAX_STRAY * len(nodes):
         raise TargetNotFound(
@@ -213,88 +236,88 @@ def _without_tag(
             where=f"view {name}",
             remedy="Check the target's description and the expected pose.",
         )
-    return _Stars(nodes, grown.places()).kept(printed), start.sign, named_by
+    return _Candidates(nodes, grown.places()).select(printed), start.sign, named_by
 
 
-def _best_placed(
+def _best_centres(
     image: NDArray[np.generic],
-    stars: _Stars,
-    fine: SymmetryFit,
-    shape: LocalMap,
+    candidates: _Candidates,
+    fit: SymmetryFit,
+    local_map: LocalMap,
     target: StarTarget,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Place the stars by likelihood as well, and return what scatters less: (N, 2) px, (N, 2, 2) px^2.
+    """Locate the stars by likelihood too, and return what scatters less: (N, 2) px and (N, 2, 2) px^2.
 
-    Symmetry is best where shades of grey are many and noise is little, likelihood where the image is nearly black
-    and white. Stars on which the two contradict each other are nan.
+    Symmetry is best if the image has many shades of grey and little noise, likelihood if it is nearly black and white.
+    Stars on which the two contradict each other are nan.
     """
-    promised = fine.residual[:, None, None] * np.linalg.inv(fine.information)
-    by_symmetry = promised * variance_factor(stars.nodes, stars.points, promised, usual=USUAL_EXCESS)
-    by_symmetry += _uneven(fine.steepness)
-    if len(stars.nodes) < MIN_FOR_LIKELIHOOD:
-        return stars.points, by_symmetry
-    likely = refine_by_likelihood(quantise(image), stars.points, shape, target)
-    by_likelihood = likely.covariances * variance_factor(
-        stars.nodes, likely.centres, likely.covariances, usual=1.0
-    )
-    by_likelihood += _uneven(likely.steepness)
-    apart = likely.centres - stars.points
-    sigmas = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(by_symmetry + by_likelihood), apart)
-    agree = (sigmas <= MAX_APART_SIGMAS**2)[:, None]
-    if _typical(by_likelihood) < _typical(by_symmetry):
+    nodes, points = candidates
+    nominal = fit.mean_square[:, None, None] * np.linalg.inv(fit.information)
+    by_symmetry = nominal * variance_factor(nodes, points, nominal, typical=TYPICAL_SYMMETRY_FACTOR)
+    by_symmetry += _uneven_light(fit.light_slope)
+    if len(nodes) < MIN_FOR_LIKELIHOOD:
+        return points, by_symmetry
+    likely = refine_by_likelihood(quantise(image), points, local_map, target)
+    factor = variance_factor(nodes, likely.centres, likely.covariances, typical=1.0)
+    by_likelihood = likely.covariances * factor
+    by_likelihood += _uneven_light(likely.light_slope)
+    apart = likely.centres - points
+    squares = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(by_symmetry + by_likelihood), apart)
+    agree = (squares <= MAX_APART_SIGMAS**2)[:, None]
+    if _typical_variance(by_likelihood) < _typical_variance(by_symmetry):
         return np.where(agree, likely.centres, np.nan), by_likelihood
-    return np.where(agree, stars.points, np.nan), by_symmetry
+    return np.where(agree, points, np.nan), by_symmetry
 
 
-def _uneven(steepness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 2, 2) px^2: what light that falls off across a star, as at the disc's rim, may have moved it by."""
-    return np.asarray((UNEVEN_PX * steepness[:, None, None]) ** 2 * np.eye(2))
+def _uneven_light(light_slope: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N, 2, 2) px^2 covariances of the shifts by light that falls off across a star."""
+    return np.asarray((UNEVEN_LIGHT_PX * light_slope[:, None, None]) ** 2 * np.eye(2))
 
 
-def _typical(covariances: NDArray[np.float64]) -> float:
-    """Median variance of a view's stars, px^2."""
+def _typical_variance(covariances: NDArray[np.float64]) -> float:
+    """Return the median variance of the stars of a view, px^2."""
     return float(np.median(np.trace(covariances, axis1=1, axis2=2))) / 2.0
 
 
 def _refined(
-    image: NDArray[np.float32], stars: _Stars, target: StarTarget, sign: float, step_px: float
-) -> tuple[_Stars, SymmetryFit, LocalMap]:
-    """Refine all stars with the map that they tell together, and leave out those that do not stand."""
-    grid = stars.nodes.astype(float)
-    view_map, _ = fit_grid_map(grid, stars.points)
-    shape = view_map.shape(grid)
-    pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(shape.linear)))))
-    fine = refine_by_symmetry(image, stars.points, shape, symmetry_samples(pitch / step_px), WALK * pitch)
-    score, contrast = star_contrasts(
-        image, fine.centres, shape.linear, StarTemplate.of(target.segments), sign
-    )
+    image: NDArray[np.float32], candidates: _Candidates, target: StarTarget, sign: float, step_px: float
+) -> tuple[_Candidates, SymmetryFit, LocalMap]:
+    """Refine all centres by symmetry with the smooth map of the view, and leave out the stars that fail a test."""
+    grid = candidates.nodes.astype(float)
+    grid_map, _ = fit_grid_map(grid, candidates.points)
+    local_map = grid_map.local_map(grid)
+    pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
+    samples = symmetry_samples(pitch / step_px)
+    fit = refine_by_symmetry(image, candidates.points, local_map, samples, MAX_MOVE_PITCHES * pitch)
+    template = StarTemplate.of(target.segments)
+    score, contrast = star_contrasts(image, fit.centres, local_map.linear, template, sign)
     middle = np.median(contrast, axis=1)
-    good = fine.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)
+    good = fit.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)
     if good.any():
         good &= middle >= MIN_CONTRAST * np.median(middle[good])
-    good = _in_line(grid, fine.centres, good)
-    kept = _Stars(stars.nodes, fine.centres).kept(good)
-    return kept, fine.kept(good), LocalMap(shape.linear[good], shape.curved[good])
+    good = _without_outliers(grid, fit.centres, good)
+    refined = _Candidates(candidates.nodes, fit.centres).select(good)
+    return refined, fit.select(good), local_map.select(good)
 
 
-def _in_line(
+def _without_outliers(
     grid: NDArray[np.float64], points: NDArray[np.float64], good: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Leave out stars that lie off the smooth map of the others."""
+    """Return which of the good stars, (N,) bool, lie on the smooth map of the others."""
     if np.count_nonzero(good) < MIN_STARS:
         return good
     fitted, residuals = fit_grid_map(grid[good], points[good])
-    out = np.linalg.norm(residuals, axis=1) > max(OUT_OF_LINE_SIGMAS * fitted.sigma_px, IN_LINE_PX)
+    out = np.linalg.norm(residuals, axis=1) > max(OUTLIER_SIGMAS * fitted.sigma_px, OUTLIER_PX)
     good = good.copy()
     good[np.flatnonzero(good)[out]] = False
     return good
 
 
-def _enough(count: int, name: str) -> None:
-    """Refuse a view with too few stars."""
+def _require_enough(count: int, name: str) -> None:
+    """Refuse a view with fewer than `MIN_STARS` stars."""
     if count < MIN_STARS:
         raise TooFewStars(
-            f"{count} stars were found around the tag; at least {MIN_STARS} are needed.",
+            f"{count} stars were found; at least {MIN_STARS} are needed.",
             where=f"view {name}",
             remedy="Check focus, light and that the target is the one described.",
         )

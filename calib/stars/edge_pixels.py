@@ -1,7 +1,8 @@
-"""Pixels near the edges of stars: gathered, counted by level of brightness, and what they say of a star's centre.
+"""Pixels near the edges of stars: collected, counted by brightness, and the scores of each star's unknowns.
 
-Knows a quantised image, a drawn star and places of stars; nothing of how many rounds are made of it or of how much
-an edge is trusted. The kernels stand together here, as each is compiled with those it calls.
+The module uses a quantised image, an `EdgeMap` and the places of stars. How many rounds are made, and how much weight
+an edge has, is decided in `calib.stars.likelihood`. All compiled functions of the likelihood are here, next to those
+that they call.
 """
 
 from __future__ import annotations
@@ -12,30 +13,33 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.stars.centring import SYMMETRY_REACH
+from calib.stars.centring import SYMMETRY_REACH, LocalMap
 from calib.stars.printed_star import EdgeMap
 
-#: Bins of tau, px.
+#: Width of the bins of tau, px.
 TAU_BIN_PX = 0.03
-#: Levels of brightness told apart.
+#: Largest number of levels of brightness.
 LEVELS = 64
-#: Centre x, y; shift of the threshold; its slopes.
-UNKNOWNS = 5
+#: Number of unknowns of a star: shift of its centre x, y; shift of the threshold; slope of the threshold x, y.
+EDGE_UNKNOWNS = 5
 
 
 class EdgePixels(NamedTuple):
-    """All pixels near an edge of all stars, one after the other; star k has those from first[k] to first[k + 1].
+    """All pixels near an edge of N stars, one star after the other: star k has those from first[k] to first[k + 1].
 
     Attributes
     ----------
     first
-        (N + 1,) int64.
+        (N + 1,) int64, number of the first pixel of each star.
     tau
-        (M,) px, by the centres first given.
+        (M,) float32, px, signed distance from the nearest edge, computed from the first centres.
     slope
-        (M, 5) float32, how tau changes with each of the star's unknowns.
-    edge, level
-        (M,) uint8, number of the nearest edge, level of brightness.
+        (M, 5) float32, derivatives of tau with respect to the unknowns of the star: dimensionless for centre and
+        threshold, pitches for the slopes.
+    edge
+        (M,) uint8, number of the nearest edge.
+    level
+        (M,) uint8, level of brightness.
     """
 
     first: NDArray[np.int64]
@@ -46,14 +50,35 @@ class EdgePixels(NamedTuple):
 
 
 class ScoreTables(NamedTuple):
-    """Of the levels' probabilities over tau: d log P / d tau (levels, bins), and Fisher's information (bins,)."""
+    """Statistics of a level P(level | tau), tabulated over bins of tau.
+
+    Attributes
+    ----------
+    score
+        (LEVELS, bins) float64, 1/px, d log P / d tau.
+    fisher
+        (bins,) float64, 1/px^2, Fisher information of a pixel about tau.
+    """
 
     score: NDArray[np.float64]
     fisher: NDArray[np.float64]
 
 
 def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return an image as at most `LEVELS` levels, (H, W): its own values where they are few, else equal shares.
+    """Reduce an image to at most `LEVELS` levels of brightness.
+
+    If the image has no more values than that, each value is a level. Otherwise the levels have equal shares of the
+    pixels.
+
+    Parameters
+    ----------
+    image
+        (H, W) of any integer or floating type, without nan.
+
+    Returns
+    -------
+    array
+        (H, W) uint8, levels from 0, in the order of brightness.
 
     Examples
     --------
@@ -73,44 +98,39 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def gather_edge_pixels(
-    levels: NDArray[np.uint8],
-    centres: NDArray[np.float64],
-    linear: NDArray[np.float64],
-    curved: NDArray[np.float64],
-    drawn: EdgeMap,
+    levels: NDArray[np.uint8], centres: NDArray[np.float64], local_map: LocalMap, edge_map: EdgeMap
 ) -> EdgePixels:
-    """Gather the pixels near edges of all stars.
+    """Collect the pixels near edges of all stars.
 
     Parameters
     ----------
     levels
-        (H, W) from `quantise`.
+        (H, W) uint8, from `quantise`.
     centres
-        (N, 2) px.
-    linear, curved
-        (N, 2, 2) and (N, 2, 3), the map around each star, as in `calib.stars.centring.LocalMap`.
-    drawn
-        The star they are held against.
+        (N, 2) float64, px.
+    local_map
+        Map around each star, from the target plane to the image.
+    edge_map
+        Printed star with which the pixels are compared.
+
+    Returns
+    -------
+    EdgePixels
+        Those whose distance from an edge is below the limit of the edge map.
     """
+    linear = local_map.linear
     sides = 2.0 * SYMMETRY_REACH * np.abs(linear).sum(axis=(1, 2))
     room = np.abs(np.linalg.det(linear)) * (2.0 * SYMMETRY_REACH) ** 2 + 2.0 * sides + 16.0
     m = int(room.sum())
     found = EdgePixels(
         np.zeros(len(centres) + 1, np.int64),
         np.empty(m, np.float32),
-        np.empty((m, UNKNOWNS), np.float32),
+        np.empty((m, EDGE_UNKNOWNS), np.float32),
         np.empty(m, np.uint8),
         np.empty(m, np.uint8),
     )
-    _gather(
-        levels,
-        centres,
-        np.linalg.inv(linear),
-        curved,
-        drawn,
-        SYMMETRY_REACH * np.abs(linear).sum(axis=2),
-        found,
-    )
+    reach = SYMMETRY_REACH * np.abs(linear).sum(axis=2)
+    _gather(levels, centres, np.linalg.inv(linear), local_map.quadratic, edge_map, reach, found)
     used = int(found.first[-1])
     return EdgePixels(
         found.first, found.tau[:used], found.slope[:used], found.edge[:used], found.level[:used]
@@ -119,13 +139,16 @@ def gather_edge_pixels(
 
 @njit(cache=True, error_model="numpy")
 def _gather(
-    levels: Any, centres: Any, inverse: Any, curved: Any, drawn: EdgeMap, reach: Any, found: EdgePixels
+    levels: Any, centres: Any, inverse: Any, quadratic: Any, edge_map: EdgeMap, reach: Any, found: EdgePixels
 ) -> None:
-    """Read tau of each pixel of each star's cell off the drawn star."""
+    """Interpolate tau and its derivatives at each pixel of each star's cell, and store those near an edge.
+
+    ``inverse`` is (N, 2, 2), pitches per px; ``reach`` is (N, 2), px, half the sides of the cells' bounding boxes.
+    """
     m = 0
-    scale = drawn.samples_per_pitch
+    scale = edge_map.samples_per_pitch
     for k in range(len(centres)):
-        x, y, to, bend = centres[k, 0], centres[k, 1], inverse[k], curved[k]
+        x, y, to, bend = centres[k, 0], centres[k, 1], inverse[k], quadratic[k]
         low, high = int(max(0.0, y - reach[k, 1])), int(min(levels.shape[0] - 1.0, y + reach[k, 1] + 1.0))
         left, right = int(max(0.0, x - reach[k, 0])), int(min(levels.shape[1] - 1.0, x + reach[k, 0] + 1.0))
         for r in range(low, high + 1):
@@ -137,16 +160,16 @@ def _gather(
                 u, v = to[0, 0] * dx + to[0, 1] * dy, to[1, 0] * dx + to[1, 1] * dy
                 if abs(u) > SYMMETRY_REACH or abs(v) > SYMMETRY_REACH:
                     continue
-                i, j = int(v * scale + drawn.half), int(u * scale + drawn.half)
-                a, b = u * scale + drawn.half - j, v * scale + drawn.half - i
-                nw, ne = drawn.tau[i, j], drawn.tau[i, j + 1]
-                sw, se = drawn.tau[i + 1, j], drawn.tau[i + 1, j + 1]
+                i, j = int(v * scale + edge_map.half), int(u * scale + edge_map.half)
+                a, b = u * scale + edge_map.half - j, v * scale + edge_map.half - i
+                nw, ne = edge_map.tau[i, j], edge_map.tau[i, j + 1]
+                sw, se = edge_map.tau[i + 1, j], edge_map.tau[i + 1, j + 1]
                 tau = (1.0 - b) * ((1.0 - a) * nw + a * ne) + b * ((1.0 - a) * sw + a * se)
-                if abs(tau) >= drawn.limit_px:
+                if abs(tau) >= edge_map.limit_px:
                     continue
                 along_u = ((1.0 - b) * (ne - nw) + b * (se - sw)) * scale
                 along_v = ((1.0 - a) * (sw - nw) + a * (se - ne)) * scale
-                found.tau[m], found.edge[m], found.level[m] = tau, drawn.edge[i, j], levels[r, c]
+                found.tau[m], found.edge[m], found.level[m] = tau, edge_map.edge[i, j], levels[r, c]
                 found.slope[m, 0] = -(to[0, 0] * along_u + to[1, 0] * along_v)
                 found.slope[m, 1] = -(to[0, 1] * along_u + to[1, 1] * along_v)
                 found.slope[m, 2], found.slope[m, 3], found.slope[m, 4] = 1.0, u, v
@@ -156,18 +179,30 @@ def _gather(
 
 @njit(cache=True, error_model="numpy")
 def _tau_bin(pixels: EdgePixels, m: int, unknowns: Any, limit_px: float) -> float:
-    """Bin of tau, with its fraction, of a pixel by a star's present unknowns."""
+    """Return the bin of tau of a pixel, with its fraction, for the current unknowns of its star."""
     tau = pixels.tau[m]
-    for p in range(UNKNOWNS):
+    for p in range(EDGE_UNKNOWNS):
         tau += pixels.slope[m, p] * unknowns[p]
     return (tau + limit_px) / TAU_BIN_PX
 
 
 @njit(cache=True, error_model="numpy")
 def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
-    """(levels, bins): count the pixels' levels over tau, each shared between the two nearest bins.
+    """Count the levels of all pixels over tau. Each pixel is shared between the two nearest bins.
 
-    ``unknowns`` is (N, 5), ``limit_px`` the print's.
+    Parameters
+    ----------
+    pixels
+        Pixels near edges.
+    unknowns
+        (N, 5) float64, px and px per pitch, current unknowns of the stars.
+    limit_px
+        Largest distance from an edge, `EdgeMap.limit_px`.
+
+    Returns
+    -------
+    array
+        (LEVELS, bins) float64, numbers of pixels.
     """
     bins = int(2.0 * limit_px / TAU_BIN_PX)
     counts = np.zeros((LEVELS, bins))
@@ -185,9 +220,30 @@ def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
 def edge_scores(
     pixels: EdgePixels, unknowns: Any, tables: ScoreTables, limit_px: float, edges: int
 ) -> tuple[Any, Any]:
-    """Derivatives of log L and information of the unknowns: (N, edges, 5) and (N, edges, 5, 5)."""
+    """Sum the scores and the Fisher information of the unknowns over the pixels of each edge of each star.
+
+    Parameters
+    ----------
+    pixels
+        Pixels near edges.
+    unknowns
+        (N, 5) float64, px and px per pitch, current unknowns of the stars.
+    tables
+        Score and information of one pixel, over level and tau.
+    limit_px
+        Largest distance from an edge, `EdgeMap.limit_px`.
+    edges
+        Number of edges of a star.
+
+    Returns
+    -------
+    score : array
+        (N, edges, 5) float64, derivatives of log L with respect to the unknowns.
+    fisher : array
+        (N, edges, 5, 5) float64, Fisher information of the unknowns.
+    """
     n = len(unknowns)
-    score, fisher = np.zeros((n, edges, UNKNOWNS)), np.zeros((n, edges, UNKNOWNS, UNKNOWNS))
+    score, fisher = np.zeros((n, edges, EDGE_UNKNOWNS)), np.zeros((n, edges, EDGE_UNKNOWNS, EDGE_UNKNOWNS))
     for k in range(n):
         for m in range(pixels.first[k], pixels.first[k + 1]):
             at = _tau_bin(pixels, m, unknowns[k], limit_px)
@@ -195,15 +251,15 @@ def edge_scores(
                 continue
             i = int(at)
             a, level, e = at - i, pixels.level[m], pixels.edge[m]
-            pull = (1.0 - a) * tables.score[level, i] + a * tables.score[level, i + 1]
-            told = (1.0 - a) * tables.fisher[i] + a * tables.fisher[i + 1]
-            for p in range(UNKNOWNS):
+            gradient = (1.0 - a) * tables.score[level, i] + a * tables.score[level, i + 1]
+            information = (1.0 - a) * tables.fisher[i] + a * tables.fisher[i + 1]
+            for p in range(EDGE_UNKNOWNS):
                 d = pixels.slope[m, p]
-                score[k, e, p] += pull * d
+                score[k, e, p] += gradient * d
                 for q in range(p + 1):
-                    fisher[k, e, p, q] += told * d * pixels.slope[m, q]
+                    fisher[k, e, p, q] += information * d * pixels.slope[m, q]
         for e in range(edges):
-            for p in range(UNKNOWNS):
+            for p in range(EDGE_UNKNOWNS):
                 for q in range(p):
                     fisher[k, e, q, p] = fisher[k, e, p, q]
     return score, fisher

@@ -1,8 +1,8 @@
-"""The smooth map from the target's grid of nodes to the image, as far as stars found so far tell it.
+"""The smooth map from the target's grid of nodes to the image, fitted to the stars found so far.
 
-Knows pairs of grid positions (columns and rows, in pitches) and image points; no image, no star's look. A
-homography carries the perspective; what lens and collimator bend beside it is a polynomial, fitted locally
-where stars are being predicted and over the whole view once they are found.
+The module uses pairs of grid positions (column, row; in pitches) and image points. It uses no image. A homography
+describes the perspective. A polynomial describes what distortion adds; it is fitted locally while stars are being
+predicted, and over the whole view when all are found.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from calib.model.homography import apply_homography, fit_homography
 from calib.stars.centring import LocalMap
 
-#: Neighbours that predict a star.
+#: Number of neighbours that predict a star.
 NEIGHBOURS = 12
-#: Ridge on local polynomials, in squared pitches: keeps them flat where neighbours lie on one side or line.
+#: Ridge of the local polynomials for 1, x, y, x^2, x y, y^2. It keeps them flat if all neighbours lie on one side or
+#: on a line.
 RIDGE = (0.0, 0.5, 0.5, 8.0, 8.0, 8.0)
-#: Stars needed for a polynomial of degree 2, 3, 4 and 5 over a view.
+#: Least number of stars for a polynomial of each degree over a view.
 STARS_FOR_DEGREE = {2: 20, 3: 40, 4: 80, 5: 160}
-#: Residuals beyond this many robust sigmas do not take part in the fit of a view.
+#: Largest residual of a star that takes part in the fit of a view, in robust standard deviations.
 OUTLIER_SIGMAS = 5.0
-_STEP = 0.05
+_STEP_PITCHES = 0.05
 
 
 def predict_locally(
@@ -32,20 +33,25 @@ def predict_locally(
     points: NDArray[np.float64],
     wanted: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Predict where grid positions lie, from the homography and what the nearest stars found differ from it.
+    """Predict image points of grid positions from a homography and the nearest stars' deviations from it.
+
+    The deviations are fitted by a local polynomial of degree two, with weights that fall with the distance.
 
     Parameters
     ----------
     h
-        (3, 3) homography of about all stars.
-    grid, points
-        (N, 2) pitches, (N, 2) px of the stars found.
+        (3, 3) float64, homography from grid to px that fits about all stars.
+    grid
+        (N, 2) float64, pitches, grid positions of the stars found.
+    points
+        (N, 2) float64, px, their image points.
     wanted
-        (M, 2) grid positions to predict.
+        (M, 2) float64, pitches, grid positions to predict.
 
     Returns
     -------
-    (M, 2) px.
+    array
+        (M, 2) float64, px.
     """
     base = apply_homography(h, wanted)
     if len(grid) == 0:
@@ -64,20 +70,22 @@ def predict_locally(
 
 @dataclass(frozen=True)
 class GridMap:
-    """Map of a whole view: a homography, and a polynomial in scaled grid coordinates beside it.
+    """Map of a whole view: a homography plus a polynomial in scaled grid coordinates.
 
     Attributes
     ----------
     homography
-        (3, 3) from grid to px.
-    centre, scale
-        Grid coordinates are centred and scaled by these for the polynomial.
+        (3, 3) float64, from grid to px.
+    centre
+        (2,) float64, pitches, origin of the polynomial's coordinates.
+    scale
+        Unit of the polynomial's coordinates, pitches.
     degree
-        Of the polynomial, 0 where stars are few.
+        Degree of the polynomial; 0 if there are few stars.
     coefficients
-        (terms, 2) px.
+        (terms, 2) float64, px.
     sigma_px
-        Robust scatter of the stars about the map, per axis.
+        Robust standard deviation of the stars about the map, px, per axis.
     """
 
     homography: NDArray[np.float64]
@@ -87,23 +95,45 @@ class GridMap:
     coefficients: NDArray[np.float64]
     sigma_px: float
 
-    def at(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Map (N, 2) grid positions to (N, 2) px."""
+    def apply(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Map grid positions to image points.
+
+        Parameters
+        ----------
+        grid
+            (N, 2) float64, pitches.
+
+        Returns
+        -------
+        array
+            (N, 2) float64, px.
+        """
         bent = _monomials((grid - self.centre) / self.scale, self.degree) @ self.coefficients
         return apply_homography(self.homography, grid) + bent
 
-    def shape(self, grid: NDArray[np.float64]) -> LocalMap:
-        """First and second derivatives at (N, 2) grid positions, by central differences."""
-        h = _STEP
+    def local_map(self, grid: NDArray[np.float64]) -> LocalMap:
+        """Expand the map to second order around grid positions, by central differences.
+
+        Parameters
+        ----------
+        grid
+            (N, 2) float64, pitches.
+
+        Returns
+        -------
+        LocalMap
+            Linear and quadratic terms around each position.
+        """
+        h = _STEP_PITCHES
         right, down = np.array([h, 0.0]), np.array([0.0, h])
-        east, west = self.at(grid + right), self.at(grid - right)
-        south, north = self.at(grid + down), self.at(grid - down)
-        here = self.at(grid)
+        east, west = self.apply(grid + right), self.apply(grid - right)
+        south, north = self.apply(grid + down), self.apply(grid - down)
+        here = self.apply(grid)
         mixed = (
-            self.at(grid + h)
-            + self.at(grid - h)
-            - self.at(grid + right - down)
-            - self.at(grid - right + down)
+            self.apply(grid + h)
+            + self.apply(grid - h)
+            - self.apply(grid + right - down)
+            - self.apply(grid - right + down)
         )
         linear = np.stack([(east - west) / (2 * h), (south - north) / (2 * h)], axis=-1)
         xx, yy = (east + west - 2 * here) / (2 * h * h), (south + north - 2 * here) / (2 * h * h)
@@ -113,21 +143,29 @@ class GridMap:
 def fit_grid_map(
     grid: NDArray[np.float64], points: NDArray[np.float64]
 ) -> tuple[GridMap, NDArray[np.float64]]:
-    """Fit the map of a whole view, leaving out stars that lie off it.
+    """Fit the map of a whole view. Outliers do not take part in the fit.
+
+    The scale of the residuals is the median length over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional
+    vector of standard normal components.
 
     Parameters
     ----------
-    grid, points
-        (N, 2) pitches, (N, 2) px; N >= 4 and not on a line.
+    grid
+        (N, 2) float64, pitches, grid positions; N >= 4 and not on a line.
+    points
+        (N, 2) float64, px, image points.
 
     Returns
     -------
-    The map, and (N, 2) px what each star differs from it.
+    grid_map : GridMap
+        The map.
+    residuals : array
+        (N, 2) float64, px, points minus map, of all stars.
 
     Raises
     ------
     TooFewStars
-        When the stars do not tell a homography.
+        If the stars do not determine a homography.
     """
     centre = grid.mean(axis=0)
     scale = float(max(np.abs(grid - centre).max(), 1.0))
@@ -139,12 +177,11 @@ def fit_grid_map(
         off = points - apply_homography(h, grid)
         coefficients = np.zeros((1, 2))
         if degree:
-            # Scaled grid positions keep the normal equations well conditioned, and they are quicker than an SVD.
+            # Scaled coordinates keep the normal equations well conditioned. They are faster than an SVD.
             some = design[kept]
             coefficients = np.asarray(np.linalg.solve(some.T @ some, some.T @ off[kept]), np.float64)
         residuals = off - design @ coefficients
         lengths = np.linalg.norm(residuals, axis=1)
-        # The median length of a two-dimensional normal vector is 1.1774 sigma.
         spare = max(1.0 - design.shape[1] / max(np.count_nonzero(kept), 1), 0.2)
         sigma = float(np.median(lengths[kept])) / 1.1774 / np.sqrt(spare)
         now = lengths <= OUTLIER_SIGMAS * max(sigma, 1e-6)
@@ -155,7 +192,7 @@ def fit_grid_map(
 
 
 def _monomials(at: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
-    """All products x^i y^j up to a degree, along a new last axis: 1, x, y, x^2, x y, y^2, ..."""
+    """Return all products x^i y^j up to a degree along a new last axis: 1, x, y, x^2, x y, y^2, ..."""
     x, y = at[..., 0], at[..., 1]
     terms = [x ** (total - j) * y**j for total in range(degree + 1) for j in range(total + 1)]
     return np.stack(terms, axis=-1)

@@ -1,6 +1,8 @@
-"""From some first stars to all: ring by ring over the grid, each star predicted by those around it.
+"""From the first stars to all: growth over the grid, where the stars found predict their neighbours.
 
-Knows the grid's order; how a star looks is `star_refine`'s, how the grid bends is `grid_map`'s.
+The module decides the order in which nodes are searched. `calib.stars.template` recognises a star, and
+`calib.stars.grid_map` predicts where it is. Growth from the tag outwards is that of Schöps et al. (2020),
+arXiv:1912.02908.
 """
 
 from __future__ import annotations
@@ -13,60 +15,91 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography, fit_affine, fit_homography
-from calib.stars.centring import SEARCH_RADII, StarTemplate, search_stars
 from calib.stars.grid_map import predict_locally
 from calib.stars.tag import TagDetection
+from calib.stars.template import SEARCH_RADII, StarTemplate, search_stars
 from calib.target import StarTarget
 
-#: Correlation with its print from which a star is taken for one while growing.
+#: Least correlation with its pattern of a star during growth.
 MIN_CORRELATION = 0.45
-#: How far from its prediction a star is looked for, in pitches: at first, and beside other stars.
+#: Radius of the search around a predicted star, pitches: for the first stars, and beside other stars.
 FIRST_REACH, REACH = 0.15, 0.08
-#: Stars closer than this cannot be told, px.
+#: Least distance of neighbouring stars, px.
 MIN_PITCH_PX = 10.0
-#: How often a node is tried, each time with more neighbours to predict it.
-TRIES = 3
-#: Points from which perspective is fitted.
+#: How often a node is searched, each time with more neighbours that predict it.
+MAX_TRIES = 3
+#: Least number of points for a homography; from half of it on, an affine map is fitted.
 PERSPECTIVE_FROM = 16
 _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
 @dataclass
 class StarGrid:
-    """Stars found so far: node (column, row) to image point, px."""
+    """Stars found so far, by their nodes.
+
+    Attributes
+    ----------
+    points
+        Image point, (2,) float64, px, of each node (column, row).
+    tries
+        How often each node was searched.
+    """
 
     points: dict[tuple[int, int], NDArray[np.float64]] = field(default_factory=dict)
     tries: dict[tuple[int, int], int] = field(default_factory=dict)
 
-    def note(self, tried: NDArray[np.int64], found: NDArray[np.int64], places: NDArray[np.float64]) -> None:
-        """Take up the nodes tried and, of them, the stars found with their places."""
+    def record(self, tried: NDArray[np.int64], found: NDArray[np.int64], places: NDArray[np.float64]) -> None:
+        """Add the results of a search.
+
+        Parameters
+        ----------
+        tried
+            (M, 2) int64, columns and rows of the nodes that were searched.
+        found
+            (N, 2) int64, nodes at which a star was found.
+        places
+            (N, 2) float64, px, image points of these stars.
+        """
         for column, row in tried:
             key = (int(column), int(row))
             self.tries[key] = self.tries.get(key, 0) + 1
         self.points.update({(int(c), int(r)): place for (c, r), place in zip(found, places, strict=True)})
 
     def nodes(self) -> NDArray[np.int64]:
-        """(N, 2) columns and rows."""
+        """Return the nodes of the stars found.
+
+        Returns
+        -------
+        array
+            (N, 2) int64, columns and rows.
+        """
         return np.array(list(self.points), np.int64).reshape(-1, 2)
 
     def places(self) -> NDArray[np.float64]:
-        """(N, 2) px, in the order of `nodes`."""
+        """Return the image points of the stars found.
+
+        Returns
+        -------
+        array
+            (N, 2) float64, px, in the order of `nodes`.
+        """
         return np.array(list(self.points.values()), np.float64).reshape(-1, 2)
 
 
 class GrowthStart(NamedTuple):
-    """Where growth begins.
+    """Where growth starts.
 
     Attributes
     ----------
     homography
-        (3, 3) from [column row 1] to [u v 1] px, good near the first nodes.
+        (3, 3) float64, from [column row 1] to [u v 1] px, right near the first nodes.
     sign
-        +1 where white is bright, -1 where it is dark.
+        +1 if white is bright in the image, -1 if it is dark.
     nodes
-        (M, 2) nodes to look at first.
+        (M, 2) int64, nodes that are searched first.
     anchor_grid, anchor_px
-        (K, 2) points known beforehand, on the grid and in the image, that go into the fits.
+        (K, 2) float64, pitches and px, points known beforehand on the grid and in the image, which take part in all
+        fits.
     """
 
     homography: NDArray[np.float64]
@@ -76,14 +109,27 @@ class GrowthStart(NamedTuple):
     anchor_px: NDArray[np.float64]
 
 
-def start_at_tag(seed: TagDetection, target: StarTarget) -> GrowthStart:
-    """Begin with the ring of stars around the tag."""
+def start_at_tag(tag: TagDetection, target: StarTarget) -> GrowthStart:
+    """Start growth with the ring of stars around the tag.
+
+    Parameters
+    ----------
+    tag
+        The detected tag.
+    target
+        Printed target.
+
+    Returns
+    -------
+    GrowthStart
+        With the four corners of the tag as anchors.
+    """
     corners = target.tag_corners_mm / target.pitch_mm
     low, high = corners[0].round().astype(np.int64) - 1, corners[2].round().astype(np.int64) + 1
     columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     nodes = np.column_stack([columns.ravel(), rows.ravel()])
     ring = nodes[target.id_at(nodes[:, 0], nodes[:, 1]) >= 0]
-    return GrowthStart(seed.homography, seed.sign, ring, corners, seed.corners_px)
+    return GrowthStart(tag.homography, tag.sign, ring, corners, tag.corners_px)
 
 
 def grow_star_grid(
@@ -97,17 +143,18 @@ def grow_star_grid(
     Parameters
     ----------
     image
-        (H, W), smoothed; of either contrast.
+        (H, W) float32, smoothed; white may be bright or dark.
     start
-        Where to begin.
+        Where growth starts.
     segments
-        Segments of a star.
+        Number of segments of a star.
     exists
-        Says of (N, 2) nodes whether a star may stand there, (N,) bool.
+        Returns for (N, 2) int64 nodes whether each may have a star, (N,) bool.
 
     Returns
     -------
-    Places to about half a pixel; empty where the first nodes have no star.
+    StarGrid
+        Stars located to about half a pixel; empty if the first nodes have no star.
     """
     grown = StarGrid()
     template = StarTemplate.of(segments, SEARCH_RADII)
@@ -123,15 +170,15 @@ def grow_star_grid(
         if not good.any():
             break
         new = wanted[seen][good]
-        grown.note(wanted, new, found[good])
+        grown.record(wanted, new, found[good])
         h = _refitted(h, start, grown)
-        wanted = _around(new, grown, exists)
+        wanted = _neighbours(new, grown, exists)
         reach = REACH
     return grown
 
 
 def _refitted(h: NDArray[np.float64], start: GrowthStart, grown: StarGrid) -> NDArray[np.float64]:
-    """Fit the homography again to the stars found and the points known beforehand."""
+    """Fit the homography again to the stars found and the anchors; with too few of them, return the old one."""
     grid = np.vstack([grown.nodes().astype(float), start.anchor_grid])
     places = np.vstack([grown.places(), start.anchor_px])
     if len(grid) >= PERSPECTIVE_FROM:
@@ -140,25 +187,38 @@ def _refitted(h: NDArray[np.float64], start: GrowthStart, grown: StarGrid) -> ND
 
 
 def linear_at(h: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 2, 2) px a pitch of a homography at (N, 2) grid positions."""
+    """Return the Jacobian of a homography.
+
+    Parameters
+    ----------
+    h
+        (3, 3) float64, homography from grid to px.
+    grid
+        (N, 2) float64, pitches, grid positions.
+
+    Returns
+    -------
+    array
+        (N, 2, 2) float64, px per pitch.
+    """
     q = grid @ h[:, :2].T + h[:, 2]
     at = apply_homography(h, grid)
     return np.asarray((h[None, :2, :2] - at[:, :, None] * h[None, 2:, :2]) / q[:, 2, None, None])
 
 
-def _around(
+def _neighbours(
     nodes: NDArray[np.int64], grown: StarGrid, exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 ) -> NDArray[np.int64]:
-    """(M, 2) nodes next to some stars that are not found yet and may be tried again."""
+    """Return the (M, 2) nodes next to some stars that have no star yet and may be searched again."""
     next_to = np.unique((nodes[:, None, :] + _AROUND[None]).reshape(-1, 2), axis=0)
     next_to = next_to[exists(next_to)]
     keys = [(int(c), int(r)) for c, r in next_to]
-    open_ = [key not in grown.points and grown.tries.get(key, 0) < TRIES for key in keys]
+    open_ = [key not in grown.points and grown.tries.get(key, 0) < MAX_TRIES for key in keys]
     return next_to[np.array(open_, bool)]
 
 
 def _inside(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Whether points lie in the image."""
+    """Return whether points lie in the image."""
     return np.asarray(
         (points[:, 0] >= 0) & (points[:, 1] >= 0) & (points[:, 0] < shape[1]) & (points[:, 1] < shape[0])
     )

@@ -1,7 +1,7 @@
-"""Which star is which, where the tag could not be read whole: by what is seen of it, or by an expected pose.
+"""Labels of stars if the tag cannot be read whole: from the visible part of the tag, or from an expected pose.
 
-Knows stars found on a grid of their own, numbered from any star and turned by any quarter turns, and what the
-target should look like; it refuses where more than one numbering would do.
+The stars were found on a relative grid: its origin is any star, and it is turned by any number of quarter turns. The
+module compares this grid with the print. It refuses to label stars if more than one labelling is possible.
 """
 
 from __future__ import annotations
@@ -18,27 +18,46 @@ from calib.stars.grid_map import predict_locally
 from calib.stars.growth import StarGrid
 from calib.target import TAG_MODULES, StarTarget
 
-#: Share of the visible modules of a tag that may look wrong.
+#: Largest share of the visible modules of a tag that may be wrong.
 MAX_WRONG_MODULES = 0.08
-#: Modules of the tag's inside, of 36, that must be visible.
+#: Least number of visible modules inside the tag's border, of 36.
 MIN_INNER_MODULES = 12
-#: How much better, in share of right modules, the best numbering must be than any other.
-MARGIN = 0.15
-#: How far from whole nodes, and from each other, an expected pose may put the stars, in pitches.
+#: Least difference between the best labelling and any other, in the share of right modules.
+MIN_MARGIN = 0.15
+#: Largest distance of the stars from whole nodes, and their largest scatter, by an expected pose, pitches.
 MAX_OFF_NODE, MAX_SCATTER = 0.3, 0.35
-_QUARTERS = [
+_QUARTER_TURNS = [
     np.array(m) for m in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]])
 ]
 
 
 class StarLabels(NamedTuple):
-    """Target node = turn @ node found + shift."""
+    """Labels of stars as a map of nodes: node of the target = turn @ relative node + shift.
+
+    Attributes
+    ----------
+    turn
+        (2, 2) int64, rotation by quarter turns.
+    shift
+        (2,) int64, columns and rows.
+    """
 
     turn: NDArray[np.int64]
     shift: NDArray[np.int64]
 
     def apply(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(N, 2) nodes of the target."""
+        """Return the nodes of the target.
+
+        Parameters
+        ----------
+        nodes
+            (N, 2) int64, nodes of the relative grid.
+
+        Returns
+        -------
+        array
+            (N, 2) int64, columns and rows on the target.
+        """
         return np.asarray(nodes @ self.turn.T + self.shift, np.int64)
 
 
@@ -48,52 +67,57 @@ def grid_homography(
     centre_mm: NDArray[np.float64],
     pitch_mm: float,
 ) -> NDArray[np.float64]:
-    """Where a known collimator's grid of stars lies in the image of a known camera, for `label_by_pose`.
+    """Return where a collimator's grid of stars is in the image of a camera, for `label_by_pose`.
 
-    H = K [r1 r2 -R c] diag(p, p, 1); the lens's distortion is left out, a few pixels at most.
+    H = K [r1 r2 -R c] diag(p, p, 1), by arXiv:2512.16092, eqs. 1 to 3, with pitch p. The distortion of the lens, a few
+    pixels at most, is neglected.
 
     Parameters
     ----------
     matrix
-        (3, 3) K, px.
+        (3, 3) float64, px, K.
     rotation
-        (3, 3) R, camera <- target.
+        (3, 3) float64, R, from target to camera.
     centre_mm
-        (3,) c = (x, y, -r), mm.
+        (3,) float64, mm, c = (x, y, -r), centre of the spherical motion in the target frame.
     pitch_mm
-        Distance of neighbouring stars, mm.
+        Distance p of neighbouring stars, mm.
 
     Returns
     -------
-    (3, 3) from [column row 1] to [u v 1] px.
+    array
+        (3, 3) float64, from [column row 1] to [u v 1] px.
     """
     columns = np.column_stack([rotation[:, 0], rotation[:, 1], -rotation @ centre_mm])
     return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)
 
 
 def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) -> StarLabels:
-    """Number stars by where they should lie.
+    """Label stars by the positions at which a pose lets them be expected.
 
     Parameters
     ----------
     grown
-        Stars found, on a grid of their own.
+        Stars found, on a relative grid.
     expected
-        (3, 3) from [column row 1] of the target's grid to [u v 1] px, to a third of a pitch.
+        (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px, right to a third of a pitch.
     name
-        The view's name, for messages.
+        Name of the view, for messages.
+
+    Returns
+    -------
+    StarLabels
+        The only labelling that agrees with the expected pose.
 
     Raises
     ------
     StarsUnnamed
-        When the stars do not lie on the expected grid, or half-way between two numberings.
+        If the stars do not lie on the expected grid, or lie half-way between two labellings.
     """
-    nodes, there = (
-        grown.nodes(),
-        apply_homography(np.asarray(np.linalg.inv(expected), np.float64), grown.places()),
-    )
+    nodes = grown.nodes()
+    there = apply_homography(np.asarray(np.linalg.inv(expected), np.float64), grown.places())
     fits = []
-    for turn in _QUARTERS:
+    for turn in _QUARTER_TURNS:
         off = there - nodes @ turn.T
         middle = np.median(off, axis=0)
         fits.append((float(np.sqrt(np.mean(np.sum((off - middle) ** 2, axis=1)))), middle, turn))
@@ -101,8 +125,8 @@ def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) 
     shift = np.round(middle)
     if scatter > MAX_SCATTER or np.abs(middle - shift).max() > MAX_OFF_NODE:
         raise StarsUnnamed(
-            f"{len(nodes)} stars are seen but no tag, and the expected pose does not say which they are: they lie "
-            f"{np.abs(middle - shift).max():.2f} squares beside its nodes, scattered by {scatter:.2f}.",
+            f"The image shows {len(nodes)} stars but no tag, and the expected pose does not identify the stars: they "
+            f"lie {np.abs(middle - shift).max():.2f} squares from its nodes and scatter by {scatter:.2f} squares.",
             where=f"view {name}",
             remedy="Turn the camera so that the tag is in view, or give the pose to a third of a square.",
         )
@@ -112,32 +136,37 @@ def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) 
 def label_by_tag(
     image: NDArray[np.float32], grown: StarGrid, sign: float, target: StarTarget, *, name: str
 ) -> StarLabels:
-    """Number stars by the part of the tag that is in view.
+    """Label stars by the part of the tag that is in view.
 
-    Every gap in the grid of stars that could hold the tag is compared with the print, in all four directions,
-    module by module.
+    Every gap in the grid of stars that may hold the tag is compared with the print, module by module, in all four
+    orientations.
 
     Parameters
     ----------
     image
-        (H, W), smoothed.
+        (H, W) float32, smoothed.
     grown
-        Stars found, on a grid of their own.
+        Stars found, on a relative grid.
     sign
-        +1 where white is bright.
+        +1 if white is bright in the image, -1 if it is dark.
     target
-        The printed target.
+        Printed target.
     name
-        The view's name, for messages.
+        Name of the view, for messages.
+
+    Returns
+    -------
+    StarLabels
+        The only labelling that agrees with the tag.
 
     Raises
     ------
     StarsUnnamed
-        When too little of a tag is seen, it is another one, or two places would do.
+        If too little of the tag is visible, it is another tag, or two labellings agree with it.
     """
     nodes = grown.nodes()
     h = fit_homography(nodes.astype(float), grown.places())
-    white, black = _levels(image, grown, h, sign)
+    white, black = _white_and_black(image, grown, h, sign)
     centre = np.array(target.tag_centre_mm) / target.pitch_mm
     found: list[tuple[float, StarLabels]] = []
     for middle in _gaps(nodes, target):
@@ -145,27 +174,27 @@ def label_by_tag(
         if modules is None:
             continue
         white_here = np.where(np.isfinite(modules), sign * modules > (white + black) / 2.0, False)
-        for quarter, turn in enumerate(_QUARTERS):
+        for quarter, turn in enumerate(_QUARTER_TURNS):
             right = np.rot90(white_here, -quarter) == (target.layout.tag_modules > 0)
             share = float(right[np.rot90(np.isfinite(modules), -quarter)].mean())
             shift = np.round(centre - turn @ middle).astype(np.int64)
             found.append((share, StarLabels(turn, shift)))
     found.sort(key=lambda f: -f[0])
     if not found or found[0][0] < 1.0 - MAX_WRONG_MODULES:
-        what = "no readable part of the tag is."
-    elif len(found) > 1 and found[1][0] > found[0][0] - MARGIN:
-        what = "what is seen of the tag fits in more than one way."
+        what = "no readable part of the tag."
+    elif len(found) > 1 and found[1][0] > found[0][0] - MIN_MARGIN:
+        what = "the visible part of the tag agrees with more than one labelling."
     else:
         return found[0][1]
     raise StarsUnnamed(
-        f"{len(nodes)} stars are in the image, but {what}",
+        f"The image shows {len(nodes)} stars, but {what}",
         where=f"view {name}",
-        remedy="Turn the camera so that more of the tag is in view, or say where the camera points.",
+        remedy="Turn the camera so that more of the tag is in view, or give the expected pose.",
     )
 
 
 def _gaps(nodes: NDArray[np.int64], target: StarTarget) -> NDArray[np.float64]:
-    """(M, 2) middles, on the grid found, of squares without stars that are as large as the tag leaves."""
+    """Return the centres, (M, 2) pitches of the relative grid, of all gaps without stars as large as the tag's."""
     side = target.tag_squares + 1
     low, high = nodes.min(axis=0) - side, nodes.max(axis=0) + side
     taken = np.zeros(high - low + 1, np.int64)
@@ -175,10 +204,10 @@ def _gaps(nodes: NDArray[np.int64], target: StarTarget) -> NDArray[np.float64]:
     return np.argwhere(inside == 0) + low + (side - 1) / 2.0
 
 
-def _levels(
+def _white_and_black(
     image: NDArray[np.float32], grown: StarGrid, h: NDArray[np.float64], sign: float
 ) -> tuple[float, float]:
-    """Typical white and black around the stars, brightness times sign."""
+    """Return the typical brightness of white and of black around the stars, times the sign."""
     around = np.array([[np.cos(a), np.sin(a)] for a in np.arange(64) * np.pi / 32]) * 0.4
     at = apply_homography(h, (grown.nodes()[:, None, :] + around[None]).reshape(-1, 2))
     values = sign * _values(image, at)
@@ -193,7 +222,10 @@ def _modules(
     middle: NDArray[np.float64],
     target: StarTarget,
 ) -> NDArray[np.float64] | None:
-    """Brightness of the tag's modules, were its middle there, (8, 8), nan outside; None where too few are inside."""
+    """Return the brightness of the modules of a tag with its centre at a place, (8, 8), nan outside of the image.
+
+    None if fewer than `MIN_INNER_MODULES` lie in the image.
+    """
     steps = ((np.arange(TAG_MODULES) + 0.5) / TAG_MODULES - 0.5) * target.tag_squares
     on_grid = middle + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     inner = np.zeros((TAG_MODULES, TAG_MODULES), bool)
@@ -206,7 +238,7 @@ def _modules(
 
 
 def _values(image: NDArray[np.float32], at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bilinear values at (N, 2) points; nan outside."""
+    """Return the bilinear values, (N,), at (N, 2) points; nan outside."""
     x, y = (np.ascontiguousarray(at[:, i], np.float32) for i in (0, 1))
     return np.asarray(
         cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")),

@@ -1,91 +1,115 @@
-"""Some stars anywhere in an image, and the grid they stand on, where no tag tells it.
+"""Some stars anywhere in an image, and the directions of their grid, for images without a readable tag.
 
-Knows that a star's brightness turns eight times (half its segments) about its centre; nothing of which star is
-which. The response to z -> exp(-i n theta) on a ring, n half the segments, is greatest at stars, for white and for
-black alike; of the greatest ones, one whose four neighbours stand square to it gives the grid's directions.
+The module uses the rotational symmetry of a star: its brightness has n periods in a turn, with n half the number of
+segments. It does not identify stars.
+
+The response at a place is the magnitude of the n-th angular Fourier coefficient on a ring around it, so it is the same
+for either contrast. It is largest at stars. Among the strongest places, one with four neighbours at the corners of a
+square gives the directions of the grid.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.stars.centring import SEARCH_RADII, StarTemplate, search_stars
 from calib.stars.growth import GrowthStart
+from calib.stars.template import SEARCH_RADII, StarTemplate, search_stars
 
-#: Pitches tried, px; neighbouring ones differ by little enough for a star to answer to one of them.
+#: Pitches that are tried, px. Neighbouring ones are so close that a star responds to one of them.
 PITCHES_PX = tuple(18.0 * 1.3**k for k in range(7))
-#: The image is made smaller until a pitch is this long, px.
+#: The image is reduced until a pitch has this length, px.
 SMALL_PITCH_PX = 18.0
-#: Ring of the response, in pitches.
+#: Inner and outer radius of the ring of the response, pitches.
 RING = (0.22, 0.46)
-#: Response, 0 to 1, from which a place is looked at, and how many places at most.
-MIN_RESPONSE, MAX_PLACES = 0.35, 400
-#: Share of the greatest response from which a place is surely a star.
+#: Least response of a candidate, 0 to 1, and largest number of candidates.
+MIN_RESPONSE, MAX_CANDIDATES = 0.35, 400
+#: Least response of a candidate that is tried first, as a share of the largest response.
 STRONG = 0.75
-#: Finer pitches are not tried once one answers less than this share of the best, and the best covers at least
-#: that share of the image.
+#: The search over pitches ends if a pitch has less than the share `PAST` of the best pitch's total response, and that
+#: is more than the share `MIN_SHARE` of the image's area.
 PAST, MIN_SHARE = 0.5, 0.05
-#: How far neighbours may stand from a square, in pitches.
+#: Largest distance of a neighbour from the corner of a square, pitches.
 SQUARENESS = 0.2
-#: Correlation with their print that the first star and its neighbours need.
+#: Least correlation with their pattern of the first star and its neighbours.
 MIN_CORRELATION = 0.5
-#: How many places are tried.
-TRIED = 25
+#: Largest number of candidates that are tried in a group.
+MAX_TRIED = 25
+
+
+class _Candidates(NamedTuple):
+    """Places with the largest responses at one pitch, the largest first.
+
+    ``total`` is the sum of their squared responses times the squared pitch, px^2; ``scale`` is that of the reduced
+    image; ``places`` are (M, 2) px of the reduced image; ``responses`` are (M,).
+    """
+
+    total: float
+    scale: float
+    places: NDArray[np.float64]
+    responses: NDArray[np.float64]
 
 
 def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | None:
-    """Find a star with neighbours on all four sides; None where there is none.
+    """Find a star with neighbours on all four sides.
 
     Parameters
     ----------
     image
-        (H, W), smoothed; of either contrast.
+        (H, W) float32, smoothed; white may be bright or dark.
     segments
-        Segments of a star.
+        Number of segments of a star.
 
     Returns
     -------
-    GrowthStart
-        Relative: node (0, 0) is the star found, the directions are the grid's up to quarter turns.
+    GrowthStart or None
+        Its grid is relative: node (0, 0) is the star found, and the directions are those of the target up to quarter
+        turns. None if there is no such star.
     """
-    answers: list[tuple[float, float, NDArray[np.float64], NDArray[np.float64]]] = []
-    for pitch in reversed(PITCHES_PX):  # coarse first: it costs least
-        scale = SMALL_PITCH_PX / pitch
-        if scale * min(image.shape) < 3 * SMALL_PITCH_PX:
-            continue
-        places, heights = _peaks(_response(image, scale, segments))
-        # Places at the right pitch answer most strongly, for the area that each covers.
-        answer = float((heights**2).sum()) * pitch**2
-        if len(places) >= 5:
-            answers.append((answer, scale, places, heights))
-        best = max((a[0] for a in answers), default=0.0)
-        if best > MIN_SHARE * image.size and answer < PAST * best:
-            break
-    for _, scale, places, heights in sorted(answers, key=lambda a: -a[0]):
-        # Stars answer more than the corners of their cells, but not in all kinds of image.
-        for some in (places[heights >= STRONG * heights[0]], places):
-            for number in range(min(len(some), TRIED)):
-                directions = _square(some, number)
-                if directions is not None:
-                    at = (some[number] + 0.5) / scale - 0.5
-                    start = _confirmed(image, at, directions / scale, segments)
+    for found in _candidates_by_pitch(image, segments):
+        # Stars respond more strongly than the corners of their cells, but not in all kinds of image.
+        for some in (found.places[found.responses >= STRONG * found.responses[0]], found.places):
+            for number in range(min(len(some), MAX_TRIED)):
+                steps = _steps_to_neighbours(some, number)
+                if steps is not None:
+                    place = (some[number] + 0.5) / found.scale - 0.5
+                    start = _confirmed_start(image, place, steps / found.scale, segments)
                     if start is not None:
                         return start
     return None
 
 
+def _candidates_by_pitch(image: NDArray[np.float32], segments: int) -> list[_Candidates]:
+    """Return the candidates of each pitch with five or more of them, the pitch with the largest total first."""
+    found: list[_Candidates] = []
+    for pitch in reversed(PITCHES_PX):  # the coarsest first, because it costs least
+        scale = SMALL_PITCH_PX / pitch
+        if scale * min(image.shape) < 3 * SMALL_PITCH_PX:
+            continue
+        places, responses = _peaks(_response(image, scale, segments))
+        # At the right pitch, candidates respond most strongly in relation to the area that each of them covers.
+        total = float((responses**2).sum()) * pitch**2
+        if len(places) >= 5:
+            found.append(_Candidates(total, scale, places, responses))
+        best = max((c.total for c in found), default=0.0)
+        if best > MIN_SHARE * image.size and total < PAST * best:
+            break
+    return sorted(found, key=lambda c: -c.total)
+
+
 def _response(image: NDArray[np.float32], scale: float, segments: int) -> NDArray[np.float32]:
-    """How much the image turns like a star about each place, 0 to 1."""
+    """Return the response of the reduced image at each place, 0 to 1."""
     small = image if scale >= 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     reach = int(np.ceil(RING[1] * SMALL_PITCH_PX))
     x, y = np.meshgrid(np.arange(-reach, reach + 1.0), np.arange(-reach, reach + 1.0))
     radius, angle = np.hypot(x, y) / SMALL_PITCH_PX, np.arctan2(y, x)
     ring = ((radius >= RING[0]) & (radius <= RING[1])).astype(np.float32)
     ring /= ring.sum()
-    turning = [ring * wave(segments / 2 * angle) for wave in (np.cos, np.sin)]
-    real, imaginary = (cv2.filter2D(small, cv2.CV_32F, k.astype(np.float32)) for k in turning)
+    kernels = [ring * wave(segments / 2 * angle) for wave in (np.cos, np.sin)]
+    real, imaginary = (cv2.filter2D(small, cv2.CV_32F, k.astype(np.float32)) for k in kernels)
     mean, square = (cv2.filter2D(a, cv2.CV_32F, ring) for a in (small, small * small))
     spread = np.sqrt(np.maximum(square - mean * mean, 0.0))
     floor = 0.1 * float(np.quantile(spread, 0.95)) + 1e-12
@@ -93,17 +117,17 @@ def _response(image: NDArray[np.float32], scale: float, segments: int) -> NDArra
 
 
 def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(M, 2) places of the greatest responses, the greatest first, and (M,) how great."""
+    """Return the (M, 2) places of the local maxima, the largest first, and their (M,) responses."""
     side = 2 * int(0.35 * SMALL_PITCH_PX) + 1
     greatest = cv2.dilate(response, np.ones((side, side), np.uint8))
     rows, columns = np.nonzero((response == greatest) & (response >= MIN_RESPONSE))
     heights = response[rows, columns]
-    order = np.argsort(-heights, kind="stable")[:MAX_PLACES]
+    order = np.argsort(-heights, kind="stable")[:MAX_CANDIDATES]
     return np.column_stack([columns, rows])[order].astype(float), heights[order].astype(float)
 
 
-def _square(places: NDArray[np.float64], number: int) -> NDArray[np.float64] | None:
-    """(2, 2) columns: steps to the right and the lower neighbour, where four neighbours stand square."""
+def _steps_to_neighbours(places: NDArray[np.float64], number: int) -> NDArray[np.float64] | None:
+    """Return the steps to the right and to the lower neighbour as columns, (2, 2); None without four neighbours."""
     off = places - places[number]
     distance = np.linalg.norm(off, axis=1)
     distance[number] = np.inf
@@ -122,12 +146,13 @@ def _square(places: NDArray[np.float64], number: int) -> NDArray[np.float64] | N
     return np.column_stack([right, down])
 
 
-def _confirmed(
+def _confirmed_start(
     image: NDArray[np.float32], place: NDArray[np.float64], linear: NDArray[np.float64], segments: int
 ) -> GrowthStart | None:
-    """Look for the star and its four neighbours; where they are there, with one contrast, growth can begin.
+    """Search the star and its four neighbours; return where growth starts if all have one contrast, else None.
 
-    The corners of the cells answer as well, if less: where they were taken for neighbours, these stand diagonally.
+    The corners of the cells respond too, although less strongly. If these were taken for neighbours, the true
+    neighbours are diagonal to them, so both sets of directions are tried.
     """
     template = StarTemplate.of(segments, SEARCH_RADII)
     for steps in (linear, linear @ np.array([[1.0, -1.0], [1.0, 1.0]])):

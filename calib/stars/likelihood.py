@@ -1,26 +1,29 @@
-"""Where stars are, by the likelihood of every pixel's brightness: what the view itself teaches about its pixels.
+"""Centres of stars by maximum likelihood of the brightness of all pixels near their edges.
 
-Knows the print around a star and stars already placed to a few hundredths of a pixel; nothing of how events come
-about. A threshold makes event images nearly black and white; symmetry then treats each pixel at an edge as a coin
-tossed, though it says on which side of it the edge lies. Here every pixel near an edge speaks by what is known of
-pixels at that distance from an edge:
+The module uses the print around a star, and stars that are already located to a few hundredths of a pixel. It does not
+use a model of how events arise.
 
-1. tau, for every pixel of every star: its signed distance, px, from the nearest edge of the print (white
-   positive), by the stars' present centres. It is read from one blurred star, T, as tau = sigma Phi^-1(T).
-2. P(level | tau): how often pixels at that distance show each level of brightness, counted over the whole view and
-   smoothed over tau.
-3. Each star moves to the most likely centre, by Fisher scoring on
+A threshold makes event images nearly black and white. Symmetry then treats each pixel at an edge as a random one,
+although its brightness shows on which side of the edge the pixel lies. Here the statistics of such pixels are learnt
+from the view itself:
 
-       log L = sum over pixels of log P(level | tau(c) + a + b.s),
+1. For every pixel of every star, tau is the signed distance, px, from the nearest printed edge, positive on white, for
+   the current centres. It is read from one blurred printed star (`calib.stars.printed_star`).
+2. P(level | tau) is the share of the pixels at that distance that have this level of brightness, counted over the
+   whole view and smoothed over tau.
+3. Each star moves to its most likely centre c, by Fisher scoring on
 
-   a and b (a shift of the threshold, and its slope across the star) taking up light that is uneven.
+       log L = sum over pixels of log P(level | tau(c) + a + b.s).
 
-The steps are repeated while P sharpens. What a mistaken blur or P does is even under half a turn, as the print is,
-and so cannot move a centre.
+   Here s is the position within the star, pitches. The shift a of the threshold, px, and its slope b, px per pitch,
+   absorb uneven light. The inverse of the Fisher information is the covariance (Cramér-Rao bound).
 
-Pixels along one edge do not speak independently where the edge runs along the pixel grid. How much the scores of
-an edge scatter over all stars, beyond what the likelihood promises, is measured for each edge direction, and its
-weight lowered by as much.
+The steps are repeated while the smoothing becomes narrower. The print is unchanged by half a turn, and so are the
+effects of a wrong blur or a wrong P. Therefore these cannot move a centre.
+
+Pixels along one edge are not independent if the edge runs along the pixel grid. So the scatter of the scores of each
+edge direction over all stars is compared with the Fisher information, and the weight of the direction is divided by the
+ratio (its overdispersion).
 """
 
 from __future__ import annotations
@@ -32,8 +35,8 @@ from numpy.typing import NDArray
 
 from calib.stars.centring import LocalMap
 from calib.stars.edge_pixels import (
+    EDGE_UNKNOWNS,
     TAU_BIN_PX,
-    UNKNOWNS,
     ScoreTables,
     count_levels,
     edge_scores,
@@ -42,158 +45,168 @@ from calib.stars.edge_pixels import (
 from calib.stars.printed_star import EdgeMap, blurred_edge_map, render_star
 from calib.target import StarTarget
 
-#: Blurs of the print that tau is read from, px: lens and pixel together. The one that tells most is taken; what
-#: still differs is absorbed by P.
-PRINT_BLURS_PX = (0.5, 0.75, 1.1, 1.6, 2.3)
-#: Stars on which blurs are compared.
+#: Blurs of lens and pixel together that are tried, px. The one with most information about the centres is used; P
+#: absorbs the remaining difference.
+BLURS_PX = (0.5, 0.75, 1.1, 1.6, 2.3)
+#: About the number of stars on which the blurs are compared.
 BLUR_STARS = 30
-#: Smoothing of P over tau, px, from round to round; each round moves the stars this many times.
+#: Standard deviation of the smoothing of P over tau in each round, px.
 BANDWIDTHS_PX = (0.12, 0.08, 0.05)
-MOVES = 2
-#: Pixels' worth of "any level, as overall" mixed into every P.
+#: Number of scoring steps in each round.
+STEPS_PER_ROUND = 2
+#: Number of pixels with the overall distribution of levels that are mixed into every bin of P.
 PSEUDO_COUNT = 2.0
-#: Prior sigma of the shift, px, and of its slopes, px a pitch.
+#: Prior standard deviation of the shift of the threshold, px, and scale of the prior of its slope, px per pitch.
 SHIFT_SIGMA, SLOPE_SIGMA = 0.3, 0.1
-#: Excess of an edge's scatter, in units of the median edge's, that is believed.
-EXCESS_RANGE = (0.5, 50.0)
-#: Round after which it is measured.
-EXCESS_AFTER = 1
+#: Least and largest overdispersion of an edge, in units of the median edge's.
+OVERDISPERSION_RANGE = (0.5, 50.0)
+#: Number of the round, from 0, after which the overdispersion is measured.
+OVERDISPERSION_ROUND = 1
+#: Largest step of an unknown, px or px per pitch.
+MAX_STEP_PX = 0.15
 _RIDGE = 1e-6
-#: Furthest a star moves at once, px.
-MAX_MOVE_PX = 0.15
 
 
 class LikelihoodFit(NamedTuple):
-    """Most likely stars.
+    """Most likely centres of N stars.
 
     Attributes
     ----------
     centres
-        (N, 2) px.
+        (N, 2) float64, px.
     covariances
-        (N, 2, 2) px^2, as the likelihood promises them.
-    steepness
-        (N,) length of b, px a pitch: how uneven the light is across the star.
+        (N, 2, 2) float64, px^2, from the Fisher information, weighted by the overdispersion.
+    light_slope
+        (N,) float64, px per pitch, length of b: how uneven the light is across the star.
     """
 
     centres: NDArray[np.float64]
     covariances: NDArray[np.float64]
-    steepness: NDArray[np.float64]
+    light_slope: NDArray[np.float64]
 
 
 def refine_by_likelihood(
-    levels: NDArray[np.uint8], centres: NDArray[np.float64], shape: LocalMap, target: StarTarget
+    levels: NDArray[np.uint8], centres: NDArray[np.float64], local_map: LocalMap, target: StarTarget
 ) -> LikelihoodFit:
     """Move stars to their most likely centres.
 
     Parameters
     ----------
     levels
-        (H, W) from `quantise`, of the image as it is, not smoothed.
+        (H, W) uint8, from `quantise`, of the image before smoothing.
     centres
-        (N, 2) px, right to about 0.1 px; some dozens at least, for P to be learnt from.
-    shape
-        The map around each star.
+        (N, 2) float64, px, right to about 0.1 px. Several dozen stars are needed, because P is learnt from them.
+    local_map
+        Map around each star, from the target plane to the image.
     target
-        The printed target.
+        Printed target.
+
+    Returns
+    -------
+    LikelihoodFit
+        In the order of ``centres``.
     """
-    pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(shape.linear)))))
-    drawn = _likely_print(levels, centres, shape, target, pitch)
-    pixels = gather_edge_pixels(levels, centres, shape.linear, shape.curved, drawn)
-    unknowns = np.zeros((len(centres), UNKNOWNS))
-    excess = np.ones(target.segments)
+    pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
+    edge_map = _best_edge_map(levels, centres, local_map, target, pitch)
+    pixels = gather_edge_pixels(levels, centres, local_map, edge_map)
+    unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
+    overdispersion = np.ones(target.segments)
     for number, bandwidth in enumerate(BANDWIDTHS_PX):
-        tables = _learn(count_levels(pixels, unknowns, drawn.limit_px), bandwidth / TAU_BIN_PX)
-        for _ in range(MOVES):
-            score, fisher = edge_scores(pixels, unknowns, tables, drawn.limit_px, target.segments)
-            prior = _prior(unknowns)
-            normal = np.einsum("e,neij->nij", 1.0 / excess, fisher)
-            normal += (prior + _RIDGE)[:, :, None] * np.eye(UNKNOWNS)
-            right = np.einsum("e,nei->ni", 1.0 / excess, score) - prior * unknowns
+        tables = _score_tables(count_levels(pixels, unknowns, edge_map.limit_px), bandwidth / TAU_BIN_PX)
+        for _ in range(STEPS_PER_ROUND):
+            score, fisher = edge_scores(pixels, unknowns, tables, edge_map.limit_px, target.segments)
+            prior = _prior_precision(unknowns)
+            normal = np.einsum("e,neij->nij", 1.0 / overdispersion, fisher)
+            normal += (prior + _RIDGE)[:, :, None] * np.eye(EDGE_UNKNOWNS)
+            right = np.einsum("e,nei->ni", 1.0 / overdispersion, score) - prior * unknowns
             step = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-            unknowns += np.clip(step, -MAX_MOVE_PX, MAX_MOVE_PX)
-        if number == EXCESS_AFTER:
-            excess = _excess(score, fisher)
-    steepness = np.linalg.norm(unknowns[:, 3:], axis=1)
-    return LikelihoodFit(centres + unknowns[:, :2], np.linalg.inv(normal)[:, :2, :2], steepness)
+            unknowns += np.clip(step, -MAX_STEP_PX, MAX_STEP_PX)
+        if number == OVERDISPERSION_ROUND:
+            overdispersion = _overdispersion(score, fisher)
+    light_slope = np.linalg.norm(unknowns[:, 3:], axis=1)
+    return LikelihoodFit(centres + unknowns[:, :2], np.linalg.inv(normal)[:, :2, :2], light_slope)
 
 
-def _prior(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Precision of the unknowns beforehand, (N, 5).
+def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the prior precision of the unknowns, (N, 5).
 
-    Slopes are small nearly everywhere, and large at the rim of the disc: a Cauchy prior, by its weights.
+    Slopes are small nearly everywhere and large at the rim of the disc. Their prior is a bivariate Cauchy
+    distribution, by the weights of iteratively reweighted least squares.
     """
     prior = np.zeros_like(unknowns)
     prior[:, 2] = SHIFT_SIGMA**-2
-    steepness = (unknowns[:, 3:] ** 2).sum(axis=1, keepdims=True)
-    prior[:, 3:] = 3.0 / (SLOPE_SIGMA**2 + steepness)
+    square = (unknowns[:, 3:] ** 2).sum(axis=1, keepdims=True)
+    prior[:, 3:] = 3.0 / (SLOPE_SIGMA**2 + square)
     return prior
 
 
-def _likely_print(
+def _best_edge_map(
     levels: NDArray[np.uint8],
     centres: NDArray[np.float64],
-    shape: LocalMap,
+    local_map: LocalMap,
     target: StarTarget,
     pitch: float,
 ) -> EdgeMap:
-    """Draw the star with the blur that tells most of the centres, judged on some of the stars.
+    """Return the edge map with the blur that has most information about the centres of some of the stars.
 
-    What a blur tells rises up to the right one and falls beyond it.
+    The information rises with the blur up to the right one and falls beyond it, so the search ends at the first fall.
     """
     some = slice(None, None, max(1, len(centres) // BLUR_STARS))
-    at = np.zeros((len(centres[some]), UNKNOWNS))
+    unknowns = np.zeros((len(centres[some]), EDGE_UNKNOWNS))
     sharp = render_star(target, pitch)
     best, most = None, -np.inf
-    for blur in PRINT_BLURS_PX:
-        drawn = blurred_edge_map(sharp, target.segments, pitch, blur)
-        pixels = gather_edge_pixels(levels, centres[some], shape.linear[some], shape.curved[some], drawn)
-        tables = _learn(count_levels(pixels, at, drawn.limit_px), BANDWIDTHS_PX[0] / TAU_BIN_PX)
-        _, fisher = edge_scores(pixels, at, tables, drawn.limit_px, target.segments)
-        told = float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))
-        if best is not None and told < most:
+    for blur in BLURS_PX:
+        edge_map = blurred_edge_map(sharp, target.segments, pitch, blur)
+        pixels = gather_edge_pixels(levels, centres[some], local_map.select(some), edge_map)
+        counts = count_levels(pixels, unknowns, edge_map.limit_px)
+        tables = _score_tables(counts, BANDWIDTHS_PX[0] / TAU_BIN_PX)
+        _, fisher = edge_scores(pixels, unknowns, tables, edge_map.limit_px, target.segments)
+        information = float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))
+        if best is not None and information < most:
             break
-        best, most = drawn, told
+        best, most = edge_map, information
     assert best is not None
     return best
 
 
-def _excess(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how much the scores of each edge scatter more than promised; the same for opposite edges.
+def _overdispersion(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by how much the scores of each edge scatter more than the Fisher information says, (edges,).
 
-    Variance components by their moments (MINQUE): with H the sum of all F_e, what is left of the score of edge e
-    after the star has moved is r_e = s_e - F_e H^-1 sum(s), so that with Cov(s_e) = phi_e F_e
+    The variance components are estimated by their moments (MINQUE; Rao 1971). Let H be the sum of all F_e. After the
+    star has moved, the remaining score of edge e is r_e = s_e - F_e H^-1 sum(s). With Cov(s_e) = phi_e F_e,
 
-        E |r_e|^2 = sum over f of phi_f tr (d_ef - F_e H^-1) F_f (d_ef - F_e H^-1)^T .
+        E |r_e|^2 = sum over f of phi_f tr (d_ef - F_e H^-1) F_f (d_ef - F_e H^-1)^T ,
 
-    An edge and the one opposite must weigh the same, or a mistaken P would move the centre.
+    where the trace is taken over the centre's two components. Opposite edges get the same value; otherwise a wrong P
+    would move the centre.
     """
     half = score.shape[1] // 2
     pair_score = score[:, :half] + score[:, half:]
     pair_fisher = fisher[:, :half] + fisher[:, half:]
-    total = pair_fisher.sum(axis=1) + _RIDGE * np.eye(UNKNOWNS)
+    total = pair_fisher.sum(axis=1) + _RIDGE * np.eye(EDGE_UNKNOWNS)
     gain = pair_fisher @ np.linalg.inv(total)[:, None]
     left = pair_score - np.einsum("neij,nj->nei", gain, pair_score.sum(axis=1))
     measured = np.mean(left[:, :, 0] ** 2 + left[:, :, 1] ** 2, axis=0)
     expected = np.empty((half, half))
     for e in range(half):
         for f in range(half):
-            through = (np.eye(UNKNOWNS) if e == f else 0.0) - gain[:, e]
+            through = (np.eye(EDGE_UNKNOWNS) if e == f else 0.0) - gain[:, e]
             spread = np.einsum("nij,njk,nlk->nil", through, pair_fisher[:, f], through)
             expected[e, f] = np.mean(spread[:, 0, 0] + spread[:, 1, 1])
-    excess = np.linalg.solve(expected + 1e-9 * np.eye(half) * np.trace(expected), measured)
-    typical = max(float(np.median(excess)), 1e-3)
-    return np.tile(np.clip(excess, EXCESS_RANGE[0] * typical, EXCESS_RANGE[1] * typical), 2)
+    ratio = np.linalg.solve(expected + 1e-9 * np.eye(half) * np.trace(expected), measured)
+    typical = max(float(np.median(ratio)), 1e-3)
+    lowest, highest = OVERDISPERSION_RANGE
+    return np.tile(np.clip(ratio, lowest * typical, highest * typical), 2)
 
 
-def _learn(counts: NDArray[np.float64], bandwidth_bins: float) -> ScoreTables:
-    """Turn counts of levels over tau into P, smoothed over tau, and that into derivatives and information."""
+def _score_tables(counts: NDArray[np.float64], bandwidth_bins: float) -> ScoreTables:
+    """Turn (LEVELS, bins) counts into P(level | tau), smoothed over tau by a Gaussian, and P into scores."""
     reach = int(4 * bandwidth_bins) + 1
     steps = np.arange(-reach, reach + 1)
     kernel = np.exp(-0.5 * (steps / bandwidth_bins) ** 2)
     kernel /= kernel.sum()
-    smooth = np.array([np.convolve(row, kernel, "same") for row in counts])
+    smoothed = np.array([np.convolve(row, kernel, "same") for row in counts])
     overall = (counts.sum(axis=1, keepdims=True) + 1.0) / (counts.sum() + len(counts))
-    share = (smooth + PSEUDO_COUNT * overall) / (smooth.sum(axis=0) + PSEUDO_COUNT)
+    share = (smoothed + PSEUDO_COUNT * overall) / (smoothed.sum(axis=0) + PSEUDO_COUNT)
     slope = np.gradient(share, axis=1) / TAU_BIN_PX
     return ScoreTables(slope / share, (slope**2 / share).sum(axis=0))

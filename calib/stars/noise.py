@@ -1,13 +1,15 @@
-"""How well stars are really placed: the scatter of neighbouring stars scales their covariances.
+"""How well stars are located: the scatter of neighbouring stars scales their covariances.
 
-Knows star centres on a grid and what their residuals promise; no image. Neighbouring stars share no
-pixels but lie on a smooth map, so what a star differs from its eight neighbours is noise, measured in the
-view itself, with the stencil
+The module uses the centres of stars on a grid, and covariances that are known up to a factor. It uses no image.
+
+Neighbouring stars share no pixels but lie on a smooth map. So the difference of a star from its eight neighbours is
+noise, and it is measured in the view itself with the stencil
 
     e = c(0, 0) - (c(1, 0) + c(-1, 0) + c(0, 1) + c(0, -1)) / 2
-        + (c(1, 1) + c(1, -1) + c(-1, 1) + c(-1, -1)) / 4
+        + (c(1, 1) + c(1, -1) + c(-1, 1) + c(-1, -1)) / 4 .
 
-every map of degree three or less, and every x^4 and y^4, drops out.
+This is the mask of Immerkær (1996) for the noise of images, here for positions. It cancels every map of degree three
+or less, and x^4 and y^4.
 """
 
 from __future__ import annotations
@@ -26,30 +28,32 @@ _STENCIL = {
     (-1, 1): 0.25,
     (-1, -1): 0.25,
 }
-#: Stars surrounded by eight others from which their scatter is trusted alone; below, it is mixed with what is
-#: usual.
+#: Number of surrounded stars from which their scatter alone is used; below it, the typical factor is mixed in.
 TRUSTED_FROM = 30
-#: Normalised squares beyond this do not take part: chi-square of two degrees of freedom, 1 in 22,000.
-_CUT = 20.0
+#: Largest normalised square that takes part: chi-square of two degrees of freedom exceeds it 1 in 22,000 times.
+_MAX_SQUARE = 20.0
 
 
 def stencil_residuals(
-    nodes: NDArray[np.int64], points: NDArray[np.float64], promised: NDArray[np.float64]
+    nodes: NDArray[np.int64], points: NDArray[np.float64], nominal: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compare each star that has all eight neighbours with them.
 
     Parameters
     ----------
     nodes
-        (N, 2) columns and rows.
+        (N, 2) int64, columns and rows.
     points
-        (N, 2) px.
-    promised
-        (N, 2, 2) covariances, px^2, known up to a factor.
+        (N, 2) float64, px, centres.
+    nominal
+        (N, 2, 2) float64, px^2, covariances of the centres up to a factor.
 
     Returns
     -------
-    (M, 2) residuals e, px, and (M, 2, 2) their covariances by the same promise.
+    residuals : array
+        (M, 2) float64, px, the stencil's e.
+    covariances : array
+        (M, 2, 2) float64, px^2, covariances of e, up to the same factor.
     """
     index = {(int(c), int(r)): i for i, (c, r) in enumerate(nodes)}
     residuals, covariances = [], []
@@ -59,29 +63,41 @@ def stencil_residuals(
             continue
         weights = np.array(list(_STENCIL.values()))
         residuals.append(points[i] + weights @ points[around])
-        covariances.append(promised[i] + np.einsum("k,kij->ij", weights**2, promised[around]))
+        covariances.append(nominal[i] + np.einsum("k,kij->ij", weights**2, nominal[around]))
     return np.array(residuals).reshape(-1, 2), np.array(covariances).reshape(-1, 2, 2)
 
 
 def variance_factor(
-    nodes: NDArray[np.int64], points: NDArray[np.float64], promised: NDArray[np.float64], *, usual: float
+    nodes: NDArray[np.int64], points: NDArray[np.float64], nominal: NDArray[np.float64], *, typical: float
 ) -> float:
-    """By what the promised covariances must be multiplied so that neighbouring stars scatter as they say.
+    """Estimate the factor of the covariances from the scatter of neighbouring stars.
+
+    A first value is the median of the normalised squares over 2 ln 2, the median of chi-square with two degrees of
+    freedom. The result is the mean of those squares that are not far above it.
 
     Parameters
     ----------
-    nodes, points, promised
-        As for `stencil_residuals`.
-    usual
-        The factor as it usually is, for views in which too few stars are surrounded by others.
+    nodes
+        (N, 2) int64, columns and rows.
+    points
+        (N, 2) float64, px, centres.
+    nominal
+        (N, 2, 2) float64, px^2, covariances of the centres up to the factor.
+    typical
+        Typical value of the factor. It is mixed in if fewer than `TRUSTED_FROM` stars have all eight neighbours.
+
+    Returns
+    -------
+    float
+        Factor by which the covariances have to be multiplied.
     """
-    residuals, covariances = stencil_residuals(nodes, points, promised)
+    residuals, covariances = stencil_residuals(nodes, points, nominal)
     count, total = 0.0, 0.0
     if len(residuals):
         squares = np.einsum("mi,mij,mj->m", residuals, np.linalg.inv(covariances), residuals)
         factor = float(np.median(squares)) / (2 * np.log(2))
         if factor > 0:
-            near = squares < _CUT * factor
+            near = squares < _MAX_SQUARE * factor
             count, total = float(np.count_nonzero(near)), float(squares[near].sum()) / 2.0
     borrowed = max(TRUSTED_FROM - count, 0.0)
-    return (total + borrowed * usual) / (count + borrowed)
+    return (total + borrowed * typical) / (count + borrowed)

@@ -1,16 +1,18 @@
-"""Where the grid of stars should lie at a gimbal's reading, by earlier views of which the tag told the names.
+"""Prediction of the grid of stars from a reading of the gimbal, by earlier views whose stars the tag labelled.
 
-Knows homographies of views and the gimbal's readings beside them; no image and no star. It serves to name stars where
-the tag is out of view, and nothing else: no estimate of a camera comes from it.
+The module uses homographies of views and the gimbal's readings. It uses no image and no stars. The prediction serves to
+label stars if the tag is out of view, and for nothing else: no estimate of a camera depends on it.
 
-With K of one focal length and the principal point in the middle of the image, A the mounting of the camera on the
-gimbal, G the gimbal's rotation and B how it stands before the collimator, a view's grid lies at
+The grid of a view is at
 
-    H = K [r1 r2 -R c] diag(p, p, 1),   R = A G B.
+    H = K [r1 r2 -R c] diag(p, p, 1),   R = A G B,
 
-Focal length, centre c, A and B are fitted to the earlier views; how surely they tell the new one follows from the fit's
-covariance. A single view, an axis that has not moved yet, or readings that contradict the views make that large, and
-then nothing is expected.
+the homography of arXiv:2512.16092, eqs. 1 to 3, for the pitch p. K has one focal length and the principal point at the
+image centre. A is the mounting of the camera on the gimbal, G the gimbal's rotation, and B the rotation from the
+collimator to the gimbal's base; A and B are unknown as in robot-world and hand-eye calibration (Dornaika and Horaud
+1998). Focal length, centre c, A and B are fitted to the earlier views. The covariance of the fit gives the uncertainty
+of the prediction. It is large after a single view, if an axis has not moved yet, or if the readings contradict the
+views; then the prediction is refused.
 """
 
 from __future__ import annotations
@@ -28,31 +30,31 @@ from calib.stars.labelling import grid_homography
 
 Array = NDArray[np.float64]
 
-#: What lens, gimbal and homographies leave unsaid of a place in the image, px, 1 sigma, unless the earlier views show
-#: more. Places of a view share most of it, so that each view counts as some places only.
-MODEL_PX, PLACES_A_VIEW = 1.0, 4
-#: How far the camera may be turned on the gimbal against the axes as they are defined, degrees, 1 sigma about each.
+#: Standard deviation of what the model neglects (lens, gimbal, homographies) at an image point, px. It is enlarged if
+#: the earlier views disagree more. Points of a view share most of this error, so a view counts as a few points only.
+MODEL_SIGMA_PX, POINTS_PER_VIEW = 1.0, 4
+#: Prior standard deviation of the camera's rotation on the gimbal about each axis, degrees.
 MOUNTING_SIGMA_DEG = 5.0
-#: Sigma of the expected places, in pitches, up to which they name stars: the next naming is a pitch away.
+#: Largest standard uncertainty of a prediction, pitches. The next labelling is a pitch away.
 MAX_SIGMA_PITCHES = 0.15
-#: Focal lengths to begin with, in widths of the image.
-FIRST_FOCAL = (0.6, 1.0, 1.7, 2.9, 5.0)
-#: Places looked at: so many along each side of the image's inner part.
+#: Focal lengths at which the fit starts, widths of the image.
+FIRST_FOCAL_LENGTHS = (0.6, 1.0, 1.7, 2.9, 5.0)
+#: Number of points along each side of the inner part of the image, and the size of that part as a share of the image.
 SIDE, INNER = 5, 0.8
-_STEPS, _LONGEST_STEP = 60, 0.5
-_LOG_F, _CENTRE, _LOG_R, _MOUNTING, _STANDING = 0, slice(1, 3), 3, slice(4, 7), slice(7, 10)
+_MAX_STEPS, _LONGEST_STEP = 60, 0.5
+_LOG_F, _CENTRE, _LOG_R, _MOUNTING, _BASE = 0, slice(1, 3), 3, slice(4, 7), slice(7, 10)
 _UNKNOWNS = 10
 
 
 class LabelledView(NamedTuple):
-    """An earlier view whose stars the tag named.
+    """An earlier view whose stars the tag labelled.
 
     Attributes
     ----------
     grid
-        (3, 3) homography from [column row 1] of the target's grid to [u v 1] px.
+        (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px.
     reading_deg
-        The gimbal's angles then: ``pan``, ``tilt``, ``roll``; missing is 0.
+        Angles of the gimbal at that view, degrees: ``pan``, ``tilt``, ``roll``; a missing axis is at 0.
     """
 
     grid: Array
@@ -60,53 +62,53 @@ class LabelledView(NamedTuple):
 
 
 class PredictedGrid(NamedTuple):
-    """Where the grid should lie.
+    """Predicted grid of stars in the image.
 
     Attributes
     ----------
     grid
-        (3, 3) homography from [column row 1] to [u v 1] px.
+        (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px.
     sigma_pitches
-        1-sigma of its places, in pitches, the largest over the image.
+        Standard uncertainty of its points, pitches, the largest over the image.
     """
 
     grid: Array
     sigma_pitches: float
 
 
-class _Scene(NamedTuple):
-    """Earlier views: the gimbal's readings, and for each (25, 2) nodes that lie at the places looked at."""
+class _Observations(NamedTuple):
+    """Earlier views: readings of the gimbal, and the (25, 2) grid positions in each that lie at the points, px."""
 
     image_size: tuple[int, int]
     pitch_mm: float
-    places: Array
+    points: Array
     readings: Sequence[Mapping[str, float]]
     nodes: Sequence[Array]
 
     def grid(self, values: Array, reading_deg: Mapping[str, float]) -> Array:
-        """(3, 3) homography of a view by the unknowns."""
-        rotation = exp_map(values[_MOUNTING]) @ _gimbal(reading_deg) @ exp_map(values[_STANDING])
+        """Return the (3, 3) homography of a view for values of the unknowns."""
+        rotation = exp_map(values[_MOUNTING]) @ _gimbal_rotation(reading_deg) @ exp_map(values[_BASE])
         centre = np.array([*values[_CENTRE], -np.exp(values[_LOG_R])])
         matrix = _matrix(float(np.exp(values[_LOG_F])), self.image_size)
         return grid_homography(matrix, rotation, centre, self.pitch_mm)
 
-    def off(self, values: Array) -> Array:
-        """Residuals of all places of all views, and the mounting, in sigmas."""
-        sigma_px = MODEL_PX * np.sqrt(len(self.places) / PLACES_A_VIEW)
+    def residuals(self, values: Array) -> Array:
+        """Return the weighted residuals of all points of all views, and of the prior of the mounting."""
+        sigma_px = MODEL_SIGMA_PX * np.sqrt(len(self.points) / POINTS_PER_VIEW)
         views = [
-            (apply_homography(self.grid(values, reading), nodes) - self.places).ravel() / sigma_px
+            (apply_homography(self.grid(values, reading), nodes) - self.points).ravel() / sigma_px
             for reading, nodes in zip(self.readings, self.nodes, strict=True)
         ]
         return np.concatenate([*views, values[_MOUNTING] / np.radians(MOUNTING_SIGMA_DEG)])
 
 
 class _Fit(NamedTuple):
-    """Unknowns, their covariance, the cost, and by how much it is larger than the model's errors explain."""
+    """Values of the unknowns, their covariance, the cost, and the variance factor (1 or more) of the residuals."""
 
     values: Array
     covariance: Array
     cost: float
-    excess: float
+    variance_factor: float
 
 
 def predict_grid(
@@ -115,115 +117,125 @@ def predict_grid(
     image_size: tuple[int, int],
     pitch_mm: float,
 ) -> PredictedGrid:
-    """Expect the grid of stars at a reading of the gimbal.
+    """Predict the grid of stars from a reading of the gimbal.
 
     Parameters
     ----------
     seen
-        Earlier views, in two directions at least.
+        Earlier views, in at least two directions.
     reading_deg
-        The gimbal's angles now.
+        Present angles of the gimbal, degrees: ``pan``, ``tilt``, ``roll``; a missing axis is at 0.
     image_size
-        Width and height, px.
+        Width and height of the image, px.
     pitch_mm
         Distance of neighbouring stars, mm.
+
+    Returns
+    -------
+    PredictedGrid
+        With a standard uncertainty of `MAX_SIGMA_PITCHES` or less.
 
     Raises
     ------
     DegenerateViews
-        Without earlier views, or when they do not tell it to `MAX_SIGMA_PITCHES`.
+        If there are no earlier views, or the uncertainty is larger than `MAX_SIGMA_PITCHES`.
     """
     if not seen:
-        raise DegenerateViews("No earlier view tells where the stars are.", where="gimbal", remedy=_REMEDY)
-    places = _places(image_size)
-    nodes = [apply_homography(np.asarray(np.linalg.inv(s.grid)), places) for s in seen]
-    scene = _Scene(image_size, pitch_mm, places, [s.reading_deg for s in seen], nodes)
-    starts = (_start(seen[0], scene, ratio * image_size[0]) for ratio in FIRST_FOCAL)
-    fit = min((_fitted(scene, start) for start in starts), key=lambda f: f.cost)
-    expectation = _foretold(scene, fit, reading_deg)
-    if not expectation.sigma_pitches <= MAX_SIGMA_PITCHES:
         raise DegenerateViews(
-            f"{len(seen)} earlier views with the tag and the gimbal's readings tell where the stars are to "
-            f"{expectation.sigma_pitches:.2g} squares (1 sigma); {MAX_SIGMA_PITCHES:g} are needed.",
+            "No earlier view shows the tag, so the stars cannot be predicted.", where="gimbal", remedy=_REMEDY
+        )
+    points = _image_points(image_size)
+    nodes = [apply_homography(np.asarray(np.linalg.inv(s.grid)), points) for s in seen]
+    observed = _Observations(image_size, pitch_mm, points, [s.reading_deg for s in seen], nodes)
+    starts = (_first_values(seen[0], observed, ratio * image_size[0]) for ratio in FIRST_FOCAL_LENGTHS)
+    fit = min((_fitted(observed, start) for start in starts), key=lambda f: f.cost)
+    prediction = _predicted(observed, fit, reading_deg)
+    if not prediction.sigma_pitches <= MAX_SIGMA_PITCHES:
+        raise DegenerateViews(
+            f"{len(seen)} earlier views with the tag predict the stars from the gimbal's reading to "
+            f"{prediction.sigma_pitches:.2g} squares (1 sigma); {MAX_SIGMA_PITCHES:g} are needed.",
             where="gimbal",
             remedy=_REMEDY,
         )
-    return expectation
+    return prediction
 
 
 _REMEDY = "Begin with poses that have the tag in view, in two directions or more along each axis that moves."
 
 
-def _places(image_size: tuple[int, int]) -> Array:
-    """(25, 2) px: places over the inner part of the image."""
+def _image_points(image_size: tuple[int, int]) -> Array:
+    """Return (25, 2) px, points over the inner part of the image."""
     steps = np.linspace(-0.5, 0.5, SIDE) * INNER + 0.5
     u, v = np.meshgrid(steps * (image_size[0] - 1), steps * (image_size[1] - 1))
     return np.column_stack([u.ravel(), v.ravel()])
 
 
 def _matrix(focal_px: float, image_size: tuple[int, int]) -> Array:
-    """(3, 3) K."""
+    """Return the (3, 3) camera matrix K."""
     cx, cy = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
     return np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
 
 
-def _gimbal(reading_deg: Mapping[str, float]) -> Array:
-    """(3, 3) G."""
+def _gimbal_rotation(reading_deg: Mapping[str, float]) -> Array:
+    """Return the (3, 3) rotation G of the gimbal."""
     return euler_zxy(*(reading_deg.get(axis, 0.0) for axis in ("pan", "tilt", "roll")))
 
 
-def _start(first: LabelledView, scene: _Scene, focal_px: float) -> Array:
-    """Unknowns by the first view and a focal length: K^-1 H is s [r1 r2 -R c]."""
-    per_mm = np.diag([1.0 / scene.pitch_mm, 1.0 / scene.pitch_mm, 1.0])
-    scaled = np.linalg.inv(_matrix(focal_px, scene.image_size)) @ first.grid @ per_mm
-    middle_mm = scene.nodes[0][len(scene.places) // 2] * scene.pitch_mm
+def _first_values(first: LabelledView, observed: _Observations, focal_px: float) -> Array:
+    """Return start values of the unknowns from the first view and a focal length.
+
+    Zhang (2000), section 3.1, with the centre c of arXiv:2512.16092, eq. 3: K^-1 H is proportional to [r1 r2 -R c].
+    """
+    per_mm = np.diag([1.0 / observed.pitch_mm, 1.0 / observed.pitch_mm, 1.0])
+    scaled = np.linalg.inv(_matrix(focal_px, observed.image_size)) @ first.grid @ per_mm
+    middle_mm = observed.nodes[0][len(observed.points) // 2] * observed.pitch_mm
     in_front = np.sign(scaled[2] @ np.append(middle_mm, 1.0))
     scaled *= in_front / np.linalg.norm(scaled[:, :2], axis=0).mean()
     rotation = nearest_rotation(np.column_stack([scaled[:, :2], np.cross(scaled[:, 0], scaled[:, 1])]))
     centre = -rotation.T @ scaled[:, 2]
     values = np.zeros(_UNKNOWNS)
-    values[_LOG_F], values[_CENTRE], values[_LOG_R] = (
-        np.log(focal_px),
-        centre[:2],
-        np.log(max(-centre[2], 1.0)),
-    )
-    values[_STANDING] = log_map(_gimbal(first.reading_deg).T @ rotation)
+    values[_LOG_F] = np.log(focal_px)
+    values[_CENTRE] = centre[:2]
+    values[_LOG_R] = np.log(max(-centre[2], 1.0))
+    values[_BASE] = log_map(_gimbal_rotation(first.reading_deg).T @ rotation)
     return values
 
 
-def _fitted(scene: _Scene, values: Array) -> _Fit:
-    """Minimise the squares by Levenberg's and Marquardt's steps."""
-    off = scene.off(values)
-    cost, damping = float(off @ off), 1e-3
-    for _ in range(_STEPS):
-        slopes = _slopes(scene.off, values)
-        normal = slopes.T @ slopes
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), -slopes.T @ off)
+def _fitted(observed: _Observations, values: Array) -> _Fit:
+    """Minimise the sum of squares by the method of Levenberg and Marquardt (Marquardt 1963)."""
+    residuals = observed.residuals(values)
+    cost, damping = float(residuals @ residuals), 1e-3
+    for _ in range(_MAX_STEPS):
+        jacobian = _jacobian(observed.residuals, values)
+        normal = jacobian.T @ jacobian
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ residuals)
         step *= min(1.0, _LONGEST_STEP / float(np.abs(step[_LOG_R:]).max() + abs(step[_LOG_F])))
-        tried = scene.off(values + step)
+        tried = observed.residuals(values + step)
         gain = cost - float(tried @ tried)
         damping = damping / 10.0 if gain > 0 else damping * 10.0
         if gain > 0:
-            values, off, cost = values + step, tried, cost - gain
+            values, residuals, cost = values + step, tried, cost - gain
         if 0 < gain < 1e-9 * cost or damping > 1e9:
             break
-    slopes = _slopes(scene.off, values)
-    spare = max(2 * PLACES_A_VIEW * len(scene.nodes) - _UNKNOWNS, 1)
-    excess = max(cost / spare, 1.0)
-    return _Fit(values, excess * np.asarray(np.linalg.pinv(slopes.T @ slopes, hermitian=True)), cost, excess)
+    jacobian = _jacobian(observed.residuals, values)
+    redundancy = max(2 * POINTS_PER_VIEW * len(observed.nodes) - _UNKNOWNS, 1)
+    factor = max(cost / redundancy, 1.0)
+    covariance = factor * np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))
+    return _Fit(values, covariance, cost, factor)
 
 
-def _foretold(scene: _Scene, fit: _Fit, reading_deg: Mapping[str, float]) -> PredictedGrid:
-    """The grid at a reading, and how surely the fit tells it."""
-    grid = scene.grid(fit.values, reading_deg)
-    nodes = apply_homography(np.asarray(np.linalg.inv(grid)), scene.places)
-    slopes = _slopes(lambda v: apply_homography(scene.grid(v, reading_deg), nodes).ravel(), fit.values)
-    variance = np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes) + fit.excess * MODEL_PX**2
-    pitch = np.linalg.norm(apply_homography(grid, nodes + np.array([1.0, 0.0])) - scene.places, axis=1)
+def _predicted(observed: _Observations, fit: _Fit, reading_deg: Mapping[str, float]) -> PredictedGrid:
+    """Return the grid at a reading, with its uncertainty propagated from the fit."""
+    grid = observed.grid(fit.values, reading_deg)
+    nodes = apply_homography(np.asarray(np.linalg.inv(grid)), observed.points)
+    jacobian = _jacobian(lambda v: apply_homography(observed.grid(v, reading_deg), nodes).ravel(), fit.values)
+    propagated = np.einsum("ij,jk,ik->i", jacobian, fit.covariance, jacobian)
+    variance = propagated + fit.variance_factor * MODEL_SIGMA_PX**2
+    pitch = np.linalg.norm(apply_homography(grid, nodes + np.array([1.0, 0.0])) - observed.points, axis=1)
     return PredictedGrid(grid, float(np.sqrt(variance.max()) / np.median(pitch)))
 
 
-def _slopes(function: Callable[[Array], Array], values: Array) -> Array:
-    """Derivatives of a function of the unknowns, by differences."""
+def _jacobian(function: Callable[[Array], Array], values: Array) -> Array:
+    """Return the derivatives of a function of the unknowns, by forward differences."""
     here = function(values)
     return np.column_stack([(function(values + 1e-6 * e) - here) / 1e-6 for e in np.eye(len(values))])

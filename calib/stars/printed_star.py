@@ -1,6 +1,6 @@
-"""A printed star drawn finely: how far each place around it lies from the nearest edge, and which edge that is.
+"""A printed star, finely sampled: the distance of each place around it from the nearest edge, and which edge that is.
 
-Knows the printed target, a pitch and a blur; no image and no stars found in one.
+The module uses the printed target, a pitch and a blur. It uses no image and no detected stars.
 """
 
 from __future__ import annotations
@@ -14,16 +14,30 @@ from scipy.special import ndtri
 
 from calib.target import StarTarget
 
-#: Samples of the print a px.
+#: Samples of the printed star per px.
 OVERSAMPLING = 6
-#: Half the side of the print drawn, in pitches: a star and the rim of its neighbours.
-PRINT_REACH = 0.62
-#: Furthest distance looked at, in blurs.
+#: Half the side of the printed star's image, pitches: the star and the rim of its neighbours.
+REACH = 0.62
+#: Largest distance from an edge that is used, in units of the blur.
 TAU_LIMIT_BLURS = 3.2
 
 
 class EdgeMap(NamedTuple):
-    """One star, drawn finely: tau, px, and the number of the nearest edge, on a grid around its centre."""
+    """Distances from the edges of one printed star, sampled on a square grid around its centre.
+
+    Attributes
+    ----------
+    tau
+        (S, S) float32, px, signed distance from the nearest edge; positive on white.
+    edge
+        (S, S) uint8, number of the nearest edge, 0 to the number of segments - 1.
+    half
+        Row and column of the centre.
+    samples_per_pitch
+        Number of samples per pitch.
+    limit_px
+        Largest distance that is used, px.
+    """
 
     tau: NDArray[np.float32]
     edge: NDArray[np.uint8]
@@ -32,36 +46,64 @@ class EdgeMap(NamedTuple):
     limit_px: float
 
 
-def draw_edge_map(target: StarTarget, pitch_px: float, blur_px: float) -> EdgeMap:
-    """Draw a star among its neighbours, blurred (sigma, px), as finely as refinement asks for at that pitch."""
-    return blurred_edge_map(render_star(target, pitch_px), target.segments, pitch_px, blur_px)
-
-
 def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float64]:
-    """Brightness (0 to 1) around a star that has all its neighbours, square, on the grid of a `EdgeMap`."""
+    """Draw the print around a star that has all eight neighbours, on the grid of an `EdgeMap`.
+
+    Parameters
+    ----------
+    target
+        Printed target.
+    pitch_px
+        Distance of neighbouring stars in the image, px.
+
+    Returns
+    -------
+    array
+        (S, S) float64, brightness, 0 or 1.
+    """
     columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
-    whole = np.ones(columns.shape, bool)
+    surrounded = np.ones(columns.shape, bool)
     for dc in (-1, 0, 1):
         for dr in (-1, 0, 1):
-            whole &= target.id_at(columns + dc, rows + dr) >= 0
-    at = int(np.argmax(whole))
+            surrounded &= target.id_at(columns + dc, rows + dr) >= 0
+    at = int(np.argmax(surrounded))
     u, v = _grid(pitch_px)
     x, y = (columns.ravel()[at] + u) * target.pitch_mm, (rows.ravel()[at] + v) * target.pitch_mm
     return target.reflectance(x, y)
 
 
 def _grid(pitch_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places of a print's samples, in pitches from the star."""
-    half = int(np.ceil(PRINT_REACH * pitch_px * OVERSAMPLING))
+    """Return the places of the samples of an `EdgeMap`, pitches from the star, two (S, S) arrays."""
+    half = int(np.ceil(REACH * pitch_px * OVERSAMPLING))
     steps = np.arange(-half, half + 1) / (pitch_px * OVERSAMPLING)
     u, v = np.meshgrid(steps, steps)
     return u, v
 
 
 def blurred_edge_map(sharp: NDArray[np.float64], segments: int, pitch_px: float, blur_px: float) -> EdgeMap:
-    """Blur a print from `render_star` of the same pitch, and read tau and the nearest of the edges off it."""
+    """Blur a printed star, and compute the distances from its edges from the blurred brightness.
+
+    A straight edge blurred by a Gaussian of standard deviation sigma has the brightness Phi(tau / sigma) at distance
+    tau, so tau = sigma Phi^-1(brightness).
+
+    Parameters
+    ----------
+    sharp
+        (S, S) float64, brightness, from `render_star` with the same pitch.
+    segments
+        Number of segments of a star.
+    pitch_px
+        Distance of neighbouring stars in the image, px.
+    blur_px
+        Standard deviation of the blur, px.
+
+    Returns
+    -------
+    EdgeMap
+        Point symmetric about the centre, as the print is.
+    """
     blurred = cv2.GaussianBlur(sharp, (0, 0), blur_px * OVERSAMPLING)
-    # Samples on an edge fall to either side by rounding; half a turn more makes the drawing even again.
+    # By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the map symmetric.
     blurred = (blurred + blurred[::-1, ::-1]) / 2.0
     tau = blur_px * ndtri(np.clip(blurred, 1e-4, 1.0 - 1e-4))
     u, v = _grid(pitch_px)

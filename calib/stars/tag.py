@@ -1,6 +1,7 @@
-"""The target's AprilTag in an image: which way the target lies, roughly where, and with which contrast.
+"""The target's AprilTag in an image: its corners, the orientation of the target, and the contrast.
 
-Knows the tag; nothing of stars. Reading the bits is OpenCV's work.
+The module does not use stars. OpenCV's ArUco detector (Garrido-Jurado et al. 2014) finds and decodes the tags of
+family 36h11 (Olson 2011).
 """
 
 from __future__ import annotations
@@ -16,28 +17,28 @@ from calib.errors import TargetNotFound
 from calib.events.grey_image import to_uint8
 from calib.target import TAG_MODULES, StarTarget
 
-#: Correlation of a tag's modules with the print that it needs at least, of either sign.
+#: Least correlation of a tag's modules with the print, of either sign.
 MIN_CORRELATION = 0.5
-#: Pictures stay at least this large when they are made smaller for the search, px.
-SMALLEST_PICTURE_PX = 170
-#: Perimeter of a tag as a share of the picture's longer side, at least: the stars' many corners are smaller.
+#: Least width and height of a reduced picture, px.
+MIN_PICTURE_PX = 170
+#: Least perimeter of a tag, as a share of the picture's longer side. The many corners of stars are smaller.
 MIN_PERIMETER = 0.12
 
 
 @dataclass(frozen=True)
 class TagDetection:
-    """Where the tag lies.
+    """The target's tag in an image.
 
     Attributes
     ----------
     homography
-        (3, 3) maps [column row 1] of the target's grid of nodes to [u v 1] px, from the tag's corners alone.
+        (3, 3) float64, from [column row 1] of the target's grid of nodes to [u v 1] px, from the four corners.
     corners_px
-        (4, 2) corners of the tag's border in the print's order (upper left, upper right, ...).
+        (4, 2) float64, px, corners of the tag's border in the order of the print (upper left, upper right, ...).
     sign
-        +1 where white is bright in the image, -1 where it is dark.
+        +1 if white is bright in the image, -1 if it is dark.
     correlation
-        Of the 8 x 8 modules with the print, 0 to 1.
+        Correlation of the 8 x 8 modules with the print, 0 to 1.
     """
 
     homography: NDArray[np.float64]
@@ -47,50 +48,51 @@ class TagDetection:
 
 
 def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> TagDetection | None:
-    """Find the target's own tag, at any roll and with either contrast.
+    """Find the target's tag, at any roll and with either contrast.
 
-    The image is tried smaller, blurred, as it is and median filtered, until the tag is seen.
+    The detector gets the image reduced, blurred, unchanged and median filtered, until it finds the tag.
 
     Parameters
     ----------
     image
         (H, W) of any integer or floating type.
     target
-        Says which tag.
+        Printed target, with the number of its tag.
     name
-        The view's name, for messages.
+        Name of the view, for messages.
 
     Returns
     -------
     TagDetection or None
-        None where no tag is seen.
+        None if the image shows no tag.
 
     Raises
     ------
     TargetNotFound
-        When the tag is there more than once, or another one is there in its place.
+        If the image shows the tag more than once, or only another tag.
     """
-    strangers: set[int] = set()
+    others: set[int] = set()
     for variant, scale in _variants(to_uint8(image)):
-        seeds = []
+        found = []
         for corners, tag in _read_tags(variant, scale):
-            seed = _judge(variant, scale, corners, target) if tag == target.tag_id else None
-            if seed is None:
-                strangers.add(tag)
+            detection = _verified(variant, scale, corners, target) if tag == target.tag_id else None
+            if detection is None:
+                others.add(tag)
             else:
-                seeds.append(seed)
-        if len(seeds) > 1:
+                found.append(detection)
+        if len(found) > 1:
             raise TargetNotFound(
-                f"Tag {target.tag_id} of the target is seen {len(seeds)} times.",
+                f"Tag {target.tag_id} of the target is seen {len(found)} times.",
                 where=f"view {name}",
                 remedy="Keep mirrors and second targets out of the image.",
             )
-        if seeds:
-            return seeds[0]
-    if strangers - {target.tag_id}:
-        others = ", ".join(map(str, sorted(strangers - {target.tag_id})))
+        if found:
+            return found[0]
+    others.discard(target.tag_id)
+    if others:
         raise TargetNotFound(
-            f"Tag {target.tag_id} of family 36h11 is not in the image; tags seen instead: {others}.",
+            f"Tag {target.tag_id} of family 36h11 is not in the image; tags seen instead: "
+            f"{', '.join(map(str, sorted(others)))}.",
             where=f"view {name}",
             remedy="Check that the target is the one described.",
         )
@@ -98,9 +100,9 @@ def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> Ta
 
 
 def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], float]]:
-    """Pictures to look at one after the other, and how many of their pixels make one of the image's."""
+    """Yield the pictures that the detector gets, in their order, and the scale of each relative to the image."""
     for scale in (0.25, 0.5):
-        if scale * min(picture.shape) >= SMALLEST_PICTURE_PX:
+        if scale * min(picture.shape) >= MIN_PICTURE_PX:
             smaller = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
             yield np.asarray(smaller, np.uint8), scale
     yield np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.2), np.uint8), 1.0
@@ -110,11 +112,11 @@ def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], f
 
 
 def _read_tags(picture: NDArray[np.uint8], scale: float) -> Iterator[tuple[NDArray[np.float64], int]]:
-    """Corners, in px of the full image, and numbers of all tags of the family."""
+    """Yield the (4, 2) corners, px of the full image, and the number of each tag of the family."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.detectInvertedMarker = True
     parameters.minMarkerPerimeterRate = MIN_PERIMETER
-    # Windows from about the smallest module to a quarter of the picture: larger modules are not hollow to it.
+    # Windows of the adaptive threshold: from about the smallest module to an eighth of the picture.
     parameters.adaptiveThreshWinSizeMin = 9
     parameters.adaptiveThreshWinSizeMax = max(23, min(picture.shape) // 8 | 1)
     parameters.adaptiveThreshWinSizeStep = max(10, (parameters.adaptiveThreshWinSizeMax - 9) // 2)
@@ -124,21 +126,21 @@ def _read_tags(picture: NDArray[np.uint8], scale: float) -> Iterator[tuple[NDArr
         yield (np.asarray(quad, np.float64).reshape(4, 2) + 0.5) / scale - 0.5, int(tag)
 
 
-def _judge(
+def _verified(
     picture: NDArray[np.uint8], scale: float, corners: NDArray[np.float64], target: StarTarget
 ) -> TagDetection | None:
-    """Compare the modules with the print; a seed where they agree, of either contrast."""
+    """Compare the modules with the print; return the detection, with refined corners, if they agree, else None."""
     nodes = target.tag_corners_mm / target.pitch_mm
     correlation = _modules_correlation(picture, scale, _homography(nodes, corners), target)
     if abs(correlation) < MIN_CORRELATION:
         return None
     sign = float(np.sign(correlation))
-    corners = _sharpened(picture.astype(np.float32) * np.float32(sign), scale, corners)
+    corners = _refined_corners(picture.astype(np.float32) * np.float32(sign), scale, corners)
     return TagDetection(_homography(nodes, corners), corners, sign, abs(correlation))
 
 
 def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3, 3) from four grid positions to four image points."""
+    """Return the (3, 3) homography from four grid positions to four image points."""
     return np.asarray(
         cv2.getPerspectiveTransform(nodes.astype(np.float32), corners.astype(np.float32)), np.float64
     )
@@ -147,7 +149,7 @@ def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDA
 def _modules_correlation(
     picture: NDArray[np.uint8], scale: float, homography: NDArray[np.float64], target: StarTarget
 ) -> float:
-    """Correlation of the middles of the 8 x 8 modules with the print."""
+    """Return the correlation of the 8 x 8 modules, at their centres, with the print."""
     left, top = target.tag_corners_mm[0] / target.pitch_mm
     middles = (np.arange(TAG_MODULES) + 0.5) * (target.tag_squares / TAG_MODULES)
     u, v = np.meshgrid(left + middles, top + middles)
@@ -158,12 +160,13 @@ def _modules_correlation(
     return float(np.corrcoef(seen, target.layout.tag_modules.ravel())[0, 1])
 
 
-def _sharpened(
+def _refined_corners(
     picture: NDArray[np.float32], scale: float, corners: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Fit lines to the border's outer edges, black inside and white outside, and cut them with each other.
+    """Fit lines to the outer edges of the border, and return their (4, 2) intersections.
 
-    The white ring is half a pitch wide and so is the black border: a module of the tag on either side.
+    The edge is black inside and white outside. The black border and the white ring are both half a pitch wide, which
+    is one module of a tag of four squares. The old corners are returned if an intersection is far from its corner.
     """
     module = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean() / TAG_MODULES
     offsets = np.linspace(-1.4, 1.4, 113) * module
@@ -188,7 +191,7 @@ def _sharpened(
 
 
 def _values(picture: NDArray[np.float32], scale: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bilinear values of a scaled picture at (N, 2) points of the full image."""
+    """Return the bilinear values, (N,), of a scaled picture at (N, 2) points of the full image."""
     points = ((at + 0.5) * scale - 0.5).astype(np.float32)
     return np.asarray(
         cv2.remap(picture, points[:, 0], points[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),

@@ -1,8 +1,8 @@
-"""Stars at the rim of the beam: which they are, and how far they can be trusted.
+"""Vignetted stars: the outermost stars of the beam, and their larger uncertainty.
 
-There the light falls off across a star, so that its edges lie elsewhere than inside the beam, all towards the rim: a
-shift that no covariance from the star's own pixels shows, and that a focal length takes up. Knows views and the
-target's grid; no images, no camera model.
+At the rim of the beam the light falls off across a star, which moves its edges. The edges of all such stars move
+outwards. The covariances from a star's own pixels do not show this shift, and the focal length would absorb it.
+The module uses views and the target's grid. It uses no images and no camera model.
 """
 
 from __future__ import annotations
@@ -16,33 +16,34 @@ from calib.model.homography import apply_homography, view_homography
 from calib.target import StarTarget
 from calib.view import View
 
-#: Standard uncertainty a star at the rim gets besides its own, px. Simulated beams shift the outermost stars by
-#: 0.03 px outwards, all together, which is worth 2 sigma of f; with this, they no longer decide anything.
+#: Standard uncertainty per axis that is added to a vignetted star's own, px. In simulated beams the outermost stars
+#: are all shifted outwards by 0.03 px, which changes f by 2 sigma. With this uncertainty they have little weight.
 VIGNETTED_SIGMA_PX = 0.2
-#: A neighbour this near the frame's border, in pitches, is absent for that reason.
+#: Distance from the border of the frame, pitches, within which a neighbour is missing because of the border.
 _BORDER_PITCHES = 0.55
 _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
 def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
-    """Find the stars that lack a neighbour although it would lie inside the frame.
+    """Find the stars that lack a neighbour although the neighbour would lie inside the frame.
 
     Parameters
     ----------
     view
         Stars of one pose.
     target
-        The target they belong to.
+        Target to which the stars belong.
 
     Returns
     -------
-    (N,) bool
-        True for the outermost stars of the beam. Stars beside the frame's border, or the tag, are none of them.
+    array
+        (N,) bool, True for the outermost stars of the beam. A star next to the border of the frame or to the tag is
+        not one for that reason.
 
     Raises
     ------
     TooFewStars, DegenerateViews
-        As `calib.model.homography.view_homography`.
+        From `calib.model.homography.view_homography`, if the stars do not determine a homography.
     """
     mapping = view_homography(view)
     nodes = target.node_of(view.ids)
@@ -58,19 +59,26 @@ def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
 
 
 def downweight_vignetted(view: View, target: StarTarget, sigma_px: float = VIGNETTED_SIGMA_PX) -> View:
-    """Give the stars at the rim of the beam the uncertainty that their place there adds.
+    """Increase the covariances of the vignetted stars of a view.
 
     Parameters
     ----------
-    view, target
-        As for `vignetted_stars`.
+    view
+        Stars of one pose.
+    target
+        Target to which the stars belong.
     sigma_px
-        Standard uncertainty to add, per axis.
+        Standard uncertainty to add, px, per axis.
 
     Returns
     -------
     View
-        The same stars; covariances of those at the rim are larger by ``sigma_px`` squared.
+        The same stars. The variances of the vignetted ones are larger by the square of ``sigma_px``.
+
+    Raises
+    ------
+    TooFewStars, DegenerateViews
+        As `vignetted_stars`.
     """
     added = np.where(vignetted_stars(view, target), sigma_px**2, 0.0)
     return replace(view, covariances_px2=view.covariances_px2 + added[:, None, None] * np.eye(2))

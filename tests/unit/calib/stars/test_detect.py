@@ -270,13 +270,13 @@ def test_a_known_collimator_and_camera_tell_the_expected_grid():
 @pytest.mark.parametrize("off", [(0.5, 0.0), (0.1, -0.4)])
 def test_an_expected_pose_between_two_namings_is_refused(off):
     scene, image = drawn(roll=61, shift=(390, 0))
-    with pytest.raises(TargetNotFound, match="does not say which they are"):
+    with pytest.raises(TargetNotFound, match="does not identify the stars"):
         detect_view(image, TARGET, expected=expected_homography(scene, off))
 
 
 def test_an_expected_pose_of_another_roll_is_refused():
     _, image = drawn(roll=61, shift=(390, 0))
-    with pytest.raises(TargetNotFound, match="does not say which they are"):
+    with pytest.raises(TargetNotFound, match="does not identify the stars"):
         detect_view(image, TARGET, expected=expected_homography(Scene(roll=80, shift=(390, 0))))
 
 

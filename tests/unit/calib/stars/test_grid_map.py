@@ -40,17 +40,17 @@ def test_a_bent_view_is_fitted_to_a_thousandth_of_a_pixel():
     fitted, residuals = fit_grid_map(nodes, bend(apply_homography(H, nodes)))
     assert np.abs(residuals).max() < 5e-3
     between = grid(9) + 0.5
-    assert np.abs(fitted.at(between) - bend(apply_homography(H, between))).max() < 5e-3
+    assert np.abs(fitted.apply(between) - bend(apply_homography(H, between))).max() < 5e-3
 
 
 def test_derivatives_are_those_of_the_map():
     nodes = grid(17)
     fitted, _ = fit_grid_map(nodes, bend(apply_homography(H, nodes)))
     at, h = np.array([[2.0, -3.0]]), 1e-3
-    shape = fitted.shape(at)
+    local = fitted.local_map(at)
     for s in np.array([[h, 0], [0, h], [h, -h]]):
-        step = shape.linear[0] @ s + shape.curved[0] @ [s[0] ** 2, s[0] * s[1], s[1] ** 2]
-        assert fitted.at(at + s)[0] - fitted.at(at)[0] == pytest.approx(step, abs=2e-7)
+        step = local.linear[0] @ s + local.quadratic[0] @ [s[0] ** 2, s[0] * s[1], s[1] ** 2]
+        assert fitted.apply(at + s)[0] - fitted.apply(at)[0] == pytest.approx(step, abs=2e-7)
 
 
 def test_wrong_stars_do_not_bend_the_map():

@@ -10,7 +10,7 @@ from calib.stars import likelihood as star_likelihood
 from calib.stars.centring import LocalMap, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import LEVELS, quantise
 from calib.stars.likelihood import refine_by_likelihood
-from calib.stars.printed_star import draw_edge_map
+from calib.stars.printed_star import blurred_edge_map, render_star
 from calib.target import StarTarget
 
 TARGET = StarTarget()
@@ -60,7 +60,7 @@ def test_edges_along_the_pixel_grid_are_trusted_less(monkeypatch):
     image, centres, shape = stars(0.4)
     start = centres + 0.03 * np.random.default_rng(5).standard_normal(centres.shape)
     weighted = refine_by_likelihood(quantise(image), start, shape, TARGET)
-    monkeypatch.setattr(star_likelihood, "_excess", lambda score, fisher: np.ones(TARGET.segments))
+    monkeypatch.setattr(star_likelihood, "_overdispersion", lambda score, fisher: np.ones(TARGET.segments))
     alike = refine_by_likelihood(quantise(image), start, shape, TARGET)
     assert rms(weighted.centres, centres) < 0.92 * rms(alike.centres, centres)
 
@@ -69,7 +69,7 @@ def test_light_that_falls_off_across_a_star_is_told_and_shifts_it_little():
     image, centres, shape = stars(17.0, fall_off=True)
     likely = refine_by_likelihood(quantise(image), centres, shape, TARGET)
     steep = centres[:, 0] > 600
-    assert np.median(likely.steepness[steep]) > 2 * np.median(likely.steepness[~steep])
+    assert np.median(likely.light_slope[steep]) > 2 * np.median(likely.light_slope[~steep])
     assert np.abs(np.mean(likely.centres[steep] - centres[steep], axis=0)).max() < 0.02
 
 
@@ -106,7 +106,7 @@ def test_levels_keep_the_order_of_brightness(values, levels):
 
 
 def test_a_drawn_star_is_even_under_half_a_turn():
-    drawn = draw_edge_map(TARGET, 30.0, 0.75)
+    drawn = blurred_edge_map(render_star(TARGET, 30.0), TARGET.segments, 30.0, 0.75)
     assert np.abs(drawn.tau - drawn.tau[::-1, ::-1]).max() < 1e-6
     assert drawn.tau.min() < -1.0
     assert drawn.tau.max() > 1.0

@@ -34,9 +34,9 @@ def test_maps_of_third_degree_leave_no_residual(coefficients):
 def test_the_factor_of_noise_is_recovered(factor):
     rng = np.random.default_rng(1)
     nodes = grid(25, 25)
-    promised = rng.uniform(0.5, 2.0, len(nodes))[:, None, None] * np.array([[2.0, 0.5], [0.5, 1.0]])
-    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(promised), rng.standard_normal((len(nodes), 2)))
-    found = variance_factor(nodes, 50.0 * nodes + np.sqrt(factor) * noise, promised, usual=3.0)
+    nominal = rng.uniform(0.5, 2.0, len(nodes))[:, None, None] * np.array([[2.0, 0.5], [0.5, 1.0]])
+    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(nominal), rng.standard_normal((len(nodes), 2)))
+    found = variance_factor(nodes, 50.0 * nodes + np.sqrt(factor) * noise, nominal, typical=3.0)
     assert found == pytest.approx(factor, rel=0.12)
 
 
@@ -45,11 +45,11 @@ def test_a_few_gross_stars_do_not_enlarge_the_factor():
     nodes = grid(25, 25)
     points = 50.0 * nodes + rng.standard_normal((len(nodes), 2))
     points[[100, 300, 500]] += 80.0
-    assert variance_factor(nodes, points, np.tile(UNIT, (625, 1, 1)), usual=1.0) == pytest.approx(
+    assert variance_factor(nodes, points, np.tile(UNIT, (625, 1, 1)), typical=1.0) == pytest.approx(
         1.0, rel=0.2
     )
 
 
 def test_without_surrounded_stars_the_usual_factor_holds():
     nodes = grid(10, 2)
-    assert variance_factor(nodes, 50.0 * nodes, np.tile(UNIT, (20, 1, 1)), usual=6.0) == 6.0
+    assert variance_factor(nodes, 50.0 * nodes, np.tile(UNIT, (20, 1, 1)), typical=6.0) == 6.0

@@ -28,7 +28,7 @@ class Gimbal:
         head = euler_zxy(*(reading.get(axis, 0.0) for axis in ("pan", "tilt", "roll")))
         return self.bench.view("p", self.mounting @ head @ self.standing)
 
-    def sightings(self, readings):
+    def labelled_views(self, readings):
         views = [self.view(reading) for reading in readings]
         grids = [fit_homography(TARGET.node_of(v.ids).astype(float), v.points_px) for v in views]
         return [LabelledView(*pair) for pair in zip(grids, readings, strict=True)]
@@ -44,13 +44,13 @@ def off_node(expected, view):
 @pytest.mark.parametrize("reading", FAR)
 def test_poses_with_the_tag_tell_where_the_stars_of_others_are(bench, mounting, reading):
     gimbal = Gimbal(bench, mounting)
-    expected = predict_grid(gimbal.sightings(THREE), reading, bench.size, TARGET.pitch_mm)
+    expected = predict_grid(gimbal.labelled_views(THREE), reading, bench.size, TARGET.pitch_mm)
     assert off_node(expected, gimbal.view(reading)).max() < 3 * expected.sigma_pitches < 0.45
 
 
 def test_two_poses_tell_the_direction_they_span_and_one_tells_nothing(bench):
     gimbal = Gimbal(bench)
-    two = gimbal.sightings(THREE[:2])
+    two = gimbal.labelled_views(THREE[:2])
     expected = predict_grid(two, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
     assert off_node(expected, gimbal.view({"pan": 11, "tilt": -2})).max() < 0.1
     for seen in ([], two[:1]):
@@ -60,20 +60,22 @@ def test_two_poses_tell_the_direction_they_span_and_one_tells_nothing(bench):
 
 def test_an_axis_that_has_not_moved_yet_tells_nothing(bench):
     with pytest.raises(DegenerateViews, match="squares"):
-        predict_grid(Gimbal(bench).sightings(THREE), {"tilt": -8, "roll": 90}, bench.size, TARGET.pitch_mm)
+        predict_grid(
+            Gimbal(bench).labelled_views(THREE), {"tilt": -8, "roll": 90}, bench.size, TARGET.pitch_mm
+        )
 
 
 def test_readings_of_the_wrong_sign_are_refused(bench):
     seen = [
         s._replace(reading_deg={**s.reading_deg, "pan": -s.reading_deg["pan"]})
-        for s in Gimbal(bench).sightings(THREE)
+        for s in Gimbal(bench).labelled_views(THREE)
     ]
     with pytest.raises(DegenerateViews, match="squares"):
         predict_grid(seen, {"pan": -11, "tilt": 3}, bench.size, TARGET.pitch_mm)
 
 
 def test_a_reading_that_slipped_makes_the_expectation_unsure(bench):
-    seen = Gimbal(bench).sightings((*THREE, {"pan": 4, "tilt": 3}))
+    seen = Gimbal(bench).labelled_views((*THREE, {"pan": 4, "tilt": 3}))
     sure = predict_grid(seen, FAR[0], bench.size, TARGET.pitch_mm).sigma_pitches
     slipped = [*seen[:-1], seen[-1]._replace(reading_deg={"pan": 4.3, "tilt": 3})]
     try:
