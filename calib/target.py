@@ -15,11 +15,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import InputMismatch
@@ -29,7 +27,7 @@ TAG_MODULES = 8
 
 
 class TargetLayout(NamedTuple):
-    """The pattern as `reflectance_at` takes it: plain numbers and one small array, which numba can compile.
+    """The pattern as `calib.reflectance` takes it: plain numbers and one small array, which numba can compile.
 
     Attributes
     ----------
@@ -232,7 +230,9 @@ class StarTarget:
 
     @cached_property
     def layout(self) -> TargetLayout:
-        """The pattern in the form that `reflectance_at` takes."""
+        """The pattern in the form that `calib.reflectance` takes."""
+        import cv2
+
         family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
         modules = family.generateImageMarker(self.tag_id, TAG_MODULES, borderBits=1) > 0
         column, row = self.tag_square
@@ -264,47 +264,7 @@ class StarTarget:
             float64, 0 (black) or 1 (white), in the broadcast shape.
         """
         x, y = np.broadcast_arrays(np.asarray(x_mm, float), np.asarray(y_mm, float))
-        values = _reflectances(x.ravel(), y.ravel(), self.layout)
+        from calib.reflectance import reflectances_at
+
+        values = reflectances_at(x.ravel(), y.ravel(), self.layout)
         return np.asarray(values).reshape(x.shape)
-
-
-@njit(cache=True, error_model="numpy")
-def reflectance_at(x_mm: float, y_mm: float, layout: TargetLayout) -> float:
-    """Return the printed brightness at one point, for code that numba compiles.
-
-    Parameters
-    ----------
-    x_mm, y_mm
-        X and Y of the point on the target plane, mm.
-    layout
-        Pattern, from `StarTarget.layout`.
-
-    Returns
-    -------
-    float
-        0 (black) or 1 (white).
-    """
-    column, row = x_mm / layout.pitch_mm, y_mm / layout.pitch_mm
-    tag_x, tag_y = column - layout.tag_column, row - layout.tag_row
-    side = layout.tag_squares
-    if -0.5 <= tag_x < side + 0.5 and -0.5 <= tag_y < side + 0.5:
-        if not (0.0 <= tag_x < side and 0.0 <= tag_y < side):
-            return 1.0
-        module_x, module_y = int(tag_x * TAG_MODULES / side), int(tag_y * TAG_MODULES / side)
-        return float(layout.tag_modules[module_y, module_x])
-    node_x, node_y = math.floor(column + 0.5), math.floor(row + 0.5)
-    if not (0 <= node_x < layout.columns and 0 <= node_y < layout.rows):
-        return 1.0
-    # Segments are counted from +Y. The first one is white.
-    turns = math.atan2(row - node_y, column - node_x) / (2.0 * math.pi) - 0.25
-    segment = math.floor(layout.segments * (turns - math.floor(turns)))
-    return 1.0 if segment % 2 == 0 else 0.0
-
-
-@njit(cache=True, error_model="numpy")
-def _reflectances(x_mm: Any, y_mm: Any, layout: TargetLayout) -> Any:
-    """Evaluate `reflectance_at` along two flat arrays."""
-    values = np.empty(x_mm.size)
-    for i in range(x_mm.size):
-        values[i] = reflectance_at(x_mm[i], y_mm[i], layout)
-    return values

@@ -38,6 +38,13 @@ class Failure:
     where: str = ""
     remedy: str = ""
 
+    @property
+    def message(self) -> str:
+        """Place, what is wrong, and remedy, as people read them."""
+        place = f"{self.where}: " if self.where else ""
+        advice = f" {self.remedy.strip()}" if self.remedy else ""
+        return f"{place}{self.what}{advice}"
+
     @classmethod
     def of(cls, error: BaseException) -> Failure:
         """Describe an error.

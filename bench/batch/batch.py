@@ -20,7 +20,7 @@ from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_messages import BatchMessages
 from bench.batch.batch_plan import planned_duration_s
 from bench.batch.batch_record import BatchEvent, BatchRecord, resume_text
-from bench.batch.batch_requests import Desk, Request, refusal
+from bench.batch.batch_requests import Request, RequestInbox, refusal
 from bench.batch.batch_summary import RUNS, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose_next
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
@@ -138,13 +138,13 @@ class Batch:
         self._begun_s = self._clock.monotonic() - max(0.0, self._record.seconds(self._clock.utc_now()))
         if not self._rehearsal:
             self._messages.add_recipients(job.station for job in self._queue.value.jobs)
-        desk = Desk(self.folder, self._answer, self._clock)
-        desk.drain()
-        desk.watch()
+        requests = RequestInbox(self.folder, self._answer, self._clock)
+        requests.drain()
+        requests.watch()
         try:
             how, why = self._run_all()
         finally:
-            desk.close()
+            requests.close()
         self._journal_event(BatchEvent.ENDED, how=how, why=why)
         if not self._rehearsal:
             runs = [

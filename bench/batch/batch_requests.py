@@ -7,32 +7,30 @@ the answer, and no request is taken twice. Knows no devices.
 
 from __future__ import annotations
 
-import stat
-import threading
 import time
 import uuid
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_plan import job_faults
 from bench.batch.batch_record import BatchEvent, BatchRecord
 from bench.records.folder_lock import is_locked
+from bench.records.inbox import Inbox, Poller
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
-from bench.records.storage import is_temporary, make_folder, remove, storage_errors, write_atomic
+from bench.records.storage import make_folder
 from sequences.queue import JobConfig, Key
 
 REQUESTS = "requests"
 POLL_S = 0.2
 _PATIENCE_S = 15.0
-_MOST_BYTES = 16_384
+_MAX_BYTES = 16_384
 
 Word = Literal["add", "withdraw"]
 
@@ -81,65 +79,54 @@ def refusal(request: Request, record: BatchRecord) -> str:
     return "; ".join(job_faults(request.job)[:3])
 
 
-class Desk:
+class RequestInbox:
     """Where a batch answers requests.
 
     Parameters
     ----------
     folder
-        The batch's, held by this process.
+        Folder of the batch, locked by this process.
     answer
-        Decides on a request and journals it; None stands for a file that is none.
+        Decides on a request and writes the decision to the journal. It is called with None for a file that is not a
+        request, and with the name of the file.
     clock
-        Asked to stop when answers cannot be journaled any more.
+        Is asked to stop when answers cannot be written to the journal any more.
     """
 
     def __init__(
         self, folder: Path, answer: Callable[[Request | None, str], None], clock: BenchClock
     ) -> None:
-        self._path = folder / REQUESTS
+        self._inbox = _inbox_of(folder)
         self._answer = answer
         self._clock = clock
-        self._closing = threading.Event()
-        self._watcher = threading.Thread(target=self._watch, name="requests", daemon=True)
+        self._poller = Poller(self.drain, self._failed, name="requests", period_s=POLL_S)
 
     def drain(self) -> None:
-        """Answer every request that lies there, oldest first. Raises StorageError."""
-        with storage_errors(self._path):
-            if not self._path.is_dir():
-                return
-            for path in sorted(p for p in self._path.iterdir() if not is_temporary(p)):
-                with suppress(FileNotFoundError):  # taken back at this moment
-                    self._answer(_read(path), path.name)
-                    remove(path)
+        """Answer every request that lies there, oldest first.
+
+        Raises
+        ------
+        StorageError
+            When a request cannot be read or removed, or its answer cannot be written.
+        """
+        self._inbox.drain(self._answer)
 
     def watch(self) -> None:
         """Begin to answer while the batch is busy with a run."""
-        self._watcher.start()
+        self._poller.start()
 
     def close(self) -> None:
-        """Answer no more; what lies there waits for the next process."""
-        self._closing.set()
-        if self._watcher.is_alive():
-            self._watcher.join()
+        """Answer no more; requests that remain wait for the next process."""
+        self._poller.close()
 
-    def _watch(self) -> None:
-        try:
-            while not self._closing.wait(POLL_S):
-                self.drain()
-        except BenchError as error:
-            self._clock.request_stop(f"requests cannot be answered any more: {error}")
+    def _failed(self, error: Exception) -> None:
+        if not isinstance(error, BenchError):
+            raise error
+        self._clock.request_stop(f"requests cannot be answered any more: {error}")
 
 
-def _read(path: Path) -> Request | None:
-    """Read a request; None for anything else that may lie there."""
-    found = path.lstat()
-    if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
-        return None
-    try:
-        return Request.model_validate_json(path.read_bytes())
-    except ValidationError:
-        return None
+def _inbox_of(folder: Path) -> Inbox[Request]:
+    return Inbox(folder / REQUESTS, Request, _MAX_BYTES)
 
 
 def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> dict[str, Any] | None:
@@ -164,9 +151,9 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
             where=str(folder),
             remedy="Name the folder that `starbench batch` was given.",
         )
-    make_folder(folder / REQUESTS)
-    path = folder / REQUESTS / f"{time.time_ns():020d}-{request.id}.json"
-    write_atomic(path, request.model_dump_json().encode() + b"\n")
+    inbox = _inbox_of(folder)
+    make_folder(inbox.folder)
+    path = inbox.drop(request, request.id)
     deadline = time.monotonic() + patience_s
     while time.monotonic() < deadline and (path.exists() is False or is_locked(folder)):
         if not path.exists():

@@ -17,7 +17,7 @@ from bench.batch.batch_record import BatchRecord, replay_batch
 from bench.batch.schedule import Item, by_priority
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, PLAN, REPORT
-from bench.records.run_index import QUEUE_COPY, IndexedRun, read_run
+from bench.records.run_index import QUEUE_COPY, IndexedRun, is_batch, read_run
 from bench.records.storage import storage_errors, write_atomic
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, hours_after, trends_of
@@ -55,11 +55,6 @@ def read_batch(folder: Path) -> BatchRecord:
             remedy="It is not what was begun with.",
         ) from error
     return replay_batch(queue, read_journal(folder / JOURNAL)[0])
-
-
-def is_batch(folder: Path) -> bool:
-    """Whether a folder is a batch's."""
-    return (folder / QUEUE_COPY).is_file() and (folder / JOURNAL).is_file()
 
 
 def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:

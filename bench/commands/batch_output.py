@@ -149,7 +149,7 @@ def do_rehearsal(
 
 def show_night(queue: Path, *, begin: datetime | None, as_json: bool) -> int:
     """Say when each run of a queue would begin and end, what there is no time for, and what the runs will be worth."""
-    from bench.results.studies import expected_uncertainty
+    from bench.results.forecasts import expected_uncertainty
 
     read = read_queue(queue)
     night = plan_batch(read.value, _begin(read.value, begin))
@@ -188,7 +188,10 @@ def _night_text(night: BatchPlan, worth: Mapping[str, Forecast | None]) -> str:
         rows = [*rows[:half], f"... {len(rows) - 2 * half} runs ...", *rows[-half:]]
     lines += rows
     if night.without_time:
-        lines += ["", f"No time for {len(night.without_time)}: {', '.join(item.key for item in night.without_time)}"]
+        lines += [
+            "",
+            f"No time for {len(night.without_time)}: {', '.join(item.key for item in night.without_time)}",
+        ]
     lines += ["", f"{'job':<16} {'a run takes':>12} {'disk':>8}  expected, 1 sigma"]
     for name, planned in night.plans.items():
         found = worth[name]

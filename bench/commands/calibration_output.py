@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.commands.output import STOPPED, print_json
+from bench.commands.output import STOPPED, error_object, print_json
 
 if TYPE_CHECKING:
     from bench.results.offline import OfflineResult
@@ -26,6 +26,7 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
             "unsafe": list(end.unsafe),
             "folder": str(end.folder),
             "report": report,
+            "error": error_object(end.failure) if end.failure is not None else None,
         }
         results = end.outcome.results if end.outcome else {}
         print_json({**facts, **dict(results.get("calibration", {})), "results": dict(results) or None})

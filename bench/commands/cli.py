@@ -132,7 +132,7 @@ def plan(
     Of a queue: when each run will begin and end, and what there will be no time for.
     """
     from bench.batch.batch_plan import is_queue
-    from bench.commands.engine_output import show_plan
+    from bench.commands.plan_output import show_plan
     from bench.plan.plan import load_documents, make_plan
 
     if is_queue(sequence):

@@ -138,9 +138,9 @@ class RunFolder(_Path):
 
     def check(self, path: Path) -> None:
         """Refuse what is missing, files, batches where a run is wanted, and folders of something else."""
-        from bench.batch.batch_summary import is_batch
         from bench.records.folder_lock import is_locked
         from bench.records.run_folder import JOURNAL
+        from bench.records.run_index import is_batch
 
         where = str(path)
         if not path.exists():

@@ -34,7 +34,7 @@ def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
 
 def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
     """Say how a run stands; with ``follow`` again after every change, and with the run's own exit status."""
-    from bench.batch.batch_summary import is_batch
+    from bench.records.run_index import is_batch
     from bench.run.status import follow as look_again
     from bench.run.status import read_status, status_text
 

@@ -264,7 +264,7 @@ class _Check:
         """Check that the report prints what the results say: render it again and compare every word."""
         import jinja2
 
-        from bench.report import ReportData, printed_text, render_report
+        from bench.report.html import ReportData, printed_text, render_report
 
         path = self.folder / REPORT
         if not path.is_file() or self._too_large("report", REPORT):
@@ -283,7 +283,7 @@ class _Check:
             self.fault("report", REPORT, "it names no line of this journal")
             return
         try:
-            wanted = printed_text(render_report(ReportData(results, (), head)))
+            wanted = printed_text(render_report(ReportData(results, (), head), draw=False))
         except (*_NOT_RESULTS, AttributeError, ArithmeticError, jinja2.TemplateError) as error:
             self.fault("results", RESULTS, f"no report can be made of it ({error!r})")
             return

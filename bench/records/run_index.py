@@ -89,6 +89,22 @@ class IndexedRun:
         return {**asdict(self), "parameters": parameters}
 
 
+def is_batch(folder: Path) -> bool:
+    """Return whether a folder is a batch's.
+
+    Parameters
+    ----------
+    folder
+        Any folder.
+
+    Returns
+    -------
+    bool
+        True where it holds a queue and a journal.
+    """
+    return (folder / QUEUE_COPY).is_file() and (folder / JOURNAL).is_file()
+
+
 def run_folders(root: Path) -> list[Path]:
     """Find the run folders in a folder: itself, those in it, and those one level deeper; a batch's own is none.
 

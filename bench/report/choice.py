@@ -1,7 +1,6 @@
-"""Which poses a report shows in pictures, where there are more than a reader looks at and a page can carry.
+"""Selects the poses that a report shows as images, because a page cannot show thousands.
 
-Knows the structure of results.json; no images. The choice follows from the results alone, so that the page can be
-rendered again from them and still say the same.
+Uses results.json alone, no images. A report that is rendered again from the same results selects the same poses.
 """
 
 from __future__ import annotations
@@ -12,22 +11,27 @@ from dataclasses import dataclass
 from typing import Any
 
 MOST_PICTURES = 24
-"""Poses pictured at most."""
+"""Largest number of poses shown as images."""
 _WORST = 3
 _NOT_PASSED = ("fail", "marginal")
 _POSE_OF_GATE = re.compile(r"pose (\d+): ")
 
+PLOTS = ("truth", "uncertainty", "vectors", "cloud", "coverage")
+"""Names of the plots in the template."""
+
 
 @dataclass(frozen=True)
 class PictureSelection:
-    """Poses shown in pictures.
+    """Poses that a report shows as images.
 
     Attributes
     ----------
     names
-        Their names.
-    shown, total
-        How many there are, and of how many.
+        Names of the selected poses.
+    shown
+        Number of selected poses.
+    total
+        Number of poses that have stars in the calibration.
     """
 
     names: frozenset[str]
@@ -36,20 +40,20 @@ class PictureSelection:
 
 
 def pictured_poses(results: Mapping[str, Any]) -> PictureSelection:
-    """Choose the poses that a report pictures: all where they are few, else `MOST_PICTURES`.
+    """Select the poses that a report shows as images: all if they are few, otherwise `MOST_PICTURES`.
 
-    First come the three of the largest RMS residual, then poses with a failed gate, then those with a marginal one,
-    then the others. Of a group that does not fit whole, poses evenly spread over the run are taken.
+    The three poses with the largest RMS residual come first, then poses with a failed gate, then poses with a marginal
+    gate, then the others. If a group does not fit completely, poses evenly spread over the run are selected from it.
 
     Parameters
     ----------
     results
-        Content of results.json; poses without stars in the calibration have no picture.
+        Content of results.json. Poses without stars in the calibration have no image.
 
     Returns
     -------
-    Choice
-        The poses' names and how many they are.
+    PictureSelection
+        Names and number of the selected poses.
     """
     poses = [pose for pose in results.get("poses") or [] if pose.get("rms_px") is not None]
     judged = _indices_by_verdict(results.get("gates") or [])
@@ -66,7 +70,7 @@ def pictured_poses(results: Mapping[str, Any]) -> PictureSelection:
 
 
 def _indices_by_verdict(gates: Sequence[Mapping[str, Any]]) -> dict[str, set[int]]:
-    """Indices of the poses with a gate judged so; gates of the whole run have no pose."""
+    """Return the indices of the poses that have a gate with this verdict; gates of the whole run belong to no pose."""
     found: dict[str, set[int]] = {verdict: set() for verdict in _NOT_PASSED}
     for gate in gates:
         of_pose = _POSE_OF_GATE.match(str(gate["name"]))
@@ -76,7 +80,7 @@ def _indices_by_verdict(gates: Sequence[Mapping[str, Any]]) -> dict[str, set[int
 
 
 def _evenly_spread(places: Sequence[int], most: int) -> Sequence[int]:
-    """Take so many places at most, evenly spread, the first and the last among them."""
+    """Select at most ``most`` places, evenly spread, with the first and the last."""
     if len(places) <= most:
         return places
     return [places[k * (len(places) - 1) // max(1, most - 1)] for k in range(most)]

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from html import escape
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from bench.report.view_picture import ViewPicture
 
 _ALL_PICTURES_BYTES = 1_050_000
 _ENCODINGS = ((1.0, None), (1.0, 85), (1.0, 65), (0.5, 80), (0.5, 60), (0.25, 70))
@@ -22,69 +23,6 @@ _RING_PX = 7.0
 _CROSS_PX = 4.0
 _RING_COLOUR, _CROSS_COLOUR = "#ff7a1a", "#00a3e0"
 _CLOSE_UP_PX = 36.0
-MOST_STARS = 12_000
-"""Approximate largest number of stars in a plot."""
-_GOLDEN = 0.6180339887498949
-
-
-@dataclass(frozen=True)
-class ViewPicture:
-    """One pose as the report shows it.
-
-    Attributes
-    ----------
-    name
-        Name of the pose.
-    image
-        (H, W) uint8, the event image; None if the pose appears in plots only.
-    detected
-        (N, 2) float64, px: detected stars.
-    reprojected
-        (N, 2) float64, px: the same stars as the calibration projects them.
-    ids
-        (N,) int64, ids of the stars.
-    """
-
-    name: str
-    image: NDArray[np.uint8] | None
-    detected: NDArray[np.float64]
-    reprojected: NDArray[np.float64]
-    ids: NDArray[np.int64]
-
-    @property
-    def residuals(self) -> NDArray[np.float64]:
-        """(N, 2) float64, px: detected position minus projected position of each star."""
-        return self.detected - self.reprojected
-
-
-def thinned(views: Sequence[ViewPicture], most: int = MOST_STARS) -> Sequence[ViewPicture]:
-    """Reduce the stars to about ``most``, evenly over all views; fewer stars stay as they are.
-
-    Star number n is kept if the fractional part of n times the golden ratio is small. This additive recurrence has a
-    low discrepancy: the kept stars are evenly spread, they do not coincide with the rows of the target, and each view
-    keeps different stars.
-
-    Parameters
-    ----------
-    views
-        All poses of the report.
-    most
-        Approximate number of stars to keep, in all views together.
-
-    Returns
-    -------
-    Sequence of ViewPicture
-        The same views with fewer stars; the argument itself if it has no more than ``most`` stars.
-    """
-    total = sum(len(view.ids) for view in views)
-    if total <= most:
-        return views
-    kept = np.arange(total) * _GOLDEN % 1.0 < most / total
-    ends = np.cumsum([len(view.ids) for view in views])
-    return [
-        replace(view, detected=view.detected[k], reprojected=view.reprojected[k], ids=view.ids[k])
-        for view, k in zip(views, np.split(kept, ends[:-1]), strict=True)
-    ]
 
 
 def pose_pictures(views: Sequence[ViewPicture]) -> list[tuple[str, str]]:

@@ -20,7 +20,7 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from bench.report.drawing import INK, LINE, MUTED, STYLE, hide_frame, to_svg
-from bench.report.pictures import ViewPicture, thinned
+from bench.report.view_picture import ViewPicture, thinned
 from calib.uncertainty.projection_uncertainty import CameraDifference, ProjectionMap
 
 Array = NDArray[np.float64]

@@ -1,7 +1,7 @@
-"""Whether runs of one camera agree: each parameter's values against their weighted mean, in their own uncertainties.
+"""Agreement of several runs of one camera: each parameter's values against their weighted mean.
 
-Plain numbers in, plain numbers out. Uncertainties of different runs are taken as independent; what they share (the
-collimator, the target's pitch) does not show in their differences.
+Uncertainties of different runs are treated as independent. Errors that all runs have in common (from the collimator,
+from the target's pitch) do not appear in their differences.
 """
 
 from __future__ import annotations
@@ -17,19 +17,20 @@ from bench.records.run_index import IndexedRun
 
 @dataclass(frozen=True)
 class Agreement:
-    """One parameter over several runs.
+    """One parameter in several runs.
 
     Attributes
     ----------
     name
         The parameter.
     mean, sigma
-        Mean weighted by 1 / sigma^2, and its 1 sigma.
+        Mean weighted by 1 / sigma^2, and its standard uncertainty, in the parameter's unit.
     birge
-        Birge ratio sqrt(chi^2 / (n - 1)): 1 where the runs scatter as their uncertainties say, more where the
-        camera or the bench changed in between.
+        Birge ratio sqrt(chi^2 / (n - 1)). It is about 1 if the runs scatter as their uncertainties predict, and larger
+        if the camera or the bench changed between runs.
     deviations
-        For each run its distance from the mean in units of that distance's own sigma, sqrt(sigma_i^2 - sigma^2).
+        For each run, its difference from the mean divided by the standard uncertainty of this difference,
+        sqrt(sigma_i^2 - sigma^2).
     """
 
     name: str
@@ -39,7 +40,13 @@ class Agreement:
     deviations: Sequence[float]
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as JSON carries it."""
+        """Return the content as JSON holds it.
+
+        Returns
+        -------
+        dict
+            ``name mean sigma birge deviations``.
+        """
         return {
             "name": self.name,
             "mean": self.mean,
@@ -55,17 +62,22 @@ def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
     Parameters
     ----------
     runs
-        Two or more with a calibration, of one camera and one model, all measured, all simulated or all rehearsed.
+        At least two runs with a calibration, of one camera and one model; all of them measured, simulated or rehearsed.
+
+    Returns
+    -------
+    list of Agreement
+        One for each parameter, in the order of the first run.
 
     Raises
     ------
     UsageError
-        When they cannot be compared.
+        When there are fewer than two runs, or the runs cannot be compared.
     """
     if len(runs) < 2:
         raise UsageError(
-            f"{len(runs)} runs with a result were chosen; two or more can be compared.",
-            remedy="Choose others, by FOLDER, --serial or --since.",
+            f"Cannot compare {len(runs)} runs with a result: at least two are needed.",
+            remedy="Select more runs by FOLDER, --serial or --since.",
         )
     differing = (
         ("cameras", {r.camera for r in runs}),
@@ -75,8 +87,8 @@ def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
     for what, kinds in differing:
         if len(kinds) > 1:
             raise UsageError(
-                f"These are runs of different {what}: {', '.join(sorted(kinds))}.",
-                remedy="Choose those of one, by FOLDER, --serial or --since.",
+                f"Cannot compare runs of different {what}: {', '.join(sorted(kinds))}.",
+                remedy="Select runs of one of them by FOLDER, --serial or --since.",
             )
     shared = [
         name for name in runs[0].parameters if all(run.parameters.get(name, (0, 0))[1] > 0 for run in runs)
@@ -89,7 +101,23 @@ def _kind(run: IndexedRun) -> str:
 
 
 def agreement(name: str, values: Sequence[tuple[float, float]]) -> Agreement:
-    """Compare values of one parameter, each with its 1 sigma, greater than 0.
+    """Compute the weighted mean and the Birge ratio of several values of one parameter.
+
+    Weighted mean of independent values and its uncertainty by least squares; Birge ratio: Birge, Phys. Rev. 40 (1932)
+    207. The deviations are normalised as the degrees of equivalence of a key comparison: Cox, Metrologia 39 (2002) 589,
+    procedure A.
+
+    Parameters
+    ----------
+    name
+        The parameter.
+    values
+        At least two values, each with its standard uncertainty greater than 0.
+
+    Returns
+    -------
+    Agreement
+        Mean, its uncertainty, Birge ratio and normalised deviations.
 
     Examples
     --------

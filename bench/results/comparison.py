@@ -1,4 +1,4 @@
-"""What a calibration is held against: Zhang's planar model on the same points, and the truth of a simulated world."""
+"""Comparison of a calibration with Zhang's planar model on the same points, and with the truth of a simulated bench."""
 
 from __future__ import annotations
 
@@ -13,7 +13,20 @@ _COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r"
 
 
 def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
-    """Calibrate by Zhang's planar model on the same points, for comparison; None where it cannot be done."""
+    """Calibrate with Zhang's planar model on the same points (Zhang, 2000).
+
+    Parameters
+    ----------
+    views
+        Views of the calibration.
+    options
+        Options of the calibration; distortion and loss are used.
+
+    Returns
+    -------
+    Calibration or None
+        None if the views do not determine the planar model.
+    """
     try:
         return calibrate(
             views, CalibrationOptions("planar", options.distortion, options.loss, options.huber_px)
@@ -23,7 +36,21 @@ def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Ca
 
 
 def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Say how far each value lies from the simulated truth, in its own unit and in its own sigmas."""
+    """Compare each value with the simulated truth.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    truth
+        ``truth`` of results.json: ``camera`` and ``collimator``.
+
+    Returns
+    -------
+    list of dict
+        For each value ``name value sigma truth error error_sigmas``: the error in the value's own unit, and divided by
+        the value's standard uncertainty.
+    """
     true = {**truth["camera"], **truth["collimator"]}
     values = dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True))
     sigmas = calibration.sigma

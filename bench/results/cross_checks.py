@@ -1,6 +1,6 @@
-"""Checks that take no part in a result: halves of the poses against each other, rotations against the gimbal.
+"""Checks that do not influence a result: split half, and the hand-eye check against the gimbal's readings.
 
-Each says what it found as plain numbers, or nothing where there are too few poses to tell.
+Each check returns plain numbers, or None if there are too few poses for it.
 """
 
 from __future__ import annotations
@@ -17,9 +17,20 @@ from calib.view import View
 
 
 def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
-    """Calibrate every other pose, and the rest, and say how the two differ at infinity; None with fewer than four.
+    """Calibrate every other pose and the rest separately, and compare the projections of the two cameras at infinity.
 
-    The two cameras are told too: what is drawn of their difference follows from them.
+    Parameters
+    ----------
+    views
+        Views of the calibration.
+    options
+        Options of the calibration.
+
+    Returns
+    -------
+    dict or None
+        ``rms_px worst_px expected_px ratio``, and ``cameras`` with the values of both halves, from which the report
+        draws the difference. None with fewer than four views, or if a half does not determine the camera.
     """
     try:
         split = split_half(views, options)
@@ -37,14 +48,20 @@ def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict
 def gimbal_check(
     calibration: Calibration, readings_deg: Sequence[Mapping[str, float]]
 ) -> dict[str, Any] | None:
-    """Hold rotations against the gimbal's readings; None where it cannot be told.
+    """Compare the estimated rotations with the gimbal's readings.
 
     Parameters
     ----------
     calibration
-        Of the poses.
+        Calibration of the poses.
     readings_deg
-        For each pose, angle by axis (pan, tilt, roll), and the encoders' (``pan_encoder``) which are better.
+        For each pose, the angle of each axis (``pan``, ``tilt``, ``roll``), deg. The reading of an encoder
+        (``pan_encoder``) replaces that of its axis.
+
+    Returns
+    -------
+    dict or None
+        ``rms_arcsec scale scale_sigma agrees``; None with too few poses, or if an axis did not move.
     """
     readings = [{f"{axis}_deg": deg for axis, deg in best_readings(pose).items()} for pose in readings_deg]
     try:

@@ -1,7 +1,7 @@
-"""The calibrated camera in the file formats of other programs.
+"""Export of the calibrated camera to the file formats of other programs.
 
-Each writer knows one format: its field names, its conventions, and which lenses it can carry. A lens that a
-format cannot carry is refused, never trimmed. Writers compute nothing but changes of convention, and say so.
+Each writer handles one format: its field names, its conventions, and the lens models that it can represent. If a format
+cannot represent the lens model, the export is refused; coefficients are never dropped. Writers change conventions only.
 
 ====================  ========================================================================
 file                  read by
@@ -14,8 +14,8 @@ colmap_cameras.txt    COLMAP (pixel centres at half integers there: principal po
 metavision.json       Metavision SDK 4 (intrinsics.json; no fisheye)
 ====================  ========================================================================
 
-A fisheye lens (kb1 to kb4) is the same four numbers everywhere: OpenCV's ``cv::fisheye``, ROS's and Kalibr's
-``equidistant``, COLMAP's ``OPENCV_FISHEYE``.
+A fisheye lens (kb1 to kb4; Kannala and Brandt, 2006) has the same four coefficients everywhere: OpenCV's
+``cv::fisheye``, ROS's and Kalibr's ``equidistant``, COLMAP's ``OPENCV_FISHEYE``.
 """
 
 from __future__ import annotations
@@ -36,35 +36,35 @@ from calib.target import StarTarget
 
 _RADTAN = BROWN[:4]
 _PLUMB_BOB = BROWN[:5]
-#: ROS's names by how many coefficients there are.
+#: ROS's names of the distortion models, by number of coefficients.
 _ROS_MODELS = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
 
 NOT_WRITTEN = "not-written.txt"
-"""Names the formats that cannot carry a lens model, and why."""
+"""File that lists the formats that cannot represent the lens model, with the reason."""
 
 Writer = Callable[[Calibration, str], bytes]
 
 
 class FormatCannotCarry(BenchError):
-    """A format that has no place for this lens model."""
+    """The file format cannot represent this lens model."""
 
 
 def exports(calibration: Calibration, *, camera_name: str) -> dict[str, bytes]:
-    """Write a calibration in every format that can carry it.
+    """Write a calibration in every format that can represent it.
 
     Parameters
     ----------
     calibration
         The calibration.
     camera_name
-        What the camera is called in files that name it; what is no letter, digit or ``_`` becomes ``_``, as ROS
-        demands.
+        Name of the camera in the files. Every character that is not a letter, digit or ``_`` becomes ``_``, as ROS
+        requires.
 
     Returns
     -------
     dict
-        File name to content. ``not-written.txt`` names the formats that cannot carry the lens model, and
-        why; absent when there is none.
+        File name to content. ``not-written.txt`` lists the formats that cannot represent the lens model, with the
+        reason; it is absent if there are none.
     """
     files: dict[str, bytes] = {}
     refused = []
@@ -82,8 +82,20 @@ def exports(calibration: Calibration, *, camera_name: str) -> dict[str, bytes]:
 def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
     """Write OpenCV's FileStorage YAML, with the fields of its calibration sample and the covariance.
 
-    ``extrinsic_parameters`` holds a row a view: rotation vector and translation (mm), camera <- target.
-    ``fisheye_model`` is 1 where the coefficients are those of ``cv::fisheye``.
+    ``extrinsic_parameters`` has one row for each view: rotation vector and translation (mm), camera <- target.
+    ``fisheye_model`` is 1 if the coefficients are those of ``cv::fisheye``.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    camera_name
+        Name of the camera.
+
+    Returns
+    -------
+    bytes
+        The file.
     """
     return _file_storage(
         ".yml",
@@ -104,7 +116,20 @@ def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a ROS camera_info YAML: ``plumb_bob`` (five numbers), ``rational_polynomial`` (eight), ``equidistant``."""
+    """Write a ROS camera_info YAML with ``plumb_bob``, ``rational_polynomial`` or ``equidistant`` distortion.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    camera_name
+        Name of the camera; letters, digits and ``_`` only.
+
+    Returns
+    -------
+    bytes
+        The file.
+    """
     camera = calibration.camera
     coefficients = _opencv_coefficients(camera)
     projection = np.hstack([camera.matrix, np.zeros((3, 1))])
@@ -124,10 +149,22 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
 def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
     """Write a Kalibr camchain of one camera: pinhole with radtan, or with equidistant for a fisheye lens.
 
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    camera_name
+        Name of the camera, used in ``rostopic``.
+
+    Returns
+    -------
+    bytes
+        The file.
+
     Raises
     ------
     FormatCannotCarry
-        When the lens has more coefficients than k1 k2 p1 p2, and is no fisheye.
+        When the lens has other coefficients than k1 k2 p1 p2, and is no fisheye lens.
     """
     camera = calibration.camera
     if not camera.is_fisheye:
@@ -148,12 +185,24 @@ def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
-    """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, the camera at the origin.
+    """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, with the camera at the origin.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    camera_name
+        Name of the camera, written as a comment.
+
+    Returns
+    -------
+    bytes
+        The file.
 
     Raises
     ------
     FormatCannotCarry
-        For a fisheye lens.
+        When the lens is a fisheye lens.
     """
     camera = calibration.camera
     _refuse_fisheye(camera, "mrcal's cameramodel")
@@ -169,7 +218,20 @@ def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
-    """Write COLMAP's cameras.txt: OPENCV, FULL_OPENCV or OPENCV_FISHEYE, principal point moved by half a pixel."""
+    """Write COLMAP's cameras.txt: OPENCV, FULL_OPENCV or OPENCV_FISHEYE; the principal point is shifted by half a pixel.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    camera_name
+        Name of the camera, written as a comment.
+
+    Returns
+    -------
+    bytes
+        The file.
+    """
     camera = calibration.camera
     if camera.is_fisheye:
         model, coefficients = "OPENCV_FISHEYE", camera.fisheye_coefficients
@@ -184,14 +246,26 @@ def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def metavision_json(calibration: Calibration, camera_name: str) -> bytes:
-    """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON); lengths in metres.
+    """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON), with lengths in metres.
 
-    ``pattern`` holds the star target's squares: the program knows no stars.
+    ``pattern`` describes the squares of the star target, because the format has no stars.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    camera_name
+        Name of the camera.
+
+    Returns
+    -------
+    bytes
+        The file.
 
     Raises
     ------
     FormatCannotCarry
-        For a fisheye lens.
+        When the lens is a fisheye lens.
     """
     _refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
     target = StarTarget()
@@ -229,28 +303,28 @@ WRITERS: Mapping[str, Writer] = {
     "colmap_cameras.txt": colmap_cameras,
     "metavision.json": metavision_json,
 }
-"""File name to what writes it."""
+"""Writer of each file."""
 
 
 def _refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None:
     further = [name for name in camera.distortion if name not in names]
     if further:
         raise FormatCannotCarry(
-            f"{what} has no {', '.join(further)}.",
-            remedy=f"Calibrate with no more than {' '.join(names)} for it.",
+            f"{what} cannot represent {', '.join(further)}.",
+            remedy=f"For this format, calibrate with no other coefficients than {' '.join(names)}.",
         )
 
 
 def _refuse_fisheye(camera: CameraModel, what: str) -> None:
     if camera.is_fisheye:
         raise FormatCannotCarry(
-            f"{what} has no fisheye lens with a polynomial of the angle.",
-            remedy="Calibrate with k1k2k3p1p2 or rational for it.",
+            f"{what} cannot represent a fisheye lens (kb1 to kb4).",
+            remedy="For this format, calibrate with k1k2k3p1p2 or rational.",
         )
 
 
 def _opencv_coefficients(camera: CameraModel) -> np.ndarray:
-    """Give k1 k2 p1 p2 k3, and k4 k5 k6 where the lens has them: 5 or 8 numbers; 4 of a fisheye lens."""
+    """Return k1 k2 p1 p2 k3, and k4 k5 k6 if the lens has them: 5 or 8 numbers; 4 for a fisheye lens."""
     if camera.is_fisheye:
         return camera.fisheye_coefficients
     rational = set(camera.distortion) - set(_PLUMB_BOB)
@@ -258,7 +332,7 @@ def _opencv_coefficients(camera: CameraModel) -> np.ndarray:
 
 
 def _poses(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation vectors, rad, and translations, mm, of the views, camera <- target: (n, 3) each."""
+    """Return rotation vectors (rad) and translations (mm) of the views, camera <- target, (n, 3) each."""
     rotations = calibration.rotations
     vectors = np.array([cv2.Rodrigues(rotation)[0].ravel() for rotation in rotations])
     return vectors, -np.einsum("nij,nj->ni", rotations, calibration.centres)

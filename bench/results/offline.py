@@ -1,6 +1,6 @@
-"""Calibrates again without devices: from run folders, RAW captures, photographs of the target, point files.
+"""Calibration without devices: from run folders, RAW captures, photographs of the target and point files.
 
-Finds out what each path is, makes views of them in order, and hands them to the engine. Reads only.
+Recognises each path, makes its views in order, and passes them to the engine. Reads files only, writes none.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ _JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 @dataclass(frozen=True)
 class OfflineOptions:
-    """What the operator chose.
+    """Options of an offline calibration.
 
     Attributes
     ----------
     options
-        The engine's.
+        Options of the engine.
     image_size
-        For point files.
+        Width and height for point files, px.
     view_numbers
         Numbers of the views to use, from 1; None for all.
     image
@@ -87,12 +87,36 @@ class OfflineOptions:
         passport: Path | None = None,
         guard_band: float = 1.0,
     ) -> Self:
-        """Read the command line's words.
+        """Parse the options of the command line.
+
+        Parameters
+        ----------
+        model, distortion, loss
+            Options of the engine, see `CalibrationOptions`.
+        image_size
+            Width and height for point files, as ``1280x720``.
+        views
+            Numbers of the views to use, as ``1,5,9``.
+        image
+            Kind of event image.
+        origin
+            ``corner`` or ``centre``.
+        station
+            Path or name of the station whose target was recorded; None for the standard target.
+        passport
+            Passport file of the collimator.
+        guard_band
+            Fraction of the visible disc's radius beyond which stars are left out, see `CalibrationOptions`.
+
+        Returns
+        -------
+        OfflineOptions
+            The parsed options.
 
         Raises
         ------
         UsageError
-            Naming the word that makes no sense.
+            When an option is invalid; the message names it.
         """
         try:
             options = CalibrationOptions(
@@ -106,7 +130,7 @@ class OfflineOptions:
             raise UsageError(error.what, remedy=error.remedy) from error
         if image not in get_args(ImageKind):
             raise UsageError(
-                f"No event image is called {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
+                f"Unknown event image {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
             )
         return cls(
             options,
@@ -120,7 +144,19 @@ class OfflineOptions:
 
 @dataclass(frozen=True)
 class OfflineResult:
-    """A calibration, the planar one on the same points, what was left out and why, and the views themselves."""
+    """Result of an offline calibration.
+
+    Attributes
+    ----------
+    calibration
+        The calibration.
+    planar
+        The planar calibration of the same points; None if there is none.
+    skipped
+        For each file that was left out, a sentence with the reason.
+    views
+        The views of the calibration.
+    """
 
     calibration: Calibration
     planar: Calibration | None
@@ -128,7 +164,13 @@ class OfflineResult:
     views: Sequence[View]
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as ``--json`` prints it."""
+        """Return the content as ``--json`` prints it.
+
+        Returns
+        -------
+        dict
+            The calibration's content, and ``planar`` and ``skipped``.
+        """
         return {
             **self.calibration.to_dict(),
             "planar": self.planar.to_dict() if self.planar else None,
@@ -137,22 +179,35 @@ class OfflineResult:
 
 
 def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineResult:
-    """Make views of paths and calibrate from them.
+    """Make views from files and folders, and calibrate.
+
+    Parameters
+    ----------
+    paths
+        Run folders, folders of files, or files.
+    choices
+        Options of the calibration.
+
+    Returns
+    -------
+    OfflineResult
+        The calibration; a file from which no view can be made is left out, with the reason.
 
     Raises
     ------
     UsageError
-        When there is no such view, or a path is nothing that can be used.
+        When a requested view does not exist, or a path cannot be used.
     BenchError
-        When a file named outright cannot be used, images differ in size, or no view is left.
+        When a file cannot be read, the image sizes differ, or no view is left.
     calib.errors.CalibrationError
-        When the views do not constrain the camera.
+        When the views do not determine the camera.
     """
     sources = [source for path in paths for source in _sources(path, choices)]
     missing = [number for number in choices.view_numbers or () if number > len(sources)]
     if missing:
         raise UsageError(
-            f"There is no view {missing[0]}: there are {len(sources)}.", remedy="Views count from 1."
+            f"There is no view {missing[0]}; the number of views is {len(sources)}.",
+            remedy="The first view has the number 1.",
         )
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, sized, skipped = [], [], []
@@ -164,7 +219,8 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
             skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
     if not views:
         raise BenchError(
-            "No usable view.", remedy=" ".join(skipped) or "Name runs, captures, images or point files."
+            "There is no usable view.",
+            remedy=" ".join(skipped) or "Give run folders, captures, images or point files.",
         )
     views = _distinct(_one_size(views, sized))
     calibration = calibrate(views, choices.options)
@@ -173,16 +229,26 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
 
 
 def compare_methods(result: OfflineResult, choices: OfflineOptions) -> list[MethodResult | MethodFailure]:
-    """Hold a calibration against the published recipe and OpenCV's planar method, on the same points.
+    """Compare a calibration with the published recipe and with OpenCV's planar method, on the same points.
 
-    A method without an answer says why in its row; that is no fault of ours.
+    Parameters
+    ----------
+    result
+        The calibration and its views.
+    choices
+        Options of the calibration.
+
+    Returns
+    -------
+    list
+        The result of each method; if a method has no result, its entry says why.
     """
     return [starbench_result(result.calibration), *reference_results(result.views, choices.options)]
 
 
 @dataclass(frozen=True)
 class _Source:
-    """A file that a view can be made of; ``sized`` where it is known how large its image is."""
+    """A file from which a view can be made; ``sized`` if the size of its image is known."""
 
     path: Path
     read: Callable[[], View]
@@ -198,9 +264,9 @@ def _sources(path: Path, choices: OfflineOptions) -> Iterator[_Source]:
         files = sorted((p for p in path.iterdir() if p.suffix.lower() in _KNOWN), key=_natural_order)
         if not files:
             raise UsageError(
-                "The folder holds no run, capture, image or point file.",
+                "The folder contains no run, capture, image or point file.",
                 where=str(path),
-                remedy=f"Known endings are {', '.join(sorted(_KNOWN))}.",
+                remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
             )
         for file in files:
             yield _file_source(file, choices)
@@ -209,14 +275,16 @@ def _sources(path: Path, choices: OfflineOptions) -> Iterator[_Source]:
 
 
 def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[_Source]:
-    """Take the accepted recordings of a run, looked at as its own sequence and station say."""
+    """List the accepted recordings of a run, to be measured with the settings of its own sequence and station."""
     entries, _ = read_journal(folder / JOURNAL)
     history = replay(entries)
     job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
     accepted = history.accepted()
     if not accepted:
         raise BenchError(
-            "No recording of this run was accepted.", where=str(folder), remedy="Name its captures instead."
+            "No recording of this run was accepted.",
+            where=str(folder),
+            remedy="Give the files of its captures instead.",
         )
     for index, attempt in sorted(accepted.items()):
         step = job.record_step(index)
@@ -226,25 +294,25 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[_Source]:
 
 
 def _refuse_truncated(path: Path) -> None:
-    """Refuse a recording that is not whole: by its last word and, inside a run folder, by what its journal says.
+    """Refuse an incomplete recording: its last word is cut, or its size differs from that in the run's journal.
 
     Raises
     ------
     RecordingCorrupt
-        Naming the byte at which it ends.
+        With the byte at which it ends.
     """
     size = path.stat().st_size
     run = path.resolve().parent.parent
     name = path.resolve().relative_to(run).as_posix()
-    told = stored_captures(read_journal(run / JOURNAL)[0]) if (run / JOURNAL).is_file() else {}
+    stored = stored_captures(read_journal(run / JOURNAL)[0]) if (run / JOURNAL).is_file() else {}
     half_a_word = path.suffix.lower() in RECORDINGS and RawFile.open(path).truncated
-    if half_a_word or (name in told and told[name].size != size):
-        whole = f"; {told[name].size} were recorded" if name in told else ", in the middle of a word"
+    if half_a_word or (name in stored and stored[name].size != size):
+        whole = f": {stored[name].size} bytes were recorded" if name in stored else ": it ends within a word"
         raise RecordingCorrupt(
-            f"The recording is cut off{whole}.",
+            f"The recording is incomplete{whole}.",
             offset=size,
             where=str(path),
-            remedy="Copy it again from where it was recorded, or leave it out.",
+            remedy="Copy it again from its origin, or leave it out.",
         )
 
 
@@ -266,9 +334,9 @@ def _file_source(path: Path, choices: OfflineOptions) -> _Source:
             sized=choices.image_size is not None,
         )
     raise UsageError(
-        f"Nothing is known of files that end in {ending or 'nothing'}.",
+        f"Unknown file extension {ending!r}." if ending else "The file has no extension.",
         where=str(path),
-        remedy=f"Known endings are {', '.join(sorted(_KNOWN))}.",
+        remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
     )
 
 
@@ -296,17 +364,17 @@ def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
 
 
 def _refuse_truncated_jpeg(path: Path) -> None:
-    """Refuse a JPEG without its end: it is read as grey from there on. Raises RecordingCorrupt, StorageError."""
+    """Refuse a JPEG without its end marker, because OpenCV fills the missing part with grey."""
     if path.suffix.lower() not in _JPEG:
         return
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise StorageError(f"It cannot be read: {error.strerror}.", where=str(path)) from error
-    # Neither marker can stand within coded data; a preview's stand before those of the picture.
+        raise StorageError(f"The file cannot be read: {error.strerror}.", where=str(path)) from error
+    # Neither marker can occur within coded data; those of a preview come before those of the picture.
     if data.startswith(_JPEG_BEGINS) and data.rfind(_JPEG_ENDS) < data.rfind(_JPEG_SCAN):
         raise RecordingCorrupt(
-            "The picture is cut off.",
+            "The picture is incomplete.",
             offset=len(data),
             where=str(path),
             remedy="Copy it again, or leave it out.",
@@ -314,27 +382,27 @@ def _refuse_truncated_jpeg(path: Path) -> None:
 
 
 def _one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:
-    """See that images are of one size, and give it to all; where none is known, the largest of the point files.
+    """Give all views one image size; if no view has a known size, the largest of the point files.
 
     Raises
     ------
     BenchError
-        When sizes differ, as pictures on end do from those lying: these are not one camera's pixels.
+        When sizes differ, for example of portrait and landscape images: these are not the pixels of one camera.
     """
-    known = {view.image_size: view.name for view, told in zip(views, sized, strict=True) if told}
+    known = {view.image_size: view.name for view, is_sized in zip(views, sized, strict=True) if is_sized}
     width, height = (max(sides) for sides in zip(*(view.image_size for view in views), strict=True))
     if len(known) > 1 or (known and (width, height) not in known):
-        told = {view.image_size: view.name for view in views}
-        listed = ", ".join(f"{w} x {h} px ({name})" for (w, h), name in sorted(told.items()))
+        sizes = {view.image_size: view.name for view in views}
+        listed = ", ".join(f"{w} x {h} px ({name})" for (w, h), name in sorted(sizes.items()))
         raise BenchError(
-            f"The views are of different image sizes: {listed}.",
-            remedy="Calibrate each camera alone, with pictures as the sensor gives them, none turned or cropped.",
+            f"The views have different image sizes: {listed}.",
+            remedy="Calibrate each camera separately, with original images: not rotated, not cropped.",
         )
     return [replace(view, image_size=(width, height)) for view in views]
 
 
 def _distinct(views: Sequence[View]) -> list[View]:
-    """Tell views of one name apart by their number."""
+    """Add its number to the name of each view whose name is not unique."""
     names = [view.name for view in views]
     return [
         replace(view, name=f"{view.name} ({number})") if names.count(view.name) > 1 else view
@@ -343,7 +411,7 @@ def _distinct(views: Sequence[View]) -> list[View]:
 
 
 def _natural_order(path: Path) -> list[tuple[int, int, str]]:
-    """Sort key by which image10 follows image9."""
+    """Return a sort key that puts image10 after image9."""
     words = re.split(r"(\d+)", path.name)
     return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]
 
@@ -354,7 +422,9 @@ def _parse_image_size(text: str | None) -> tuple[int, int] | None:
     found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())
     if found is None:
         raise UsageError(
-            f"{text!r} is not an image size.", where="--image-size", remedy="Write it as 1280x720."
+            f"{text!r} is not an image size.",
+            where="--image-size",
+            remedy="Write it as WIDTHxHEIGHT: 1280x720.",
         )
     return int(found[1]), int(found[2])
 
@@ -365,8 +435,8 @@ def _parse_view_numbers(text: str | None) -> tuple[int, ...] | None:
     words = [word.strip() for word in text.split(",")]
     if not all(re.fullmatch(r"[1-9]\d{0,5}", word) for word in words) or len(set(words)) != len(words):
         raise UsageError(
-            f"{text!r} is no list of views.",
+            f"{text!r} is not a list of view numbers.",
             where="--views",
-            remedy="Write different numbers from 1, as 1,5,9.",
+            remedy="Write different numbers from 1, for example 1,5,9.",
         )
     return tuple(int(word) for word in words)

@@ -1,7 +1,7 @@
-"""Passport files: a collimator as known from one calibration, kept for all that follow.
+"""Passport files: what is known of a collimator from one calibration or certificate, for use in later calibrations.
 
-A passport is one JSON object, written whole and never over another. What it holds, and what it is worth, is the
-engine's (`calib.model.passport`); here are the file, and the conditions under which it was made.
+A passport is one JSON object. It is written atomically and never overwrites a file. `calib.model.passport` defines its
+content; this module adds the file and the conditions under which the passport was made.
 """
 
 from __future__ import annotations
@@ -24,29 +24,46 @@ _LARGEST_BYTES = 1_000_000
 def read_passport(path: Path) -> Passport:
     """Read a passport file.
 
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    Passport
+        The collimator's parameters and their covariance.
+
     Raises
     ------
     UsageError
-        When it is no passport; the message says why.
+        When there is no such file, or it is not a passport; the message says why.
     StorageError
         When it cannot be read.
     """
     if not path.is_file():
-        raise UsageError("There is no such passport.", where=str(path), remedy="Check the path.")
+        raise UsageError("There is no such passport file.", where=str(path), remedy="Check the path.")
     with storage_errors(path):
         if path.stat().st_size > _LARGEST_BYTES:
-            raise UsageError("This file is too large for a passport.", where=str(path))
+            raise UsageError("The file is too large for a passport.", where=str(path))
         text = path.read_bytes()
     try:
         shape: Any = json.loads(text)
         return Passport.from_dict(shape if isinstance(shape, dict) else {})
     except (ValueError, RecursionError, InputMismatch) as error:
         what = error.what if isinstance(error, InputMismatch) else f"Not JSON: {error}."
-        raise UsageError(what, where=str(path), remedy="Make one by `starbench passport make`.") from error
+        raise UsageError(what, where=str(path), remedy="Make one with `starbench passport make`.") from error
 
 
 def write_passport(path: Path, passport: Passport) -> None:
     """Write a passport to a new file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    passport
+        The passport.
 
     Raises
     ------
@@ -56,7 +73,9 @@ def write_passport(path: Path, passport: Passport) -> None:
         When it cannot be written.
     """
     if path.exists():
-        raise UsageError("A file of this name exists.", where=str(path), remedy="Choose another name.")
+        raise UsageError(
+            "A file of this name exists already.", where=str(path), remedy="Choose another name."
+        )
     write_atomic(path, (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode())
 
 
@@ -68,12 +87,30 @@ def passport_from_calibration(
     now: datetime,
     sources: list[str],
 ) -> Passport:
-    """Take the passport out of a calibration, with the conditions under which it was made.
+    """Make a passport from a calibration, with the conditions under which it was made.
+
+    Parameters
+    ----------
+    calibration
+        The calibration; its model must include a collimator.
+    collimator
+        Serial number or name of the collimator, if known.
+    temperature_c
+        Temperature of the bench, degrees Celsius, if known.
+    now
+        Time at which the passport is made, UTC.
+    sources
+        Names of the recordings or runs behind the calibration.
+
+    Returns
+    -------
+    Passport
+        The collimator's parameters and their covariance.
 
     Raises
     ------
     calib.errors.InputMismatch
-        When the calibration knows no collimator (the planar model).
+        When the calibration has no collimator (planar model).
     """
     conditions = {
         "collimator": collimator,
@@ -95,15 +132,39 @@ def passport_from_certificate(
     temperature_c: float | None,
     now: datetime,
 ) -> Passport:
-    """Make a passport from a certificate of the collimator's focal length and its standard uncertainty.
+    """Make a passport from a certificate of the collimator's focal length.
+
+    Parameters
+    ----------
+    r_mm
+        Certified focal length, mm.
+    sigma_mm
+        Its standard uncertainty, mm: the expanded uncertainty of the certificate divided by its coverage factor.
+    number
+        Number of the certificate.
+    issued
+        Date of the certificate, if known.
+    collimator
+        Serial number or name of the collimator, if known.
+    temperature_c
+        Temperature at the certification, degrees Celsius, if known.
+    now
+        Time at which the passport is made, UTC.
+
+    Returns
+    -------
+    Passport
+        Passport with the focal length alone.
 
     Raises
     ------
     UsageError
-        When one of them is not positive.
+        When focal length or uncertainty is not positive and finite.
     """
     if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):
-        raise UsageError("A focal length and its uncertainty are positive.", where="--radius, --sigma")
+        raise UsageError(
+            "The focal length and its uncertainty must be positive and finite.", where="--radius, --sigma"
+        )
     conditions = {
         "certificate": number,
         "issued": issued,

@@ -1,7 +1,7 @@
-"""Point files: stars found by another program, one file a view, as text.
+"""Point files: stars detected by another program, as text, one file for each view.
 
-A line a star: image x, y (px), target X, Y (mm), star id, separated by blanks or commas. Image coordinates have
-their origin at the corner of the first pixel, as the published star detectors write them, unless told otherwise.
+Each line is a star: image x, y (px), target X, Y (mm), star id, separated by blanks or commas. The origin of the image
+coordinates is the corner of the first pixel, as the published star detectors write them, unless `Origin` says centre.
 """
 
 from __future__ import annotations
@@ -21,32 +21,33 @@ _COLUMNS = 5
 _MOST_STARS = 100_000
 _MOST_ID = 2**53
 _CORNER_PX = 0.5
-_SLACK_PX = 1.0  # points told with the other origin are off by half a pixel: no reason to refuse them
+_SLACK_PX = 1.0  # points with the other origin are shifted by half a pixel: no reason to refuse them
 _SPLIT = re.compile(r"[,;\s]+")
 
 
 def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: Origin = "corner") -> View:
-    """Read one view.
+    """Read one view from a point file.
 
     Parameters
     ----------
     path
-        The file; its name without ending becomes the view's.
+        The file; its name without extension becomes the name of the view.
     image_size
-        Width and height, px; None: the smallest that holds the points (a start for the principal point only).
+        Width and height, px. If None, the smallest size that contains the points; it serves only as an initial value of
+        the principal point.
     origin
         Whether (0, 0) is the corner or the centre of the first pixel.
 
     Returns
     -------
     View
-        With OpenCV's pixel convention and unit covariances: such files do not tell how sure a point is.
+        Image points in OpenCV's pixel convention, with unit covariances, because a point file has no uncertainties.
 
     Raises
     ------
     BenchError
-        When a line is not five numbers, naming file and line; two lines share an id; or a point lies outside of the
-        image.
+        When a line is not five numbers (the message has file and line), two lines have the same id, or a point is
+        outside the image.
     StorageError
         When the file cannot be read.
     """
@@ -64,19 +65,21 @@ def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: O
             covariances_px2=np.tile(np.eye(2), (len(rows), 1, 1)),
         )
     except InputMismatch as error:
-        raise BenchError(error.what, where=str(path), remedy="Each star may stand in a view once.") from error
+        raise BenchError(error.what, where=str(path), remedy="Each star may occur once in a view.") from error
 
 
 def _refuse_outside(points: np.ndarray, image_size: tuple[int, int] | None, path: Path) -> None:
-    """Refuse points beside the image: of another camera, or the image's sides are told in the other order."""
+    """Refuse points outside the image: they are from another camera, or width and height are interchanged."""
     most = np.array(image_size or (np.inf, np.inf))
     outside = ((points < -_SLACK_PX) | (points > most + _SLACK_PX)).any(axis=1)
     if not outside.any():
         return
     x, y = points[outside][0]
-    told = f"of {image_size[0]} x {image_size[1]} px" if image_size else "whose first pixel lies at 0"
+    image = (
+        f"an image of {image_size[0]} x {image_size[1]} px" if image_size else "any image: x or y is negative"
+    )
     raise BenchError(
-        f"{int(outside.sum())} of {len(points)} points lie outside of an image {told}, one at ({x:g}, {y:g}).",
+        f"{int(outside.sum())} of {len(points)} points are outside {image}; one is at ({x:g}, {y:g}).",
         where=str(path),
         remedy="Give --image-size as width x height, and points in px.",
     )
@@ -86,16 +89,20 @@ def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
-        raise StorageError(f"It cannot be read: {error.strerror}.", where=str(path)) from error
+        raise StorageError(f"The file cannot be read: {error.strerror}.", where=str(path)) from error
     except UnicodeDecodeError as error:
         raise BenchError(
-            "It is not text.", where=str(path), remedy="Point files hold lines x y X Y id."
+            "The file is not UTF-8 text.", where=str(path), remedy="Point files have lines x y X Y id."
         ) from error
     rows = [_row(line, f"{path}:{number}") for number, line in enumerate(lines, 1) if _is_data(line)]
     if not rows:
-        raise BenchError("It holds no points.", where=str(path), remedy="Point files hold lines x y X Y id.")
+        raise BenchError(
+            "The file has no points.", where=str(path), remedy="Point files have lines x y X Y id."
+        )
     if len(rows) > _MOST_STARS:
-        raise BenchError(f"{len(rows)} points: no target has so many stars.", where=str(path))
+        raise BenchError(
+            f"The file has {len(rows)} points; at most {_MOST_STARS} are allowed.", where=str(path)
+        )
     return np.array(rows, np.float64)
 
 
@@ -104,14 +111,16 @@ def _is_data(line: str) -> bool:
 
 
 def _row(line: str, where: str) -> list[float]:
-    remedy = "Point files hold lines x y X Y id: px, px, mm, mm, a whole number."
-    words = _SPLIT.split(line.strip())
-    if len(words) != _COLUMNS:
-        raise BenchError(f"{len(words)} columns, not {_COLUMNS}.", where=where, remedy=remedy)
+    remedy = "Point files have lines x y X Y id: px, px, mm, mm, an integer."
+    fields = _SPLIT.split(line.strip())
+    if len(fields) != _COLUMNS:
+        raise BenchError(
+            f"The line has {len(fields)} columns instead of {_COLUMNS}.", where=where, remedy=remedy
+        )
     try:
-        numbers = [float(word) for word in words]
+        numbers = [float(text) for text in fields]
     except ValueError as error:
         raise BenchError(f"Not a number: {error}.", where=where, remedy=remedy) from error
     if not np.isfinite(numbers).all() or numbers[4] != int(numbers[4]) or abs(numbers[4]) > _MOST_ID:
-        raise BenchError("A number is not finite, or the id is not a whole one.", where=where, remedy=remedy)
+        raise BenchError("A number is not finite, or the id is not an integer.", where=where, remedy=remedy)
     return numbers

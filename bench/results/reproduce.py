@@ -1,7 +1,7 @@
-"""Whether the results of a run follow from its recordings: finds the stars and calibrates again, and compares.
+"""Checks that a run's results follow from its recordings: detects the stars again, calibrates again, and compares.
 
 Reads the run folder only: captures, journal, sequence, station, results. Another machine may round the last bits
-otherwise, so values count as the same when they differ by a small share of their own uncertainty.
+differently. Two values therefore count as equal if they differ by a small fraction of their uncertainty.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from drivers.errors import DriverError
 from sequences.script import SolveStep
 
 TOLERANCE_SIGMAS = 1e-3
-"""Values that differ by less than this share of their standard uncertainty are the same."""
+"""Values that differ by less than this fraction of their standard uncertainty count as equal."""
 
 
 def differences(folder: Path) -> list[str]:
-    """Calibrate a run again from its recordings, and say where its results differ.
+    """Calibrate a run again from its recordings, and list the differences from its results.
 
     Parameters
     ----------
@@ -34,14 +34,15 @@ def differences(folder: Path) -> list[str]:
     Returns
     -------
     list of str
-        A sentence for each value that differs, or why it cannot be done again; empty when all follows.
+        A sentence for each value that differs, or the reason why the run cannot be calibrated again; empty if all
+        values agree.
 
     Raises
     ------
     ScriptError
         When the run's sequence or station file cannot be read.
     JournalBroken
-        When its journal does not hold.
+        When its journal is not intact.
     """
     job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
     solve = [step for step in job.steps if isinstance(step, SolveStep)][-1]
@@ -49,16 +50,16 @@ def differences(folder: Path) -> list[str]:
     try:
         again = calibrate_paths([folder], OfflineOptions(options=calibration_options(solve)))
     except (BenchError, CalibrationError, DriverError) as error:
-        return [f"it cannot be calibrated again: {error}"]
-    skipped = [f"a recording that was accepted shows no stars now: {why}" for why in again.skipped]
+        return [f"the run cannot be calibrated again: {error}"]
+    skipped = [f"no stars are found any more in an accepted recording: {why}" for why in again.skipped]
     return skipped + _differences_between(stored, again.calibration.to_dict())
 
 
 def _differences_between(stored: Mapping[str, Any], again: Mapping[str, Any]) -> list[str]:
-    """Compare two calibrations as results.json holds them."""
+    """Compare two calibrations in the form of results.json."""
     if stored["model"] != again["model"] or set(stored["sigma"]) != set(again["sigma"]):
         models = [f"{c['model']} in {', '.join(c['sigma'])}" for c in (again, stored)]
-        return [f"the recordings give the model {models[0]}; the results tell {models[1]}"]
+        return [f"the recordings give the model {models[0]}; the results have {models[1]}"]
     values = [{**c["camera"], **(c["collimator"] or {})} for c in (stored, again)]
     found = []
     for name, sigma in again["sigma"].items():
@@ -69,6 +70,6 @@ def _differences_between(stored: Mapping[str, Any], again: Mapping[str, Any]) ->
             )
         if not abs(stored["sigma"][name] - sigma) <= bound:
             found.append(
-                f"the recordings give {name} the sigma {sigma:.6g}, the results {stored['sigma'][name]:.6g}"
+                f"the recordings give sigma of {name} = {sigma:.6g}, the results {stored['sigma'][name]:.6g}"
             )
     return found

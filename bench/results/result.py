@@ -21,7 +21,9 @@ from bench.records.events import Solved
 from bench.records.history import Attempt, History
 from bench.records.run_folder import REPORT, RESULTS, RunFolder
 from bench.records.run_log import RunLog
-from bench.report import ReportData, ViewPicture, pictured_poses, render_report
+from bench.report.choice import pictured_poses
+from bench.report.html import ReportData, render_report
+from bench.report.view_picture import ViewPicture
 from bench.results.comparison import compare_with_truth, planar_calibration
 from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.exports import exports
@@ -29,11 +31,9 @@ from bench.views.camera_kinds import CameraKind
 from bench.views.expected_grid import as_before
 from bench.views.gates import Gate, solution_gates
 from bench.views.measure import Measurement, aligned_poses
-from bench.views.views_file import views_file
+from bench.views.views_file import VIEWS, views_file
 from calib.engine import Calibration, calibrate
 from sequences.script import SolveStep
-
-VIEWS = "views.h5"
 
 
 @dataclass(frozen=True)

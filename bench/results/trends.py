@@ -1,8 +1,8 @@
-"""How a parameter goes over a night: its mean, whether its scatter is what its uncertainties say, and what it follows.
+"""Trends of a parameter over the runs of a batch: its mean, its scatter, its change with time and with temperature.
 
-Plain numbers in, plain numbers out. A slope is that of a weighted straight line; its uncertainty grows where the
-points scatter about the line more than their own uncertainties say. Uncertainties of different runs are taken as
-independent; what runs share (the collimator, the target's pitch) does not show in their differences.
+A slope is that of a weighted straight line. Its uncertainty increases if the points scatter around the line more than
+their own uncertainties predict. Uncertainties of different runs are treated as independent. Errors that all runs have
+in common (from the collimator, from the target's pitch) do not appear in their differences.
 """
 
 from __future__ import annotations
@@ -17,41 +17,54 @@ from bench.records.run_index import IndexedRun
 from bench.results.agreement import agreement
 
 SIGNIFICANT_SIGMAS = 3.5
-"""A slope of more standard uncertainties than that is seen: by chance one in 2000 is, of some twenty looked at."""
+"""A slope is significant if it exceeds this number of standard uncertainties. By chance, one slope in 2000 does so; a
+page shows about twenty."""
 
 LEAST_SPAN_H = 0.5
-"""Runs within less time say nothing of a change per hour."""
+"""Shortest time span of the runs for which a change per hour is computed, h."""
 
 
 @dataclass(frozen=True)
 class Slope:
-    """How much a parameter changes, in its own unit per hour or per degree Celsius, and that number's 1 sigma."""
+    """Change of a parameter, with its standard uncertainty.
+
+    Attributes
+    ----------
+    value, sigma
+        Change per hour or per degree Celsius in the parameter's unit, and its standard uncertainty.
+    """
 
     value: float
     sigma: float
 
     @property
     def significant(self) -> bool:
-        """Whether it is more than chance explains."""
+        """Whether the slope is larger than `SIGNIFICANT_SIGMAS` standard uncertainties."""
         return abs(self.value) > SIGNIFICANT_SIGMAS * self.sigma
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as JSON carries it."""
+        """Return the content as JSON holds it.
+
+        Returns
+        -------
+        dict
+            ``value sigma seen``; ``seen`` is `significant`.
+        """
         return {"value": self.value, "sigma": self.sigma, "seen": self.significant}
 
 
 @dataclass(frozen=True)
 class Trend:
-    """One parameter of one camera over several runs.
+    """One parameter of one camera in several runs.
 
     Attributes
     ----------
     name
         The parameter.
     mean, sigma, birge
-        As ``agreement.Agreement``.
+        As in `agreement.Agreement`.
     per_hour, per_c
-        How it follows time, and the camera's temperature; None where too little varies.
+        Slope against time and against the camera's temperature; None if time or temperature varies too little.
     """
 
     name: str
@@ -62,7 +75,13 @@ class Trend:
     per_c: Slope | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as JSON carries it."""
+        """Return the content as JSON holds it.
+
+        Returns
+        -------
+        dict
+            ``name mean sigma birge per_hour per_c``.
+        """
         return {
             "name": self.name,
             "mean": self.mean,
@@ -74,7 +93,25 @@ class Trend:
 
 
 def fit_slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) -> Slope | None:
-    """Fit a straight line, weighted by 1 / sigma^2; None with fewer than three points, or where x does not vary.
+    """Fit a straight line by least squares, weighted by 1 / sigma^2.
+
+    Weighted linear regression (Bevington and Robinson, 2003, chapter 6). If the points scatter around the line more
+    than their uncertainties predict, the slope's uncertainty is multiplied by the Birge ratio of the residuals with
+    n - 2 degrees of freedom (Birge, Phys. Rev. 40 (1932) 207).
+
+    Parameters
+    ----------
+    x
+        Abscissa of each point, h or degrees Celsius.
+    y
+        Value of each point.
+    sigma
+        Standard uncertainty of each value, greater than 0.
+
+    Returns
+    -------
+    Slope or None
+        None with fewer than three points, or if x does not vary.
 
     Examples
     --------
@@ -103,12 +140,17 @@ def fit_slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) ->
 
 
 def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
-    """Follow every parameter that all runs have estimated.
+    """Compute the trend of every parameter that all runs have estimated.
 
     Parameters
     ----------
     runs
-        Of one camera and one model, each with a calibration, oldest first.
+        Runs of one camera and one model, each with a calibration, oldest first.
+
+    Returns
+    -------
+    list of Trend
+        One for each parameter; empty with fewer than two runs.
     """
     if len(runs) < 2:
         return []
@@ -129,12 +171,36 @@ def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
 
 
 def hours_after(utc: str, begin_utc: str) -> float:
-    """Give a moment as hours after another, both ISO 8601."""
+    """Return the time between two moments.
+
+    Parameters
+    ----------
+    utc
+        Later moment, ISO 8601.
+    begin_utc
+        Earlier moment, ISO 8601.
+
+    Returns
+    -------
+    float
+        Difference, h.
+    """
     return (datetime.fromisoformat(utc) - datetime.fromisoformat(begin_utc)).total_seconds() / 3600.0
 
 
 def by_camera(runs: Sequence[IndexedRun]) -> dict[tuple[str, str], list[IndexedRun]]:
-    """Group the runs that have a calibration by camera and model, oldest first."""
+    """Group the runs that have a calibration by camera and model.
+
+    Parameters
+    ----------
+    runs
+        Runs in any order.
+
+    Returns
+    -------
+    dict
+        Runs by serial number and model, oldest first.
+    """
     found: dict[tuple[str, str], list[IndexedRun]] = {}
     for run in sorted(runs, key=lambda run: (run.begun_utc, run.folder)):
         if run.parameters:

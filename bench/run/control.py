@@ -12,33 +12,30 @@ from __future__ import annotations
 import getpass
 import shutil
 import socket
-import stat
-import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.records.events import Event
 from bench.records.folder_lock import is_locked
 from bench.records.history import History
+from bench.records.inbox import Inbox, Poller
 from bench.records.journal import lines_after
 from bench.records.run_folder import JOURNAL
 from bench.records.run_log import RunLog
-from bench.records.storage import is_temporary, make_folder, remove, storage_errors, sync_folder, write_atomic
+from bench.records.storage import make_folder, storage_errors, sync_folder
 from bench.run.heartbeat import CONTROL, HEARTBEAT
 from sequences.schema import Answer
 
 POLL_S = 0.1
-_MOST_BYTES = 4096
+_MAX_BYTES = 4096
 _PATIENCE_S = 10.0
-_SUFFIX = ".json"
 
 Word = Literal["hold", "release", "abort", "skip", "answer"]
 Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
@@ -122,21 +119,21 @@ def _skip_refusal(pose: int | None, history: History, poses: Mapping[int, str]) 
     return f"pose {pose} ({poses[pose]}) is skipped already" if pose in history.to_skip else ""
 
 
-class Inbox:
-    """The commands to this process's run: watched from ``open`` to ``close`` by a thread of its own.
+class CommandInbox:
+    """The commands to this process's run: answered from ``open`` to ``close`` by a thread of its own.
 
     Parameters
     ----------
     folder
-        The run folder, held by this process.
+        The run folder, locked by this process.
     log
-        Where decisions are told; what runner and status go by.
+        Where decisions are written; runner and status act on them.
     poses
         Names of the poses to record, by index.
     clock
-        Asked to stop by ``abort``; asked to fail when the journal does not take a decision.
+        Is asked to stop by ``abort``, and to fail when the journal does not take a decision.
     looks
-        What else is to be looked at in every round: signs of life, interlocks.
+        What else must be done in every round: signs of life, interlocks.
     """
 
     def __init__(
@@ -147,30 +144,44 @@ class Inbox:
         clock: BenchClock,
         looks: Sequence[Callable[[], None]] = (),
     ) -> None:
-        self._path = folder / CONTROL
+        self._inbox = _inbox_of(folder)
         self._log = log
         self._poses = poses
         self._clock = clock
         self._looks = looks
-        self._closing = threading.Event()
-        self._watcher = threading.Thread(target=self._watch, name="commands", daemon=True)
+        # An error there: nobody commands or guards the run any more, so it must not go on.
+        self._poller = Poller(self._look, clock.request_failure, name="commands", period_s=POLL_S)
+
+    @property
+    def closed(self) -> bool:
+        """Whether commands are no longer taken."""
+        return self._poller.closed
 
     def open(self) -> Self:
-        """Begin to take commands. What was meant for a process that has died is answered, and not done."""
-        make_folder(self._path)
+        """Begin to take commands. Commands to a process that has died are answered, and not done.
+
+        Returns
+        -------
+        CommandInbox
+            This inbox.
+
+        Raises
+        ------
+        StorageError
+            When the folder cannot be made, or an answer cannot be written.
+        """
+        make_folder(self._inbox.folder)
         self._drain("it was meant for a process that has died")
-        self._watcher.start()
+        self._poller.start()
         return self
 
     def close(self) -> None:
-        """Take no more commands, and remove the inbox; what lies there is answered. Once is enough."""
-        if self._closing.is_set():
+        """Take no more commands, answer those that remain, and remove the inbox. A second call does nothing."""
+        if self.closed:
             return
-        self._closing.set()
-        if self._watcher.is_alive():
-            self._watcher.join()
+        self._poller.close()
         self._drain("the run was ending")
-        remove_inbox(self._path.parent)
+        remove_inbox(self._inbox.folder.parent)
 
     def __enter__(self) -> Self:
         return self.open()
@@ -178,32 +189,28 @@ class Inbox:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _watch(self) -> None:
-        try:
-            while not self._closing.wait(POLL_S):
-                self._drain("")
-                for look in self._looks:
-                    look()
-        except Exception as error:  # noqa: BLE001 - nobody commands or guards the run any more: it must not go on
-            self._clock.request_failure(error)
+    def _look(self) -> None:
+        self._drain("")
+        for look in self._looks:
+            look()
 
     def _drain(self, why_not: str) -> None:
-        """Answer every command that lies there, oldest first; not taken where ``why_not`` says so."""
-        with storage_errors(self._path):
-            if not self._path.is_dir():  # an operator tidied up
-                return
-            names = sorted(p for p in self._path.iterdir() if not is_temporary(p) and p.name != HEARTBEAT)
-        for path in names:
-            with storage_errors(path), suppress(FileNotFoundError):  # taken back by its sender at this moment
-                self._answer(path, why_not)
-                remove(path)
+        self._inbox.drain(lambda command, name: self.decide(command, name, why_not))
 
-    def _answer(self, path: Path, why_not: str) -> None:
-        command = _read(path)
+    def decide(self, command: Command | None, name: str, why_not: str = "") -> None:
+        """Decide on a command and write the decision to the journal.
+
+        Parameters
+        ----------
+        command
+            The command; None for a file that is not one.
+        name
+            Name of its file.
+        why_not
+            Why it is not taken, whatever it says; empty if that depends on the command.
+        """
         if command is None:
-            self._log.write(
-                Event.COMMANDED, id=path.name, word="unknown", taken=False, why="it is no command"
-            )
+            self._log.write(Event.COMMANDED, id=name, word="unknown", taken=False, why="it is no command")
             return
         with self._log.held() as history:
             if command.word == "skip" and command.pose is None:
@@ -215,15 +222,8 @@ class Inbox:
             self._clock.request_stop(f"abort by {command.by}")
 
 
-def _read(path: Path) -> Command | None:
-    """Read a command; None for anything else that may lie there, which is not waited for."""
-    found = path.lstat()
-    if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
-        return None
-    try:
-        return Command.model_validate_json(path.read_bytes())
-    except ValidationError:
-        return None
+def _inbox_of(folder: Path) -> Inbox[Command]:
+    return Inbox(folder / CONTROL, Command, _MAX_BYTES, ignored=frozenset({HEARTBEAT}))
 
 
 def remove_inbox(folder: Path) -> None:
@@ -262,22 +262,21 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
     StorageError
         When it cannot be written.
     """
-    inbox = folder / CONTROL
-    if not is_locked(folder) or not inbox.is_dir():
+    inbox = _inbox_of(folder)
+    if not is_locked(folder) or not inbox.folder.is_dir():
         raise RunFolderError(
             "No process works on this run.",
             where=str(folder),
             remedy="See `starbench status`; a run that was cut off goes on with `starbench resume`.",
         )
-    path = inbox / f"{time.time_ns():020d}-{command.id}{_SUFFIX}"
     with storage_errors(folder):
         begin = (
             (folder / JOURNAL).stat().st_size
         )  # the answer comes after it; long journals are not read again
     try:
-        write_atomic(path, command.model_dump_json().encode() + b"\n")
+        path = inbox.drop(command, command.id)
     except StorageError as error:
-        if inbox.is_dir():
+        if inbox.folder.is_dir():
             raise
         raise RunFolderError(
             "The run was ending: it takes no more commands.",

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from bench.base.clock import Aborted, BenchClock
 from bench.records.events import Entering, Event
 from bench.records.run_log import RunLog
-from bench.run.interlocks import Interlocks, Trip, words
+from bench.run.interlock_text import interlock_text
+from bench.run.interlocks import Interlocks, Trip
 from bench.run.run_devices import RunDevices
 from bench.terminal.prompt import Reply, ask
 from sequences.script import PromptStep
@@ -93,7 +94,7 @@ class Holding:
         with self._clock.shielded():
             self._devices.come_to_rest()
         held_s = self._interlocks.wait(trip)
-        name = words(trip.interlock.name)
+        name = interlock_text(trip.interlock.name)
         self._log.write(Event.INTERLOCK_RELEASED, rule=trip.interlock.name, held_s=round(held_s, 3))
         what = f"The {name} interlock held for {held_s:.0f} s: {trip.why}."
         self._log.write(Event.DEVIATION, what=what)
@@ -153,5 +154,5 @@ class HoldNews:
 def _waits_for(facts: Entering) -> str:
     """Say what a run that holds waits for."""
     if "rule" in facts:
-        return f"is held by the {words(facts['rule'])} interlock: {facts['why']}"
+        return f"is held by the {interlock_text(facts['rule'])} interlock: {facts['why']}"
     return f"is held by {facts['by']}" if "by" in facts else "asks the operator"

@@ -22,6 +22,7 @@ from typing import Protocol
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
 from bench.records.storage import storage_errors
+from bench.run.interlock_text import interlock_text
 from bench.stations.station_interlocks import (
     CameraTemperatureConfig,
     DeviceLostConfig,
@@ -230,7 +231,7 @@ class Trip:
     @property
     def text(self) -> str:
         """In words."""
-        return f"the {words(self.interlock.name)} interlock: {self.why}"
+        return f"the {interlock_text(self.interlock.name)} interlock: {self.why}"
 
 
 class Interlocks:
@@ -319,20 +320,12 @@ class Interlocks:
             if not (why := interlock.why(held=True)):
                 return held_s
             if before_s + held_s > interlock.max_hold_s:
+                name, all_s = interlock_text(interlock.name), before_s + held_s
                 raise InterlockHeld(
-                    f"The {words(interlock.name)} interlock has held the run for {before_s + held_s:.0f} s: {why}.",
+                    f"The {name} interlock has held the run for {all_s:.0f} s: {why}.",
                     remedy="Remove the cause, then go on with `starbench resume`.",
                 )
             self._clock.sleep(interlock.poll_s)
-
-
-def words(name: str) -> str:
-    """Say the name of an interlock as people do.
-
-    >>> words("camera_temperature")
-    'camera temperature'
-    """
-    return name.replace("_", " ")
 
 
 def interlocks_of(config: InterlocksConfig, folder: Path, sensors: Sensors) -> list[Interlock]:

@@ -22,7 +22,7 @@ from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
 from bench.results.result import Outcome, ResultWriter
 from bench.run.attempts import Attempts
-from bench.run.control import Inbox
+from bench.run.control import CommandInbox
 from bench.run.heartbeat import Pulse
 from bench.run.holding import Holding, HoldNews
 from bench.run.interlocks import Interlocks, Trip, interlocks_of
@@ -127,7 +127,7 @@ class Runner:
         self._pulse = Pulse(folder.path, clock)
         names = {pose.index: pose.name for pose in job.plan.poses}
         looks = (self._pulse.beat, self._see_supervisor, self._interlocks.look)
-        self._inbox = Inbox(folder.path, log, names, clock, looks)
+        self._inbox = CommandInbox(folder.path, log, names, clock, looks)
 
     def run(self) -> RunEnd:
         """Do every step not yet done.

@@ -21,9 +21,9 @@ from bench.records.history import History, replay
 from bench.records.journal import Entry, read_journal
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storage_errors
-from bench.run.interlocks import words
+from bench.run.interlock_text import interlock_text
 from bench.run.machine import END_STATES
-from bench.terminal.progress import clock_text
+from bench.terminal.duration import clock_text
 
 LAST_LINES = 5
 FOLLOW_S = 0.5
@@ -181,7 +181,7 @@ def _left_s(history: History, plan: Mapping[str, Any], entries: Sequence[Entry],
 def _held_by(history: History) -> str:
     if history.rule:
         name, _, why = history.rule.partition(":")
-        return f"the {words(name)} interlock:{why}"
+        return f"the {interlock_text(name)} interlock:{why}"
     return history.holder
 
 
@@ -222,7 +222,7 @@ def _words(entry: Entry) -> str:
             crash = data.get("crash")
             text = f"the run was taken up again{f', after a crash: {crash}' if crash else ''}"
         case Event.ENTERING if "rule" in data:
-            text = f"held by the {words(data['rule'])} interlock: {data['why']}"
+            text = f"held by the {interlock_text(data['rule'])} interlock: {data['why']}"
         case Event.ENTERING if data["state"] not in END_STATES:  # the line of the end says that once
             text = f"{data['state']}{pose}"
         case Event.LEFT_OFF if "error" in data:
@@ -252,7 +252,7 @@ def _words_of_waiting(entry: Entry) -> str:
         case Event.ANSWERED:
             text = f"answered: {data['answer']} ({data['by']})"
         case Event.INTERLOCK_RELEASED:
-            text = f"the {words(data['rule'])} interlock lets go after {data['held_s']:.0f} s"
+            text = f"the {interlock_text(data['rule'])} interlock lets go after {data['held_s']:.0f} s"
         case Event.SUPERVISOR_LOST:
             text = "what watched this process is gone; the run goes on"
     return text

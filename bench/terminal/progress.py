@@ -11,19 +11,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from bench.terminal.duration import clock_text
+
 _BAR_WIDTH, _LEAST_BAR = 24, 8
-
-
-def clock_text(seconds: float) -> str:
-    """Seconds as people say them.
-
-    >>> clock_text(75), clock_text(4.2), clock_text(7322)
-    ('1:15', '0:04', '2:02:02')
-    """
-    whole = max(0, round(seconds))
-    hours, rest = divmod(whole, 3600)
-    minutes, seconds_left = divmod(rest, 60)
-    return f"{hours}:{minutes:02d}:{seconds_left:02d}" if hours else f"{minutes}:{seconds_left:02d}"
 
 
 class Progress:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -176,6 +175,8 @@ def to_grey(image: NDArray[Any], *, where: str) -> Frame:
         return image
     if image.shape[2] == 1:
         return image[:, :, 0]
+    import cv2
+
     weighted: Any = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
     return weighted
 
@@ -267,6 +268,8 @@ def write_frames(path: Path, frames: Sequence[Frame]) -> int:
     """
     check_new(path)
     partial = path.with_name(f"{path.stem}.partial.tiff")
+    import cv2
+
     written = cv2.imwritemulti(str(partial), list(frames), [cv2.IMWRITE_TIFF_COMPRESSION, 1])
     if not written:
         partial.unlink(missing_ok=True)
@@ -302,6 +305,8 @@ def read_frames(path: Path) -> NDArray[Any]:
     """
     if not path.is_file():
         raise RecordingFileError("There is no such file.", where=str(path), remedy="Check the path.")
+    import cv2
+
     found, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED)
     frames = [to_grey(page, where=str(path)) for page in pages] if found else []
     if not frames or len({(frame.shape, frame.dtype) for frame in frames}) != 1:

@@ -3,7 +3,8 @@
 import cv2
 import numpy as np
 
-from bench.report import ReportData, ViewPicture
+from bench.report.html import ReportData
+from bench.report.view_picture import ViewPicture
 from calib.model.camera import CameraModel
 from calib.target import StarTarget
 

@@ -63,11 +63,8 @@ class Fault:
 def command(scene, word):
     """Play the thread that takes commands."""
     inbox = getattr(scene.runner, "_inbox", None)
-    if inbox is not None and not inbox._closing.is_set():
-        path = scene.folder / "command.json"
-        path.write_text(Command(word=word, by="ada").model_dump_json())
-        inbox._answer(path, "")
-        path.unlink()
+    if inbox is not None and not inbox.closed:
+        inbox.decide(Command(word=word, by="ada"), "command.json")
 
 
 def raising(error):

@@ -12,14 +12,14 @@ from pydantic import ValidationError
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
+from bench.records import inbox as inbox_module
 from bench.records.events import Event
 from bench.records.folder_lock import is_locked
 from bench.records.history import Attempt, History, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
-from bench.run import control
-from bench.run.control import CONTROL, Command, Inbox, command_text, refusal, send
+from bench.run.control import CONTROL, Command, CommandInbox, command_text, refusal, send
 
 POSES = {1: "left", 2: "right", 3: "below"}
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
@@ -111,7 +111,7 @@ def answers(folder):
 
 def test_a_command_is_answered_by_the_journal_and_its_file_is_gone(run):
     folder, log, clock = run
-    with Inbox(folder, log, POSES, clock):
+    with CommandInbox(folder, log, POSES, clock):
         answer = send(folder, command("hold"))
         assert (answer["taken"], answer["by"]) == (True, "ada")
         with log.held() as history:
@@ -126,7 +126,7 @@ def test_a_command_is_answered_by_the_journal_and_its_file_is_gone(run):
 
 def test_an_abort_ends_the_wait_of_the_run_at_once(run):
     folder, log, clock = run
-    with Inbox(folder, log, POSES, clock):
+    with CommandInbox(folder, log, POSES, clock):
         sender = threading.Thread(target=send, args=(folder, command("abort")))
         sender.start()
         with pytest.raises(Aborted, match="abort by ada"):
@@ -136,7 +136,7 @@ def test_an_abort_ends_the_wait_of_the_run_at_once(run):
 
 def test_skip_means_the_pose_at_work_unless_another_is_named(run):
     folder, log, clock = run
-    with Inbox(folder, log, POSES, clock):
+    with CommandInbox(folder, log, POSES, clock):
         log.write(Event.ENTERING, state="recording", pose=2)
         assert send(folder, command("skip"))["pose"] == 2
         assert send(folder, command("skip", pose=3))["pose"] == 3
@@ -147,7 +147,7 @@ def test_what_was_meant_for_a_dead_process_is_answered_and_not_done(run):
     folder, log, clock = run
     (folder / CONTROL).mkdir()
     (folder / CONTROL / "1.json").write_text(command("abort").model_dump_json())
-    with Inbox(folder, log, POSES, clock):
+    with CommandInbox(folder, log, POSES, clock):
         clock.check()
     (answer,) = answers(folder)
     assert not answer["taken"]
@@ -157,7 +157,7 @@ def test_what_was_meant_for_a_dead_process_is_answered_and_not_done(run):
 @pytest.mark.timeout(60)
 def test_what_is_no_command_is_said_to_be_none_and_removed(run):
     folder, log, clock = run
-    with Inbox(folder, log, POSES, clock):
+    with CommandInbox(folder, log, POSES, clock):
         inbox = folder / CONTROL
         (inbox / "a.json").write_text('{"word": "explode", "by": "ada"}')
         (inbox / "b.json").write_bytes(b"\xff" * 10_000)
@@ -171,7 +171,7 @@ def test_what_is_no_command_is_said_to_be_none_and_removed(run):
 
 def test_a_journal_that_takes_no_answer_fails_the_run_and_is_no_abort_by_anybody(run):
     folder, log, clock = run
-    inbox = Inbox(folder, log, POSES, clock).open()
+    inbox = CommandInbox(folder, log, POSES, clock).open()
     log.journal.close()
     with pytest.raises(RunFolderError, match="did not answer"):
         send(folder, command("hold"), patience_s=0.5)
@@ -186,14 +186,14 @@ def test_a_guard_that_breaks_down_ends_the_run(run):
     def broken():
         raise ZeroDivisionError("a door with no hinge")
 
-    with Inbox(folder, log, POSES, clock, (broken,)), pytest.raises(ZeroDivisionError, match="hinge"):
+    with CommandInbox(folder, log, POSES, clock, (broken,)), pytest.raises(ZeroDivisionError, match="hinge"):
         clock.sleep(20)
 
 
 def test_what_else_is_to_be_looked_at_is_looked_at_in_every_round(run):
     folder, log, clock = run
     looks = []
-    with Inbox(folder, log, POSES, clock, (lambda: looks.append(1),)):
+    with CommandInbox(folder, log, POSES, clock, (lambda: looks.append(1),)):
         while len(looks) < 3:
             clock.sleep(0.02)
     assert len(looks) >= 3
@@ -201,14 +201,14 @@ def test_what_else_is_to_be_looked_at_is_looked_at_in_every_round(run):
 
 def test_a_command_to_a_run_that_ends_at_this_moment_is_said_to_be_too_late(run, monkeypatch):
     folder, log, clock = run
-    write = control.write_atomic
+    write = inbox_module.write_atomic
 
     def too_late(path, data):
         inbox.close()
         write(path, data)
 
-    monkeypatch.setattr(control, "write_atomic", too_late)
-    with Inbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="was ending"):
+    monkeypatch.setattr(inbox_module, "write_atomic", too_late)
+    with CommandInbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="was ending"):
         send(folder, command("hold"))
 
 

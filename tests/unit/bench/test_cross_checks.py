@@ -5,7 +5,7 @@ import pytest
 
 from bench.plan.plan import load_documents, make_plan
 from bench.results.cross_checks import gimbal_check, split_half_check
-from bench.results.studies import expected_bench
+from bench.results.forecasts import expected_bench
 from calib.engine import CalibrationOptions, calibrate
 from calib.studies.predicted_views import predicted_view
 

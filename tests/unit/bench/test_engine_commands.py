@@ -8,7 +8,7 @@ import pytest
 
 from bench.commands.cli import main
 from bench.plan.plan import load_documents, make_plan
-from bench.results.studies import expected_bench, expected_uncertainty, suggest_poses
+from bench.results.forecasts import expected_bench, expected_uncertainty, suggest_poses
 from calib.studies.predicted_views import predicted_view
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
@@ -205,5 +205,5 @@ def test_a_capture_shorter_than_its_journal_says_is_refused(tmp_path):
         )
     _refuse_truncated(path)
     path.write_bytes(path.read_bytes()[:-2])
-    with pytest.raises(RecordingCorrupt, match=f"cut off; {size} were recorded"):
+    with pytest.raises(RecordingCorrupt, match=f"incomplete: {size} bytes were recorded"):
         _refuse_truncated(path)

@@ -2,7 +2,6 @@
 
 import os
 from datetime import UTC, datetime
-
 from types import SimpleNamespace
 
 import pytest

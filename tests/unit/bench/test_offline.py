@@ -50,5 +50,5 @@ def test_a_jpeg_that_is_cut_off_is_no_picture(tmp_path, share):
     (tmp_path / "a.jpg").write_bytes(whole + b"what cameras put behind it")
     _refuse_truncated_jpeg(tmp_path / "a.jpg")
     (tmp_path / "a.jpg").write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(RecordingCorrupt, match="cut off"):
+    with pytest.raises(RecordingCorrupt, match="incomplete"):
         _refuse_truncated_jpeg(tmp_path / "a.jpg")

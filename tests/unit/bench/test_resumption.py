@@ -8,7 +8,7 @@ from bench.plan.job import Job
 from bench.records.events import Event
 from bench.records.history import History, replay
 from bench.records.journal import Journal
-from bench.run.resumption import crash_looped, steps_to_repeat, intentions, remaining, steps_of_pose
+from bench.run.resumption import crash_looped, intentions, remaining, steps_of_pose, steps_to_repeat
 from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
 
 

@@ -207,13 +207,9 @@ class Life(RuleBasedStateMachine):
         """Play the thread that takes commands: at once, in the midst of the work."""
         runner = self.scene.runner
         inbox = getattr(runner, "_inbox", None)
-        if inbox is None or inbox._closing.is_set():
+        if inbox is None or inbox.closed:
             return
-        command = Command(word=word, by="ada", **more)
-        path = self.scene.folder / "command.json"
-        path.write_text(command.model_dump_json())
-        inbox._answer(path, "")
-        path.unlink()
+        inbox.decide(Command(word=word, by="ada", **more), "command.json")
 
     # ------------------------------------------------------------ what must hold whatever happened
 
@@ -276,4 +272,5 @@ TestLife = Life.TestCase
 
 def test_the_lives_above_ended_in_every_way():
     assert {"finished", "aborted", "failed", "died"} <= set(ENDS)
-    assert {("slewing", "holding"), ("holding", "lighting"), ("recovering", "preflight")} <= TAKEN
+    assert {("holding", "lighting"), ("recovering", "preflight")} <= TAKEN
+    assert {("slewing", "holding"), ("settling", "holding"), ("recording", "holding")} & TAKEN

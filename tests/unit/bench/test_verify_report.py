@@ -12,7 +12,7 @@ from bench.evidence.seal import seal
 from bench.evidence.verify import verify_run
 from bench.records.journal import read_journal
 from bench.records.run_folder import RunFolder
-from bench.report import ReportData, render_report
+from bench.report.html import ReportData, render_report
 from tests.unit.bench.resealed import kinds
 
 

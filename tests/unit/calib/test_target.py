@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch
-from calib.target import StarTarget, reflectance_at
+from calib.reflectance import reflectance_at
+from calib.target import StarTarget
 
 TARGET = StarTarget()
 

@@ -3,7 +3,7 @@
 import pytest
 from report_sample import SMALL, sample
 
-from bench.report import render_report
+from bench.report.html import render_report
 
 
 @pytest.fixture(scope="session")

@@ -10,9 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import SMALL, of_many_poses
 
-from bench.report import ReportData, ViewPicture, pictured_poses, printed_text, render_report
-from bench.report.pictures import pose_pictures, thinned
+from bench.report.choice import pictured_poses
+from bench.report.html import ReportData, printed_text, render_report
+from bench.report.pictures import pose_pictures
 from bench.report.plots import residual_vectors
+from bench.report.view_picture import ViewPicture, thinned
 
 MOST = 24
 
@@ -92,11 +94,11 @@ def page(many):
 def test_a_page_of_many_poses_says_how_many_it_pictures(page):
     assert len(re.findall(r'<svg class="pose"', page)) == MOST
     assert 'aria-label="Image and stars of pose 31"' in page
-    assert any(words.startswith("Pictures of 24 of 50 poses:") for words in printed_text(page))
+    assert any(words.startswith("Images of 24 of 50 poses:") for words in printed_text(page))
 
 
 def test_a_page_of_few_poses_says_nothing_of_a_choice(html):
-    assert "Pictures of" not in " ".join(printed_text(html))
+    assert "Images of" not in " ".join(printed_text(html))
     assert "stars are" not in html
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from report_sample import of_many_poses
 
-from bench.report import ReportData, ViewPicture, render_report
+from bench.report.html import ReportData, render_report
+from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
 
 
@@ -54,7 +55,7 @@ def test_it_forbids_all_but_its_own_pictures_and_style(html):
 
 
 def test_the_same_data_give_the_same_bytes_in_another_process(html, tmp_path):
-    code = "import sys; sys.path.insert(0, sys.argv[1]); from report_sample import SMALL, sample; from bench.report import render_report; print(render_report(sample(size=SMALL)), end='')"
+    code = "import sys; sys.path.insert(0, sys.argv[1]); from report_sample import SMALL, sample; from bench.report.html import render_report; print(render_report(sample(size=SMALL)), end='')"
     other = subprocess.run(
         [sys.executable, "-c", code, Path(__file__).parents[3] / "support"],
         capture_output=True,

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import SMALL
 
-from bench.report import ViewPicture
 from bench.report.plots import residual_vectors
+from bench.report.view_picture import ViewPicture
 from bench.report.walk import state_diagram
 from tests.unit.bench.report.structure import Structure
 

@@ -6,8 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from bench.report import ReportData, render_report
-from bench.report.html import environment
+from bench.report.html import ReportData, environment, render_report
 
 
 class Tables(HTMLParser):
@@ -47,14 +46,14 @@ def test_gates_that_did_not_pass_and_deviations_stand_before_the_result(data):
     gate = {"name": "rms", "value": 0.31, "unit": "px", "limit": "<= 0.2", "verdict": "fail"}
     html = told(data, gates=[gate], deviations=["Held by ada for 3 s."])
     before = html.partition("<h2>Result</h2>")[0]
-    assert "Gate fail: rms: 0.310, limit ≤ 0.2 px (0 of 1 passed)." in before
+    assert "Gate rms: fail (0.310, limit ≤ 0.2 px; 0 of 1 passed)." in before
     assert "Held by ada for 3 s." in before
     assert 'class="warning"' in before
 
 
 def test_a_run_without_either_has_no_warning(data):
     html = told(data, gates=[], deviations=[])
-    assert "Mind, before" not in html
+    assert "Read this before" not in html
 
 
 def test_many_deviations_are_counted_before_the_result_and_all_told_below(data):
@@ -66,7 +65,7 @@ def test_many_deviations_are_counted_before_the_result_and_all_told_below(data):
 
 
 def test_a_truth_is_printed_to_the_digits_of_its_value(data):
-    shown = told(data).partition("How far from the truth</h2>")[2].partition("</table>")[0]
+    shown = told(data).partition("Comparison with the simulated truth</h2>")[2].partition("</table>")[0]
     rows = [re.findall(r'<td class="n">(.*?)</td>', row) for row in shown.split("</tr>")[1:-1]]
     assert len(rows) == 9
     for value, _, truth, *_ in rows:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
 
-from bench.report import ReportData, printed_text, render_report
+from bench.report.html import ReportData, printed_text, render_report
 from bench.report.text import with_uncertainty
 from calib.model.camera import CameraModel
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
@@ -66,7 +66,9 @@ def test_each_value_is_printed_with_its_uncertainty(html):
     ids=lambda path: ".".join(map(str, path)),
 )  # fmt: skip
 def test_each_number_of_the_results_is_printed(data, html, path, monkeypatch):
-    monkeypatch.setattr("bench.report.html.deviations_from_truth", lambda *_: "")  # it takes most of the time
+    monkeypatch.setattr(
+        "bench.report.figures.deviations_from_truth", lambda *_: ""
+    )  # it takes most of the time
     results = copy.deepcopy(dict(data.results))
     place = results
     for key in path[:-1]:
@@ -82,7 +84,7 @@ def test_the_expanded_uncertainty_takes_the_factor_that_few_poses_ask_for(data):
     words = printed_text(render_report(ReportData(results)))
     assert words[words.index("focal length, along rows") + 2] == "± 7.5"  # 3.5 * 2.13
     assert "3.5" in words[words.index("k") : words.index("k") + 6] or any("= 3.5" in word for word in words)
-    compared = words[words.index("How far from the truth") :]
+    compared = words[words.index("Comparison with the simulated truth") :]
     assert "± 7.5" in compared
 
 
@@ -126,11 +128,11 @@ def test_beside_it_stands_how_far_halves_of_the_poses_lie_apart(data, html):
         for half in halves
     )
     worst = camera_difference(first, second).worst_px
-    title = r">Halves of the poses apart, px</text>\s*<text[^>]*>median [\d.e\-]+, at most ([\d.e\-]+)<"
+    title = r">Difference of the halves, px</text>\s*<text[^>]*>median [\d.e\-]+, at most ([\d.e\-]+)<"
     assert re.findall(title, html) == [f"{worst:.2g}"]
     alone = copy.deepcopy(dict(data.results))
     del alone["halves"]
-    assert "Halves of the poses" not in render_report(ReportData(alone, data.views))
+    assert "Difference of the halves" not in render_report(ReportData(alone, data.views))
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e5))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from report_sample import SIGMA, SMALL, TRUE, sample
 
-from bench.report import ReportData, printed_text, render_report
+from bench.report.html import ReportData, printed_text, render_report
 from tests.unit.bench.report.structure import Structure
 
 
@@ -35,7 +35,7 @@ def test_a_page_s_words_leave_out_what_is_drawn():
 
 def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
     words = printed_text(html)
-    assert "run 12; of this camera 2 finished, 1 open, this one included" in words
+    assert "run 12; runs of this camera, including this one: 2 finished, 1 open" in words
     assert data.results["run"]["ledger"]["head"] in words
     results = copy.deepcopy(dict(data.results))
     del results["run"]["ledger"]
@@ -95,8 +95,10 @@ def test_a_planar_calibration_without_devices_is_reported_too(data):
     html = render_report(ReportData(results))
     found = Structure(html)
     assert (found.wrong, found.open) == ([], [])
-    assert "a position and a rotation of its own" in html
-    assert not {"Poses", "Gates", "Recordings", "Devices", "How far from the truth"} & set(printed_text(html))
+    assert "its own position and its own rotation" in html
+    assert not {"Poses", "Gates", "Recordings", "Devices", "Comparison with the simulated truth"} & set(
+        printed_text(html)
+    )
 
 
 def test_what_is_documented_of_the_results_is_in_them(data):

@@ -1,0 +1,150 @@
+"""An inbox of a process: a folder in which other processes leave messages, one JSON file each.
+
+A sender writes a file as a whole (`Inbox.drop`). The process that owns the inbox looks there from time to time
+(`Poller`), answers each message and then removes its file (`Inbox.drain`). The owner answers in its journal, so that a
+file which was answered, but not removed because the process died, is known by its id and not obeyed twice. Commands to
+a run (`bench.run.control`) and requests to a batch (`bench.batch.batch_requests`) use this.
+"""
+
+from __future__ import annotations
+
+import stat
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from bench.records.storage import is_temporary, remove, storage_errors, write_atomic
+
+Message = TypeVar("Message", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class Inbox(Generic[Message]):
+    """The folder, and what may lie in it.
+
+    Attributes
+    ----------
+    folder
+        Where senders leave their files.
+    model
+        Model of a message.
+    max_bytes
+        Size of the largest file that is read; anything larger is not a message.
+    ignored
+        Names of files in the folder that are not for the owner.
+    """
+
+    folder: Path
+    model: type[Message]
+    max_bytes: int
+    ignored: frozenset[str] = frozenset()
+
+    def drop(self, message: Message, message_id: str) -> Path:
+        """Leave a message. Its file appears as a whole, and its name puts it behind all earlier ones.
+
+        Parameters
+        ----------
+        message
+            The message.
+        message_id
+            Its id, unique among all messages.
+
+        Returns
+        -------
+        Path
+            The file; it exists until the owner has answered.
+
+        Raises
+        ------
+        StorageError
+            When it cannot be written, for example because the owner has removed the inbox.
+        """
+        path = self.folder / f"{time.time_ns():020d}-{message_id}.json"
+        write_atomic(path, message.model_dump_json().encode() + b"\n")
+        return path
+
+    def drain(self, answer: Callable[[Message | None, str], None]) -> None:
+        """Answer every message, oldest first, and remove its file. A missing folder holds no message.
+
+        Parameters
+        ----------
+        answer
+            Called with the message and the name of its file; with None for a file that is not a message. It must have
+            stored its answer when it returns.
+
+        Raises
+        ------
+        StorageError
+            When a file cannot be read or removed.
+        """
+        with storage_errors(self.folder):
+            if not self.folder.is_dir():
+                return
+            found = [p for p in self.folder.iterdir() if not is_temporary(p) and p.name not in self.ignored]
+        for path in sorted(found):
+            with storage_errors(path), suppress(FileNotFoundError):  # its sender takes it back at this moment
+                answer(self._read(path), path.name)
+                remove(path)
+
+    def _read(self, path: Path) -> Message | None:
+        """Read a message; None for anything else. A pipe is not opened: that would wait for a writer."""
+        status = path.lstat()
+        if not stat.S_ISREG(status.st_mode) or status.st_size > self.max_bytes:
+            return None
+        try:
+            return self.model.model_validate_json(path.read_bytes())
+        except ValidationError:
+            return None
+
+
+class Poller:
+    """Calls a function at regular intervals, in a thread of its own.
+
+    Parameters
+    ----------
+    look
+        The function.
+    failed
+        Called once, in the thread, with the exception that ``look`` has raised; the thread then ends.
+    name
+        Name of the thread.
+    period_s
+        Pause between two calls, s.
+    """
+
+    def __init__(
+        self, look: Callable[[], None], failed: Callable[[Exception], None], *, name: str, period_s: float
+    ) -> None:
+        self._look = look
+        self._failed = failed
+        self._period_s = period_s
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @property
+    def closed(self) -> bool:
+        """Whether ``close`` has been called."""
+        return self._closing.is_set()
+
+    def start(self) -> None:
+        """Begin to call."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Call no more; returns after a call that is under way has ended."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.wait(self._period_s):
+                self._look()
+        except Exception as error:  # noqa: BLE001 - passed on to who decides
+            self._failed(error)

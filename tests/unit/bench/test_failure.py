@@ -1,0 +1,69 @@
+"""An error keeps its kind, place and remedy, from the driver that raises it up to journal and JSON."""
+
+import inspect
+import json
+
+import pytest
+from rehearsed import Scene
+
+from bench.base.errors import BenchError, JournalBroken
+from bench.base.failure import FORESEEN, Failure
+from bench.commands.calibration_output import show_run
+from bench.records.events import Event
+from calib.errors import CalibrationError
+from drivers.errors import DriverError, MoveFailed
+from sequences.errors import SequencesError
+from simulators.errors import SimulatorError
+
+SLIPPED = {"kind": "MoveFailed", "what": "The axis slipped.", "where": "pan", "remedy": "Tighten the clamp."}
+
+
+@pytest.mark.parametrize(
+    "base",
+    [BenchError, CalibrationError, DriverError, SequencesError, SimulatorError],
+    ids=lambda e: e.__name__,
+)
+def test_errors_of_all_packages_have_one_shape(base):
+    assert list(inspect.signature(base).parameters) == ["what", "where", "remedy"]
+    error = base("It is dark.", where="the lamp", remedy="Switch it on.")
+    assert (error.what, error.where, error.remedy) == ("It is dark.", "the lamp", "Switch it on.")
+    assert str(error) == "the lamp: It is dark. Switch it on."
+    assert str(base("It is dark.")) == "It is dark."
+
+
+def test_a_failure_says_what_its_error_says():
+    error = JournalBroken("Line 3 is cut off.", where="journal.jsonl", remedy="Restore it.")
+    failure = Failure.of(error)
+    assert failure.kind == "JournalBroken"
+    assert failure.message == str(error)
+
+
+def test_an_error_that_nobody_foresaw_is_a_defect():
+    failure = Failure.of(ZeroDivisionError("division by zero"))
+    assert failure.kind == "ZeroDivisionError"
+    assert "defect" in failure.remedy
+    assert ZeroDivisionError not in FORESEEN
+
+
+def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tmp_path, capsys):
+    def hook(name):
+        if name == "stage.move_to":
+            raise MoveFailed(SLIPPED["what"], where=SLIPPED["where"], remedy=SLIPPED["remedy"])
+
+    scene = Scene(tmp_path)
+    scene.hook = hook
+    end = scene.run()
+    assert end.failure == Failure(**SLIPPED)
+    (told,) = scene.told(Event.RUN_ENDED)
+    assert told["error"] == SLIPPED
+    assert show_run(end, as_json=True) == 1
+    said = json.loads(capsys.readouterr().out)["error"]
+    assert said == {**SLIPPED, "message": "pan: The axis slipped. Tighten the clamp."}
+
+
+def test_a_run_that_was_aborted_has_no_failure(tmp_path):
+    scene = Scene(tmp_path)
+    scene.hook = lambda name: scene.clock.request_stop("enough") if name == "stage.move_to" else None
+    end = scene.run()
+    assert (end.how, end.failure) == ("aborted", None)
+    assert "error" not in scene.told(Event.RUN_ENDED)[0]
