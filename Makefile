@@ -6,6 +6,8 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && command -v $$p && break; done)
 OUTPUT ?= runs/demo
 SEED ?= 1
+# An editable install holds a copy of these files (docs/decisions/0025).
+FRONT_DOOR := $(wildcard bench/front_door/*.py)
 
 .PHONY: demo night test test-slow lint types format bench clean help
 .DEFAULT_GOAL := help
@@ -18,14 +20,14 @@ $(VENV)/made:
 	@$(PYTHON) -m venv $(VENV) || { echo "Python's venv module is missing; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@touch $@
 
-$(VENV)/installed: $(VENV)/made pyproject.toml
+$(VENV)/installed: $(VENV)/made pyproject.toml $(FRONT_DOOR)
 	@echo "Installing Starbench into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@echo "Compiling the event kernels, once ..."
 	@$(BIN)/python -m bench.warm_up
 	@touch $@
 
-$(VENV)/installed-dev: $(VENV)/made pyproject.toml
+$(VENV)/installed-dev: $(VENV)/made pyproject.toml $(FRONT_DOOR)
 	@echo "Installing Starbench and its test tools into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@# The second opinions are not built for every platform: tests say so where one is missing.

@@ -1,45 +1,76 @@
-"""`views.h5`: what was found in each pose, for whoever wants to look closer. Can be rebuilt from the captures."""
+"""`views.h5`: the stars, residuals and image of each calibrated pose; its writer and its reader.
+
+The file can be made again from the captures. docs/run-folder.md describes its layout.
+"""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.views.measure import Measurement
+from bench.base.errors import RunFolderError
+from calib.errors import InputMismatch
+from calib.view import View
+
+if TYPE_CHECKING:
+    from bench.views.measure import Measurement
+
+VIEWS = "views.h5"
+FORMAT = "starbench/views/1"
+
+_REMEDY = "Delete the file; `starbench.load` then finds the stars again in the captures."
+
+
+@dataclass(frozen=True, eq=False)
+class StoredView:
+    """One pose as `views.h5` holds it, without its image.
+
+    Attributes
+    ----------
+    view
+        The stars that were found.
+    residuals_px
+        (N, 2) float64, px, star found minus star projected by the run's calibration.
+    """
+
+    view: View
+    residuals_px: NDArray[np.float64]
 
 
 def views_file(
     measurements: Sequence[Measurement],
     residuals_px: Sequence[NDArray[np.float64]],
 ) -> bytes:
-    """Lay out views, residuals and pictures as an HDF5 file.
+    """Lay out views, residuals and images as an HDF5 file.
 
     Parameters
     ----------
     measurements
-        One a pose, each with a view and a picture.
+        One for each pose, with a view and a picture.
     residuals_px
-        For each view (N, 2): star found minus star projected, px.
+        For each view (N, 2) float64, px, star found minus star projected.
 
     Returns
     -------
     bytes
-        The file. A group a pose, in order: ``ids`` (N,), ``points_px`` (N, 2), ``target_mm`` (N, 2),
-        ``covariances_px2`` (N, 2, 2), ``residuals_px`` (N, 2), ``picture`` (H, W) uint8,
-        the event image as the report shows it.
+        The file, in the layout of docs/run-folder.md.
     """
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:
-        file.attrs["format"] = "starbench/views/1"
+        file.attrs["format"] = FORMAT
         for number, (found, residuals) in enumerate(zip(measurements, residuals_px, strict=True), 1):
             view = found.view
             assert view is not None
             assert found.picture is not None
-            group = file.create_group(f"pose-{number:03d}")
+            group = file.create_group(_group_name(number))
             group.attrs["name"] = view.name
             group.attrs["image_size"] = view.image_size
             for name in ("ids", "points_px", "target_mm", "covariances_px2"):
@@ -49,3 +80,85 @@ def views_file(
                 "picture", data=found.picture.unpacked(), compression="gzip", compression_opts=4
             )
     return memory.getvalue()
+
+
+def read_views(path: Path) -> list[StoredView]:
+    """Read the views and residuals of a `views.h5`, in the order of its groups.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    list of StoredView
+        One for each pose. The images stay in the file (`read_picture`).
+
+    Raises
+    ------
+    RunFolderError
+        If the file cannot be read, or does not have this layout.
+    """
+    with _opened(path) as file:
+        return [_stored_view(file[_group_name(number)]) for number in range(1, len(file) + 1)]
+
+
+def read_picture(path: Path, number: int) -> NDArray[np.uint8]:
+    """Read the image of one pose from a `views.h5`.
+
+    Parameters
+    ----------
+    path
+        The file.
+    number
+        Number of the group, from 1.
+
+    Returns
+    -------
+    numpy.ndarray
+        (H, W) uint8, grey values, the image as the report shows it.
+
+    Raises
+    ------
+    RunFolderError
+        If the file cannot be read, or does not have this layout.
+    """
+    with _opened(path) as file:
+        return np.asarray(file[_group_name(number)]["picture"][()], np.uint8)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """Open a `views.h5` for reading; every fault inside the block becomes a RunFolderError."""
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("format") != FORMAT:
+                raise RunFolderError(
+                    f"The file does not have the format {FORMAT}.", where=str(path), remedy=_REMEDY
+                )
+            yield file
+    except (OSError, KeyError, ValueError, TypeError, InputMismatch) as error:
+        raise RunFolderError(f"The file cannot be read: {error}.", where=str(path), remedy=_REMEDY) from error
+
+
+def _group_name(number: int) -> str:
+    return f"pose-{number:03d}"
+
+
+def _stored_view(group: h5py.Group) -> StoredView:
+    width, height = (int(side) for side in group.attrs["image_size"])
+    view = View(
+        name=str(group.attrs["name"]),
+        image_size=(width, height),
+        ids=np.asarray(group["ids"][()], np.int64),
+        points_px=np.asarray(group["points_px"][()], np.float64),
+        target_mm=np.asarray(group["target_mm"][()], np.float64),
+        covariances_px2=np.asarray(group["covariances_px2"][()], np.float64),
+    )
+    residuals_px = np.asarray(group["residuals_px"][()], np.float64)
+    if residuals_px.shape != view.points_px.shape:
+        raise InputMismatch(
+            f"{len(view)} stars, but residuals of shape {residuals_px.shape}", where=group.name
+        )
+    return StoredView(view, residuals_px)

@@ -1,0 +1,319 @@
+"""Reads a solved run into Python: camera, covariance, collimator, poses, views and results.
+
+`load` reads `results.json` and `views.h5`. If one of them is missing, it finds the stars in the captures again and
+calibrates with the options of the run. It never writes. The engine and HDF5 are imported when they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.base.errors import RunFolderError
+from bench.records.run_folder import JOURNAL, REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY
+from calib.model.camera import PINHOLE, CameraModel
+from calib.model.collimator import CENTRE, Collimator
+from calib.view import View
+
+if TYPE_CHECKING:
+    from bench.plan.job import Job
+    from bench.records.history import Attempt
+    from bench.views.views_file import StoredView
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+ReadPicture = Callable[[], Picture]
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """One calibrated pose of a run.
+
+    Attributes
+    ----------
+    index
+        Number of the pose in the sequence, from 1.
+    name
+        Name of the pose; also the name of its view.
+    rotation
+        (3, 3) float64, rotation camera <- target, as calibrated.
+    centre_mm
+        (3,) float64, mm, centre of the camera in the target's frame, as calibrated.
+    commanded_deg
+        Angle of each axis of the stage, as commanded, deg.
+    measured_deg
+        Angle of each axis as read back before the recording, deg; encoders with the ending ``_encoder``.
+    view
+        The stars that were found.
+    residuals_px
+        (N, 2) float64, px, star found minus star projected, in the order of the view.
+    read_picture
+        Reads `picture`.
+    """
+
+    index: int
+    name: str
+    rotation: Array = field(repr=False)
+    centre_mm: Array = field(repr=False)
+    commanded_deg: Mapping[str, float]
+    measured_deg: Mapping[str, float]
+    view: View = field(repr=False)
+    residuals_px: Array = field(repr=False)
+    read_picture: ReadPicture = field(repr=False)
+
+    @property
+    def picture(self) -> Picture:
+        """(H, W) uint8, grey values, the image as the report shows it; read each time it is asked for."""
+        return self.read_picture()
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A solved run.
+
+    Attributes
+    ----------
+    folder
+        The run folder.
+    results
+        The content of `results.json` (docs/results.md). A run without this file has ``calibration`` and ``poses``
+        only, calculated again from its captures.
+    camera
+        Intrinsics and distortion.
+    collimator
+        The shared centre and the aberrations; None for the planar model. Its ``reference`` is None, because
+        `results.json` does not contain it.
+    parameter_names
+        Names of the k parameters that all poses share, in the order of `covariance`.
+    covariance
+        (k, k) float64, joint covariance of these parameters, in their units (px, mm, 1).
+    poses
+        The calibrated poses, in the order of the sequence.
+    """
+
+    folder: Path
+    results: Mapping[str, Any] = field(repr=False)
+    camera: CameraModel
+    collimator: Collimator | None
+    parameter_names: tuple[str, ...] = field(repr=False)
+    covariance: Array = field(repr=False)
+    poses: tuple[Pose, ...] = field(repr=False)
+
+    @property
+    def views(self) -> list[View]:
+        """The view of each pose, as `calib.calibrate` takes them."""
+        return [pose.view for pose in self.poses]
+
+    @property
+    def residuals_px(self) -> list[Array]:
+        """For each pose (N, 2) float64, px, star found minus star projected."""
+        return [pose.residuals_px for pose in self.poses]
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard uncertainty (1 sigma) of each parameter, by name."""
+        return dict(zip(self.parameter_names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def camera_covariance(self) -> Array:
+        """(n, n) float64, covariance of the camera alone, in the order of `CameraModel.parameter_names`."""
+        at = [self.parameter_names.index(name) for name in self.camera.parameter_names]
+        return self.covariance[np.ix_(at, at)]
+
+    @property
+    def report(self) -> Path | None:
+        """Path of the report; None if the run has none."""
+        path = self.folder / REPORT
+        return path if path.is_file() else None
+
+
+def load(run_folder: str | Path) -> Run:
+    """Read a solved run. Nothing is written, and a sealed run stays sealed.
+
+    The stars come from `views.h5`. If `results.json` or `views.h5` is missing, the stars are found in the captures
+    again, and the camera is calibrated again with the options of the run. This takes some seconds for each pose.
+
+    Parameters
+    ----------
+    run_folder
+        Folder of a run that was solved, on a real or a simulated bench.
+
+    Returns
+    -------
+    Run
+        Camera, covariance, collimator, poses with their views, and results.
+
+    Raises
+    ------
+    RunFolderError
+        If the folder is not a run, the run was only rehearsed, or its files cannot be read or contradict each other.
+    BenchError
+        If results are missing and no recording was accepted.
+    ScriptError
+        If results are missing and the sequence or the station of the run cannot be read.
+    calib.errors.CalibrationError
+        If results are missing and the accepted recordings do not determine the camera.
+
+    Examples
+    --------
+    ::
+
+        import starbench
+
+        run = starbench.load("runs/demo")
+        print(run.camera, run.sigma)
+    """
+    from bench.views.views_file import VIEWS, read_picture, read_views
+
+    folder = Path(run_folder)
+    if not (folder / JOURNAL).is_file():
+        raise RunFolderError(
+            "This is not a run folder: it has no journal.", where=str(folder), remedy="Check the path."
+        )
+    stored = folder / VIEWS
+    if (folder / RESULTS).is_file() and stored.is_file():
+        views = read_views(stored)
+        pictures: list[ReadPicture] = [
+            partial(read_picture, stored, number) for number in range(1, len(views) + 1)
+        ]
+        return _run(folder, _read_results(folder), views, pictures)
+    results, views, pictures = _solve_again(folder)
+    return _run(folder, _read_results(folder) if (folder / RESULTS).is_file() else results, views, pictures)
+
+
+def _read_results(folder: Path) -> dict[str, Any]:
+    """Return the content of `results.json`; raise RunFolderError if it cannot be read."""
+    try:
+        results = json.loads((folder / RESULTS).read_bytes())
+    except (OSError, ValueError) as error:
+        raise RunFolderError(
+            f"The results cannot be read: {error}.",
+            where=str(folder / RESULTS),
+            remedy="Restore the file from a copy.",
+        ) from error
+    if not isinstance(results, dict):
+        raise RunFolderError("The results are not a JSON object.", where=str(folder / RESULTS))
+    return results
+
+
+def _run(
+    folder: Path, results: Mapping[str, Any], views: Sequence[StoredView], pictures: Sequence[ReadPicture]
+) -> Run:
+    """Put a run together; raise RunFolderError if its results and views do not belong together."""
+    try:
+        found = results["calibration"]
+        covariance = found["covariance"]
+        return Run(
+            folder,
+            results,
+            _camera(found),
+            _collimator(found["collimator"]),
+            tuple(covariance["names"]),
+            np.array(covariance["matrix"], np.float64),
+            tuple(_poses(folder, results, views, pictures)),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(
+            f"The results are incomplete: {type(error).__name__}: {error}.",
+            where=str(folder / RESULTS),
+            remedy="Another version of Starbench wrote them; load the run with that version.",
+        ) from error
+
+
+def _camera(found: Mapping[str, Any]) -> CameraModel:
+    width, height = found["image_size"]
+    values = found["camera"]
+    distortion = {name: value for name, value in values.items() if name not in PINHOLE}
+    return CameraModel(*(values[name] for name in PINHOLE), (width, height), distortion)
+
+
+def _collimator(values: Mapping[str, float] | None) -> Collimator | None:
+    if values is None:
+        return None
+    aberrations = {name: value for name, value in values.items() if name not in CENTRE}
+    return Collimator(*(values[name] for name in CENTRE), aberrations)
+
+
+def _poses(
+    folder: Path, results: Mapping[str, Any], views: Sequence[StoredView], pictures: Sequence[ReadPicture]
+) -> list[Pose]:
+    """Return the calibrated poses; raise RunFolderError if views and results name different ones."""
+    solved = results["calibration"]["views"]
+    names = [stored.view.name for stored in views]
+    if names != [view["name"] for view in solved]:
+        raise RunFolderError(
+            "The views and the results name different poses.",
+            where=str(folder),
+            remedy="Restore both files from a copy of the run.",
+        )
+    recorded = {pose["name"]: pose for pose in results["poses"] if pose["stars"]}
+    return [
+        Pose(
+            recorded[name]["index"],
+            name,
+            np.array(view["rotation"], np.float64),
+            np.array(view["centre_mm"], np.float64),
+            recorded[name]["commanded_deg"],
+            recorded[name]["measured_deg"],
+            stored.view,
+            stored.residuals_px,
+            picture,
+        )
+        for name, view, stored, picture in zip(names, solved, views, pictures, strict=True)
+    ]
+
+
+def _solve_again(folder: Path) -> tuple[dict[str, Any], list[StoredView], list[ReadPicture]]:
+    """Find the stars in the accepted recordings again, and calibrate with the options of the run."""
+    from bench.plan.job import Job, calibration_options
+    from bench.records.history import replay
+    from bench.records.journal import read_journal
+    from bench.results.offline import OfflineOptions, calibrate_paths
+    from bench.views.views_file import StoredView
+    from calib.calibration import CalibrationOptions
+    from sequences.script import SolveStep
+
+    history = replay(read_journal(folder / JOURNAL)[0])
+    if history.started.get("rehearsal"):
+        raise RunFolderError(
+            "This run was rehearsed: it has no recordings.", where=str(folder), remedy="Load a real run."
+        )
+    job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
+    solve_steps = [step for step in job.steps if isinstance(step, SolveStep)]
+    options = calibration_options(solve_steps[-1]) if solve_steps else CalibrationOptions()
+    found = calibrate_paths([folder], OfflineOptions(options=options))
+    accepted = {attempt.pose_name: attempt for _, attempt in sorted(history.accepted().items())}
+    results = {
+        "calibration": found.calibration.to_dict(),
+        "poses": [
+            {
+                "index": attempt.pose_index,
+                "name": name,
+                "commanded_deg": attempt.stored["commanded_deg"],
+                "measured_deg": attempt.stored["measured_deg"],
+                "stars": next((len(view) for view in found.views if view.name == name), 0),
+            }
+            for name, attempt in accepted.items()
+        ],
+    }
+    views = [StoredView(v, r) for v, r in zip(found.views, found.calibration.residuals_px, strict=True)]
+    return results, views, [partial(_picture_again, job, folder, accepted[v.name]) for v in found.views]
+
+
+def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:
+    """Make the image of an accepted recording again; raise RunFolderError if this is not possible."""
+    from bench.views.expected_grid import as_before
+
+    step = job.record_step(attempt.pose_index)
+    path = folder / str(attempt.stored["capture"])
+    found = job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, as_before(attempt))
+    if found.picture is None:
+        raise RunFolderError(f"No image can be made of it: {found.fault}", where=str(path))
+    return found.picture.unpacked()
