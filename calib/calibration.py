@@ -70,14 +70,16 @@ class CalibrationOptions:
             ("loss", self.loss, get_args(LossName)),
         ):
             if value not in known:
-                raise InputMismatch(f"Unknown {what} {value!r}.", remedy=f"Known are: {', '.join(known)}.")
+                raise InputMismatch(f"Unknown {what} {value!r}.", remedy=f"Known: {', '.join(known)}.")
         object.__setattr__(self, "distortion", distortion_names(self.distortion))
         if self.huber_px is not None and not self.huber_px > 0:
             raise InputMismatch(f"huber_px is {self.huber_px}; it must be positive.")
         if self.max_iterations < 1:
             raise InputMismatch(f"max_iterations is {self.max_iterations}; it must be at least 1.")
         if not 0 < self.guard_band <= 1:
-            raise InputMismatch(f"guard_band is {self.guard_band}; it is a share of the disc, above 0 to 1.")
+            raise InputMismatch(
+                f"guard_band is {self.guard_band}; it must be above 0 and at most 1 (share of the disc's radius)."
+            )
         if not self.drift_mm > 0:
             raise InputMismatch(f"drift_mm is {self.drift_mm}; it must be positive.")
 
@@ -232,7 +234,7 @@ class Calibration:
         """
         if self.collimator is None:
             raise InputMismatch(
-                "The planar model knows no collimator.", remedy="Calibrate with another model."
+                "The planar model has no collimator parameters.", remedy="Calibrate with another model."
             )
         at = [self.parameter_names.index(name) for name in self.collimator.parameter_names]
         return Passport(

@@ -58,13 +58,15 @@ def _check(views: Sequence[View], fewest: int) -> None:
     """Refuse views that cannot belong together, or are too few."""
     if len(views) < fewest:
         raise DegenerateViews(
-            f"{len(views)} view{'s' if len(views) != 1 else ''}; at least {fewest} needed.",
+            f"{len(views)} view{'s' if len(views) != 1 else ''} given; at least {fewest} needed.",
             remedy="Record the target from more angles.",
         )
     sizes = sorted({view.image_size for view in views})
     if len(sizes) > 1:
         shown = ", ".join(f"{width} x {height}" for width, height in sizes)
-        raise InputMismatch(f"Views of different image sizes: {shown}.", remedy="One camera at a time.")
+        raise InputMismatch(
+            f"Views of different image sizes: {shown}.", remedy="Calibrate one camera at a time."
+        )
     name, times = Counter(view.name for view in views).most_common(1)[0]
     if times > 1:
         raise InputMismatch(f"{times} views are named {name!r}.", remedy="Give each view its own name.")

@@ -242,7 +242,7 @@ def _uncertainty(
     require_constrained(parameters, bundle.names, known.covariance, why)
     if not refined.converged:
         raise NotConverged(
-            f"No optimum after {refined.iterations} steps. {why}".strip(),
+            f"The adjustment did not converge within {refined.iterations} steps. {why}".strip(),
             remedy="Add views from other angles, or estimate fewer distortion coefficients.",
         )
     left_out = None
@@ -252,7 +252,9 @@ def _uncertainty(
         found = partial(variance_components, bundle, parameters, loss)
         return inflate(known, bundle, parameters, loss, found), left_out
     known = propagate_passport(bundle, parameters, known, options.passport)
-    require_constrained(parameters, known.names, known.covariance, "The passport knows no better.")
+    require_constrained(
+        parameters, known.names, known.covariance, "The passport does not constrain it either."
+    )
     return known, left_out
 
 
@@ -304,17 +306,17 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
     notes = [*_weakness(fitted), *_rims_out_of_sight(fitted)]
     if not fitted.uncertainty.inconsistent:
         return tuple(notes)
-    ratio = f"{fitted.uncertainty.birge_ratio:.1f} times more than their stars' noise explains"
     notes.append(
-        f"The views disagree {ratio}; the uncertainties say so. A {fitted.model} collimator is not all."
+        f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains; uncertainties are "
+        f"enlarged accordingly. The {fitted.model} model is probably incomplete."
     )
     if fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:
         drift = centre_drift(fitted.bundle, fitted.parameters, fitted.loss)
         if np.linalg.norm(drift) > WORRYING:
             shares = " / ".join(f"{100 * share:.2f}" for share in drift)
             notes.append(
-                f"The centre wanders by {shares} % of r along x / y / z from view to view: the spherical model "
-                "is biased. Let the data choose a model, or use a passport with the collimator's imperfections."
+                f"The centre moves by {shares} % of r (rms along x / y / z) from view to view, so the spherical "
+                "model is biased. Use the model auto, or a passport that contains the collimator's aberrations."
             )
     return tuple(notes)
 
@@ -331,7 +333,7 @@ def _weakness(fitted: Fit) -> list[str]:
     if known[name] < _WEAK:
         return []
     why = explain_weak_geometry(fitted.views, fitted.parameters)
-    text = f"Weak geometry: {name} is known to {100 * known[name]:.1f} % only (1 sigma). {why}".strip()
+    text = f"Weak geometry: {name} is known only to {100 * known[name]:.1f} % (1 sigma). {why}".strip()
     return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
 
 
@@ -343,7 +345,7 @@ def _rims_out_of_sight(fitted: Fit) -> list[str]:
     if not names:
         return []
     return [
-        f"The beam's rim is out of sight in {', '.join(names)}: the discs of the other views helped there."
+        f"The rim of the beam is out of view in {', '.join(names)}; the discs of the other views helped to locate it."
     ]
 
 

@@ -110,16 +110,18 @@ def _reason(place: int, candidates: Sequence[Candidate], *, few: bool) -> str:
     chosen = candidates[place]
     others = [one for i, one in enumerate(candidates) if i != place]
     if few:
-        text = f"The {chosen.model} model was chosen by its information criterion ({chosen.bic:.0f})"
+        text = f"The {chosen.model} model was chosen by the Bayesian information criterion ({chosen.bic:.0f})"
         rivals = [candidates[i] for i in _judged_by_criterion(candidates) if i != place]
         second = min(rivals, key=lambda one: one.bic, default=None)
-        return f"{text}; next is the {second.model} model ({second.bic:.0f})." if second else f"{text}."
+        return (
+            f"{text}; the next best is the {second.model} model ({second.bic:.0f})." if second else f"{text}."
+        )
     text = (
-        f"The {chosen.model} model was chosen: it predicts a view left out to {_predicted(chosen):.3f} px rms"
+        f"The {chosen.model} model was chosen: it predicts left-out views to {_predicted(chosen):.3f} px rms"
     )
     second = min(others, key=_predicted, default=None)
     return (
-        f"{text}; next is the {second.model} model with {_predicted(second):.3f} px."
+        f"{text}; the next best is the {second.model} model ({_predicted(second):.3f} px rms)."
         if second
         else f"{text}."
     )

@@ -58,7 +58,7 @@ def require_constrained(
         if name in sigmas and not sigmas[name] <= MAX_FOCAL_SIGMA * value:
             share = 100.0 * sigmas[name] / value
             raise DegenerateViews(
-                f"These views leave {name} uncertain by {share:.0f} %. {why}".strip(),
+                f"These views determine {name} only to {share:.0f} % (1 sigma). {why}".strip(),
                 remedy="Add views turned about other axes, with the stars elsewhere in the image.",
             )
 
@@ -75,8 +75,8 @@ def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
     unknown = any(not np.isfinite(disc.sigma_mm) for disc in discs)
     if unknown or len(hidden) > (1.0 - _SHOWING_RIM) * len(views):
         raise DegenerateViews(
-            f"The rim of the beam is out of sight in {len(hidden)} of {len(views)} views, so the place in the pupil"
-            " is unknown.",
+            f"The rim of the beam is out of view in {len(hidden)} of {len(views)} views, so the camera's position"
+            " in the pupil is unknown.",
             where=f"view {hidden[0]}",
             remedy="Use the spherical or the drift model, or record views that show the rim on both sides.",
         )
@@ -92,7 +92,7 @@ def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameter
         return "All views are turned about one axis."
     beam = beam_half_angle_deg(parameters, views)
     if beam < _NARROW_DEG:
-        return f"The stars span no more than +-{beam:.1f} degrees: too narrow a beam."
+        return f"The stars span only +-{beam:.1f} degrees: the beam is too narrow."
     return ""
 
 

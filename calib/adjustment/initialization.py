@@ -108,8 +108,8 @@ def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> Adjust
     final = _raced(thinned, [one.parameters for one in heat[:_FINALISTS]], _FINAL_STEPS)
     if not final or not _is_camera(final[0]):
         raise DegenerateViews(
-            "No camera explains these views.",
-            remedy="Check that the stars' ids belong to this target, and add views that look at it aslant.",
+            "No camera fits these views.",
+            remedy="Check that the star ids belong to this target, and add views that see it at an angle.",
         )
     return final[0].parameters
 

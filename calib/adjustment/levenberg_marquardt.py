@@ -47,7 +47,7 @@ class Loss:
 
     def __post_init__(self) -> None:
         if self.name not in ("l2", "huber", "cauchy"):
-            raise InputMismatch(f"Unknown loss {self.name!r}.", remedy="Known are: l2, huber, cauchy.")
+            raise InputMismatch(f"Unknown loss {self.name!r}.", remedy="Known: l2, huber, cauchy.")
 
     def cost(self, lengths: Array) -> float:
         """Return the sum of rho(e)."""

@@ -57,7 +57,8 @@ class Observations:
             whitening = np.linalg.inv(np.linalg.cholesky(covariances))
         except np.linalg.LinAlgError:
             raise InputMismatch(
-                "A star's covariance is not positive definite.", remedy="Give unit covariances if unknown."
+                "A star's covariance is not positive definite.",
+                remedy="Use unit covariances if they are unknown.",
             ) from None
         return cls(
             np.column_stack([target, np.zeros(len(target))]),

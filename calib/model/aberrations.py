@@ -1,22 +1,23 @@
-"""How real collimators depart from the spherical model: each departure a displacement of the target's points.
+"""Aberrations of real collimators: each displaces the points of the target.
 
-Knows third-order aberration theory, and where in the pupil a view's camera stands (the centre of its visible
-disc). With h a point's field and b the disc's centre, both in units of r about the reference centre, g = h - b, and
-rho the point's distance from the disc's centre in units of its radius, a unit coefficient displaces the point by r
-times:
+The terms are those of third-order aberration theory (Born and Wolf, Principles of Optics, chapter 5), with the camera's
+position in the pupil given by the centre of the view's visible disc. Let h be the field of a point and b the centre of
+the disc, both from the reference centre in units of r; let g = h - b; let rho be the distance of the point from the
+centre of the disc in units of its radius. A unit coefficient displaces the point by r times:
 
-=================  ==================  ==========================================================================
-``pupil_shift``    b                   reticle out of focus: the centre moves with the camera's place in the pupil
-``radial``         |h|^2 h             the collimator's distortion, or a bowed reticle
+=================  ==================  ===========================================================================
+``pupil_shift``    b                   reticle out of focus: the centre moves with the camera's position in the pupil
+``radial``         |h|^2 h             distortion of the collimator, or a bowed reticle
 ``field_curve``    |h|^2 b             focus varies over the field
 ``tilt_x, _y``     h_x b, h_y b        reticle tilted: focus varies across it
-``coma``           (h . b) b           magnification differs over the pupil, along b
-``coma_round``     |b|^2 h             the same, in all directions
+``coma``           (h . b) b           magnification varies over the pupil, along b
+``coma_round``     |b|^2 h             magnification varies over the pupil, in all directions
 ``astigmatism``    (h . b) h           focus differs along and across the field
-``rim_4, rim_10``  rho^4 g, rho^10 g   the camera's pupil only partly filled by the beam's rim
-=================  ==================  ==========================================================================
+``rim_4, rim_10``  rho^4 g, rho^10 g   the rim of the beam fills the camera's pupil only partly
+=================  ==================  ===========================================================================
 
-All are linear in their coefficients, and the reference is held, so they enter the refinement as constant arrays.
+All displacements are linear in the coefficients, and the reference is fixed, so they enter the adjustment as constant
+arrays.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from calib.model.prior import Prior
 
 Array = NDArray[np.float64]
 
-#: Each coefficient and its size in real collimators: the 1-sigma, about zero, of what is assumed beforehand. So weak
-#: that twenty views overrule it, strong enough that three do not follow their noise.
+#: Prior 1-sigma about zero of each coefficient: its typical size in real collimators. Twenty views overrule it; with
+#: three views it prevents that coefficients follow the noise.
 EXPECTED_SIGMA: Mapping[str, float] = {
     "pupil_shift": 0.2,
     "radial": 0.05,
@@ -48,7 +49,7 @@ EXPECTED_SIGMA: Mapping[str, float] = {
 }
 _RIM = ("pupil_shift", "radial", "rim_4", "rim_10")
 _FIELD = (*_RIM, "field_curve", "tilt_x", "tilt_y")
-#: The ladder of models of a collimator; each rung adds to the one before it.
+#: The ladder of collimator models: each model has all aberrations of the model before it.
 LADDER: Mapping[str, tuple[str, ...]] = {
     "spherical": (),
     "pupil": ("pupil_shift",),
@@ -59,12 +60,34 @@ LADDER: Mapping[str, tuple[str, ...]] = {
 
 
 def model_with_terms(terms: Sequence[str]) -> str:
-    """Return the lowest rung of the ladder that has all the terms; the highest, if none has."""
+    """Return the simplest model of the ladder that has all given terms.
+
+    Parameters
+    ----------
+    terms
+        Names of aberrations.
+
+    Returns
+    -------
+    str
+        Name of the model in `LADDER`; the richest model if none has all terms.
+    """
     return next((name for name, own in LADDER.items() if set(terms) <= set(own)), list(LADDER)[-1])
 
 
 def aberration_prior(terms: Sequence[str]) -> Prior | None:
-    """Return what is assumed of coefficients beforehand; None when there are none."""
+    """Return the prior of aberration coefficients: zero mean and the sigmas of `EXPECTED_SIGMA`.
+
+    Parameters
+    ----------
+    terms
+        Names of aberrations.
+
+    Returns
+    -------
+    Prior or None
+        None if there are no terms.
+    """
     if not terms:
         return None
     information = np.diag([EXPECTED_SIGMA[name] ** -2 for name in terms])
@@ -74,23 +97,28 @@ def aberration_prior(terms: Sequence[str]) -> Prior | None:
 def displacements(
     target_mm: Array, disc: Disc, reference: tuple[float, float, float], terms: Sequence[str]
 ) -> Array:
-    """Return (N, 2, T) displacement of each star by a unit of each term's coefficient, mm.
+    """Return the displacement of each star by a unit of each coefficient.
 
     Parameters
     ----------
     target_mm
-        (N, 2) the view's stars on the target.
+        (N, 2) positions of the view's stars on the target, mm.
     disc
         The view's visible disc.
     reference
-        Centre x, y, r, mm, about which the terms are expressed.
+        Centre (x, y, r), mm, about which the terms are expressed.
     terms
-        Names out of `EXPECTED_SIGMA`.
+        T names from `EXPECTED_SIGMA`.
+
+    Returns
+    -------
+    Array
+        (N, 2, T) displacements, mm.
 
     Raises
     ------
     InputMismatch
-        When a term is unknown.
+        If a term is unknown.
     """
     x, y, r = reference
     h = (target_mm - [x, y]) / r
@@ -113,7 +141,7 @@ def displacements(
     unknown = [name for name in terms if name not in shapes]
     if unknown:
         raise InputMismatch(
-            f"Unknown imperfection {unknown[0]!r}.", remedy=f"Known are: {', '.join(EXPECTED_SIGMA)}."
+            f"Unknown aberration {unknown[0]!r}.", remedy=f"Known: {', '.join(EXPECTED_SIGMA)}."
         )
     if not terms:
         return np.zeros((len(h), 2, 0))

@@ -1,8 +1,8 @@
-"""The visible disc: which part of the target a view's beam lights, found from the stars that are there.
+"""The visible disc: the part of the target that the beam of a view lights, fitted to the stars present and absent.
 
-Knows which stars a view has and lacks. The disc's centre tells where in the collimator's pupil the camera stands:
-its aperture, seen from there, cuts the beam. A star absent inside the frame counts as much as one present. Where a
-view's own stars do not tell, those of the others do: the discs of one bench resemble each other.
+The centre of the disc shows the camera's position in the pupil of the collimator, because the aperture cuts the beam.
+A star that is absent inside the frame counts as much as a star that is present. If the stars of a view do not show the
+rim of the disc, the discs of the other views help: the discs of one bench are similar.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: A star may be missed, or seen beyond the rim, for reasons of its own this often.
-_ODD = 0.01
-#: Softness of the rim in pitches, coarse to fine.
+#: Probability that a star is missed inside the disc, or seen outside it.
+_OUTLIER_PROBABILITY = 0.01
+#: Width of the logistic rim in grid pitches, coarse to fine.
 _SOFTNESS = (1.0, 0.25)
-#: A disc's centre known to this share of its radius tells the place in the pupil; else the rim is out of sight.
-_SEEN_SIGMA = 0.06
-#: How much the discs of one bench differ, as shares of the radius: their centres, per axis, and their radii. On the
-#: published recordings 0.17 and 0.06.
-_ALIKE = np.array([0.2, 0.2, 0.1])
-#: Stars this far from the nodes, in pitches, stand on no grid.
+#: The rim counts as visible if the 1-sigma of the disc's centre is at most this share of its radius.
+_VISIBLE_RIM_SIGMA = 0.06
+#: 1-sigma differences between the discs of one bench, as shares of the radius: centre x, centre y, radius. On the
+#: published recordings they are 0.17, 0.17 and 0.06.
+_BENCH_SCATTER = np.array([0.2, 0.2, 0.1])
+#: Stars farther than this from the grid nodes, in pitches, are not on a grid.
 _OFF_GRID = 0.1
-#: Stars so near the frame's border, in pitches, are absent for that reason.
+#: A star closer than this to the frame's border, in pitches, may be missing for that reason.
 _BORDER_PITCHES = 1.0
 
 
@@ -41,13 +41,13 @@ class Disc:
     Attributes
     ----------
     centre_mm
-        (2,) its centre.
+        (2,) float64 centre, mm.
     radius_mm
-        Its radius.
+        Radius, mm.
     sigma_mm
-        1-sigma of the centre, the worse axis; infinite where the rim is out of sight.
-    borrowed
-        Whether the rim is out of sight and other views' discs helped.
+        1-sigma of the centre along the worse axis, mm; infinite if the rim is out of view.
+    uses_other_views
+        Whether the rim is out of view and the discs of other views helped.
     """
 
     centre_mm: Array
@@ -58,15 +58,24 @@ class Disc:
     @property
     def rim_visible(self) -> bool:
         """Whether the view's own stars show where the disc lies."""
-        return not self.uses_other_views and self.sigma_mm <= _SEEN_SIGMA * self.radius_mm
+        return not self.uses_other_views and self.sigma_mm <= _VISIBLE_RIM_SIGMA * self.radius_mm
 
 
 def visible_discs(views: Sequence[View]) -> list[Disc]:
-    """Fit each view's disc; where its rim is out of sight, with the help of the discs of views that show theirs.
+    """Fit the disc of each view; the discs of views that show their rim help where a rim is out of view.
 
-    Those have a mean centre and a mean radius, about which the others are expected to scatter by 0.2 and 0.1 of the
-    radius (a Gaussian); what is visible of a rim moves a disc away from there. Where no view shows its rim, or stars
-    stand on no grid, sigmas stay as they are.
+    The visible discs give a mean centre and a mean radius. The other discs are expected to scatter about them by 0.2
+    (centre) and 0.1 (radius) of the radius, as a Gaussian prior. If no view shows its rim, no disc gets help.
+
+    Parameters
+    ----------
+    views
+        Views of one bench.
+
+    Returns
+    -------
+    list of Disc
+        One disc for each view, in their order.
 
     Raises
     ------
@@ -78,24 +87,30 @@ def visible_discs(views: Sequence[View]) -> list[Disc]:
     if not len(seen):
         return discs
     middle = seen.mean(axis=0)
-    alike = middle, _ALIKE * middle[2]
+    expected = middle, _BENCH_SCATTER * middle[2]
     return [
-        disc if disc.rim_visible else replace(visible_disc(view, alike), uses_other_views=True)
+        disc if disc.rim_visible else replace(visible_disc(view, expected), uses_other_views=True)
         for view, disc in zip(views, discs, strict=True)
     ]
 
 
-def visible_disc(view: View, alike: tuple[Array, Array] | None = None) -> Disc:
-    """Fit the disc that best parts the stars present from those absent (a logistic model of the rim).
+def visible_disc(view: View, expected: tuple[Array, Array] | None = None) -> Disc:
+    """Fit the disc that best separates the stars present from those absent, by maximum likelihood.
 
-    Stars that stand on no grid tell nothing of those absent: then the centre's sigma is infinite.
+    The probability that a star is visible is a logistic function of its distance from the rim. If the stars are not on
+    a grid, absent stars are unknown; the centre's sigma is then infinite.
 
     Parameters
     ----------
     view
         Stars of one pose.
-    alike
-        (3,) centre and radius, mm, expected beforehand, and (3,) their 1-sigma; None: nothing is.
+    expected
+        (3,) expected centre and radius, mm, and (3,) their 1-sigma, mm; None if nothing is known beforehand.
+
+    Returns
+    -------
+    Disc
+        The fitted disc. Its sigma is that of the Fisher information.
 
     Raises
     ------
@@ -108,18 +123,24 @@ def visible_disc(view: View, alike: tuple[Array, Array] | None = None) -> Disc:
     if pitch is None:
         return Disc(middle, reach, float("inf"))
     nodes, present = _nodes(view, h, pitch)
-    best = np.array([*middle, reach]) if alike is None else alike[0]
+    best = np.array([*middle, reach]) if expected is None else expected[0]
     for softness in _SOFTNESS:
         starts = [best * [1.0, 1.0, scale] for scale in (0.9, 1.0, 1.1)]
         fits = [
-            minimize(_misfit, start, (nodes, present, softness * pitch, alike), method="BFGS", jac=True)
+            minimize(
+                _negative_log_likelihood,
+                start,
+                (nodes, present, softness * pitch, expected),
+                method="BFGS",
+                jac=True,
+            )
             for start in starts
         ]
         best = min(fits, key=lambda f: f.fun).x
     x, y, radius = (float(v) for v in best)
     information = _information(best, nodes, _SOFTNESS[-1] * pitch)
-    if alike is not None:
-        information += np.diag(alike[1] ** -2)
+    if expected is not None:
+        information += np.diag(expected[1] ** -2)
     eigenvalues, vectors = np.linalg.eigh(information)
     sigma = np.inf
     if eigenvalues[0] > 1e-6 * eigenvalues[-1]:
@@ -128,7 +149,22 @@ def visible_disc(view: View, alike: tuple[Array, Array] | None = None) -> Disc:
 
 
 def without_guard_band(view: View, disc: Disc, share: float) -> View:
-    """Return the view's stars within a share of the disc's radius: the guard band taken off."""
+    """Return the view without the stars of the guard band, the outer part of the disc.
+
+    Parameters
+    ----------
+    view
+        Stars of one pose.
+    disc
+        The view's visible disc.
+    share
+        Stars within this share of the disc's radius are kept.
+
+    Returns
+    -------
+    View
+        The view with the inner stars only; the same view if the share is 1 or more.
+    """
     if share >= 1.0:
         return view
     kept = inside_guard_band(view, disc, share)
@@ -143,13 +179,28 @@ def without_guard_band(view: View, disc: Disc, share: float) -> View:
 
 
 def inside_guard_band(view: View, disc: Disc, share: float) -> NDArray[np.bool_]:
-    """Tell, star by star, which lie within a share of the disc's radius; all do within a share of 1."""
+    """Tell which stars lie inside the guard band, that is, within a share of the disc's radius.
+
+    Parameters
+    ----------
+    view
+        Stars of one pose.
+    disc
+        The view's visible disc.
+    share
+        Share of the disc's radius; with 1 or more, all stars are inside.
+
+    Returns
+    -------
+    NDArray of bool
+        (N,) bool, True for each star inside.
+    """
     away = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
     return np.asarray((away <= share * disc.radius_mm) | (share >= 1.0))
 
 
 def _pitch(view: View) -> float | None:
-    """Return the pitch of the grid that the stars stand on, mm; None when they stand on none."""
+    """Return the pitch of the grid of stars, mm; None if the stars are not on a grid."""
     stars = view.target_mm
     steps = np.concatenate([np.diff(np.unique(np.round(along, 6))) for along in stars.T])
     pitch = float(np.min(steps[steps > 1e-3 * np.ptp(stars)]))
@@ -158,7 +209,7 @@ def _pitch(view: View) -> float | None:
 
 
 def _nodes(view: View, h: Array, pitch: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the grid's nodes that lie in the frame, and which of them carry a star found."""
+    """Return the grid nodes in the frame, (M, 2) mm, and which of them have a star, (M,) bool."""
     stars = view.target_mm
     first, last = stars.min(axis=0) - 6 * pitch, stars.max(axis=0) + 6.5 * pitch
     columns, rows = (np.arange(a, b, pitch) for a, b in zip(first, last, strict=True))
@@ -174,28 +225,39 @@ def _nodes(view: View, h: Array, pitch: float) -> tuple[Array, NDArray[np.bool_]
     return nodes[used], present[used]
 
 
-def _misfit(
+def _negative_log_likelihood(
     disc: Array,
     nodes: Array,
     present: NDArray[np.bool_],
     softness: float,
-    alike: tuple[Array, Array] | None,
+    expected: tuple[Array, Array] | None,
 ) -> tuple[float, Array]:
-    """Return minus the log likelihood of presence and absence, and of what was expected; and its gradient."""
+    """Return the negative log likelihood of presence, absence and the expected disc, and its (3,) gradient."""
     away = nodes - disc[:2]
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
     inside = 1.0 / (1.0 + np.exp(-np.clip((disc[2] - distance) / softness, -40.0, 40.0)))
-    likely = np.where(present, _ODD + (1.0 - 2.0 * _ODD) * inside, 1.0 - _ODD - (1.0 - 2.0 * _ODD) * inside)
-    slope = np.where(present, -1.0, 1.0) * (1.0 - 2.0 * _ODD) * inside * (1.0 - inside) / likely / softness
+    likelihood = np.where(
+        present,
+        _OUTLIER_PROBABILITY + (1.0 - 2.0 * _OUTLIER_PROBABILITY) * inside,
+        1.0 - _OUTLIER_PROBABILITY - (1.0 - 2.0 * _OUTLIER_PROBABILITY) * inside,
+    )
+    slope = (
+        np.where(present, -1.0, 1.0)
+        * (1.0 - 2.0 * _OUTLIER_PROBABILITY)
+        * inside
+        * (1.0 - inside)
+        / likelihood
+        / softness
+    )
     gradient = np.array([*(slope[:, None] * away / distance[:, None]).sum(axis=0), slope.sum()])
-    if alike is None:
-        return float(-np.log(likely).sum()), gradient
-    off = (disc - alike[0]) / alike[1]
-    return float(-np.log(likely).sum() + 0.5 * off @ off), gradient + off / alike[1]
+    if expected is None:
+        return float(-np.log(likelihood).sum()), gradient
+    off = (disc - expected[0]) / expected[1]
+    return float(-np.log(likelihood).sum() + 0.5 * off @ off), gradient + off / expected[1]
 
 
 def _information(disc: Array, nodes: Array, softness: float) -> Array:
-    """Return the Fisher information of centre and radius."""
+    """Return the (3, 3) Fisher information of centre and radius, 1 / mm^2."""
     away = nodes - disc[:2]
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
     inside = 1.0 / (1.0 + np.exp(-np.clip((disc[2] - distance) / softness, -40.0, 40.0)))

@@ -1,7 +1,7 @@
 """The camera: pinhole projection, lens distortion, and their derivatives.
 
-Knows one camera and points in its frame; no target, no collimator, no view. Image coordinates as OpenCV has
-them: x right, y down, pixel centres at integers.
+Image coordinates are OpenCV's: x right, y down, pixel centres at integers. This module depends on the lens only, not on
+targets, collimators or views.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["BROWN", "DISTORTION_SETS", "FISHEYE", "PINHOLE", "CameraModel", "dis
 Array = NDArray[np.float64]
 
 PINHOLE = ("fx", "fy", "cx", "cy")
-#: Sets of coefficients by the names the command line takes.
+#: Sets of distortion coefficients, by the names that the command line accepts.
 DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
     "none": (),
     "k1": ("k1",),
@@ -36,10 +36,20 @@ DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
 def distortion_names(chosen: str | Sequence[str]) -> tuple[str, ...]:
     """Return the coefficients of a named set, or check a sequence of coefficients.
 
+    Parameters
+    ----------
+    chosen
+        Name of a set in `DISTORTION_SETS`, or names of coefficients of one lens family.
+
+    Returns
+    -------
+    tuple of str
+        Names of the coefficients, in the order of their family.
+
     Raises
     ------
     InputMismatch
-        When the set or a coefficient is unknown.
+        If the set is unknown, or no lens family has all the coefficients.
 
     Examples
     --------
@@ -49,19 +59,19 @@ def distortion_names(chosen: str | Sequence[str]) -> tuple[str, ...]:
     if isinstance(chosen, str):
         if chosen not in DISTORTION_SETS:
             known = ", ".join(DISTORTION_SETS)
-            raise InputMismatch(f"Unknown distortion {chosen!r}.", remedy=f"Known are: {known}.")
+            raise InputMismatch(f"Unknown distortion {chosen!r}.", remedy=f"Known: {known}.")
         return DISTORTION_SETS[chosen]
     families = (BROWN, FISHEYE)
     for family in families:
         if set(chosen) <= set(family):
             return tuple(name for name in family if name in chosen)
     known = " or ".join(" ".join(family) for family in families)
-    raise InputMismatch(f"No lens has the coefficients {' '.join(chosen)}.", remedy=f"Known are: {known}.")
+    raise InputMismatch(f"No lens model has the coefficients {' '.join(chosen)}.", remedy=f"Known: {known}.")
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A camera: pinhole projection and the distortion of its lens (`calib.model.lens`).
+    """A camera: pinhole projection and lens distortion (`calib.model.lens`).
 
     Parameters
     ----------
@@ -72,7 +82,8 @@ class CameraModel:
     image_size
         Width and height, px.
     distortion
-        Coefficients by name; those not named are zero. A camera is calibrated in the named ones.
+        Distortion coefficients by name, dimensionless. Coefficients that are not named are zero. The named ones are
+        estimated in a calibration.
     """
 
     fx: float
@@ -84,27 +95,27 @@ class CameraModel:
 
     @property
     def matrix(self) -> Array:
-        """(3, 3) matrix K."""
+        """(3, 3) float64 camera matrix K, px."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters, as `values` orders them."""
+        """Names of the parameters, in the order of `values`."""
         return (*PINHOLE, *self.distortion)
 
     @property
     def values(self) -> Array:
-        """(4 + number of coefficients,) values of the parameters."""
+        """(4 + K,) float64 values of the parameters: fx, fy, cx, cy in px, then K distortion coefficients."""
         return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion.values()])
 
     @property
     def coefficients(self) -> Array:
-        """(8,) all of Brown's coefficients in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6.
+        """(8,) float64 coefficients of Brown's model in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6.
 
         Raises
         ------
         InputMismatch
-            For a fisheye lens, which has none of them.
+            If the lens is a fisheye lens, which has none of them.
         """
         if is_fisheye(self.distortion):
             raise InputMismatch("A fisheye lens has no coefficients k1 to k6, p1, p2.")
@@ -112,50 +123,69 @@ class CameraModel:
 
     @property
     def is_fisheye(self) -> bool:
-        """Whether the lens is described by its angle's polynomial."""
+        """Whether the lens follows the fisheye model (Kannala and Brandt)."""
         return is_fisheye(self.distortion)
 
     @property
     def fisheye_coefficients(self) -> Array:
-        """(4,) coefficients of the angle's polynomial, as OpenCV's fisheye functions take them.
+        """(4,) float64 coefficients of the fisheye model, in the order of OpenCV's fisheye functions.
 
         Raises
         ------
         InputMismatch
-            For a lens of Brown's model, which has none of them.
+            If the lens follows Brown's model, which has none of them.
         """
         if not is_fisheye(self.distortion):
             raise InputMismatch("A lens of Brown's model has no coefficients kb1 to kb4.")
         return np.array([self.distortion.get(name, 0.0) for name in FISHEYE])
 
     def with_values(self, values: Array) -> CameraModel:
-        """Return the same model with other values, in the order of `parameter_names`."""
+        """Return the same model with other parameter values.
+
+        Parameters
+        ----------
+        values
+            (4 + K,) values in the order of `parameter_names`; px for the first four.
+
+        Returns
+        -------
+        CameraModel
+            Camera with these values, the same image size and the same coefficient names.
+        """
         fx, fy, cx, cy, *coefficients = (float(v) for v in values)
         distortion = dict(zip(self.distortion, coefficients, strict=True))
         return CameraModel(fx, fy, cx, cy, self.image_size, distortion)
 
     def project(self, points: Array) -> Array:
-        """Return the image points, (N, 2) px, of points (N, 3) of the camera frame.
+        """Project points to the image.
 
-        A ray that does not point forward (Z > 0) has no image: NaN.
+        Parameters
+        ----------
+        points
+            (N, 3) points in the camera frame, any length unit.
+
+        Returns
+        -------
+        Array
+            (N, 2) image points, px. NaN for points that are not in front of the camera (Z <= 0).
         """
         forward = np.where(points[:, 2:] > 0, points, np.nan)
         distorted = distort(forward[:, :2] / forward[:, 2:], self.distortion)
         return np.asarray(distorted * [self.fx, self.fy] + [self.cx, self.cy])
 
     def project_with_jacobians(self, points: Array) -> tuple[Array, Array, Array]:
-        """Return image points and their derivatives.
+        """Project points to the image and return the derivatives.
 
         Parameters
         ----------
         points
-            (N, 3) points of the camera frame, Z > 0.
+            (N, 3) points in the camera frame with Z > 0, any length unit.
 
         Returns
         -------
-        tuple
-            (N, 2) image points, px; (N, 2, 3) derivative by the points; (N, 2, k) derivative by the
-            parameters in the order of `parameter_names`.
+        tuple of Array
+            (N, 2) image points, px; (N, 2, 3) derivatives by the points, px per length unit; (N, 2, 4 + K) derivatives
+            by the parameters in the order of `parameter_names`.
         """
         inverse_z = 1.0 / points[:, 2]
         normalised = points[:, :2] * inverse_z[:, None]
@@ -174,22 +204,32 @@ class CameraModel:
         return pixels, by_points, by_parameters
 
     def rays(self, points_px: Array) -> Array:
-        """Return the unit rays, (N, 3), seen at image points (N, 2) px; the inverse of `project`.
+        """Return the unit rays that are seen at image points: the inverse of `project`.
 
-        Newton's method on the distortion; NaN where the distortion cannot be inverted (beyond the radius at
-        which it folds back).
+        The distortion is inverted by Newton's method.
+
+        Parameters
+        ----------
+        points_px
+            (N, 2) image points, px.
+
+        Returns
+        -------
+        Array
+            (N, 3) unit vectors in the camera frame. NaN where the distortion cannot be inverted (beyond the radius at
+            which it folds back).
         """
         wanted = (np.asarray(points_px, float) - [self.cx, self.cy]) / [self.fx, self.fy]
         normalised = wanted.copy()
         for _ in range(30):
             distorted, slope, _ = distort_with_jacobians(normalised, self.distortion)
             determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
-            # Where the determinant is not positive, the distortion has folded back.
-            miss = (wanted - distorted) / np.where(determinant > 0, determinant, np.nan)[:, None]
+            # The distortion has folded back if the determinant is not positive.
+            error = (wanted - distorted) / np.where(determinant > 0, determinant, np.nan)[:, None]
             step = np.column_stack(
                 [
-                    slope[:, 1, 1] * miss[:, 0] - slope[:, 0, 1] * miss[:, 1],
-                    slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0],
+                    slope[:, 1, 1] * error[:, 0] - slope[:, 0, 1] * error[:, 1],
+                    slope[:, 0, 0] * error[:, 1] - slope[:, 1, 0] * error[:, 0],
                 ]
             )
             normalised = normalised + step
@@ -201,5 +241,11 @@ class CameraModel:
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def to_dict(self) -> dict[str, float]:
-        """Return the parameters by name."""
+        """Return the parameters by name.
+
+        Returns
+        -------
+        dict of str to float
+            Focal lengths and principal point, px, and the distortion coefficients.
+        """
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))

@@ -1,8 +1,8 @@
-"""The collimator: where the camera's centre of rotation lies in front of the star target, and how a real one departs.
+"""The collimator: the centre of the spherical motion, and the coefficients of its aberrations.
 
-Knows the collimator's parameters only. Behind a collimator the target stands at infinity, and a camera that
-turns sees it as if it turned about one fixed point (x, y, -r) of the target frame (the spherical motion model).
-What real collimators add to that is measured by named coefficients; `calib.model.aberrations` says what each does.
+Behind a collimator, the target is at infinity. A camera that rotates in front of it sees the target as if the camera
+moved on a sphere about one fixed point (x, y, -r) of the target frame: the spherical motion model (Liang et al., 2024;
+arXiv:2512.16092, eq. 2). Real collimators deviate from this by the aberrations of `calib.model.aberrations`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ CENTRE = ("x", "y", "r")
 
 @dataclass(frozen=True)
 class Collimator:
-    """The centre of the spherical motion, mm of the target, and the collimator's imperfections.
+    """The centre of the spherical motion and the collimator's aberrations.
 
     Parameters
     ----------
     x, y
-        Foot of the perpendicular from the centre to the target plane.
+        Foot of the perpendicular from the centre to the target plane, mm.
     r
-        Distance of the centre from the target plane: the collimator's focal length on the target's scale.
-    imperfections
-        Coefficients by name; those not named are zero.
+        Distance of the centre from the target plane, mm: the collimator's focal length on the target's scale.
+    aberrations
+        Coefficients by name, dimensionless; those that are not named are zero.
     reference
-        The centre (x, y, r) about which the coefficients are expressed; it is a convention, not an estimate.
+        Centre (x, y, r), mm, about which the aberrations are expressed. It is a convention, not an estimate.
     """
 
     x: float
@@ -42,21 +42,32 @@ class Collimator:
 
     @property
     def centre(self) -> Array:
-        """(3,) the centre (x, y, -r) in the target frame."""
+        """(3,) float64 centre (x, y, -r) in the target frame, mm."""
         return np.array([self.x, self.y, -self.r])
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters, as `values` orders them."""
+        """Names of the parameters, in the order of `values`."""
         return (*CENTRE, *self.aberrations)
 
     @property
     def values(self) -> Array:
-        """(3 + number of coefficients,) x, y, r and the coefficients."""
+        """(3 + T,) float64 values: x, y, r in mm, then T aberration coefficients."""
         return np.array([self.x, self.y, self.r, *self.aberrations.values()])
 
     def with_values(self, known: Mapping[str, float]) -> Collimator:
-        """Return the collimator with the parameters that `known` names."""
+        """Return the collimator with some of its parameters replaced.
+
+        Parameters
+        ----------
+        known
+            New values by name; names of other things are ignored.
+
+        Returns
+        -------
+        Collimator
+            Collimator with the same aberrations and the same reference.
+        """
         return replace(
             self,
             **{name: known.get(name, getattr(self, name)) for name in CENTRE},
@@ -64,5 +75,11 @@ class Collimator:
         )
 
     def to_dict(self) -> dict[str, float]:
-        """Return the parameters by name."""
+        """Return the parameters by name.
+
+        Returns
+        -------
+        dict of str to float
+            x, y, r in mm, and the aberration coefficients.
+        """
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))

@@ -1,8 +1,8 @@
-"""Lens distortion: where a ray's normalised image point really lands, and the derivatives of that.
+"""Lens distortion of normalised image coordinates, and its derivatives.
 
-Knows normalised image coordinates (x / z, y / z) and coefficients; no focal length, no pixels. Two families: Brown's
-radial and tangential polynomials with OpenCV's rational denominator, and Kannala and Brandt's polynomial of the angle
-(OpenCV's fisheye).
+Two lens families: the radial and tangential polynomials of Brown (1971) with OpenCV's rational denominator, and the
+polynomial of the angle of Kannala and Brandt (2006), which is OpenCV's fisheye model. The functions take normalised
+coordinates (x / z, y / z), not pixels.
 """
 
 from __future__ import annotations
@@ -14,21 +14,47 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: OpenCV's order of Brown's coefficients; k4 to k6 stand in the denominator (its rational model).
+#: Coefficients of Brown's model in OpenCV's order; k4 to k6 are those of the denominator (rational model).
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 #: Coefficients of the angle's polynomial: theta (1 + kb1 theta^2 + kb2 theta^4 + ...); OpenCV's fisheye k1 to k4.
 FISHEYE = ("kb1", "kb2", "kb3", "kb4")
 
 
 def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
-    """Distort normalised points (N, 2); the names of the coefficients tell the family."""
+    """Distort normalised points; the names of the coefficients select the lens family.
+
+    Parameters
+    ----------
+    points
+        (N, 2) normalised points, dimensionless.
+    coefficients
+        Coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero.
+
+    Returns
+    -------
+    Array
+        (N, 2) distorted normalised points.
+    """
     if is_fisheye(coefficients):
         return _fisheye(points, _ordered(coefficients, FISHEYE))
     return _brown(points, _ordered(coefficients, BROWN))
 
 
 def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> tuple[Array, Array, Array]:
-    """Distort points; also the derivatives by them (N, 2, 2), and by the named coefficients (N, 2, k)."""
+    """Distort normalised points and return the derivatives.
+
+    Parameters
+    ----------
+    points
+        (N, 2) normalised points, dimensionless.
+    coefficients
+        K coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero.
+
+    Returns
+    -------
+    tuple of Array
+        (N, 2) distorted points; (N, 2, 2) derivatives by the points; (N, 2, K) derivatives by the named coefficients.
+    """
     family = FISHEYE if is_fisheye(coefficients) else BROWN
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
     distorted, by_points, by_all = evaluate(points, _ordered(coefficients, family))
@@ -36,17 +62,28 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
 
 
 def is_fisheye(coefficients: Mapping[str, float]) -> bool:
-    """Tell whether coefficients are those of a fisheye lens."""
+    """Tell whether coefficients belong to the fisheye model.
+
+    Parameters
+    ----------
+    coefficients
+        Coefficients by name.
+
+    Returns
+    -------
+    bool
+        True if any of them is in `FISHEYE`.
+    """
     return any(name in FISHEYE for name in coefficients)
 
 
 def _ordered(coefficients: Mapping[str, float], family: tuple[str, ...]) -> Array:
-    """Return all coefficients of a family; those not named are zero."""
+    """Return all coefficients of a family, (K,); those that are not named are zero."""
     return np.array([coefficients.get(name, 0.0) for name in family])
 
 
 def _radial_terms(points: Array, k: Array) -> tuple[Array, Array, Array, Array]:
-    """Return r^2, numerator, denominator and radial factor of the rational distortion."""
+    """Return r^2, numerator, denominator and radial factor of the rational distortion, (N,) each."""
     r2 = points[:, 0] ** 2 + points[:, 1] ** 2
     numerator = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
@@ -54,7 +91,7 @@ def _radial_terms(points: Array, k: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _brown(points: Array, k: Array) -> Array:
-    """Distort normalised points (N, 2): Brown's model with OpenCV's rational radial factor."""
+    """Distort (N, 2) normalised points: Brown (1971), with OpenCV's rational radial factor."""
     x, y = points[:, 0], points[:, 1]
     r2, _, _, radial = _radial_terms(points, k)
     p1, p2 = k[2], k[3]
@@ -67,7 +104,7 @@ def _brown(points: Array, k: Array) -> Array:
 
 
 def _brown_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Distort points; also the derivatives by the points (N, 2, 2) and by all 8 coefficients (N, 2, 8)."""
+    """Distort points; return also the derivatives by the points (N, 2, 2) and by all 8 coefficients (N, 2, 8)."""
     x, y = points[:, 0], points[:, 1]
     r2, numerator, denominator, radial = _radial_terms(points, k)
     p1, p2 = k[2], k[3]
@@ -92,13 +129,13 @@ def _brown_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]
 
 
 def _angles(points: Array) -> tuple[Array, Array]:
-    """Return (N,) the distance r from the axis, and the angle theta = atan r."""
+    """Return the distance r from the axis, (N,), and the angle theta = atan r, (N,) rad."""
     r = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
     return r, np.arctan(r)
 
 
 def _fisheye(points: Array, k: Array) -> Array:
-    """Distort normalised points (N, 2): the radius becomes a polynomial of the angle."""
+    """Distort (N, 2) normalised points: the radius becomes a polynomial of the angle (Kannala and Brandt, 2006)."""
     r, theta = _angles(points)
     t2 = theta**2
     bent = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
@@ -106,7 +143,7 @@ def _fisheye(points: Array, k: Array) -> Array:
 
 
 def _fisheye_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Distort points; also the derivatives by the points (N, 2, 2) and by all 4 coefficients (N, 2, 4)."""
+    """Distort points; return also the derivatives by the points (N, 2, 2) and by all 4 coefficients (N, 2, 4)."""
     r, theta = _angles(points)
     powers = theta[:, None] ** np.array([3, 5, 7, 9])
     bent = theta + powers @ k

@@ -1,9 +1,9 @@
-"""The collimator's passport: what is known of a collimator, to calibrate cameras with one to three views.
+"""The passport of a collimator: its calibrated parameters, with which one to three views calibrate a camera.
 
-Knows a Gaussian over the collimator's parameters and where it came from. Focal length and radius are nearly one
-parameter (correlation .998), so a radius known beforehand settles the focal length. The passport's values are taken as
-they are, not estimated anew by one to three views that know less; their uncertainty enters that of the camera.
-Files are written and read elsewhere; here are plain numbers in and out.
+A passport is a Gaussian over the collimator's parameters, with its origin. Focal length and radius are nearly one
+parameter (correlation 0.998), so a known radius determines the focal length. The values of the passport are held: one
+to three views cannot improve them. Their uncertainty is propagated to the camera. This module reads and writes plain
+numbers; other modules read and write files.
 """
 
 from __future__ import annotations
@@ -22,33 +22,35 @@ from calib.model.prior import Prior
 Array = NDArray[np.float64]
 
 SCHEMA = "starbench/collimator-passport/1"
-#: A parameter held exactly would make the equations singular; this share of it is as good as exact.
-_FLOOR = 1e-9
+#: Smallest standard uncertainty of a prior, as a share of its value: an exact value would make the equations singular.
+_MIN_RELATIVE_SIGMA = 1e-9
 
 
 @dataclass(frozen=True)
 class Passport:
-    """A collimator as known before a camera is calibrated.
+    """Calibrated parameters of a collimator.
 
     Parameters
     ----------
     names, values
-        The parameters known: of x, y, r, mm, and of the imperfections.
+        Names and (K,) float64 values of the known parameters: of x, y, r, mm, and of the aberrations. r is required.
     covariance
-        Their joint covariance.
+        (K, K) float64 joint covariance of the values.
     reference
-        Centre about which the imperfections are expressed; None when there are none.
-    disagreement
-        How many times their stars' noise the views differed by from which it came; 1 for a certificate.
+        Centre (x, y, r), mm, about which the aberrations are expressed; None if there are none.
+    birge_ratio
+        How many times more than star noise explains the views differed from which the passport was made; 1 for a
+        certificate.
     views
         Names of those views.
     conditions
-        Whatever else is to be remembered: serial number, temperature, date, certificate.
+        Further facts: serial number, temperature, date, certificate.
 
     Raises
     ------
     InputMismatch
-        When the numbers contradict each other.
+        If shapes differ, a number is not finite, the covariance is not positive semidefinite, r is missing, or
+        aberrations have no reference.
     """
 
     names: tuple[str, ...]
@@ -62,60 +64,129 @@ class Passport:
     def __post_init__(self) -> None:
         n = len(self.names)
         if self.values.shape != (n,) or self.covariance.shape != (n, n):
-            raise InputMismatch(f"{n} parameters, but {self.values.shape} values.", where="passport")
+            raise InputMismatch(
+                f"{n} parameters, but values of shape {self.values.shape}"
+                f" and a covariance of shape {self.covariance.shape}.",
+                where="passport",
+            )
         if not (np.isfinite(self.values).all() and np.isfinite(self.covariance).all()):
-            raise InputMismatch("It holds numbers that are not finite.", where="passport")
+            raise InputMismatch("It contains numbers that are not finite.", where="passport")
         eigenvalues = np.linalg.eigvalsh(self.covariance)
         if not np.allclose(self.covariance, self.covariance.T) or eigenvalues[0] < -1e-9 * eigenvalues[-1]:
-            raise InputMismatch("Its covariance is none.", where="passport")
+            raise InputMismatch(
+                "Its covariance is not symmetric and positive semidefinite.", where="passport"
+            )
         if "r" not in self.names:
-            raise InputMismatch("It does not know the radius r.", where="passport")
+            raise InputMismatch("It does not contain the radius r.", where="passport")
         if self.terms and self.reference is None:
-            raise InputMismatch("Its imperfections have no reference.", where="passport")
+            raise InputMismatch("Its aberrations have no reference.", where="passport")
 
     @classmethod
     def of_radius(cls, r_mm: float, sigma_mm: float, conditions: Mapping[str, Any] | None = None) -> Passport:
-        """Return the passport that a certificate of the radius makes."""
+        """Return the passport of a collimator of which only the radius is certified.
+
+        Parameters
+        ----------
+        r_mm
+            Radius (focal length) of the collimator, mm.
+        sigma_mm
+            Standard uncertainty of the radius, mm.
+        conditions
+            Further facts, for example the number of the certificate.
+
+        Returns
+        -------
+        Passport
+            Passport of r alone.
+        """
         return cls(("r",), np.array([r_mm]), np.array([[sigma_mm**2]]), conditions=conditions or {})
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Names of the imperfections known."""
+        """Names of the known aberrations."""
         return tuple(name for name in self.names if name not in CENTRE)
 
     @property
     def values_by_name(self) -> Mapping[str, float]:
-        """The parameters by name."""
+        """The known parameters by name."""
         return dict(zip(self.names, self.values.tolist(), strict=True))
 
-    def collimator(self, otherwise: Collimator) -> Collimator:
-        """Return the collimator, x, y or r taken from another where the passport does not know them."""
-        start = Collimator(
-            otherwise.x, otherwise.y, otherwise.r, dict.fromkeys(self.terms, 0.0), self.reference
-        )
+    def collimator(self, fallback: Collimator) -> Collimator:
+        """Return the collimator; x, y or r come from another one if the passport does not contain them.
+
+        Parameters
+        ----------
+        fallback
+            Collimator that gives the missing coordinates of the centre.
+
+        Returns
+        -------
+        Collimator
+            Collimator with the aberrations and the reference of the passport.
+        """
+        start = Collimator(fallback.x, fallback.y, fallback.r, dict.fromkeys(self.terms, 0.0), self.reference)
         return start.with_values(self.values_by_name)
 
     def subset(self, names: Sequence[str]) -> Passport:
-        """Return what it knows of some of the parameters; those it does not know are passed over."""
+        """Return the passport of some of its parameters.
+
+        Parameters
+        ----------
+        names
+            Names of the parameters to keep; names that the passport does not contain are ignored.
+
+        Returns
+        -------
+        Passport
+            Passport of these parameters.
+        """
         kept = tuple(name for name in self.names if name in names)
         values = np.array([self.values_by_name[name] for name in kept])
         return replace(self, names=kept, values=values, covariance=self.covariance_of(kept))
 
     def covariance_of(self, names: Sequence[str]) -> Array:
-        """Return the joint covariance of some of the parameters, in the order asked for."""
+        """Return the joint covariance of some of the parameters.
+
+        Parameters
+        ----------
+        names
+            K names of parameters of the passport.
+
+        Returns
+        -------
+        Array
+            (K, K) covariance, in the order of `names`.
+        """
         at = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(at, at)]
 
     def prior(self, names: Sequence[str]) -> Prior | None:
-        """Return what it knows of some of the parameters as a prior of the refinement; None for no names."""
+        """Return some of the parameters as a prior of the adjustment.
+
+        Parameters
+        ----------
+        names
+            Names of parameters of the passport.
+
+        Returns
+        -------
+        Prior or None
+            None if there are no names.
+        """
         if not names:
             return None
         mean = np.array([self.values_by_name[name] for name in names])
-        floor = np.diag((_FLOOR * np.maximum(np.abs(mean), 1e-3)) ** 2)
+        floor = np.diag((_MIN_RELATIVE_SIGMA * np.maximum(np.abs(mean), 1e-3)) ** 2)
         return Prior(tuple(names), mean, np.asarray(np.linalg.inv(self.covariance_of(names) + floor)))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, lists and names, ready for JSON."""
+        """Return the passport as plain numbers, lists and names, ready for JSON.
+
+        Returns
+        -------
+        dict of str to Any
+            Keys: schema, names, values, covariance, reference, disagreement (the Birge ratio), views, conditions.
+        """
         return {
             "schema": SCHEMA,
             "names": list(self.names),
@@ -128,25 +199,37 @@ class Passport:
         }
 
     @classmethod
-    def from_dict(cls, shape: Mapping[str, Any]) -> Passport:
-        """Read what `to_dict` returns.
+    def from_dict(cls, document: Mapping[str, Any]) -> Passport:
+        """Read the result of `to_dict`.
+
+        Parameters
+        ----------
+        document
+            Plain numbers, lists and names, as `to_dict` returns them.
+
+        Returns
+        -------
+        Passport
+            The passport.
 
         Raises
         ------
         InputMismatch
-            When it is no passport.
+            If the document is not a passport, or its numbers contradict each other.
         """
-        if shape.get("schema") != SCHEMA:
-            raise InputMismatch(f"Not a passport: its schema is {shape.get('schema')!r}.", where="passport")
+        if document.get("schema") != SCHEMA:
+            raise InputMismatch(
+                f"Not a passport: its schema is {document.get('schema')!r}.", where="passport"
+            )
         try:
             return cls(
-                tuple(str(name) for name in shape["names"]),
-                np.array(shape["values"], float),
-                np.array(shape["covariance"], float),
-                _triple(shape["reference"]),
-                float(shape["disagreement"]),
-                tuple(str(name) for name in shape["views"]),
-                dict(shape["conditions"]),
+                tuple(str(name) for name in document["names"]),
+                np.array(document["values"], float),
+                np.array(document["covariance"], float),
+                _triple(document["reference"]),
+                float(document["disagreement"]),
+                tuple(str(name) for name in document["views"]),
+                dict(document["conditions"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputMismatch(f"Not a passport: {error}.", where="passport") from error

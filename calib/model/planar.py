@@ -1,7 +1,7 @@
-"""Closed forms of the planar model: each view has its own free centre (Zhang's method).
+"""Closed forms of the planar model, in which each view has its own free centre: Zhang's method.
 
-Knows homographies and the orthonormality of a rotation's columns. The planar model is here for comparison, and
-as a second way to start the spherical one; its adjustment has free centres.
+The planar model serves as a comparison, and as a second way to start the spherical model. Reference: Zhang (2000), "A
+flexible new technique for camera calibration".
 """
 
 from __future__ import annotations
@@ -17,12 +17,24 @@ Array = NDArray[np.float64]
 def zhang_matrix(
     homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
 ) -> Array | None:
-    """Solve h1^T w h2 = 0 and h1^T w h1 = h2^T w h2 for w = K^-T K^-1, zero skew, in all views.
+    """Solve for the camera matrix from the homographies of all views, with zero skew.
+
+    With w = K^-T K^-1, each view gives h1^T w h2 = 0 and h1^T w h1 = h2^T w h2: Zhang (2000), eqs. 3 and 4 and section
+    3.1.
+
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) homographies from target, mm, to image, px.
+    image_size
+        Width and height, px.
+    free_principal_point
+        Whether the principal point is unknown; otherwise it is the centre of the image.
 
     Returns
     -------
     Array or None
-        (3, 3) camera matrix; None when the views do not give one (frontal views, noise).
+        (3, 3) camera matrix, px; None if the views do not determine one (frontal views, noise).
     """
     width, height = image_size
     scale = 2.0 / np.hypot(width, height)
@@ -57,9 +69,19 @@ def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
 
 
 def poses_from_homographies(homographies: Array, matrix: Array) -> tuple[Array, Array]:
-    """Return rotations (n, 3, 3), camera <- target, and camera centres (n, 3) in the target frame, mm.
+    """Return the pose of each view, given the camera matrix: H ~ K [r1 r2 t] with t = -R c (Zhang, 2000, section 3.1).
 
-    H ~ K [r1 r2 t] with t = -R c.
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) homographies from target, mm, to image, px.
+    matrix
+        (3, 3) camera matrix, px.
+
+    Returns
+    -------
+    tuple of Array
+        (n, 3, 3) rotations, camera <- target; (n, 3) camera centres in the target frame, mm.
     """
     columns = np.linalg.inv(matrix) @ homographies
     columns = columns / np.linalg.norm(columns[..., :2], axis=1).mean(axis=1)[:, None, None]

@@ -1,6 +1,6 @@
-"""Prior knowledge of shared parameters, as a Gaussian that the adjustment adds to what the stars say.
+"""Prior knowledge of shared parameters: a Gaussian that the adjustment combines with the stars.
 
-Passports and the expected sizes of aberrations come as priors. This module holds the data only.
+Passports and the expected sizes of aberrations are priors. This module holds the data only.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of shared parameters beforehand: a Gaussian.
+    """A Gaussian prior of shared parameters.
 
     Attributes
     ----------
     names
-        The parameters, each of them free in the bundle.
+        The K parameters; each of them is free in the bundle.
     mean
-        (K,) expected values.
+        (K,) float64 expected values, each in the unit of its parameter.
     information
-        (K, K) inverse covariance.
+        (K, K) float64 inverse covariance.
     """
 
     names: tuple[str, ...]

@@ -1,8 +1,9 @@
-"""Closed forms of the spherical motion model: intrinsics and collimator from the views' homographies.
+"""Closed forms of the spherical motion model: camera matrix and collimator from the homographies of the views.
 
-Knows homographies scaled to determinant 1, and the equation they share (the paper's last one):
-H^-1 K K^T H^-T = s [[r^2 + x^2, xy, x], [xy, r^2 + y^2, y], [x, y, 1]]. Linear in the entries of K K^T and of
-the right side; no distortion, no noise model. Its answers start the refinement.
+With homographies scaled to determinant 1, all views share one equation (arXiv:2512.16092, eq. 5):
+H^-1 K K^T H^-T = s [[r^2 + x^2, xy, x], [xy, r^2 + y^2, y], [x, y, 1]].
+It is linear in the entries of K K^T and in those of the right side. Distortion and noise are not modelled, so the
+solutions are only starting values.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ from calib.model.rotation import nearest_rotation
 Array = NDArray[np.float64]
 
 _UPPER = np.triu_indices(3)
-#: Entries of K K^T that may be unknown; the last one is 1 where the scale is free to choose.
+#: Entries of K K^T that may be unknown; (2, 2) is 1 if the scale is fixed by it.
 _IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1), (2, 2))
 
 
 @dataclass(frozen=True)
 class ClosedFormSolution:
-    """Where a refinement of the spherical model begins.
+    """A closed-form solution of the spherical model.
 
     Attributes
     ----------
     matrix
-        (3, 3) camera matrix K.
+        (3, 3) float64 camera matrix K, px.
     collimator
         The shared centre.
     """
@@ -42,21 +43,23 @@ class ClosedFormSolution:
 def linear_solution(
     homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
 ) -> ClosedFormSolution | None:
-    """Solve the shared equation of n views in the least squares sense.
+    """Solve the shared equation of n views by linear least squares (arXiv:2512.16092, eq. 5).
 
     Parameters
     ----------
     homographies
-        (n, 3, 3) from `calib.model.homography.view_homography`; n >= 2, or n >= 3 with a free principal point.
+        (n, 3, 3) homographies from `calib.model.homography.view_homography`; n >= 2, or n >= 3 with a free principal
+        point.
     image_size
         Width and height, px.
     free_principal_point
-        Whether cx and cy are unknown too; otherwise they are put at the image's centre.
+        Whether the principal point is unknown; otherwise it is the centre of the image.
 
     Returns
     -------
-    Start or None
-        None when the solution is no camera (a negative square), which noise can do to weak views.
+    ClosedFormSolution or None
+        None if there are too few views, or if the solution is not a real camera (a negative square; noise can cause
+        this).
     """
     if len(homographies) < (3 if free_principal_point else 2):
         return None
@@ -68,14 +71,27 @@ def linear_solution(
     scale = np.linalg.norm(left, axis=0)
     solution = np.linalg.lstsq(left / scale, right, rcond=None)[0] / scale
     image = dict(zip(unknown, solution, strict=False))
-    return _read_out(image, solution[len(unknown) :], to_unit, plane)
+    return _solution_from_entries(image, solution[len(unknown) :], to_unit, plane)
 
 
 def two_view_solutions(homographies: Array, image_size: tuple[int, int]) -> list[ClosedFormSolution]:
-    """Solve two views with a free principal point: every real root that is a camera.
+    """Solve two views with a free principal point; return every real solution.
 
-    Twelve equations determine the eleven ratios of the unknowns too weakly. The two weakest directions of the
-    system are mixed so that the skew vanishes, w12 w33 = w13 w23: a quadratic equation.
+    Two views give twelve equations (arXiv:2512.16092, eq. 5), which determine the eleven ratios of the unknowns only
+    weakly. The two weakest directions of the system are combined such that the skew vanishes, w12 w33 = w13 w23. This
+    is a quadratic equation.
+
+    Parameters
+    ----------
+    homographies
+        (2, 3, 3) homographies from `calib.model.homography.view_homography`.
+    image_size
+        Width and height, px.
+
+    Returns
+    -------
+    list of ClosedFormSolution
+        At most two solutions; none if no root is a real camera.
     """
     to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
     inverses = np.linalg.inv(to_unit @ homographies @ plane)
@@ -95,15 +111,15 @@ def two_view_solutions(homographies: Array, image_size: tuple[int, int]) -> list
         mixed = u + root * v
         if abs(mixed[w33]) > np.finfo(float).tiny:
             image = dict(zip(_IMAGE, mixed / mixed[w33], strict=False))
-            start = _read_out(image, mixed[len(_IMAGE) :] / mixed[w33], to_unit, plane)
+            start = _solution_from_entries(image, mixed[len(_IMAGE) :] / mixed[w33], to_unit, plane)
             starts += [start] if start is not None else []
     return starts
 
 
-def _read_out(
+def _solution_from_entries(
     image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
 ) -> ClosedFormSolution | None:
-    """Return the camera and the centre that entries of K K^T (the last one 1) and of the right side mean."""
+    """Return the solution with these entries of K K^T, (2, 2) = 1, and of the right side; None if it is not real."""
     cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
     squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])
     right = np.zeros((3, 3))
@@ -122,9 +138,23 @@ def _read_out(
 
 
 def rotations_from_centre(homographies: Array, matrix: Array, collimator: Collimator) -> Array:
-    """Return each view's rotation, (n, 3, 3), given the camera matrix and the shared centre.
+    """Return the rotation of each view, given the camera matrix and the shared centre.
 
-    H ~ K R [e1 e2 -c], so R is the rotation nearest to K^-1 H [e1 e2 -c]^-1.
+    H ~ K R [e1 e2 -c] (arXiv:2512.16092, eq. 3), so R is the rotation nearest to K^-1 H [e1 e2 -c]^-1.
+
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) homographies from target, mm, to image, px.
+    matrix
+        (3, 3) camera matrix, px.
+    collimator
+        The shared centre.
+
+    Returns
+    -------
+    Array
+        (n, 3, 3) rotations, camera <- target.
     """
     frame = np.eye(3)
     frame[:, 2] = -collimator.centre
@@ -132,9 +162,21 @@ def rotations_from_centre(homographies: Array, matrix: Array, collimator: Collim
 
 
 def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Array | None:
-    """Return the camera matrix, given the centre: K K^T ~ H A H^T, the mean over views; one view is enough.
+    """Return the camera matrix, given the shared centre; one view is enough.
 
-    A is the right side of the shared equation. None when the mean is no camera.
+    K K^T ~ H A H^T, where A is the right side of arXiv:2512.16092, eq. 5. The mean over the views is taken.
+
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) homographies from target, mm, to image, px; n >= 1.
+    collimator
+        The known centre.
+
+    Returns
+    -------
+    Array or None
+        (3, 3) camera matrix, px; None if the mean is not a real camera.
     """
     x, y, r = collimator.x, collimator.y, collimator.r
     right = np.array([[r**2 + x**2, x * y, x], [x * y, r**2 + y**2, y], [x, y, 1.0]])
@@ -149,7 +191,7 @@ def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Ar
 
 
 def _image_conditioning(image_size: tuple[int, int]) -> Array:
-    """Return the similarity that takes the image's centre to 0 and its half diagonal to 1."""
+    """Return the (3, 3) similarity that maps the centre of the image to 0 and half its diagonal to 1."""
     width, height = image_size
     scale = 2.0 / np.hypot(width, height)
     return np.array(
@@ -158,7 +200,7 @@ def _image_conditioning(image_size: tuple[int, int]) -> Array:
 
 
 def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Array:
-    """Return the similarity of the target plane that takes units to mm about where the cameras look."""
+    """Return the (3, 3) similarity of the target plane that maps units to mm about the point the cameras look at."""
     centre = np.array([(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0])
     looked_at = np.linalg.inv(homographies) @ centre
     middle = np.median(looked_at[:, :2] / looked_at[:, 2:], axis=0)
@@ -168,7 +210,7 @@ def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Arr
 
 
 def _equations(g: Array, unknown: Sequence[tuple[int, int]]) -> Array:
-    """Return the rows g W g^T - B for the chosen entries of W, then those of B; 6 rows a view."""
+    """Return the rows g W g^T - B for the chosen entries of W, then those of B; 6 rows for each view."""
     columns = []
     for i, j in unknown:
         basis = np.zeros((3, 3))

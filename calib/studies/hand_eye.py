@@ -93,7 +93,10 @@ def check_hand_eye(
         raise InputMismatch(f"{len(rotations)} rotations, but {len(angles)} readings.")
     moved = np.ptp(angles, axis=0) > _MOVED_DEG
     if len(angles) < _MIN_VIEWS or not moved.any():
-        raise DegenerateViews(f"{len(angles)} views with {moved.sum()} axes moved tell nothing of a gimbal.")
+        raise DegenerateViews(
+            f"Cannot check the gimbal: {len(angles)} views, {moved.sum()} axes moved; "
+            f"at least {_MIN_VIEWS} views and 1 moved axis are needed."
+        )
     free = [int(i) for i in np.flatnonzero(moved)] if 3 * len(angles) > 6 + moved.sum() else []
     scales, base_from_target, camera_from_head = np.ones(3), np.eye(3), np.eye(3)
     base_from_target = nearest_rotation(
@@ -130,7 +133,7 @@ def _angles(readings_deg: Sequence[Mapping[str, float]]) -> Array:
     """Return (n, 3) pan, tilt, roll; axes not read are zero."""
     unknown = sorted({axis for reading in readings_deg for axis in reading} - set(AXES))
     if unknown:
-        raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known are: {', '.join(AXES)}.")
+        raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
     return np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg])
 
 

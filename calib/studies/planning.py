@@ -107,7 +107,9 @@ def next_poses(
         except TooFewStars:
             continue
     if len(offered) < count:
-        raise DegenerateViews(f"{len(offered)} of the candidates show the target; {count} are to be chosen.")
+        raise DegenerateViews(
+            f"Only {len(offered)} of the candidate poses show the target; {count} are needed."
+        )
     chosen: list[Mapping[str, float]] = []
     for _ in range(count):
         worth = [_worst(bench, known + information) for _, information in offered]

@@ -70,9 +70,15 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
     stars = bench.target.positions_mm(ids)
     pixels, shown = _shown(bench, stars, rotation)
     if bench.needs_tag and not _shown(bench, bench.target.tag_corners_mm, rotation)[1].all():
-        raise TooFewStars("The tag will not be whole in the picture.", where=name, remedy="Turn less far.")
+        raise TooFewStars(
+            "The tag will not be completely in the image.", where=name, remedy="Use smaller angles."
+        )
     if shown.sum() < _MIN_STARS:
-        raise TooFewStars(f"{shown.sum()} stars will be seen.", where=name, remedy="Turn less far.")
+        raise TooFewStars(
+            f"Only {shown.sum()} stars will be visible; at least {_MIN_STARS} are needed.",
+            where=name,
+            remedy="Use smaller angles.",
+        )
     covariances = np.tile(np.eye(2) * bench.star_sigma_px**2, (int(shown.sum()), 1, 1))
     view = View(name, bench.camera.image_size, ids[shown], pixels[shown], stars[shown], covariances)
     return view, rotation

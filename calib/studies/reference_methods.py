@@ -109,7 +109,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
         rms, matrix, found, spread = (_by_fisheye if fisheye else _by_brown)(views, names)
     except cv2.error as error:
         told = " ".join(str(error).split())
-        raise DegenerateViews(f"OpenCV finds no calibration: {told}", remedy="Add views.") from error
+        raise DegenerateViews(f"OpenCV did not find a calibration: {told}", remedy="Add views.") from error
     if not (np.isfinite(rms) and np.isfinite(matrix).all() and np.isfinite(found).all()):
         raise DegenerateViews("OpenCV's calibration is not finite.", remedy="Add views from other angles.")
     family = FISHEYE if fisheye else BROWN
@@ -143,7 +143,9 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
     parameters = refined.parameters
     known = covariance_at_optimum(bundle, parameters, loss)
     if not refined.converged:
-        raise NotConverged(f"No optimum after {refined.iterations} steps.", remedy="Add views.")
+        raise NotConverged(
+            f"The adjustment did not converge within {refined.iterations} steps.", remedy="Add views."
+        )
     lengths = np.linalg.norm(bundle.residuals_px(parameters), axis=1)
     left_out = leave_one_out(bundle, parameters, loss).total_rms_px if len(views) >= MIN_VIEWS else None
     sigmas = np.sqrt(np.diag(known.covariance)).tolist()

@@ -90,7 +90,9 @@ def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotati
     others = [view.name for view in second.views]
     common = tuple(name for name in names if name in others)
     if not common:
-        raise DegenerateViews("The two cameras share no pose.", remedy="Name views alike that show one pose.")
+        raise DegenerateViews(
+            "The two cameras share no pose.", remedy="Give the two views of one pose the same name."
+        )
     a, b = [names.index(name) for name in common], [others.index(name) for name in common]
     pairs = second.rotations[b] @ np.swapaxes(first.rotations[a], 1, 2)
     covariance = _joint(second.rotation_covariance, b) + _carried(_joint(first.rotation_covariance, a), pairs)

@@ -57,7 +57,7 @@ def split_half(views: Sequence[View], options: CalibrationOptions | None = None)
         With fewer than 4 views, or when a half does not constrain the camera.
     """
     if len(views) < _MIN_VIEWS:
-        raise DegenerateViews(f"{len(views)} views; two halves take at least {_MIN_VIEWS}.")
+        raise DegenerateViews(f"{len(views)} views; two halves need at least {_MIN_VIEWS}.")
     first, second = calibrate(views[::2], options), calibrate(views[1::2], options)
     maps = [projection_uncertainty(half.camera, half.camera_covariance).sigma_px for half in (first, second)]
     expected = float(np.sqrt(np.nanmean(maps[0] ** 2 + maps[1] ** 2)))

@@ -54,9 +54,9 @@ def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss,
     if chi_square > special.chdtri(len(asked), _FALSE_ALARMS):
         worst = int(np.argmax(np.abs(off) / np.sqrt(np.diag(together))))
         raise PassportContradicted(
-            f"{asked[worst]} is {stated[worst]:.2f} +- {np.sqrt(own[worst, worst]):.2f} mm there, but "
-            f"{found[worst]:.2f} +- {np.sqrt(covariance[worst, worst]):.2f} mm by these views "
-            f"(chi-square {chi_square:.0f} on {len(asked)}).",
+            f"The passport gives {asked[worst]} = {stated[worst]:.2f} +- {np.sqrt(own[worst, worst]):.2f} mm; these "
+            f"views give {found[worst]:.2f} +- {np.sqrt(covariance[worst, worst]):.2f} mm "
+            f"(chi-square {chi_square:.0f} with {len(asked)} degrees of freedom).",
             where="collimator passport",
-            remedy="Check that it is this collimator's, and that nothing was moved; or calibrate without it.",
+            remedy="Check that the passport belongs to this collimator and that nothing moved, or calibrate without it.",
         )

@@ -100,7 +100,7 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     freedom = 2 * len(lengths) - count + known
     if freedom <= 0:
         raise DegenerateViews(
-            f"{2 * len(lengths)} measurements for {count} parameters.",
+            f"{2 * len(lengths)} measurements cannot determine {count} parameters.",
             remedy="Add views, or views with more stars.",
         )
     influence = loss.weights(lengths) * lengths
@@ -325,13 +325,13 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
     diagonal = np.diag(information)
     if not (diagonal > 0).all():
         free = names[int(np.argmin(diagonal))]
-        raise DegenerateViews(f"These views say nothing about {free}.", remedy="Add views from other angles.")
+        raise DegenerateViews(f"These views do not constrain {free}.", remedy="Add views from other angles.")
     scale = 1.0 / np.sqrt(diagonal)
     eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     if eigenvalues[0] < _SINGULAR * eigenvalues[-1]:
         worst = np.argsort(-np.abs(vectors[:, 0]))[:2]
         free = " and ".join(names[i] for i in sorted(worst))
         raise DegenerateViews(
-            f"These views do not tell {free} apart.", remedy="Add views turned about other axes."
+            f"These views cannot separate {free}.", remedy="Add views turned about other axes."
         )
     return np.asarray((vectors / eigenvalues) @ vectors.T * np.outer(scale, scale))

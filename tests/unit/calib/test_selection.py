@@ -78,7 +78,7 @@ def test_views_that_show_a_part_of_the_beam_climb_the_ladder_with_those_that_sho
     assert result.model == "pupil"
     assert result.collimator.aberrations["pupil_shift"] == pytest.approx(0.15, abs=0.03)
     assert result.camera.fx == pytest.approx(bench.fx, abs=3 * result.sigma["fx"])
-    assert any("out of sight in pose-6, pose-7" in note for note in result.notes)
+    assert any("out of view in pose-6, pose-7" in note for note in result.notes)
 
 
 def test_rungs_that_need_a_rim_nobody_sees_are_left_out_and_named(make_bench):
@@ -87,12 +87,10 @@ def test_rungs_that_need_a_rim_nobody_sees_are_left_out_and_named(make_bench):
     assert result.model == "spherical"
     assert [one.model for one in result.candidates] == ["spherical", "drift", "planar"]
     assert any(
-        note.startswith(
-            "Not compared: pupil, rim, field, coma. The rim of the beam is out of sight in 6 of 6"
-        )
+        note.startswith("Not compared: pupil, rim, field, coma. The rim of the beam is out of view in 6 of 6")
         for note in result.notes
     )
-    with pytest.raises(DegenerateViews, match=r"out of sight in 3 of 3 views.*drift model"):
+    with pytest.raises(DegenerateViews, match=r"out of view in 3 of 3 views.*drift model"):
         calibrate(bench.views(), CalibrationOptions(model="pupil"))
 
 
@@ -103,7 +101,7 @@ def test_few_views_without_a_rim_let_the_centre_drift_where_it_does(make_bench):
     centres = np.array(bench.centre) + rng.normal(scale=0.3, size=(3, 3))
     moving = calibrate(bench.views(rng, 0.05, centres=centres), AUTO)
     assert moving.model == "drift"
-    assert "next is the spherical model" in moving.notes[-1]
+    assert "next best is the spherical model" in moving.notes[-1]
 
 
 def test_when_no_model_fits_the_first_reason_is_given(bench):

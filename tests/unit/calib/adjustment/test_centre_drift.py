@@ -39,7 +39,7 @@ def test_it_does_not_matter_in_which_unit_the_stars_covariances_are(bench):
 
 def test_a_wander_that_biases_is_warned_of(bench):
     warned = calibrate(wandering(bench, 0.5, 1), L2)
-    assert any("The centre wanders by" in note and "% of r" in note for note in warned.notes)
+    assert any("The centre moves by" in note and "% of r" in note for note in warned.notes)
     assert warned.coverage_factor > 2.1
 
 

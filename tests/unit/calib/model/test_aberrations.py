@@ -57,5 +57,5 @@ def test_what_is_expected_of_a_coefficient_is_zero_give_or_take_its_scale():
 
 
 def test_an_unknown_imperfection_is_refused():
-    with pytest.raises(InputMismatch, match="Known are"):
+    with pytest.raises(InputMismatch, match="Known: "):
         displacements(POINTS, DISC, REFERENCE, ["ghost"])

@@ -66,7 +66,7 @@ def test_a_passport_with_imperfections_corrects_them(defocused):
 def test_a_passport_that_views_contradict_is_refused_with_the_numbers(bench):
     views = bench.views(np.random.default_rng(66), 0.02)
     wrong = Passport(EXACT.names, EXACT.values + 6.0 * np.eye(3)[2], np.diag([0.05, 0.05, 0.1]) ** 2)
-    with pytest.raises(PassportContradicted, match=r"r is 261.00 .* but 25[45]\."):
+    with pytest.raises(PassportContradicted, match=r"r = 261.00 .* give 25[45]\."):
         calibrate(views, with_passport(wrong))
 
 

@@ -63,7 +63,7 @@ def test_a_turntable_has_one_scale_and_no_more():
     ("readings", "error", "match"),
     [
         (READINGS[:5], InputMismatch, "6 rotations, but 5"),
-        ([{"yaw_deg": 1.0}] * 6, InputMismatch, "Known are: pan_deg"),
+        ([{"yaw_deg": 1.0}] * 6, InputMismatch, "Known: pan_deg"),
         ([{"pan_deg": 1.0}] * 6, DegenerateViews, "0 axes moved"),
     ],
 )
