@@ -14,7 +14,8 @@ distortion. Two effects are added. Towards the disc's edge the camera's pupil is
 outwards (or inwards) with the fourth power of their distance from the disc's centre. Random displacements that follow
 no aberration polynomial come from `irregularity`.
 
-This module works in the target plane only; it uses no camera and no image.
+This module works in the target plane only; it uses no camera and no image. `Aberrations` holds all coefficients of a
+pose; positions of single points follow from it alone.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.optics.irregularity import coefficients, field, wandering
+from simulators.optics.irregularity import displacement_field, field_coefficients, random_functions
 from simulators.world.truth import CollimatorTruth
 
 FloatArray = NDArray[np.float64]
@@ -55,11 +56,11 @@ class Disc(NamedTuple):
     edge: FloatArray
 
 
-EVEN: Final = np.zeros(0)
+CIRCLE: Final = np.zeros(0)
 EDGE_TERMS: Final = 8
 
 
-class Bending(NamedTuple):
+class Aberrations(NamedTuple):
     """Errors of the collimator in one pose, as the compiled functions take them.
 
     Attributes
@@ -75,7 +76,7 @@ class Bending(NamedTuple):
     disc_x, disc_y, disc_radius
         Disc of light, mm.
     irregular
-        (K, 2) float64, mm: coefficients of ``irregularity.field``; (0, 2) for none.
+        (K, 2) float64, mm: coefficients of ``irregularity.displacement_field``; (0, 2) for none.
     """
 
     x: float
@@ -97,7 +98,7 @@ class Bending(NamedTuple):
 
 
 _NOTHING: Final = np.zeros((0, 2))
-NO_BENDING: Final = Bending(
+NO_ABERRATIONS: Final = Aberrations(
     *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 1.0), _NOTHING
 )
 """No collimator, or an ideal one: nothing is displaced."""
@@ -125,12 +126,12 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     along = _axis(rotation)
     x, y = collimator.x + collimator.disc_x, collimator.y + collimator.disc_y
     radius = collimator.r * math.tan(math.radians(collimator.half_angle_deg))
-    edge = EVEN
+    edge = CIRCLE
     if collimator.disc_unevenness != 0.0:
         scale = collimator.disc_unevenness * math.sqrt(2.0 / EDGE_TERMS)
-        edge = scale * wandering(along, EDGE_TERMS, collimator.glass_seed)
+        edge = scale * random_functions(along, EDGE_TERMS, collimator.glass_seed)
     if collimator.disc_wander_mm != 0.0 or collimator.disc_breathing != 0.0:
-        wander = wandering(along, 3, collimator.glass_seed)
+        wander = random_functions(along, 3, collimator.glass_seed)
         x, y = (
             x + collimator.disc_wander_mm * float(wander[0]),
             y + collimator.disc_wander_mm * float(wander[1]),
@@ -145,7 +146,7 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
 
 
 @njit(cache=True, nogil=True)
-def width(cosine: float, sine: float, edge: FloatArray) -> float:
+def relative_radius(cosine: float, sine: float, edge: FloatArray) -> float:
     """Return the radius of the disc in one direction, relative to the mean radius; at least 0.1.
 
     Parameters
@@ -168,7 +169,7 @@ def width(cosine: float, sine: float, edge: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def share_of(x_mm: float, y_mm: float, disc: Disc) -> float:
+def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
     """Return the distance of a target point from the disc's centre, as a fraction of the radius in that direction.
 
     Parameters
@@ -187,12 +188,12 @@ def share_of(x_mm: float, y_mm: float, disc: Disc) -> float:
     away = math.sqrt(x * x + y * y)
     if disc.edge.size == 0 or away == 0.0:
         return away / disc.radius
-    return away / (disc.radius * width(x / away, y / away, disc.edge))
+    return away / (disc.radius * relative_radius(x / away, y / away, disc.edge))
 
 
 @njit(cache=True, nogil=True)
-def shares_of(points_mm: NDArray, disc: Disc) -> NDArray:
-    """Return ``share_of`` for several points.
+def radius_fractions(points_mm: NDArray, disc: Disc) -> NDArray:
+    """Return ``radius_fraction`` for several points.
 
     Parameters
     ----------
@@ -208,7 +209,7 @@ def shares_of(points_mm: NDArray, disc: Disc) -> NDArray:
     """
     out = np.empty(points_mm.shape[0])
     for i in range(points_mm.shape[0]):
-        out[i] = share_of(points_mm[i, 0], points_mm[i, 1], disc)
+        out[i] = radius_fraction(points_mm[i, 0], points_mm[i, 1], disc)
     return out
 
 
@@ -218,7 +219,7 @@ def _axis(rotation: FloatArray) -> tuple[float, float]:
     return float(axis[0] / axis[2]), float(axis[1] / axis[2])
 
 
-def bending_of(collimator: CollimatorTruth, rotation: FloatArray) -> Bending:
+def aberrations_of(collimator: CollimatorTruth, rotation: FloatArray) -> Aberrations:
     """Return the errors of the collimator in a pose.
 
     Parameters
@@ -230,11 +231,11 @@ def bending_of(collimator: CollimatorTruth, rotation: FloatArray) -> Bending:
 
     Returns
     -------
-    Bending
+    Aberrations
         Everything that ``displacement`` needs.
     """
     disc = disc_of(collimator, rotation)
-    return Bending(
+    return Aberrations(
         collimator.x,
         collimator.y,
         collimator.r,
@@ -259,17 +260,17 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
     c = collimator
     if c.irregularity_mm == 0.0 and c.rim_irregularity_mm == 0.0:
         return _NOTHING
-    return coefficients(_axis(rotation), c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
+    return field_coefficients(_axis(rotation), c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
 
 
-def apparent(points_mm: FloatArray, bending: Bending) -> FloatArray:
+def apparent_points(points_mm: FloatArray, aberrations: Aberrations) -> FloatArray:
     """Return the apparent positions of reticle points.
 
     Parameters
     ----------
     points_mm
         (N, 2), true positions on the target plane.
-    bending
+    aberrations
         Errors of the collimator in the pose.
 
     Returns
@@ -277,11 +278,11 @@ def apparent(points_mm: FloatArray, bending: Bending) -> FloatArray:
     (N, 2) float64
         Apparent positions, mm.
     """
-    return np.asarray(_apparent(np.ascontiguousarray(points_mm, np.float64), bending))
+    return np.asarray(_apparent_points(np.ascontiguousarray(points_mm, np.float64), aberrations))
 
 
 @njit(cache=True, nogil=True)
-def displacement(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
+def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
     """Return the apparent displacement of a reticle point; the module's docstring has the equation.
 
     Third-order terms: Born and Wolf, Principles of Optics, section 5.3.
@@ -304,7 +305,7 @@ def displacement(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
     along_h = e.coma * bb + 2.0 * e.astigmatism * hb + e.distortion * hh
     dx, dy = e.r * (along_b * e.b_x + along_h * h_x), e.r * (along_b * e.b_y + along_h * h_y)
     from_x, from_y = x_mm - e.disc_x, y_mm - e.disc_y
-    own_x, own_y = field(from_x / e.disc_radius, from_y / e.disc_radius, e.irregular)
+    own_x, own_y = displacement_field(from_x / e.disc_radius, from_y / e.disc_radius, e.irregular)
     dx, dy = dx + own_x, dy + own_y
     rho = math.sqrt(from_x * from_x + from_y * from_y)
     near = min(rho / e.disc_radius, ROLL_TO)
@@ -313,8 +314,8 @@ def displacement(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True)
-def reticle_point(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
-    """Return the reticle point that appears at (x, y): the inverse of ``apparent``, to about 1e-6 mm.
+def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
+    """Return the reticle point that appears at (x, y): the inverse of ``apparent_points``, to about 1e-6 mm.
 
     Parameters
     ----------
@@ -336,7 +337,7 @@ def reticle_point(x_mm: float, y_mm: float, e: Bending) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True)
-def is_ideal(e: Bending) -> bool:
+def is_ideal(e: Aberrations) -> bool:
     """Return whether the collimator displaces no point.
 
     Parameters
@@ -362,8 +363,8 @@ def is_ideal(e: Bending) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _apparent(points: NDArray, e: Bending) -> NDArray:
-    """Loop of ``apparent``."""
+def _apparent_points(points: NDArray, e: Aberrations) -> NDArray:
+    """Loop of ``apparent_points``."""
     out = np.empty_like(points)
     for i in range(points.shape[0]):
         dx, dy = displacement(points[i, 0], points[i, 1], e)

@@ -23,7 +23,7 @@ REACH_SIGMAS: Final = 3.6
 """Standard deviations beyond which the point spread is cut off."""
 
 
-def blank(width: int, height: int, cells: int, margin: int) -> NDArray[np.float32]:
+def empty_picture(width: int, height: int, cells: int, margin: int) -> NDArray[np.float32]:
     """Return an empty picture.
 
     Parameters
@@ -126,7 +126,7 @@ def _normal(z: float) -> float:
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def gather(
+def join_cells(
     steps: NDArray, light: NDArray, shades: tuple[float, float], kernel: NDArray, cells: int, margin: int
 ) -> NDArray:
     """Join cells to pixels: light times covered area, after the point spread.

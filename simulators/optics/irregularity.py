@@ -39,7 +39,7 @@ RIM_OUTWARDS: Final = 1.6
 """Mean outward displacement, in units of the rim's rms."""
 
 
-def coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: int) -> FloatArray:
+def field_coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: int) -> FloatArray:
     """Return the coefficients of the displacement field in a pose.
 
     Parameters
@@ -56,12 +56,12 @@ def coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: in
     Returns
     -------
     (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64
-        Coefficients in mm, as ``field`` takes them. First those of u^p v^q, p outermost, with coordinates from the
+        Coefficients in mm, for ``displacement_field``. First those of u^p v^q, p outermost, with coordinates from the
         disc's centre in its radii. Then those of the rim: 1, cos phi, sin phi, cos 2 phi, ...
     """
     polynomials, sigmas = _zernike()
     around = 2 * RIM_HARMONICS + 1
-    drawn = wandering(axis, 2 * (len(sigmas) + around), seed).reshape(-1, 2)
+    drawn = random_functions(axis, 2 * (len(sigmas) + around), seed).reshape(-1, 2)
     inside = rms * polynomials.T @ (sigmas[:, None] * drawn[around:])
     rim = rim_rms / math.sqrt(RIM_HARMONICS + 1.0) * drawn[:around]
     rim[1, 0] += RIM_OUTWARDS * rim_rms
@@ -69,7 +69,7 @@ def coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: in
     return np.concatenate([inside, rim])
 
 
-def wandering(axis: tuple[float, float], count: int, seed: int) -> FloatArray:
+def random_functions(axis: tuple[float, float], count: int, seed: int) -> FloatArray:
     """Return smooth random functions of the pose, each of mean 0 and variance 1 over all poses.
 
     Each is a sum of sinusoids with random wave vectors and phases (spectral representation; Shinozuka and Deodatis
@@ -146,7 +146,7 @@ def _turning(m: int, power: int) -> list[tuple[int, int, float]]:
 
 
 @njit(cache=True, nogil=True)
-def field(u: float, v: float, coefficients: NDArray) -> tuple[float, float]:
+def displacement_field(u: float, v: float, coefficients: NDArray) -> tuple[float, float]:
     """Return the displacement at a point of the disc.
 
     Parameters

@@ -69,7 +69,7 @@ def lens_of(camera: CameraTruth) -> Lens:
 
 
 @njit(cache=True, nogil=True)
-def distorted(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
+def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
     """Return distorted normalised coordinates.
 
     Pinhole: radial k1, k2, k3 and tangential p1, p2 (Brown 1966, 1971; sign and order as in OpenCV). Fisheye (Kannala
@@ -121,7 +121,7 @@ def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]
     """
     if not z > 0.0:
         return math.nan, math.nan
-    xd, yd = distorted(x / z, y / z, lens)
+    xd, yd = distort(x / z, y / z, lens)
     return lens.fx * xd + lens.cx, lens.fy * yd + lens.cy
 
 
@@ -149,10 +149,10 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
     """
     lens = lens_of(camera)
     if lens.fisheye:
-        return _fisheye_undistorted(xd, yd, lens)
+        return _undistort_fisheye(xd, yd, lens)
     xn, yn = xd.copy(), yd.copy()
     for _ in range(200):
-        xe, ye = distorted_arrays(xn, yn, lens)
+        xe, ye = distort_arrays(xn, yn, lens)
         step_x, step_y = xd - xe, yd - ye
         xn += step_x
         yn += step_y
@@ -164,8 +164,8 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
     raise _not_invertible()
 
 
-def distorted_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """Return ``distorted`` for arrays.
+def distort_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
+    """Return ``distort`` for arrays.
 
     Parameters
     ----------
@@ -179,20 +179,20 @@ def distorted_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatA
     tuple of arrays, (...,) float64
         Distorted normalised coordinates.
     """
-    flat = _distorted(np.column_stack([np.ravel(xn), np.ravel(yn)]), lens)
+    flat = _distort(np.column_stack([np.ravel(xn), np.ravel(yn)]), lens)
     return flat[:, 0].reshape(xn.shape), flat[:, 1].reshape(xn.shape)
 
 
 @njit(cache=True, nogil=True)
-def _distorted(points: NDArray, lens: Lens) -> NDArray:
-    """Loop of ``distorted_arrays``."""
+def _distort(points: NDArray, lens: Lens) -> NDArray:
+    """Loop of ``distort_arrays``."""
     out = np.empty_like(points)
     for i in range(points.shape[0]):
-        out[i, 0], out[i, 1] = distorted(points[i, 0], points[i, 1], lens)
+        out[i, 0], out[i, 1] = distort(points[i, 0], points[i, 1], lens)
     return out
 
 
-def _fisheye_undistorted(xd: FloatArray, yd: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
+def _undistort_fisheye(xd: FloatArray, yd: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
     """Solve theta (1 + k1 theta^2 + ...) = |xd, yd| by Newton's method, starting at |xd, yd| but at most 1.5."""
     wanted = np.hypot(xd, yd)
     theta = np.minimum(wanted, 1.5)

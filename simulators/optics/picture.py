@@ -20,8 +20,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from calib.target import StarTarget
-from simulators.optics.collimator_errors import Disc, bending_of, disc_of, share_of, shares_of
-from simulators.optics.coverage import blank, gather, spread_kernel
+from simulators.optics.collimator_errors import (
+    Disc,
+    aberrations_of,
+    disc_of,
+    radius_fraction,
+    radius_fractions,
+)
+from simulators.optics.coverage import empty_picture, join_cells, spread_kernel
 from simulators.optics.lens import lens_of, ray_grid
 from simulators.optics.print_outline import black_polygons
 from simulators.optics.sight import Cells, Sight, draw, image_points, plane_points
@@ -85,7 +91,7 @@ def sight_of(truth: Truth, rotation: FloatArray) -> Sight:
         lens_of(truth.camera),
         np.ascontiguousarray(rotation, np.float64),
         np.array([c.x, c.y, -c.r]),
-        bending_of(c, rotation),
+        aberrations_of(c, rotation),
     )
 
 
@@ -139,7 +145,7 @@ def star_centres(
     disc = disc_of(collimator, rotation)
     bright = 1.0 - collimator.rim - clearance * TARGET.pitch_mm / disc.radius
     low, high = border_px - 0.5, np.array([camera.width, camera.height]) - 0.5 - border_px
-    seen = (shares_of(positions, disc) <= bright) & ((points >= low) & (points <= high)).all(axis=1)
+    seen = (radius_fractions(positions, disc) <= bright) & ((points >= low) & (points <= high)).all(axis=1)
     return ids[seen], points[seen]
 
 
@@ -182,7 +188,7 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     optics, camera, disc = truth.optics, truth.camera, disc_of(truth.collimator, rotation)
     kernel, rim_kernel = (spread_kernel(sigma, subsamples) for sigma in (optics.psf_px, optics.psf_rim_px))
     cells = Cells(subsamples, math.ceil((max(kernel.size, rim_kernel.size) / subsamples - 1) / 2))
-    steps = blank(camera.width, camera.height, cells.per_px, cells.margin_px)
+    steps = empty_picture(camera.width, camera.height, cells.per_px, cells.margin_px)
     rays, sight = ray_grid(camera, cells.margin_px), sight_of(truth, rotation)
     widest = disc.radius * (1.0 + float(np.abs(disc.edge).sum()))
     lit = np.hypot(*(_BLACK[:, 0] - (disc.x, disc.y)).T) < widest + TARGET.pitch_mm
@@ -193,11 +199,11 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
         camera.height + 2 * cells.margin_px,
         camera.width + 2 * cells.margin_px,
     )
-    image = gather(steps, light, (1.0, optics.black - 1.0), kernel, *cells)
+    image = join_cells(steps, light, (1.0, optics.black - 1.0), kernel, *cells)
     if optics.psf_rim_px > 0.0:
         m = cells.margin_px
         share = np.minimum(rho[m : m + camera.height, m : m + camera.width], 1.0) ** 2
-        image += share * (gather(steps, light, (1.0, optics.black - 1.0), rim_kernel, *cells) - image)
+        image += share * (join_cells(steps, light, (1.0, optics.black - 1.0), rim_kernel, *cells) - image)
     return np.asarray(image + np.float32(optics.stray), np.float32)
 
 
@@ -219,7 +225,7 @@ def _light(plane: NDArray, light: Light, height: int, width: int) -> tuple[NDArr
             u = j * along - column
             x = (1 - u) * between[column, 0] + u * between[column + 1, 0]
             y = (1 - u) * between[column, 1] + u * between[column + 1, 1]
-            rho = share_of(x, y, light.disc)
+            rho = radius_fraction(x, y, light.disc)
             x, y = (x - light.disc.x) / light.disc.radius, (y - light.disc.y) / light.disc.radius
             if rho < 1.0:
                 distance[i, j] = rho

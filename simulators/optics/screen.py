@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulators.errors import SimulationMisuse
-from simulators.optics.collimator_errors import NO_BENDING
-from simulators.optics.coverage import blank, gather, spread_kernel
+from simulators.optics.collimator_errors import NO_ABERRATIONS
+from simulators.optics.coverage import empty_picture, join_cells, spread_kernel
 from simulators.optics.lens import lens_of, ray_grid
 from simulators.optics.sight import Cells, Sight, draw, image_points
 from simulators.world.truth import CameraTruth
@@ -88,7 +88,7 @@ def _sight(board: Checkerboard, camera: CameraTruth, rotation: FloatArray, posit
     if not (depth > 0.0).all():
         raise SimulationMisuse("The board is not wholly in front of the camera.", where="position")
     turn = np.ascontiguousarray(rotation, np.float64)
-    return Sight(lens_of(camera), turn, -turn.T @ np.asarray(position, np.float64), NO_BENDING)
+    return Sight(lens_of(camera), turn, -turn.T @ np.asarray(position, np.float64), NO_ABERRATIONS)
 
 
 def render_board(
@@ -128,9 +128,9 @@ def render_board(
     sight = _sight(board, camera, rotation, position)
     kernel = spread_kernel(psf_px, subsamples)
     cells = Cells(subsamples, math.ceil((kernel.size / subsamples - 1) / 2))
-    steps = blank(camera.width, camera.height, cells.per_px, cells.margin_px)
+    steps = empty_picture(camera.width, camera.height, cells.per_px, cells.margin_px)
     draw(board.bright_mm, sight, ray_grid(camera, cells.margin_px), cells, steps)
     light = np.ones(
         (camera.height + 2 * cells.margin_px + 1, camera.width + 2 * cells.margin_px + 1), np.float32
     )
-    return np.asarray(gather(steps, light, (0.0, 1.0), kernel, *cells))
+    return np.asarray(join_cells(steps, light, (0.0, 1.0), kernel, *cells))

@@ -3,7 +3,8 @@
 A point goes through the collimator, which may bend its light, and through the lens. This module uses neither the print
 nor its illumination.
 
-Frames: the plane is Z = 0, mm; X_cam = R (P - c), c the camera's centre in the plane's frame.
+Frames: the plane is Z = 0, mm; X_cam = R (P - c), c the camera's centre in the plane's frame. A screen at finite
+distance has no collimator; its `Sight` holds ``NO_ABERRATIONS``.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.optics.collimator_errors import Bending, displacement, is_ideal, reticle_point
+from simulators.optics.collimator_errors import Aberrations, displacement, is_ideal, reticle_point
 from simulators.optics.coverage import add_edge
 from simulators.optics.lens import Lens, image_point
 
@@ -36,14 +37,14 @@ class Sight(NamedTuple):
         (3, 3) float64, rotation R.
     centre
         (3,) float64, camera centre c, mm.
-    bending
+    aberrations
         Errors of the collimator in the pose.
     """
 
     lens: Lens
     turn: FloatArray
     centre: FloatArray
-    bending: Bending
+    aberrations: Aberrations
 
 
 class Cells(NamedTuple):
@@ -62,7 +63,7 @@ class Cells(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def seen_at(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float]:
+def plane_to_image(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float]:
     """Return the image point of a point of the plane.
 
     Parameters
@@ -77,7 +78,7 @@ def seen_at(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float]:
     tuple of float
         u and v, px; NaN if the point does not lie in front of the camera.
     """
-    dx, dy = displacement(x_mm, y_mm, sight.bending)
+    dx, dy = displacement(x_mm, y_mm, sight.aberrations)
     x, y, z = x_mm + dx - sight.centre[0], y_mm + dy - sight.centre[1], -sight.centre[2]
     r = sight.turn
     return image_point(
@@ -106,7 +107,7 @@ def image_points(points_mm: NDArray, sight: Sight) -> NDArray:
     """
     out = np.empty((points_mm.shape[0], 2))
     for i in range(points_mm.shape[0]):
-        out[i, 0], out[i, 1] = seen_at(points_mm[i, 0], points_mm[i, 1], sight)
+        out[i, 0], out[i, 1] = plane_to_image(points_mm[i, 0], points_mm[i, 1], sight)
     return out
 
 
@@ -128,7 +129,7 @@ def plane_points(rays: NDArray, sight: Sight) -> NDArray:
     """
     out = np.empty_like(rays)
     r, c = sight.turn, sight.centre
-    ideal = is_ideal(sight.bending)
+    ideal = is_ideal(sight.aberrations)
     for i in range(rays.shape[0]):
         for j in range(rays.shape[1]):
             xn, yn = rays[i, j]
@@ -137,7 +138,7 @@ def plane_points(rays: NDArray, sight: Sight) -> NDArray:
             x = c[0] + scale * (r[0, 0] * xn + r[1, 0] * yn + r[2, 0])
             y = c[1] + scale * (r[0, 1] * xn + r[1, 1] * yn + r[2, 1])
             if not ideal:
-                x, y = reticle_point(x, y, sight.bending)
+                x, y = reticle_point(x, y, sight.aberrations)
             out[i, j, 0], out[i, j, 1] = x, y
     return out
 
@@ -193,15 +194,15 @@ def _within(x_mm: float, y_mm: float, sight: Sight, reach: float) -> bool:
 @njit(cache=True, nogil=True)
 def _draw_edge(a: NDArray, b: NDArray, sight: Sight, cells: Cells, steps: NDArray) -> None:
     """Add an edge from a to b, as chords of its curve in the image."""
-    u0, v0 = seen_at(a[0], a[1], sight)
-    u1, v1 = seen_at(b[0], b[1], sight)
-    um, vm = seen_at(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), sight)
+    u0, v0 = plane_to_image(a[0], a[1], sight)
+    u1, v1 = plane_to_image(b[0], b[1], sight)
+    um, vm = plane_to_image(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), sight)
     chords = 1 + int(math.sqrt(math.hypot(um - 0.5 * (u0 + u1), vm - 0.5 * (v0 + v1)) / CHORD_PX))
     scale, shift = cells.per_px, (cells.margin_px + 0.5) * cells.per_px
     for k in range(1, chords + 1):
         u, v = u1, v1
         if k < chords:
             s = k / chords
-            u, v = seen_at((1 - s) * a[0] + s * b[0], (1 - s) * a[1] + s * b[1], sight)
+            u, v = plane_to_image((1 - s) * a[0] + s * b[0], (1 - s) * a[1] + s * b[1], sight)
         add_edge(steps, u0 * scale + shift, v0 * scale + shift, u * scale + shift, v * scale + shift, 1.0)
         u0, v0 = u, v

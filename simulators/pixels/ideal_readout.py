@@ -176,7 +176,7 @@ def _levels(drive: Drive, picture: NDArray) -> NDArray:
     levels = np.empty(picture.shape, np.float32)
     for r in range(picture.shape[0]):
         for c in range(picture.shape[1]):
-            levels[r, c] = pr.place(drive, picture[r, c])
+            levels[r, c] = pr.stored_light(drive, picture[r, c])
     return levels
 
 

@@ -31,15 +31,17 @@ from simulators.pixels.drive import ATLAS_LEVELS, BENT, LEAST, SMOOTH, SQUARE, D
 from simulators.pixels.fast_math import JIT, KERNEL, exp32, log32
 
 # Rows of a batch.
-LIGHT: Final = 0  # its place: square: share of the drive that reaches the pixel; smooth: level on the atlas
+LIGHT: Final = (
+    0  # from stored_light; square: share of the drive that reaches the pixel; smooth: level on the atlas
+)
 U_RISE: Final = 1  # square: u at the rising edge; smooth: level on the atlas, -1 = too dark ever to fire
 U_FALL: Final = 2  # square: u at the falling edge
 ON_AT: Final = 3  # an ON event comes when u has fallen to this
 OFF_AT: Final = 4  # an OFF event comes when u has risen to this
-U: Final = 5  # u at the phase asked for
+U: Final = 5  # u at the requested phase
 T: Final = 6  # phase of the next crossing; may exceed a period; inf = none
 IS_ON: Final = 7  # its polarity
-TO_END: Final = 8  # square: how near its targets lie to where u ends, as square_tail has it
+LIMIT_DISTANCE: Final = 8  # square: relative distance of the targets from the limit of u; see square_tail
 N_BATCH: Final = 9
 
 _ZERO: Final = np.float32(0.0)
@@ -72,7 +74,7 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
 
 
 @njit(**JIT)
-def place(drive: Drive, light: float) -> float:
+def stored_light(drive: Drive, light: float) -> float:
     """Return the number by which a pixel's light is stored.
 
     Parameters
@@ -96,7 +98,7 @@ def place(drive: Drive, light: float) -> float:
 
 
 @njit(inline="always", **JIT)
-def steady(d: Drive, placed: Any) -> tuple[Any, Any]:
+def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
     """Return U_RISE and U_FALL of a pixel.
 
     Parameters
@@ -104,7 +106,7 @@ def steady(d: Drive, placed: Any) -> tuple[Any, Any]:
     d
         Light.
     placed
-        Stored light of the pixel, from ``place``.
+        Stored light of the pixel, from ``stored_light``.
 
     Returns
     -------
@@ -117,7 +119,7 @@ def steady(d: Drive, placed: Any) -> tuple[Any, Any]:
 
 
 @njit(**KERNEL)
-def steady_levels(drive: Drive, batch: NDArray, n: int) -> None:
+def fill_steady_states(drive: Drive, batch: NDArray, n: int) -> None:
     """Fill in U_RISE and U_FALL of each pixel from its stored light.
 
     Parameters
@@ -146,9 +148,9 @@ def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> An
     d
         Light.
     light
-        Stored light of the pixel, from ``place``.
+        Stored light of the pixel, from ``stored_light``.
     u_rise, u_fall
-        From ``steady``.
+        From ``steady_state``.
     phase
         Phase below one period, us.
 
@@ -171,9 +173,9 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
     d
         Light.
     light
-        Stored light of the pixel, from ``place``.
+        Stored light of the pixel, from ``stored_light``.
     u_rise, u_fall
-        From ``steady``.
+        From ``steady_state``.
     on_at, off_at
         Values of u at which an ON and an OFF event come.
     phase
@@ -190,7 +192,7 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
 
 
 @njit(**KERNEL)
-def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+def fill_levels(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     """Fill in U of each pixel at a phase.
 
     Parameters
@@ -216,7 +218,7 @@ def levels_at(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
 
 
 @njit(**KERNEL)
-def crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+def fill_crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
     """Fill in T and IS_ON of each pixel: the first crossing of ON_AT or OFF_AT at or after a phase.
 
     Parameters

@@ -112,7 +112,7 @@ def reset_errors(normals: NDArray, spread: float, random: NDArray, values: NDArr
 
 
 @njit(inline="always", **JIT)
-def earlier_error(normals: NDArray, spread: float, random: NDArray, back: int) -> Any:
+def earlier_reset_error(normals: NDArray, spread: float, random: NDArray, back: int) -> Any:
     """Return a factor that ``reset_error`` or ``reset_errors`` drew before.
 
     Parameters

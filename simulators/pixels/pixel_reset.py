@@ -18,9 +18,9 @@ from simulators.pixels import photoreceptor as pr
 from simulators.pixels import square_tail as tail
 from simulators.pixels.drive import Drive
 from simulators.pixels.fast_math import JIT, KERNEL
-from simulators.pixels.photoreceptor import crossings, levels_at, steady_levels
-from simulators.pixels.pixel_noise import earlier_error, reset_error, reset_errors
-from simulators.pixels.sensor_state import GAINS, ON_BITS, PLACE, T_LIVE, U_REF, Pixels, Readout
+from simulators.pixels.photoreceptor import fill_crossings, fill_levels, fill_steady_states
+from simulators.pixels.pixel_noise import earlier_reset_error, reset_error, reset_errors
+from simulators.pixels.sensor_state import GAINS, ON_BITS, STORED_LIGHT, T_LIVE, U_REF, Pixels, Readout
 
 FEW: Final = 9
 """With fewer events, the pixels of a row are processed one by one, not as a batch."""
@@ -30,7 +30,7 @@ _GAIN: Final = np.float32(1.0 / 65536.0)
 
 
 @njit(inline="always", **JIT)
-def targets(u: Any, gains: Any) -> tuple[Any, Any]:
+def firing_levels(u: Any, gains: Any) -> tuple[Any, Any]:
     """Return the levels at which a pixel fires.
 
     Parameters
@@ -60,14 +60,14 @@ def _gains_of(gains: Any) -> tuple[float, float]:
 def _load(cell: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
     """Load the stored light of the listed pixels of a row into the batch."""
     for k in range(n):
-        batch[pr.LIGHT, k] = cell[column[k], PLACE]
+        batch[pr.LIGHT, k] = cell[column[k], STORED_LIGHT]
 
 
 @njit(**KERNEL)
 def _aim(gains: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
     """Fill in the levels at which the pixels of the batch fire."""
     for k in range(n):
-        batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = targets(batch[pr.U, k], gains[column[k], GAINS])
+        batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = firing_levels(batch[pr.U, k], gains[column[k], GAINS])
 
 
 @njit(**KERNEL)
@@ -103,7 +103,7 @@ def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: flo
         Start of the light's period, us after the epoch.
     """
     on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
-    cross, on = tail.crossing(drive, px.cell[r, c, PLACE], u * on_gain, u / off_gain, phase)
+    cross, on = tail.crossing(drive, px.cell[r, c, STORED_LIGHT], u * on_gain, u / off_gain, phase)
     px.cell[r, c, U_REF] = u
     px.is_on[r, c] = tail.lower_digits(u, px.cell[r, c, U_REF]) | np.uint8(on)
     px.t_next[r, c] = max(px.cell[r, c, T_LIVE], np.float32(start + cross))
@@ -132,18 +132,18 @@ def reset_pixel(
     random
         (2,) uint64, generator; its counter advances.
     """
-    light = px.cell[r, c, PLACE]
-    u_rise, u_fall = pr.steady(drive, light)
+    light = px.cell[r, c, STORED_LIGHT]
+    u_rise, u_fall = pr.steady_state(drive, light)
     error = reset_error(ro.normals, ro.reset_noise, random)
     u = pr.level_at(drive, light, u_rise, u_fall, phase) * error
-    on_at, off_at = targets(u, px.gains[r, c, GAINS])
+    on_at, off_at = firing_levels(u, px.gains[r, c, GAINS])
     cross, on = pr.crossing(drive, light, u_rise, u_fall, on_at, off_at, phase)
     live = np.float32(start + phase)
     px.cell[r, c, U_REF] = u
     px.cell[r, c, T_LIVE] = live
     px.is_on[r, c] = np.uint8(on)
     px.t_next[r, c] = max(live, np.float32(start) + cross)
-    if tail.to_end(drive, light, on_at, off_at) < tail.tail_width(drive):
+    if tail.limit_distance(drive, light, on_at, off_at) < tail.tail_width(drive):
         cross_exactly(px, drive, r, c, tail.level(drive, light, phase) * error, phase, start)
 
 
@@ -176,11 +176,11 @@ def reset_at_once(
     """
     for k in range(n):
         c = np.int64(px.column[k])
-        light, u_ref = px.cell[r, c, PLACE], tail.joined(px.cell[r, c, U_REF], px.is_on[r, c])
+        light, u_ref = px.cell[r, c, STORED_LIGHT], tail.join_digits(px.cell[r, c, U_REF], px.is_on[r, c])
         on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
         on = px.is_on[r, c] & np.uint8(1) != 0
         target = u_ref * on_gain if on else u_ref / off_gain
-        t_live = tail.asked_at(drive, light, target, on, t, start) + ro.dead_us
+        t_live = tail.request_time(drive, light, target, on, t, start) + ro.dead_us
         live_start = start + floor((t_live - start) / drive.period_us) * drive.period_us
         phase = t_live - live_start
         u = tail.level(drive, light, phase) * reset_error(ro.normals, ro.reset_noise, random)
@@ -222,17 +222,17 @@ def reset_row(
         return
     whole = -(-n // LANES) * LANES  # the rest of the batch holds pixels of earlier rows, which are not stored
     _load(px.cell[r], px.column, px.batch, whole)
-    steady_levels(drive, px.batch, whole)
-    levels_at(drive, px.batch, whole, phase)
+    fill_steady_states(drive, px.batch, whole)
+    fill_levels(drive, px.batch, whole, phase)
     reset_errors(ro.normals, ro.reset_noise, random, px.batch[pr.U], n)
     _aim(px.gains[r], px.column, px.batch, whole)
-    crossings(drive, px.batch, whole, phase)
+    fill_crossings(drive, px.batch, whole, phase)
     _store((px.cell[r], px.t_next[r], px.is_on[r]), px.column, px.batch, n, start, t_live)
     width = tail.tail_width(drive)
-    if tail.fill_to_end(drive, px.batch, n) < width:
+    if tail.fill_limit_distance(drive, px.batch, n) < width:
         for k in range(n):
-            if px.batch[pr.TO_END, k] < width:
+            if px.batch[pr.LIMIT_DISTANCE, k] < width:
                 c = np.int64(px.column[k])
-                u = tail.level(drive, px.cell[r, c, PLACE], phase)
-                error = earlier_error(ro.normals, ro.reset_noise, random, n - k)
+                u = tail.level(drive, px.cell[r, c, STORED_LIGHT], phase)
+                error = earlier_reset_error(ro.normals, ro.reset_noise, random, n - k)
                 cross_exactly(px, drive, r, c, u * error, phase, start)

@@ -20,9 +20,9 @@ from simulators.pixels import photoreceptor as pr
 from simulators.pixels import square_tail as tail
 from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import JIT
-from simulators.pixels.photoreceptor import crossings, levels_at, period_start, steady_levels
+from simulators.pixels.photoreceptor import fill_crossings, fill_levels, fill_steady_states, period_start
 from simulators.pixels.pixel_noise import draw_arrivals, uniform
-from simulators.pixels.pixel_reset import cross_exactly, reset_at_once, reset_pixel, reset_row, targets
+from simulators.pixels.pixel_reset import cross_exactly, firing_levels, reset_at_once, reset_pixel, reset_row
 from simulators.pixels.sensor_state import (
     AHEAD,
     BLOCK,
@@ -34,9 +34,9 @@ from simulators.pixels.sensor_state import (
     GAINS,
     GROUP,
     NOISE,
-    PLACE,
     QUEUE,
     STALL,
+    STORED_LIGHT,
     T_LIVE,
     U_REF,
     Pixels,
@@ -283,7 +283,7 @@ def read_rows(
 
 
 @njit(**JIT)
-def see(px: Pixels, drive: Drive, picture: NDArray) -> None:
+def set_picture(px: Pixels, drive: Drive, picture: NDArray) -> None:
     """Store a picture as the light of the pixels.
 
     Parameters
@@ -297,7 +297,7 @@ def see(px: Pixels, drive: Drive, picture: NDArray) -> None:
     """
     for r in range(picture.shape[0]):
         for c in range(picture.shape[1]):
-            px.cell[r, c, PLACE] = pr.place(drive, picture[r, c])
+            px.cell[r, c, STORED_LIGHT] = pr.stored_light(drive, picture[r, c])
 
 
 @njit(**JIT)
@@ -329,7 +329,7 @@ def start_pixels(px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArr
 
 
 @njit(**JIT)
-def redrive(
+def apply_change(
     px: Pixels, drive: Drive, width: int, t: float, step_us: float, state: NDArray, random: NDArray
 ) -> None:
     """Apply a new light or a new picture at t: references stay, and next crossings are computed again.
@@ -357,13 +357,13 @@ def redrive(
     start = period_start(drive, state[EPOCH], t)
     for r in range(px.t_next.shape[0]):
         for c in range(width):
-            batch[pr.LIGHT, c] = px.cell[r, c, PLACE]
-            aims = targets(px.cell[r, c, U_REF], px.gains[r, c, GAINS])
+            batch[pr.LIGHT, c] = px.cell[r, c, STORED_LIGHT]
+            aims = firing_levels(px.cell[r, c, U_REF], px.gains[r, c, GAINS])
             batch[pr.ON_AT, c], batch[pr.OFF_AT, c] = aims
-        steady_levels(drive, batch, width)
-        levels_at(drive, batch, width, t - start)
-        crossings(drive, batch, width, t - start)
-        tail.fill_to_end(drive, batch, width)
+        fill_steady_states(drive, batch, width)
+        fill_levels(drive, batch, width, t - start)
+        fill_crossings(drive, batch, width, t - start)
+        tail.fill_limit_distance(drive, batch, width)
         for c in range(width):
             if px.t_next[r, c] <= t:
                 continue  # it already waits
@@ -374,7 +374,10 @@ def redrive(
             px.t_next[r, c] = max(np.float64(px.cell[r, c, T_LIVE]), cross)
             lower = px.is_on[r, c] & np.uint8(0xFE)
             px.is_on[r, c] = lower | np.uint8(on)
-            if batch[pr.TO_END, c] < tail.tail_width(drive) and batch[pr.ON_AT, c] < u < batch[pr.OFF_AT, c]:
-                u_ref = tail.joined(px.cell[r, c, U_REF], lower)
+            if (
+                batch[pr.LIMIT_DISTANCE, c] < tail.tail_width(drive)
+                and batch[pr.ON_AT, c] < u < batch[pr.OFF_AT, c]
+            ):
+                u_ref = tail.join_digits(px.cell[r, c, U_REF], lower)
                 cross_exactly(px, drive, r, c, u_ref, t - start, start)
     update_minima(px)

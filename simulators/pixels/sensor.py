@@ -194,10 +194,10 @@ class Sensor:
                 self._pixels, self._readout, self.width, state[sensor_state.FREE], self._random
             )
             state[sensor_state.NOISE] = self._pixels.noise_t[0]
-        self._see(picture)
+        self._set_picture(picture)
         readout.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
         self._now_us = begin_us
-        self._live(at_us, _Output(FIRST_ROOM, keep=False))
+        self._advance(at_us, _Output(FIRST_ROOM, keep=False))
         state[sensor_state.STALL] = 0.0
 
     def change(
@@ -222,11 +222,11 @@ class Sensor:
             If the picture's shape is not that of the sensor.
         """
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
-        self._see(picture)
+        self._set_picture(picture)
         t = self._now_us - self._state[sensor_state.EPOCH]
-        readout.redrive(self._pixels, self._drive, self.width, t, step_us, self._state, self._random)
+        readout.apply_change(self._pixels, self._drive, self.width, t, step_us, self._state, self._random)
 
-    def _see(self, picture: NDArray[np.float32] | None) -> None:
+    def _set_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Store the picture in the pixels; None: the present one."""
         if picture is not None:
             if picture.shape != (self.height, self.width):
@@ -234,7 +234,7 @@ class Sensor:
                     f"The picture has shape {picture.shape}; the sensor has {self.height} rows of {self.width} pixels."
                 )
             self._picture = np.ascontiguousarray(picture, np.float32)
-        readout.see(self._pixels, self._drive, self._picture)
+        readout.set_picture(self._pixels, self._drive, self._picture)
 
     def run(self, until_us: float) -> Events:
         """Return the events from the end of the last call to a time.
@@ -258,10 +258,10 @@ class Sensor:
             raise SimulationMisuse("The sensor has not been shown a picture yet.", remedy="Call begin first.")
         expected = int(1.1 * self._rate_us * (until_us - self._now_us))
         found = _Output(FIRST_ROOM + max(expected, 0))
-        self._live(until_us, found)
+        self._advance(until_us, found)
         return found.events()
 
-    def _live(self, until_us: float, found: _Output) -> None:
+    def _advance(self, until_us: float, found: _Output) -> None:
         """Run the sensor up to a time of its clock."""
         begin_us = self._now_us
         while self._now_us < until_us:

@@ -34,7 +34,7 @@ QUEUE: Final = 7  # position in the queue of background and hot-pixel events
 N_STATE: Final = 8
 
 # Numbers of a pixel, in Pixels.cell: a cache line holds four pixels, as memory limits the speed.
-PLACE: Final = 0  # its light, or its level on the atlas, from photoreceptor.place
+STORED_LIGHT: Final = 0  # its light, or its level on the atlas, from photoreceptor.stored_light
 GAINS: Final = 1  # two uint16 (Pixels.gains); see ON_BITS
 U_REF: Final = 2  # exp(-V) at the last reset
 T_LIVE: Final = 3  # end of the dead time

@@ -85,13 +85,13 @@ class SensorStream:
         seeds = _seed(world.seed, key, repeat)
         rng = np.random.default_rng(seeds)
         phase = float(rng.random())
-        self._shaking = float(rng.random()), float(rng.random())
+        self._vibration_phases = float(rng.random()), float(rng.random())
         self.start_s = asked_s + ((phase - self._light.phase_at(asked_s)) % 1.0) / self._light.frequency_hz
         self._period_starts_us = -phase * self._light.period_us
         self._begins_us = -(-clock_us // START_US) * START_US
         self._now_us = 0  # since _begins_us
         self._truth = truth = world.truth_at(asked_s)
-        self._crept = mount.crept_arcsec(truth.mount, world.on_s(asked_s))
+        self._start_drift_arcsec = mount.drift_since_on_arcsec(truth.mount, world.on_s(asked_s))
         self._angles = self._angles_now()
         width, height = truth.camera.width, truth.camera.height
         self._sensor = Sensor(
@@ -156,9 +156,11 @@ class SensorStream:
     def _angles_now(self) -> Mapping[AxisName, float]:
         """Return the angles at which the camera points, with the mount's own motion."""
         angles = self._world.angles_deg(self.covered_s)
-        if not mount.moves(self._truth.mount):
+        if not mount.has_motion(self._truth.mount):
             return angles
-        return mount.disturbed(angles, self._truth.mount, self._crept, self._shaking, self._now_us * 1e-6)
+        return mount.true_angles_deg(
+            angles, self._truth.mount, self._start_drift_arcsec, self._vibration_phases, self._now_us * 1e-6
+        )
 
     def _picture(self, *, moving: bool) -> NDArray[np.float32]:
         """Return the picture in the present pose."""
@@ -230,10 +232,10 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
         "filters": dict(camera.filters),
         "trigger_in": camera.trigger_in,
     }
-    if temperature.matters(world.truth.thermal):
+    if temperature.has_effect(world.truth.thermal):
         key["temperature_c"] = world.temperature_c(at_s)
-    if mount.moves(world.truth.mount):
-        key["crept"] = mount.crept_arcsec(world.truth.mount, world.on_s(at_s))
+    if mount.has_motion(world.truth.mount):
+        key["crept"] = mount.drift_since_on_arcsec(world.truth.mount, world.on_s(at_s))
     return json.dumps(key, sort_keys=True)
 
 

@@ -44,7 +44,7 @@ def tail_width(d: Drive) -> float:
 
 
 @njit(inline="always", **JIT)
-def to_end(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
+def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
     """Return how near the nearer of a pixel's two targets is to the limit of u in its part of the period, relatively.
 
     Parameters
@@ -67,8 +67,8 @@ def to_end(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
 
 
 @njit(**KERNEL)
-def fill_to_end(drive: Drive, batch: NDArray, n: int) -> Any:
-    """Fill in ``TO_END`` of each pixel under a square light.
+def fill_limit_distance(drive: Drive, batch: NDArray, n: int) -> Any:
+    """Fill in ``LIMIT_DISTANCE`` of each pixel under a square light.
 
     Parameters
     ----------
@@ -86,9 +86,11 @@ def fill_to_end(drive: Drive, batch: NDArray, n: int) -> Any:
     """
     nearest = np.float32(1.0)
     for k in range(n):
-        batch[pr.TO_END, k] = to_end(drive, batch[pr.LIGHT, k], batch[pr.ON_AT, k], batch[pr.OFF_AT, k])
+        batch[pr.LIMIT_DISTANCE, k] = limit_distance(
+            drive, batch[pr.LIGHT, k], batch[pr.ON_AT, k], batch[pr.OFF_AT, k]
+        )
     for k in range(n):
-        nearest = min(nearest, batch[pr.TO_END, k])
+        nearest = min(nearest, batch[pr.LIMIT_DISTANCE, k])
     return nearest
 
 
@@ -165,7 +167,7 @@ def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) 
 
 
 @njit(**JIT)
-def asked_at(d: Drive, light: float, target: float, on: bool, t: float, start: float) -> float:
+def request_time(d: Drive, light: float, target: float, on: bool, t: float, start: float) -> float:
     """Return when u met a target, more exactly than float32 stores a request's time.
 
     On a steep slope the target determines the moment better than the stored time does. The light that the pixel
@@ -223,7 +225,7 @@ def lower_digits(u: float, u32: Any) -> Any:
 
 
 @njit(inline="always", **JIT)
-def joined(u32: Any, digits: Any) -> float:
+def join_digits(u32: Any, digits: Any) -> float:
     """Return a reference with its lower digits.
 
     Parameters

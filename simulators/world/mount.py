@@ -18,7 +18,7 @@ from simulators.world.world import AxisName
 STEP_ARCSEC: Final = 0.05
 
 
-def moves(mount: MountTruth) -> bool:
+def has_motion(mount: MountTruth) -> bool:
     """Return whether the mount moves at all.
 
     Parameters
@@ -31,10 +31,10 @@ def moves(mount: MountTruth) -> bool:
     bool
         True if it vibrates or drifts.
     """
-    return shakes(mount) or mount.drift_arcsec_per_min != (0.0, 0.0)
+    return vibrates(mount) or mount.drift_arcsec_per_min != (0.0, 0.0)
 
 
-def shakes(mount: MountTruth) -> bool:
+def vibrates(mount: MountTruth) -> bool:
     """Return whether the mount vibrates.
 
     Parameters
@@ -50,7 +50,7 @@ def shakes(mount: MountTruth) -> bool:
     return mount.vibration_arcsec > 0.0 and mount.vibration_hz > 0.0
 
 
-def crept_arcsec(mount: MountTruth, on_s: float) -> tuple[float, float]:
+def drift_since_on_arcsec(mount: MountTruth, on_s: float) -> tuple[float, float]:
     """Return the drift since the bench was switched on, in whole steps of `STEP_ARCSEC`.
 
     Parameters
@@ -71,10 +71,10 @@ def crept_arcsec(mount: MountTruth, on_s: float) -> tuple[float, float]:
     return pan, tilt
 
 
-def disturbed(
+def true_angles_deg(
     angles_deg: Mapping[AxisName, float],
     mount: MountTruth,
-    crept: tuple[float, float],
+    start_drift_arcsec: tuple[float, float],
     phases: tuple[float, float],
     t_s: float,
 ) -> dict[AxisName, float]:
@@ -86,8 +86,8 @@ def disturbed(
         Angles of the axes by name.
     mount
         True motion of the mount.
-    crept
-        Drift of pan and tilt at the recording's start, arc seconds, from ``crept_arcsec``.
+    start_drift_arcsec
+        Drift of pan and tilt at the recording's start, arc seconds, from ``drift_since_on_arcsec``.
     phases
         Phases of the vibration about pan and tilt at the recording's start, in periods.
     t_s
@@ -100,9 +100,11 @@ def disturbed(
     """
     angles = dict(angles_deg)
     names: tuple[AxisName, AxisName] = ("pan", "tilt")
-    for name, rate, start, phase in zip(names, mount.drift_arcsec_per_min, crept, phases, strict=True):
+    for name, rate, start, phase in zip(
+        names, mount.drift_arcsec_per_min, start_drift_arcsec, phases, strict=True
+    ):
         arcsec = start + rate * t_s / 60.0
-        if shakes(mount):
+        if vibrates(mount):
             arcsec += mount.vibration_arcsec * math.sin(2.0 * math.pi * (mount.vibration_hz * t_s + phase))
         angles[name] += arcsec / 3600.0
     return angles

@@ -42,7 +42,7 @@ def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
     return round(round(exact / STEP_C) * STEP_C, 2)
 
 
-def warmed(truth: Truth, at_c: float) -> Truth:
+def truth_at_temperature(truth: Truth, at_c: float) -> Truth:
     """Return the truth at a temperature.
 
     Parameters
@@ -64,7 +64,7 @@ def warmed(truth: Truth, at_c: float) -> Truth:
     return replace(truth, camera=camera)
 
 
-def brightness(thermal: ThermalTruth, at_c: float) -> float:
+def lamp_brightness(thermal: ThermalTruth, at_c: float) -> float:
     """Return the lamp's light at a temperature, relative to that at the reference temperature.
 
     Parameters
@@ -82,7 +82,7 @@ def brightness(thermal: ThermalTruth, at_c: float) -> float:
     return max(0.0, 1.0 + 1e-2 * thermal.lamp_percent_per_c * (at_c - REFERENCE_C))
 
 
-def matters(thermal: ThermalTruth) -> bool:
+def has_effect(thermal: ThermalTruth) -> bool:
     """Return whether anything depends on the temperature.
 
     Parameters

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 
-class Leg(NamedTuple):
+class RampPhase(NamedTuple):
     """A part of a ramp.
 
     Attributes
@@ -27,7 +27,9 @@ class Leg(NamedTuple):
     acceleration: float
 
 
-def ramp(position: float, velocity: float, target: float, speed: float, acceleration: float) -> list[Leg]:
+def ramp(
+    position: float, velocity: float, target: float, speed: float, acceleration: float
+) -> list[RampPhase]:
     """Plan a trapezoidal velocity profile from a position and velocity to rest at a target.
 
     An axis that runs the wrong way, or too fast to stop in time, brakes to a halt first.
@@ -43,7 +45,7 @@ def ramp(position: float, velocity: float, target: float, speed: float, accelera
 
     Returns
     -------
-    list of Leg
+    list of RampPhase
         At most four; empty if the axis already rests at the target.
 
     Examples
@@ -51,11 +53,11 @@ def ramp(position: float, velocity: float, target: float, speed: float, accelera
     >>> [tuple(leg) for leg in ramp(0.0, 0.0, 100.0, 10.0, 10.0)]
     [(1.0, 10.0), (9.0, 0.0), (1.0, -10.0)]
     """
-    legs: list[Leg] = []
+    legs: list[RampPhase] = []
     distance = target - position
     stopping = velocity * abs(velocity) / (2.0 * acceleration)
     if velocity != 0.0 and (distance * velocity <= 0.0 or abs(distance) < abs(stopping)):
-        legs.append(Leg(abs(velocity) / acceleration, -math.copysign(acceleration, velocity)))
+        legs.append(RampPhase(abs(velocity) / acceleration, -math.copysign(acceleration, velocity)))
         distance -= stopping
         velocity = 0.0
     if distance != 0.0:
@@ -63,16 +65,16 @@ def ramp(position: float, velocity: float, target: float, speed: float, accelera
     return [leg for leg in legs if leg.duration_s > 0.0]
 
 
-def _trapezoid(distance: float, entry: float, speed: float, acceleration: float) -> list[Leg]:
+def _trapezoid(distance: float, entry: float, speed: float, acceleration: float) -> list[RampPhase]:
     """Change to the highest speed, keep it, and brake; ``entry`` is the speed towards the target at the start."""
     side = math.copysign(1.0, distance)
     peak = min(speed, math.sqrt(acceleration * abs(distance) + entry * entry / 2.0))
     change = peak - entry
     cruise = abs(distance) - (abs(peak * peak - entry * entry) + peak * peak) / (2.0 * acceleration)
     return [
-        Leg(abs(change) / acceleration, side * math.copysign(acceleration, change)),
-        Leg(max(0.0, cruise) / peak, 0.0),
-        Leg(peak / acceleration, -side * acceleration),
+        RampPhase(abs(change) / acceleration, side * math.copysign(acceleration, change)),
+        RampPhase(max(0.0, cruise) / peak, 0.0),
+        RampPhase(peak / acceleration, -side * acceleration),
     ]
 
 

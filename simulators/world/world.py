@@ -338,7 +338,7 @@ class World:
         """
         with self._lock:
             state = self._light.at(t_s)
-        share = temperature.brightness(self.truth.thermal, self.temperature_c(t_s))
+        share = temperature.lamp_brightness(self.truth.thermal, self.temperature_c(t_s))
         return (
             state if share == 1.0 else replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
         )
@@ -386,4 +386,4 @@ class World:
         Truth
             With focal lengths of that temperature.
         """
-        return temperature.warmed(self.truth, self.temperature_c(t_s))
+        return temperature.truth_at_temperature(self.truth, self.temperature_c(t_s))

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from simulators.errors import ConfigError
 from simulators.optics import picture as optics
-from simulators.optics.collimator_errors import apparent, bending_of, disc_of, reticle_point, shares_of
+from simulators.optics.collimator_errors import (
+    aberrations_of,
+    apparent_points,
+    disc_of,
+    radius_fractions,
+    reticle_point,
+)
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config
 
@@ -40,7 +46,7 @@ def test_displacement_is_the_gradient_of_the_wave_aberration(values, point, pupi
     c = dict(zip(names, values, strict=True))
     collimator = CollimatorTruth(disc_x=pupil[0], disc_y=pupil[1], **c)
     p = np.array([collimator.x, collimator.y]) + point
-    moved = apparent(p[None], bending_of(collimator, np.eye(3)))[0] - p
+    moved = apparent_points(p[None], aberrations_of(collimator, np.eye(3)))[0] - p
     h, b, step = np.array(point) / collimator.r, np.array(pupil) / collimator.r, 1e-4
     gradient = [
         (wave_aberration(h, b + step * e, c) - wave_aberration(h, b - step * e, c)) / (2 * step)
@@ -51,9 +57,9 @@ def test_displacement_is_the_gradient_of_the_wave_aberration(values, point, pupi
 
 @given(x=st.floats(40, 150), y=st.floats(80, 200))
 def test_the_reticle_point_seen_somewhere_appears_there(x, y):
-    bending = bending_of(COLLIMATORS["like-real"], TURN)
-    p = np.array(reticle_point(x, y, bending))
-    np.testing.assert_allclose(apparent(p[None], bending)[0], [x, y], atol=1e-5)
+    aberrations = aberrations_of(COLLIMATORS["like-real"], TURN)
+    p = np.array(reticle_point(x, y, aberrations))
+    np.testing.assert_allclose(apparent_points(p[None], aberrations)[0], [x, y], atol=1e-5)
     assert np.hypot(*(p - [x, y])) > 1e-4
 
 
@@ -91,7 +97,7 @@ def test_an_uneven_disc_departs_from_a_circle_by_its_rms_and_otherwise_in_other_
         disc = disc_of(collimator, optics.pose_rotation({"pan": pan}, OpticsTruth()))
         around = np.column_stack([np.cos(turns), np.sin(turns)])
         points = [disc.x, disc.y] + disc.radius * around
-        edges.append(1.0 / shares_of(points, disc) - 1.0)
+        edges.append(1.0 / radius_fractions(points, disc) - 1.0)
     assert np.std(edges) == pytest.approx(0.05, rel=0.15)
     assert np.abs(np.mean(edges, axis=1)).max() < 1e-9
     assert np.std(edges, axis=0).min() > 0.02
@@ -108,7 +114,7 @@ def test_light_ends_where_the_uneven_disc_does():
         collimator.x,
         collimator.y,
     )
-    share = shares_of(points, disc).reshape(160, 160)
+    share = radius_fractions(points, disc).reshape(160, 160)
     assert (picture[share < 0.97] > 0.5).all()
     assert (picture[share > 1.03] == 0.0).all()
     circle = np.hypot(*(points - (disc.x, disc.y)).T).reshape(160, 160) / disc.radius
@@ -117,10 +123,10 @@ def test_light_ends_where_the_uneven_disc_does():
 
 def test_points_roll_outwards_with_the_fourth_power():
     collimator = CollimatorTruth(rim_roll_mm=0.2)
-    bending = bending_of(collimator, np.eye(3))
+    aberrations = aberrations_of(collimator, np.eye(3))
     radius = disc_of(collimator, np.eye(3)).radius
     points = np.array([[collimator.x + share * radius, collimator.y] for share in (0.0, 0.5, 1.0)])
-    moved = apparent(points, bending) - points
+    moved = apparent_points(points, aberrations) - points
     np.testing.assert_allclose(moved, [[0.0, 0.0], [0.2 / 16, 0.0], [0.2, 0.0]], atol=1e-12)
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.target import StarTarget
-from simulators.optics.coverage import add_edge, blank, gather, spread_kernel
+from simulators.optics.coverage import add_edge, empty_picture, join_cells, spread_kernel
 from simulators.optics.print_outline import black_polygons
 
 PLACE = st.tuples(st.floats(-3.0, 12.0), st.floats(-3.0, 9.0))
@@ -16,7 +16,7 @@ PLACE = st.tuples(st.floats(-3.0, 12.0), st.floats(-3.0, 9.0))
 
 def areas(ring, columns=9, rows=6):
     """Share of each cell that a ring covers."""
-    steps = blank(columns, rows, 1, 0)
+    steps = empty_picture(columns, rows, 1, 0)
     for (x0, y0), (x1, y1) in zip(ring, [*ring[1:], ring[0]], strict=True):
         add_edge(steps, x0, y0, x1, y1, 1.0)
     return np.cumsum(steps.astype(float), axis=1)[:, :-1]
@@ -65,11 +65,11 @@ def test_an_edge_through_the_point_spread_is_an_error_function_wherever_it_stand
     margin, worst = math.ceil((kernel.size / cells - 1) / 2), 0.0
     light = np.ones((3 + 2 * margin, 20 + 2 * margin + 1), np.float32)
     for place in np.linspace(9.0, 10.0, 21):  # in pixels, from the left edge of the first
-        steps = blank(20, 2, cells, margin)
+        steps = empty_picture(20, 2, cells, margin)
         ring = [((place + margin) * cells, -1.0), (1e3, -1.0), (1e3, 1e3), ((place + margin) * cells, 1e3)]
         for (x0, y0), (x1, y1) in zip(ring, [*ring[1:], ring[0]], strict=True):
             add_edge(steps, x0, y0, x1, y1, 1.0)
-        row = gather(steps, light, (0.0, 1.0), kernel, cells, margin)[0]
+        row = join_cells(steps, light, (0.0, 1.0), kernel, cells, margin)[0]
         fine = np.arange(0.005, 1.0, 0.01)
         expected = [
             np.mean([0.5 * (1 + math.erf((j + s - place) / 0.7 / math.sqrt(2))) for s in fine])

@@ -9,9 +9,9 @@ from simulators.optics.irregularity import (
     POWER,
     RIM_FROM,
     RIM_OUTWARDS,
-    coefficients,
-    field,
-    wandering,
+    displacement_field,
+    field_coefficients,
+    random_functions,
 )
 
 GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 61), np.linspace(-1, 1, 61)), axis=-1).reshape(-1, 2)
@@ -21,12 +21,13 @@ POSES = np.random.default_rng(4).uniform(-0.45, 0.45, (150, 2))
 
 def over(points, drawn):
     """Displacements at points of the disc."""
-    return np.array([field(u, v, drawn) for u, v in points])
+    return np.array([displacement_field(u, v, drawn) for u, v in points])
 
 
 def test_the_displacement_has_the_rms_asked_for_over_disc_and_poses():
     squares = [
-        (over(DISC[::7], coefficients(tuple(pose), 0.02, 0.0, 1)) ** 2).sum(axis=1).mean() for pose in POSES
+        (over(DISC[::7], field_coefficients(tuple(pose), 0.02, 0.0, 1)) ** 2).sum(axis=1).mean()
+        for pose in POSES
     ]
     assert np.sqrt(np.mean(squares)) == pytest.approx(0.02, rel=0.15)
 
@@ -37,7 +38,7 @@ def test_polynomials_of_a_degree_carry_their_share():
     tilt = 2.0 * radius * np.cos(turn)
     focus = np.sqrt(3.0) * (2.0 * radius**2 - 1.0)
     for pose in POSES:
-        moved = over(DISC, coefficients(tuple(pose), 1.0, 0.0, 1))
+        moved = over(DISC, field_coefficients(tuple(pose), 1.0, 0.0, 1))
         shares[1] += (np.mean(moved * tilt[:, None], axis=0) ** 2).sum()
         shares[2] += (np.mean(moved * focus[:, None], axis=0) ** 2).sum()
     expected = np.array(POWER) / sum(POWER) / (np.arange(1, DEGREE + 1) + 1)
@@ -45,23 +46,23 @@ def test_polynomials_of_a_degree_carry_their_share():
 
 
 def test_like_poses_are_alike_and_unlike_ones_are_not():
-    drawn = np.array([wandering(tuple(pose), 60, 1) for pose in POSES])
-    beside = np.array([wandering((x + 0.02, y), 60, 1) for x, y in POSES])
+    drawn = np.array([random_functions(tuple(pose), 60, 1) for pose in POSES])
+    beside = np.array([random_functions((x + 0.02, y), 60, 1) for x, y in POSES])
     assert np.mean(drawn * beside) / np.mean(drawn**2) > 0.7
     assert abs(np.mean(drawn[1:] * drawn[:-1])) < 0.1
-    assert not np.allclose(drawn, [wandering(tuple(pose), 60, 2) for pose in POSES], atol=0.5)
+    assert not np.allclose(drawn, [random_functions(tuple(pose), 60, 2) for pose in POSES], atol=0.5)
 
 
 def test_the_rim_alone_scatters_and_outwards_on_the_whole():
     turns = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
     circle = np.column_stack([np.cos(turns), np.sin(turns)])
-    at_edge = np.array([over(circle, coefficients(tuple(pose), 0.0, 0.05, 1)) for pose in POSES])
+    at_edge = np.array([over(circle, field_coefficients(tuple(pose), 0.0, 0.05, 1)) for pose in POSES])
     outwards = (at_edge * circle).sum(axis=2)
     assert outwards.mean() == pytest.approx(0.05 * RIM_OUTWARDS, rel=0.25)
     assert (at_edge - 0.05 * RIM_OUTWARDS * circle).std() == pytest.approx(0.05, rel=0.2)
-    assert np.abs(over(0.99 * RIM_FROM * circle, coefficients((0.1, 0.2), 0.0, 0.05, 1))).max() == 0.0
+    assert np.abs(over(0.99 * RIM_FROM * circle, field_coefficients((0.1, 0.2), 0.0, 0.05, 1))).max() == 0.0
 
 
 def test_without_coefficients_nothing_moves():
-    assert field(0.3, 0.9, np.zeros((0, 2))) == (0.0, 0.0)
-    assert coefficients((0.0, 0.0), 0.01, 0.01, 1).shape == (MONOMIALS + 7, 2)
+    assert displacement_field(0.3, 0.9, np.zeros((0, 2))) == (0.0, 0.0)
+    assert field_coefficients((0.0, 0.0), 0.01, 0.01, 1).shape == (MONOMIALS + 7, 2)

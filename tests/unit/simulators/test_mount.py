@@ -1,4 +1,4 @@
-"""The mount's own motion: it shakes by its amplitude and frequency, and creeps at its rate."""
+"""The mount's own motion: it vibrates with its amplitude and frequency, and drifts at its rate."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from simulators.config import bench_config
 from simulators.errors import ConfigError
 from simulators.pixels.biases import FACTORY
 from simulators.pixels.sensor_stream import CameraState, SensorStream
-from simulators.world.mount import STEP_ARCSEC, crept_arcsec, disturbed
+from simulators.world.mount import STEP_ARCSEC, drift_since_on_arcsec, true_angles_deg
 from simulators.world.truth import NOISE_LEVELS, CameraTruth, MountTruth, Truth
 from simulators.world.world import LightState, World
 
@@ -17,7 +17,7 @@ STILL = (0.0, 0.0)
 
 def at(mount, t_s, crept=STILL, phases=STILL):
     """Departure from the pose, arc seconds."""
-    angles = disturbed(POSE, mount, crept, phases, t_s)
+    angles = true_angles_deg(POSE, mount, crept, phases, t_s)
     return np.array([(angles[n] - POSE[n]) * 3600.0 for n in ("pan", "tilt", "roll")])
 
 
@@ -36,7 +36,7 @@ def test_vibration_has_its_amplitude_and_frequency():
 
 def test_drift_goes_on_from_recording_to_recording():
     mount = MountTruth(drift_arcsec_per_min=(6.0, -3.0))
-    crept = crept_arcsec(mount, 90.0)
+    crept = drift_since_on_arcsec(mount, 90.0)
     assert crept == pytest.approx((9.0, -4.5), abs=STEP_ARCSEC / 2)
     np.testing.assert_allclose(at(mount, 10.0, crept), [10.0, -5.0, 0.0], atol=1e-9)
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.config import bench_config
-from simulators.world.temperature import brightness, temperature_c, warmed
+from simulators.world.temperature import lamp_brightness, temperature_c, truth_at_temperature
 from simulators.world.truth import REFERENCE_C, ThermalTruth, Truth
 from simulators.world.world import LightState, World
 
@@ -39,8 +39,8 @@ def test_the_camera_warms_by_the_law_of_the_truth(on_s):
 def test_a_usual_camera_is_warm_from_the_start_and_nothing_follows():
     truth = Truth()
     assert temperature_c(truth.thermal, 0.0) == temperature_c(truth.thermal, 1e5) == REFERENCE_C
-    assert warmed(truth, 12.0) is truth
-    assert brightness(truth.thermal, 12.0) == 1.0
+    assert truth_at_temperature(truth, 12.0) is truth
+    assert lamp_brightness(truth.thermal, 12.0) == 1.0
 
 
 def test_focal_length_and_light_follow_the_temperature_of_the_moment():
