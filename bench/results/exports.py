@@ -218,7 +218,7 @@ def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
-    """Write COLMAP's cameras.txt: OPENCV, FULL_OPENCV or OPENCV_FISHEYE; the principal point is shifted by half a pixel.
+    """Write COLMAP's cameras.txt: OPENCV, FULL_OPENCV or OPENCV_FISHEYE; the principal point is shifted by 0.5 px.
 
     Parameters
     ----------

@@ -70,6 +70,7 @@ def _differences_between(stored: Mapping[str, Any], again: Mapping[str, Any]) ->
             )
         if not abs(stored["sigma"][name] - sigma) <= bound:
             found.append(
-                f"the recordings give sigma of {name} = {sigma:.6g}, the results {stored['sigma'][name]:.6g}"
+                f"the recordings give {name} the standard uncertainty {sigma:.6g}, "
+                f"the results {stored['sigma'][name]:.6g}"
             )
     return found

@@ -28,7 +28,7 @@ def test_what_differs_by_more_than_rounding_is_told(stored, part, name):
     assert _differences_between(stored, changed(stored, part, name, 1e-5)) == []
     (found,) = _differences_between(stored, changed(stored, part, name, 0.01))
     assert found.startswith(f"the recordings give {name}")
-    assert ("the sigma" in found) == (part == "sigma")
+    assert ("the standard uncertainty" in found) == (part == "sigma")
 
 
 def test_what_is_no_number_differs(stored):

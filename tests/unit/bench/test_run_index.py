@@ -190,7 +190,7 @@ def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, thr
         compare_runs([runs["a"], more["f"]])
     with pytest.raises(UsageError, match="different kinds: rehearsed, simulated"):
         compare_runs([runs["a"], more["g"]])
-    with pytest.raises(UsageError, match="two or more"):
+    with pytest.raises(UsageError, match="at least two"):
         compare_runs([runs["a"]])
 
 
