@@ -114,7 +114,7 @@ import os, sys
 from datetime import UTC, datetime
 from pathlib import Path
 from bench.base.clock import BenchClock
-from bench.run.control import Inbox
+from bench.run.control import CommandInbox
 from bench.run.heartbeat import Pulse
 from bench.records.events import Event
 from bench.records.run_log import RunLog
@@ -124,7 +124,7 @@ clock = BenchClock()
 with RunFolder.create(Path(sys.argv[1])) as folder:
     with Journal.create(folder.journal_path, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
         pulse = Pulse(folder.path, clock)
-        with Inbox(folder.path, RunLog(journal), {}, clock, (pulse.beat,)):
+        with CommandInbox(folder.path, RunLog(journal), {}, clock, (pulse.beat,)):
             pulse.entering("recording")
             clock.sleep(1.5)
             journal.append(Event.DEVIATION, what="hangs now")
