@@ -185,7 +185,7 @@ def _write(
 
 @njit(cache=True, nogil=True)
 def _write_ticks(
-    words: NDArray, n: int, state: NDArray, entered_t: NDArray, entered: int, first: int, end: int
+    words: NDArray, n: int, state: NDArray, entered_t: NDArray, entered: int, first: np.int64, end: np.int64
 ) -> tuple[int, int]:
     """Write each TIME_HIGH not after ``first`` and before ``end``, with the counters that are due.
 
