@@ -104,7 +104,8 @@ def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: An
     or a folder of such files.
     """
     from bench.commands.calibration_output import print_calibration
-    from bench.results.offline import OfflineOptions, calibrate_paths, compare_methods
+    from bench.results.offline import calibrate_paths, compare_methods
+    from bench.results.offline_options import OfflineOptions
 
     choices = OfflineOptions.from_command_line(**words)
     result = calibrate_paths(paths, choices)
@@ -123,7 +124,8 @@ def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
     FIRST and SECOND are run folders, or folders of files, whose views of one name show one pose of the rig.
     """
     from bench.commands.engine_output import show_rig
-    from bench.results.offline import OfflineOptions, calibrate_paths
+    from bench.results.offline import calibrate_paths
+    from bench.results.offline_options import OfflineOptions
     from calib.studies.rig import relative_rotation
 
     choices = OfflineOptions.from_command_line(**words)
@@ -152,7 +154,8 @@ def passport_make(
     from datetime import UTC, datetime
 
     from bench.commands.calibration_output import print_calibration
-    from bench.results.offline import OfflineOptions, calibrate_paths
+    from bench.results.offline import calibrate_paths
+    from bench.results.offline_options import OfflineOptions
     from bench.results.passports import passport_from_calibration, write_passport
 
     result = calibrate_paths(paths, OfflineOptions.from_command_line(**words))

@@ -14,7 +14,8 @@ from typing import Any
 from bench.base.errors import BenchError
 from bench.plan.job import Job, calibration_options
 from bench.records.run_folder import RESULTS, SEQUENCE_COPY, STATION_COPY
-from bench.results.offline import OfflineOptions, calibrate_paths
+from bench.results.offline import calibrate_paths
+from bench.results.offline_options import OfflineOptions
 from calib.errors import CalibrationError
 from drivers.errors import DriverError
 from sequences.script import SolveStep

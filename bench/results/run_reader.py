@@ -275,7 +275,8 @@ def _solve_again(folder: Path) -> tuple[dict[str, Any], list[StoredView], list[R
     from bench.plan.job import Job, calibration_options
     from bench.records.history import replay
     from bench.records.journal import read_journal
-    from bench.results.offline import OfflineOptions, calibrate_paths
+    from bench.results.offline import calibrate_paths
+    from bench.results.offline_options import OfflineOptions
     from bench.views.views_file import StoredView
     from calib.calibration import CalibrationOptions
     from sequences.script import SolveStep

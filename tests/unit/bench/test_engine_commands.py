@@ -191,7 +191,7 @@ def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, refere
 
 def test_a_capture_shorter_than_its_journal_says_is_refused(tmp_path):
     from bench.records.journal import Journal
-    from bench.results.offline import _refuse_truncated
+    from bench.results.view_sources import _refuse_truncated
     from drivers.errors import RecordingCorrupt
 
     path = tmp_path / "captures" / "pose-001-attempt-1.raw"

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from bench.base.errors import BenchError, UsageError
-from bench.results.offline import OfflineOptions, _one_size, _parse_image_size, _refuse_truncated_jpeg
+from bench.results.offline import _one_size
+from bench.results.offline_options import OfflineOptions, _parse_image_size
+from bench.results.view_sources import _refuse_truncated_jpeg
 from calib.view import View
 from drivers.errors import RecordingCorrupt
 

@@ -1,0 +1,211 @@
+"""Sources of views for an offline calibration: run folders, RAW captures, photographs of the target, point files.
+
+Recognises a path by its content or extension, and refuses incomplete files. Reads files only, writes none.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+from bench.base.errors import BenchError, StorageError, UsageError
+from bench.plan.job import Job
+from bench.records.captures import stored_captures
+from bench.records.history import replay
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
+from bench.results.offline_options import OfflineOptions
+from bench.results.point_files import read_point_file
+from bench.views.expected_grid import as_before
+from bench.views.measure import Expect, Measurement, measure
+from calib.errors import TooFewStars
+from calib.stars.detect import detect_view
+from calib.stars.vignetting import downweight_vignetted
+from calib.view import View
+from drivers.camera.frames import mean_frame
+from drivers.camera.raw_file import RawFile
+from drivers.errors import RecordingCorrupt, RecordingFileError
+from sequences.schema import ImageKind
+from sequences.script import RecordStep
+
+RECORDINGS = {".raw"}
+PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
+POINTS = {".txt", ".csv"}
+_KNOWN = RECORDINGS | PHOTOGRAPHS | POINTS
+_JPEG = {".jpg", ".jpeg"}
+_JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
+
+
+@dataclass(frozen=True)
+class ViewSource:
+    """A file from which a view can be made.
+
+    Attributes
+    ----------
+    path
+        The file.
+    read
+        Reads the file and returns its view.
+    sized
+        Whether the size of its image is known.
+    """
+
+    path: Path
+    read: Callable[[], View]
+    sized: bool = True
+
+
+def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
+    """List the files of a path from which views can be made.
+
+    Parameters
+    ----------
+    path
+        A run folder, a folder of files, or a file.
+    choices
+        Options of the calibration.
+
+    Yields
+    ------
+    ViewSource
+        For a run folder, its accepted recordings in order of the poses; for another folder, its known files in natural
+        order of their names.
+
+    Raises
+    ------
+    UsageError
+        When the path does not exist, or nothing in it can be used.
+    """
+    if not path.exists():
+        raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
+    if path.is_dir() and (path / JOURNAL).is_file():
+        yield from _run_sources(path, choices)
+    elif path.is_dir():
+        files = sorted((p for p in path.iterdir() if p.suffix.lower() in _KNOWN), key=_natural_order)
+        if not files:
+            raise UsageError(
+                "The folder contains no run, capture, image or point file.",
+                where=str(path),
+                remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
+            )
+        for file in files:
+            yield _file_source(file, choices)
+    else:
+        yield _file_source(path, choices)
+
+
+def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
+    """List the accepted recordings of a run, to be measured with the settings of its own sequence and station."""
+    entries, _ = read_journal(folder / JOURNAL)
+    history = replay(entries)
+    job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
+    accepted = history.accepted()
+    if not accepted:
+        raise BenchError(
+            "No recording of this run was accepted.",
+            where=str(folder),
+            remedy="Give the files of its captures instead.",
+        )
+    for index, attempt in sorted(accepted.items()):
+        step = job.record_step(index)
+        step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
+        path = folder / str(attempt.stored["capture"])
+        yield ViewSource(path, partial(_view_of_run, job, path, step, as_before(attempt)))
+
+
+def _refuse_truncated(path: Path) -> None:
+    """Refuse an incomplete recording: its last word is cut, or its size differs from that in the run's journal.
+
+    Raises
+    ------
+    RecordingCorrupt
+        With the byte at which it ends.
+    """
+    size = path.stat().st_size
+    run = path.resolve().parent.parent
+    name = path.resolve().relative_to(run).as_posix()
+    stored = stored_captures(read_journal(run / JOURNAL)[0]) if (run / JOURNAL).is_file() else {}
+    half_a_word = path.suffix.lower() in RECORDINGS and RawFile.open(path).truncated
+    if half_a_word or (name in stored and stored[name].size != size):
+        whole = f": {stored[name].size} bytes were recorded" if name in stored else ": it ends within a word"
+        raise RecordingCorrupt(
+            f"The recording is incomplete{whole}.",
+            offset=size,
+            where=str(path),
+            remedy="Copy it again from its origin, or leave it out.",
+        )
+
+
+def _view_of_run(job: Job, path: Path, step: RecordStep, expect: Expect | None) -> View:
+    _refuse_truncated(path)
+    return _view(job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expect), path)
+
+
+def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
+    ending = path.suffix.lower()
+    if ending in RECORDINGS:
+        return ViewSource(path, partial(_view_of_recording, path, choices))
+    if ending in PHOTOGRAPHS:
+        return ViewSource(path, partial(_view_of_photograph, path, choices))
+    if ending in POINTS:
+        return ViewSource(
+            path,
+            partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin),
+            sized=choices.image_size is not None,
+        )
+    raise UsageError(
+        f"Unknown file extension {ending!r}." if ending else "The file has no extension.",
+        where=str(path),
+        remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
+    )
+
+
+def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
+    _refuse_truncated(path)
+    found = measure(
+        path, name=path.stem, target=choices.target, image=choices.image, periods=None, expected_hz=None
+    )
+    return _view(found, path)
+
+
+def _view(found: Measurement, path: Path) -> View:
+    if found.view is None:
+        raise TooFewStars(found.fault, where=str(path))
+    return found.view
+
+
+def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
+    _refuse_truncated_jpeg(path)
+    try:
+        picture = mean_frame(path)
+    except RecordingFileError as error:
+        raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
+    return downweight_vignetted(detect_view(picture, choices.target, name=path.stem), choices.target)
+
+
+def _refuse_truncated_jpeg(path: Path) -> None:
+    """Refuse a JPEG without its end marker, because OpenCV fills the missing part with grey."""
+    if path.suffix.lower() not in _JPEG:
+        return
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise StorageError(f"The file cannot be read: {error.strerror}.", where=str(path)) from error
+    # Neither marker can occur within coded data; those of a preview come before those of the picture.
+    if data.startswith(_JPEG_BEGINS) and data.rfind(_JPEG_ENDS) < data.rfind(_JPEG_SCAN):
+        raise RecordingCorrupt(
+            "The picture is incomplete.",
+            offset=len(data),
+            where=str(path),
+            remedy="Copy it again, or leave it out.",
+        )
+
+
+def _natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Return a sort key that puts image10 after image9."""
+    words = re.split(r"(\d+)", path.name)
+    return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]
