@@ -153,7 +153,7 @@ def test_a_plan_says_what_its_poses_will_be_worth_and_suggests_better_ones(capsy
             assert words.limits_deg[0] <= pose[f"{axis}_deg"] <= words.limits_deg[1]
     nine = expected_uncertainty(make_plan(*load_documents("nine_pose", "simulated")))
     assert nine is not None
-    assert nine.map.worst_px < told["expected"]["worst_px"]
+    assert nine.projection_map.worst_px < told["expected"]["worst_px"]
 
 
 def test_a_study_finds_sigmas_that_hold_and_draws_them(capsys, tmp_path):
