@@ -1,1 +1,1 @@
-"""The lowest level: errors, time, and the folders of this computer. Imports nothing of the bench."""
+"""The lowest level of the bench: errors, time, folders and processes of this computer. Imports no other level."""

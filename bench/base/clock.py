@@ -1,11 +1,12 @@
-"""The bench's clock: every wait of a run goes through it, so that a request to stop ends every wait.
+"""The clock of the bench. Every wait of a run goes through it, so that a request to stop ends every wait.
 
-Stop does not travel through the queue of the work: a signal handler (or another thread) calls
-``request_stop``; the next ``sleep``, or ``check`` between two pieces of work, raises ``Aborted``. An interlock calls
-``interrupt`` in the same way, and the work may ``clear_interruption`` after it. While the bench makes itself safe the clock is
-shielded, so that the way to safety is not itself interrupted. ``inactive_s`` tells whether the work still waits,
-checks or asks the time (as waits do that must not be interrupted): where a driver hangs it does neither. A virtual
-clock is the same, but its time passes only where somebody waits.
+A request to stop does not travel through the queue of the work. A signal handler or another thread calls
+`BenchClock.request_stop`; the next ``sleep`` of the work, or ``check`` between two pieces of work, raises `Aborted`. An
+interlock calls ``interrupt`` in the same way: the work then receives `Interrupted`, and may continue after
+``clear_interruption``. While the bench makes its devices safe, the clock is ``shielded`` from both.
+
+``inactive_s`` reports for how long the work has neither waited, nor checked, nor read the time. It grows where a driver
+hangs. The time of a `VirtualClock` passes only where the work waits.
 """
 
 from __future__ import annotations
@@ -19,7 +20,13 @@ from datetime import UTC, datetime, timedelta
 
 
 class Aborted(Exception):
-    """The operator, or the system, asked the run to stop."""
+    """The operator or the system has asked the run to stop.
+
+    Parameters
+    ----------
+    reason
+        Who asked, in a few words.
+    """
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -27,56 +34,62 @@ class Aborted(Exception):
 
 
 class Interrupted(Exception):
-    """An interlock wants the work to pause; it goes on afterwards."""
+    """An interlock has asked the work to pause; the work continues afterwards.
+
+    Parameters
+    ----------
+    reason
+        Which interlock, in a few words.
+    """
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
         super().__init__(reason)
 
 
-class _Bell:
-    """A ``threading.Event`` that may be set by a signal handler in the midst of its other calls.
+class _SignalSafeEvent:
+    """A ``threading.Event`` that a signal handler may set during any of its other calls.
 
-    An Event has a lock: a handler that sets it, run while the same thread has just taken that lock to wait, would
-    wait for itself for ever. Putting into a SimpleQueue takes none that a handler could meet.
+    An Event has a lock. A handler that sets it while the same thread holds that lock would wait for itself for ever.
+    ``SimpleQueue.put`` is reentrant (documentation of Python's ``queue``), so that a handler may call it.
     """
 
     def __init__(self) -> None:
-        self._rung = False
+        self._is_set = False
         self._queue: queue.SimpleQueue[None] = queue.SimpleQueue()
 
     def is_set(self) -> bool:
-        return self._rung
+        return self._is_set
 
     def set(self) -> None:
-        self._rung = True
+        self._is_set = True
         self._queue.put(None)
 
     def clear(self) -> None:
-        self._rung = False
+        self._is_set = False
         with suppress(queue.Empty):
             while True:
                 self._queue.get_nowait()
 
     def wait(self, seconds: float) -> bool:
-        """Wait that long, or until it is rung; tell whether it is."""
+        """Wait until the event is set, at most for so many seconds. Return whether it is set."""
         deadline_s = time.monotonic() + seconds
-        while not self._rung:  # a ring that was taken back leaves nothing to wake up for
+        while not self._is_set:  # after a ``clear`` an old entry of the queue must not end the wait
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
                 break
             with suppress(queue.Empty):
                 self._queue.get(timeout=left_s)
-        if self._rung:
-            self._queue.put(None)  # for whoever else waits
-        return self._rung
+        if self._is_set:
+            self._queue.put(None)  # for another thread that waits
+        return self._is_set
 
 
 class BenchClock:
-    """The system's time, with a stop that ends every wait."""
+    """The system's time, with a request to stop that ends every wait. The thread that makes it is the work's thread."""
 
     def __init__(self) -> None:
-        self._woken = _Bell()
+        self._requested = _SignalSafeEvent()
         self._stop: str | None = None
         self._failure: Exception | None = None
         self._interruption: str | None = None
@@ -86,64 +99,123 @@ class BenchClock:
         self._worker = threading.get_ident()
 
     def monotonic(self) -> float:
-        """Seconds of the system's monotonic clock."""
+        """Return the time of the system's monotonic clock, s.
+
+        Returns
+        -------
+        float
+            Seconds since an arbitrary moment.
+        """
         now_s = time.monotonic()
-        if threading.get_ident() == self._worker:  # others ask on behalf of those who watch
+        if (
+            threading.get_ident() == self._worker
+        ):  # other threads watch the work; their calls are no sign of life
             self._asked_s = now_s
         return now_s
 
     def utc_now(self) -> datetime:
-        """Present time, UTC, with its time zone."""
+        """Return the system's time.
+
+        Returns
+        -------
+        datetime
+            With time zone UTC.
+        """
         return datetime.now(UTC)
 
     def sleep(self, seconds: float) -> None:
-        """Wait that long. Raises Aborted, or Interrupted, as soon as that is asked for, unless shielded."""
+        """Wait. A request to stop or to pause ends the wait at once, unless the clock is shielded.
+
+        Parameters
+        ----------
+        seconds
+            Duration, s; a negative one is 0.
+
+        Raises
+        ------
+        Aborted
+            When a stop is requested.
+        Interrupted
+            When an interlock asks for a pause.
+        Exception
+            The error given to ``request_failure``.
+        """
         self._asleep = True
         try:
             if self._shields:
                 time.sleep(max(0.0, seconds))
-            elif self._woken.wait(max(0.0, seconds)):
-                self._give_way()
+            elif self._requested.wait(max(0.0, seconds)):
+                self._raise_request()
         finally:
             self._asked_s = time.monotonic()
             self._asleep = False
 
     def check(self) -> None:
-        """Raise Aborted, or Interrupted, when that has been asked for, unless shielded."""
+        """Obey a request to stop or to pause between two pieces of work, unless the clock is shielded.
+
+        Raises
+        ------
+        Aborted, Interrupted, Exception
+            As ``sleep``.
+        """
         self._asked_s = time.monotonic()
-        if self._woken.is_set() and not self._shields:
-            self._give_way()
+        if self._requested.is_set() and not self._shields:
+            self._raise_request()
 
     def inactive_s(self) -> float:
-        """How long the work has neither waited, nor checked, nor asked the time, s; 0 while it waits."""
+        """Return for how long the work has neither waited, nor checked, nor read the time.
+
+        Returns
+        -------
+        float
+            Seconds; 0 while the work waits.
+        """
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
     def request_stop(self, reason: str) -> None:
-        """Ask the run to stop at its next wait; safe to call from a signal handler or another thread."""
+        """Ask the run to stop at its next wait. Safe to call from a signal handler or another thread.
+
+        Parameters
+        ----------
+        reason
+            Who asks, in a few words. The first request counts.
+        """
         if self._stop is None:
             self._stop = reason
-            self._woken.set()
+            self._requested.set()
 
     def request_failure(self, error: Exception) -> None:
-        """Ask the run to end with an error at its next wait: what goes on beside the work cannot go on."""
+        """Ask the run to end with an error at its next wait, because a thread beside the work has failed.
+
+        Parameters
+        ----------
+        error
+            The error that ``sleep`` and ``check`` then raise.
+        """
         if self._stop is None:
             self._failure = error
             self.request_stop(str(error))
 
     def interrupt(self, reason: str) -> None:
-        """Ask the work to pause at its next wait; a stop that was asked for comes first."""
+        """Ask the work to pause at its next wait. A request to stop takes precedence.
+
+        Parameters
+        ----------
+        reason
+            Which interlock asks, in a few words.
+        """
         if self._interruption is None:
             self._interruption = reason
-            self._woken.set()
+            self._requested.set()
 
     def clear_interruption(self) -> None:
-        """Forget an interruption; a stop stays asked for."""
+        """Withdraw the request to pause. A request to stop remains."""
         self._interruption = None
-        self._woken.clear()
-        if self._stop is not None:  # asked for before or during this very moment
-            self._woken.set()
+        self._requested.clear()
+        if self._stop is not None:  # requested before, or between the lines above
+            self._requested.set()
 
-    def _give_way(self) -> None:
+    def _raise_request(self) -> None:
         if self._failure is not None:
             raise self._failure
         if self._stop is not None:
@@ -153,7 +225,13 @@ class BenchClock:
 
     @contextmanager
     def shielded(self) -> Iterator[None]:
-        """Let nothing interrupt the waits inside: the way to a safe bench."""
+        """Let no request end the waits in this block, in which the devices are made safe.
+
+        Yields
+        ------
+        None
+            Requests take effect at the first wait after the block.
+        """
         self._shields += 1
         try:
             yield
@@ -162,12 +240,12 @@ class BenchClock:
 
 
 class VirtualClock(BenchClock):
-    """Time that passes only where somebody waits: a night takes as long as its computing.
+    """A clock whose time passes only where the work waits, so that a simulated night takes only its computing time.
 
     Parameters
     ----------
     begin
-        The moment at which it begins, with its time zone.
+        First moment of the clock, with its time zone.
 
     Examples
     --------
@@ -183,14 +261,37 @@ class VirtualClock(BenchClock):
         self._now_s = 0.0
 
     def monotonic(self) -> float:
-        """Virtual seconds since the begin."""
+        """Return the virtual time, s.
+
+        Returns
+        -------
+        float
+            Seconds since ``begin``.
+        """
         return self._now_s
 
     def utc_now(self) -> datetime:
-        """Present virtual time, UTC."""
+        """Return the virtual time.
+
+        Returns
+        -------
+        datetime
+            With time zone UTC.
+        """
         return self._begin + timedelta(seconds=self._now_s)
 
     def sleep(self, seconds: float) -> None:
-        """Let that much virtual time pass, at once. Raises Aborted where a stop was requested, unless shielded."""
+        """Advance the virtual time; returns at once.
+
+        Parameters
+        ----------
+        seconds
+            Duration, s; a negative one is 0.
+
+        Raises
+        ------
+        Aborted, Interrupted, Exception
+            As `BenchClock.sleep`.
+        """
         self.check()
         self._now_s += max(0.0, seconds)

@@ -1,17 +1,17 @@
-"""Every error the bench itself raises; those of the other folders pass through it unchanged.
+"""The errors that the bench itself raises. Errors of the other packages pass through the bench unchanged.
 
 BenchError
-├── UsageError           an argument or option that makes no sense
-├── ScriptError          a sequence or station file that cannot be run (carries every fault at once)
-├── RunFolderError       a run folder that exists, is missing, locked, sealed or not a run
-│   └── JournalBroken    a journal whose chain does not hold
-├── StorageError         disk full, no permission, a write that failed
-├── PreflightFailed      the bench is not as the station file says
-├── PoseFailed           a pose failed all its attempts
-├── InterlockHeld        an interlock has held a run for longer than it may
-├── EvidenceError        a bundle that does not verify, a key that cannot be used
-└── SimulationError      the simulated bench did not start, or died
-Aborted                  not an error: the operator or the system asked to stop (see bench.base.clock)
+├── UsageError           an invalid argument or option
+├── ScriptError          a sequence or station file that cannot be run (with all their faults)
+├── RunFolderError       a run folder that exists already, is missing, locked, sealed or not a run folder
+│   └── JournalBroken    a journal whose hash chain is broken
+├── StorageError         disk full, no permission, a read or write that failed
+├── PreflightFailed      the devices differ from the station file
+├── PoseFailed           all attempts at a pose failed
+├── InterlockHeld        an interlock has held a run for longer than its limit
+├── EvidenceError        a seal or signature that is not valid, a key that cannot be used
+└── SimulationError      the simulated bench did not start, or has ended
+Aborted                  not an error: the operator or the system has asked to stop (see bench.base.clock)
 """
 
 from __future__ import annotations
@@ -20,9 +20,21 @@ from collections.abc import Sequence
 
 
 class BenchError(Exception):
-    """What is wrong, where, and what to do about it.
+    """An error that states what is wrong, where, and what the operator should do.
 
-    ``exit_status`` is what the command line ends with.
+    Parameters
+    ----------
+    what
+        What is wrong, as a sentence.
+    where
+        The file, folder or device it concerns.
+    remedy
+        What the operator should do, as a sentence.
+
+    Attributes
+    ----------
+    exit_status
+        Exit status of the command line.
     """
 
     exit_status = 1
@@ -37,13 +49,13 @@ class BenchError(Exception):
 
 
 class UsageError(BenchError):
-    """An argument or option that makes no sense."""
+    """An invalid argument or option."""
 
     exit_status = 2
 
 
 class ScriptError(BenchError):
-    """Files that cannot be run, with every fault found in them.
+    """A sequence or station file that cannot be run, with every fault found.
 
     Parameters
     ----------
@@ -59,32 +71,32 @@ class ScriptError(BenchError):
 
 
 class RunFolderError(BenchError):
-    """A run folder that cannot be used as asked."""
+    """A run folder that cannot be used for what was asked."""
 
 
 class JournalBroken(RunFolderError):
-    """A journal whose chain does not hold."""
+    """A journal whose hash chain is broken."""
 
 
 class StorageError(BenchError):
-    """The disk did not take what it was given."""
+    """The file system refused to read or to write."""
 
 
 class PreflightFailed(BenchError):
-    """The bench is not as the station file says."""
+    """The devices differ from the station file."""
 
 
 class PoseFailed(BenchError):
-    """A pose failed all its attempts."""
+    """All attempts at a pose failed."""
 
 
 class InterlockHeld(BenchError):
-    """An interlock has held a run for longer than it may."""
+    """An interlock has held a run for longer than its limit."""
 
 
 class EvidenceError(BenchError):
-    """A bundle that does not verify, or a key that cannot be used."""
+    """A seal or signature that is not valid, or a key that cannot be used."""
 
 
 class SimulationError(BenchError):
-    """The simulated bench did not start, or died."""
+    """The simulated bench did not start, or has ended."""

@@ -1,4 +1,4 @@
-"""The folder of this bench's own files: keys, ledger, index of runs, outbox. Reads the environment only."""
+"""The folder of the bench's own files: keys, ledger, index of runs, outbox. Reads environment variables only."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ HOME_VARIABLE = "STARBENCH_HOME"
 
 
 def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder of this bench's own files.
+    """Return the folder of the bench's own files.
 
-    It is ``$STARBENCH_HOME``, else ``starbench`` in the user's configuration folder.
+    It is ``$STARBENCH_HOME`` or, if that is not set, ``starbench`` in the user's configuration folder.
 
     Parameters
     ----------
     environ
-        The process's environment.
+        Environment variables of the process.
 
     Returns
     -------
