@@ -6,9 +6,11 @@ import shutil
 import signal
 import subprocess
 
+import numpy as np
 import pytest
 from running import end_when, entering, journal, numbers, results, starbench, start
 
+from bench.results.run_reader import load
 from bench.stations.station import SHIPPED_STATIONS
 
 SEED = 7
@@ -47,6 +49,28 @@ def test_progress_tells_state_pose_and_time_left(finished):
     _, progress, _ = finished
     assert re.search(r"recording +pose 2 of 3 \(right\)", progress)
     assert " left" in progress
+
+
+def test_a_notebook_reads_the_run_and_finds_its_stars_again_without_its_results(finished, tmp_path):
+    told, _, folder = finished
+    run = load(folder)
+    assert run.camera.to_dict() == told["camera"]
+    assert run.sigma == pytest.approx(told["sigma"])
+    solved_only = shutil.copytree(folder, tmp_path / "solved")
+    solved_only.chmod(0o755)
+    for name in ("results.json", "views.h5", "report.html"):
+        (solved_only / name).unlink()
+    again = load(solved_only)
+    assert again.report is None
+    assert again.camera == run.camera
+    assert again.collimator == run.collimator
+    assert np.array_equal(again.covariance, run.covariance)
+    for one, other in zip(again.poses, run.poses, strict=True):
+        assert (one.index, one.name, one.commanded_deg) == (other.index, other.name, other.commanded_deg)
+        assert one.measured_deg == other.measured_deg
+        assert np.array_equal(one.view.points_px, other.view.points_px)
+        assert np.array_equal(one.residuals_px, other.residuals_px)
+    assert np.array_equal(again.poses[0].picture, run.poses[0].picture)
 
 
 def test_the_same_seed_gives_the_same_numbers_to_the_last_digit(finished, home, tmp_path):

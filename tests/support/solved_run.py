@@ -1,0 +1,51 @@
+"""A solved run on the disk, made in seconds by the program's own writers; its stars are expected ones, with noise."""
+
+from unittest import mock
+
+import cv2
+import numpy as np
+from rehearsed import Scene
+
+from bench.rehearsal.rehearsal import RehearsedKind
+from bench.results.result import ResultWriter
+from bench.views.measure import Measurement, Picture
+
+POSES = (
+    "[{name: left, pan_deg: -5}, {name: right, pan_deg: 5}, {name: above, tilt_deg: 2, pan_deg: 1},"
+    " {name: below, tilt_deg: -2, pan_deg: -1}]"
+)
+END = "  - solve: {model: %s, distortion: [k1]}\n  - report\n"
+IMAGE = {"kind": "fired-per-edge", "reason": "made up", "window_us": [0, 8400], "periods": 2}
+
+
+def image_of(view):
+    """The stars of a view as dots."""
+    width, height = view.image_size
+    image = np.full((height, width), 128, np.uint8)
+    for u, v in view.points_px:
+        cv2.circle(image, (round(u), round(v)), 3, 255, -1)
+    return image
+
+
+def write_solved_run(folder, *, model="spherical", poses=POSES, end=END):
+    """Write a run into ``folder / "run"``, with results, views, exports and an empty report; return its folder.
+
+    It is not sealed, and its recordings hold stars instead of events.
+    """
+    scene = Scene(folder, poses=poses, end=end % model if "%s" in end else end)
+    measure = RehearsedKind.measure
+
+    def measured(self, *words):
+        found = measure(self, *words)
+        if found.view is None:
+            return found
+        return Measurement(found.view, Picture.of(image_of(found.view)), {**found.facts, "image": IMAGE})
+
+    with (
+        mock.patch("bench.rehearsal.rehearsal.RehearsedResults", ResultWriter),
+        mock.patch("bench.results.result.render_report", return_value="<!DOCTYPE html>"),  # it takes seconds
+        mock.patch.object(RehearsedKind, "measure", measured),
+    ):
+        ended = scene.run()
+    assert ended.how == "finished", ended.why
+    return scene.folder

@@ -1,0 +1,132 @@
+"""`views.h5`: what is written is read again, and a damaged file is refused in one message."""
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.base.errors import RunFolderError
+from bench.views.measure import Measurement, Picture
+from bench.views.views_file import read_picture, read_views, views_file
+from calib.view import View
+
+RNG = np.random.default_rng(5)
+
+
+def view_of(name, stars, size=(64, 48)):
+    return View(
+        name,
+        size,
+        np.arange(100, 100 + stars),
+        RNG.random((stars, 2)),
+        RNG.random((stars, 2)),
+        RNG.random((stars, 2, 2)),
+    )
+
+
+def measurement_of(view):
+    width, height = view.image_size
+    return Measurement(view, Picture.of(RNG.integers(0, 256, (height, width), np.uint8)))
+
+
+@given(st.lists(st.integers(4, 20), max_size=12), st.text(min_size=1).filter(lambda text: "\0" not in text))
+def test_views_residuals_and_pictures_come_back_bit_for_bit(tmp_path_factory, stars, name):
+    name = name.encode("utf-8", "replace").decode()
+    views = [view_of(f"{name} {number}", count) for number, count in enumerate(stars)]
+    measurements = [measurement_of(view) for view in views]
+    residuals = [RNG.normal(size=(len(view), 2)) for view in views]
+    path = tmp_path_factory.mktemp("views") / "views.h5"
+    path.write_bytes(views_file(measurements, residuals))
+
+    stored = read_views(path)
+    assert [s.view.name for s in stored] == [v.name for v in views]
+    for found, view, residual in zip(stored, views, residuals, strict=True):
+        assert found.view.image_size == view.image_size
+        for field in ("ids", "points_px", "target_mm", "covariances_px2"):
+            assert np.array_equal(getattr(found.view, field), getattr(view, field))
+            assert getattr(found.view, field).dtype == getattr(view, field).dtype
+        assert np.array_equal(found.residuals_px, residual)
+    for number, measurement in enumerate(measurements, 1):
+        assert np.array_equal(read_picture(path, number), measurement.picture.unpacked())
+
+
+def test_a_thousand_poses_keep_their_order(tmp_path):
+    views = [view_of(str(number), 4, (2, 2)) for number in range(1, 1002)]
+    path = tmp_path / "views.h5"
+    path.write_bytes(views_file([measurement_of(v) for v in views], [np.zeros((4, 2))] * len(views)))
+    assert [stored.view.name for stored in read_views(path)] == [view.name for view in views]
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "views.h5"
+    path.write_bytes(views_file([measurement_of(view_of("one", 5))], [np.zeros((5, 2))]))
+    return path
+
+
+def test_the_file_has_the_documented_layout(path):
+    with h5py.File(path) as file:
+        assert dict(file.attrs) == {"format": "starbench/views/1"}
+        (group,) = file.values()
+        assert group.name == "/pose-001"
+        assert set(group.attrs) == {"name", "image_size"}
+        assert {name: (data.shape, str(data.dtype)) for name, data in group.items()} == {
+            "ids": ((5,), "int64"),
+            "points_px": ((5, 2), "float64"),
+            "target_mm": ((5, 2), "float64"),
+            "covariances_px2": ((5, 2, 2), "float64"),
+            "residuals_px": ((5, 2), "float64"),
+            "picture": ((48, 64), "uint8"),
+        }
+
+
+def change_format(file):
+    file.attrs["format"] = "starbench/views/2"
+
+
+def lose_points(file):
+    del file["pose-001/points_px"]
+
+
+def lose_residuals(file):
+    del file["pose-001/residuals_px"]
+    file["pose-001/residuals_px"] = np.zeros((4, 2))
+
+
+def lose_size(file):
+    del file["pose-001"].attrs["image_size"]
+
+
+def repeat_a_star(file):
+    file["pose-001/ids"][1] = file["pose-001/ids"][0]
+
+
+def rename(file):
+    file.move("pose-001", "pose-007")
+
+
+@pytest.mark.parametrize(
+    "damage", [change_format, lose_points, lose_residuals, lose_size, repeat_a_star, rename]
+)
+def test_a_changed_file_is_refused_with_its_path_and_a_remedy(path, damage):
+    with h5py.File(path, "r+") as file:
+        damage(file)
+    with pytest.raises(RunFolderError) as refused:
+        read_views(path)
+    assert refused.value.where == str(path)
+    assert refused.value.remedy
+
+
+@pytest.mark.parametrize("content", [b"", b"no HDF5", None])
+def test_a_file_that_is_not_hdf5_is_refused(tmp_path, content):
+    path = tmp_path / "views.h5"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(RunFolderError, match="cannot be read"):
+        read_views(path)
+
+
+def test_a_pose_that_the_file_does_not_have_is_refused(path):
+    with pytest.raises(RunFolderError, match="cannot be read"):
+        read_picture(path, 2)
