@@ -102,7 +102,13 @@ class SymmetryFit(NamedTuple):
         SymmetryFit
             In the same order.
         """
-        return SymmetryFit(*(values[mask] for values in self))
+        return SymmetryFit(
+            self.centres[mask],
+            self.information[mask],
+            self.mean_square[mask],
+            self.light_slope[mask],
+            self.converged[mask],
+        )
 
 
 def smooth(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:

@@ -1,14 +1,14 @@
-"""Whether stars are ever taken for others: random poses, all rolls, the tag in view, cut, or out of view.
+"""Whether stars are ever labelled wrongly: random poses, all rolls, the tag in view, cut, or out of view.
 
-Each pose is looked at in a simulated recording of 33 ms (bright square or sine; clean, typical or heavy noise) or in a
-simulated photograph of 8 or 16 bit, with either contrast, sharp to slightly out of focus. In seven of ten the expected
-pose is given, up to a fifth of a square wrong.
+Each pose has a simulated recording of 33 ms (bright square or sine; clean, typical or heavy noise) or a simulated
+photograph of 8 or 16 bit, with either contrast, sharp to slightly out of focus. In seven of ten poses the expected pose
+is given, with an error of up to a fifth of a square.
 
     python tests/benchmarks/bench_star_names.py [--poses 1000] [--seed 1] [--store FILE]
 
-A pose is a function of seed and number alone. With ``--store`` each is kept as a line of the file as soon as it is done,
-and those that are there are not done again. Prints, by kind of image and by what is seen of the tag: views found and
-refused, stars found of those wholly in view, stars further off than half a pixel ("wrong"), and z-scores.
+A pose depends on seed and number only. With ``--store``, each result is written as a line of the file as soon as it is
+known, and poses in the file are not computed again. The table lists, by kind of image and by the visible part of the tag:
+views labelled and refused, stars found of the complete ones, stars wrong by more than half a pixel, and z-scores.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Pose = dict[str, Any]
 
 
 def image_of(picture: NDArray[Any], kind: str, level: str, rng: np.random.Generator) -> NDArray[Any]:
-    """What an event or frame camera gives of a picture, with either contrast."""
+    """Return the image of a picture that an event camera or a frame camera makes, with either contrast."""
     if kind.startswith("photo"):
         bits = int(kind.removeprefix("photo-"))
         noisy = 0.1 + 0.7 * picture + READ_NOISE[level] * rng.standard_normal(picture.shape)
@@ -66,15 +66,15 @@ def image_of(picture: NDArray[Any], kind: str, level: str, rng: np.random.Genera
     return image.max() - image if rng.random() < 0.5 else image
 
 
-def expectation(truth: Truth, rotation: Any, rng: np.random.Generator) -> NDArray[np.float64] | None:
-    """Grid of stars as a pose would let expect it, a little wrong; None in three of ten."""
+def expected_by_pose(truth: Truth, rotation: Any, rng: np.random.Generator) -> NDArray[np.float64] | None:
+    """Return the grid of stars expected by a pose, with a small error; None in three of ten poses."""
     ids, points = star_centres(truth, rotation)
     wrong = rng.uniform(-0.2, 0.2, 2)
     return None if rng.random() < 0.3 or len(ids) < 8 else fit_homography(TARGET.node_of(ids) + wrong, points)
 
 
 def tag_seen(truth: Truth, rotation: Any) -> str:
-    """How much of the tag lies in the frame and the disc: whole, cut, or none."""
+    """Return how much of the tag lies in the frame and the disc: whole, cut, or none."""
     half = TARGET.tag_squares * TARGET.pitch_mm / 2.0
     steps = np.linspace(-half, half, 9)
     points = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2) + np.array(TARGET.tag_centre_mm)
@@ -87,7 +87,7 @@ def tag_seen(truth: Truth, rotation: Any) -> str:
 
 
 def try_pose(seed: int, number: int) -> Pose:
-    """Draw pose ``number``, find its stars, and compare them with the truth."""
+    """Simulate pose ``number``, find its stars, and compare them with the truth."""
     rng = np.random.default_rng([seed, number])
     optics = dataclasses.replace(Truth().optics, psf_px=float(rng.uniform(0.4, 1.0)))
     truth = dataclasses.replace(Truth(), optics=optics)
@@ -96,19 +96,19 @@ def try_pose(seed: int, number: int) -> Pose:
     rotation = pose_rotation(pose, optics)
     kind, level = KINDS[rng.integers(len(KINDS))], LEVELS[rng.integers(len(LEVELS))]
     image = image_of(render(truth, rotation), kind, level, rng)
-    expected = expectation(truth, rotation, rng)
+    expected = expected_by_pose(truth, rotation, rng)
     whole, _ = star_centres(truth, rotation, clearance=0.72, border_px=37.0)
-    told: Pose = {"number": number, "kind": kind, "level": level, "tag": tag_seen(truth, rotation)}
-    told |= {"expected": expected is not None, "whole": len(whole)}
+    result: Pose = {"number": number, "kind": kind, "level": level, "tag": tag_seen(truth, rotation)}
+    result |= {"expected": expected is not None, "whole": len(whole)}
     begin = time.process_time()
     try:
         view = detect_view(image, TARGET, expected=expected)
     except CalibrationError as error:
-        return told | {"refused": str(error)}
+        return result | {"refused": str(error)}
     cpu_s = time.process_time() - begin
     off = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)
     squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(view.covariances_px2), off) / 2.0
-    return told | {
+    return result | {
         "stars": len(view),
         "missed": len(np.setdiff1d(whole, view.ids)),
         "wrong": int((np.linalg.norm(off, axis=1) > 0.5).sum()),
@@ -119,7 +119,7 @@ def try_pose(seed: int, number: int) -> Pose:
 
 
 def line_of(name: str, poses: Sequence[Pose]) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     found = [p for p in poses if "stars" in p]
     stars, whole = sum(p["stars"] for p in found), sum(p["whole"] for p in found)
     missed, wrong = sum(p["missed"] for p in found), sum(p["wrong"] for p in found)
@@ -132,7 +132,7 @@ def line_of(name: str, poses: Sequence[Pose]) -> str:
 
 
 def table(poses: Sequence[Pose]) -> str:
-    """Tell the poses by kind of image and noise, and by what is seen of the tag."""
+    """Return the table by kind of image and noise, and by the visible part of the tag."""
     lines = [
         "                            poses  found refused   whole missed found %  wrong     z  rms px  CPU s"
     ]
@@ -153,7 +153,7 @@ def table(poses: Sequence[Pose]) -> str:
 
 
 def main() -> None:
-    """Print what was found."""
+    """Print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

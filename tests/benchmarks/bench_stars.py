@@ -1,15 +1,15 @@
-"""How exactly stars are found in simulated recordings of 33 ms, against the simulated truth, and how fast.
+"""How accurately and how fast stars are found in simulated recordings of 33 ms, compared with the simulated truth.
 
-The table gives, for each drive of the light and level of noise, the rms error of the centres per axis over some
-random poses (roll 0 to 360 degrees), by the automatically chosen image and by the published method's last
-polarity; the z-score of the centres by their covariances; stars wholly in view that were missed; stars further
-off than half a pixel ("wrong"); CPU seconds of one core for detection (median view).
+The table has a row for each waveform of the light, level of noise and kind of image: the automatically chosen one, and
+the last polarity of the published method. The columns are, over some random poses (roll 0 to 360 degrees): the rms error
+of the centres per axis; the z-score of the centres by their covariances; complete stars that were missed; stars that are
+wrong by more than half a pixel; CPU seconds of one core for detection (median view).
 
     python tests/benchmarks/bench_stars.py [--poses 10] [--r 280] [--half-angle 16] [--pictures FOLDER]
 
-A collimator of 280 mm shows stars 48 px apart, 318 or more of them wholly in each view if its disc is wide enough.
-With ``--pictures`` the event image with its stars, and beside it their errors 500 times as long (red: more than 0.04 px),
-is drawn for the first pose of each.
+With a collimator of 280 mm, stars are 48 px apart, and 318 or more of them are complete in each view if the disc is wide
+enough. ``--pictures`` draws, for the first pose of each row, the event image with its stars and, next to it, their
+errors, enlarged 500 times (red: more than 0.04 px).
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from simulators.world.world import LightState
 WINDOW_US = 33_000.0
 IMAGES = ("best", "last-polarity")
 SCALE, FAR_PX = 500, 0.04
-"""How much longer errors are drawn, and from where on red."""
+"""Enlargement of drawn errors, and error from which they are red, px."""
 
 
 def record(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> EventImages:
-    """Event images of a simulated recording."""
+    """Return the event images of a simulated recording."""
     light = LightState(waveform=waveform, output=True, sync=True)
     phase = float(np.random.default_rng(seed).random())
     picture = render(truth, rotation)
@@ -55,7 +55,7 @@ def record(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) ->
 
 
 def whole_stars(truth: Truth, rotation: Any) -> Any:
-    """Ids of the stars whose cells lie wholly in the frame and in the bright part of the disc."""
+    """Return the ids of the stars whose cells lie completely in the frame and in the bright part of the disc."""
     pitch_px = truth.camera.fx * TARGET.pitch_mm / truth.collimator.r
     ids, _ = star_centres(truth, rotation, clearance=0.72, border_px=pitch_px / math.sqrt(2.0))
     return ids
@@ -64,7 +64,7 @@ def whole_stars(truth: Truth, rotation: Any) -> Any:
 def measure(
     truth: Truth, images: EventImages, kind: str, rotation: Any
 ) -> tuple[View, Any, dict[str, float]]:
-    """View, errors and figures of one pose by one kind of image."""
+    """Return view, errors and figures of one pose for one kind of image."""
     image = images.best().image if kind == "best" else images.named(kind)
     begin = time.process_time()
     view = detect_view(image, TARGET)
@@ -88,7 +88,7 @@ def measure(
 
 
 def draw(path: Path, image: Any, view: View, errors: Any) -> None:
-    """Event image with the stars found, and beside it their errors 500 times as long, with a scale."""
+    """Draw the event image with the stars found and, next to it, their enlarged errors with a scale."""
     seen = cv2.cvtColor(to_uint8(image), cv2.COLOR_GRAY2BGR)
     shown = np.full_like(seen, 255)
     for (x, y), error in zip(view.points_px, errors, strict=True):

@@ -1,4 +1,4 @@
-"""A real IMX636 recording, counted and imaged: nothing lost, nothing found that is not there."""
+"""A real IMX636 recording: no event is lost in its images, and no target is found that is not there."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_steady_scene_is_no_target(recording):
             detect_view(made.named(name), StarTarget())
 
 
-def test_looking_for_stars_in_it_ends_in_a_sentence_and_not_in_a_fault_of_the_program(recording):
+def test_a_recording_without_flicker_ends_in_a_message(recording):
     raw, _, _ = recording
     found = measure(raw.path, name="real", target=StarTarget(), image="auto", periods=None, expected_hz=None)
     assert found.view is None

@@ -1,4 +1,4 @@
-"""Stars in the simulated picture itself, before any event: where the ray model says they are, at any roll, through any lens."""
+"""Stars in the rendered picture itself, without events: they are where the ray model puts them, at any roll."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_the_picture_shows_stars_in_their_true_places_at_any_roll(roll):
     kept = np.isin(view.ids, inside)
     error = view.points_px[kept] - project(np.asarray(TARGET.positions_mm(view.ids[kept])), rotation, truth)
     assert kept.sum() > 30
-    # A few stars beside the tag lie up to 0.01 px off: their own white surroundings draw the detector away.
+    # A few stars next to the tag are wrong by up to 0.01 px, because their white surroundings are not symmetric.
     assert np.median(np.abs(error)) < 0.0005
     assert np.sqrt((error**2).mean()) < 0.006
 

@@ -1,4 +1,4 @@
-"""Stars of simulated recordings against the simulated truth: exact, honest, none missed, none wrong."""
+"""Stars of simulated recordings compared with the truth: accurate, with true covariances, none missed, none wrong."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ POSES = (
 
 
 def record(noise, waveform, pose, seed):
-    """Events of the paper's 33 ms, the light's flicker, the camera's true rotation."""
+    """Return events of 33 ms, as in the paper, the flicker of the light, and the true rotation of the camera."""
     rotation = pose_rotation(pose, TRUTH.optics)
     light = LightState(waveform=waveform, output=True, sync=True)
     phase = float(np.random.default_rng(seed).random())
@@ -48,7 +48,7 @@ def images(events, flicker, window_us=(0.0, WINDOW_US)):
 
 
 def compare(view, rotation):
-    """Errors, px, and their normalised squares; no star is missed, none is another."""
+    """Return the errors, px, and their normalised squares; no star may be missed or labelled wrongly."""
     off = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, TRUTH)
     whole, _ = star_centres(TRUTH, rotation, clearance=0.72, border_px=CELL_PX)
     assert len(whole) >= 300
@@ -69,7 +69,7 @@ def compare(view, rotation):
         ("sine", "heavy", "lock-in", 0.022),
     ],
 )
-def test_stars_of_33_ms_are_as_exact_as_wanted(waveform, noise, chosen, rms_px):
+def test_stars_of_33_ms_are_as_accurate_as_required(waveform, noise, chosen, rms_px):
     errors, squares = [], []
     for seed, pose in enumerate(POSES, start=1):
         events, flicker, rotation = record(noise, waveform, pose, seed)
@@ -84,7 +84,7 @@ def test_stars_of_33_ms_are_as_exact_as_wanted(waveform, noise, chosen, rms_px):
 
 @pytest.mark.slow
 def test_no_star_is_taken_for_another_at_any_pose():
-    """Some of the poses of ``bench_star_names.py``; the benchmark looks at a thousand."""
+    """Try some of the poses of ``bench_star_names.py``; the benchmark tries a thousand."""
     script = Path(__file__).parents[1] / "benchmarks" / "bench_star_names.py"
     try_pose = runpy.run_path(str(script))["try_pose"]
     poses = [try_pose(1, number) for number in range(40)]
@@ -97,7 +97,7 @@ def test_no_star_is_taken_for_another_at_any_pose():
 
 
 @pytest.mark.slow
-def test_the_phase_told_by_the_events_does_as_well_as_triggers():
+def test_a_phase_from_the_events_is_as_good_as_one_from_triggers():
     events, flicker, rotation = record("typical", "square", POSES[0], 3)
     by_events = flicker_from_events(events.t, events.p)
     assert abs(by_events.lag_us(flicker)) < 150

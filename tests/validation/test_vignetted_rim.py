@@ -1,4 +1,4 @@
-"""A beam whose light falls off towards its rim: stars there count by what the fall may have moved them."""
+"""A beam whose light falls off towards its rim: the covariances of stars there include the shift by uneven light."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ POSES = ((0, 0, 7), (6, 3, 20), (-6, -3, 97), (5, -4, 50))
 
 @pytest.fixture(scope="module")
 def vignetted():
-    """The truth, and four views of noisy pictures, as detected; the light falls off over the outer 30 % of the beam."""
+    """Return the truth and four views of noisy pictures; the light falls off over the outer 30 % of the beam."""
     truth = truth_from_config({"collimator": {"rim": 0.3}, "optics": {"mounting_deg": [0, 0, 5]}})
     rng, views, errors = np.random.default_rng(1), [], []
     for pan, tilt, roll in POSES:
@@ -31,7 +31,7 @@ def sigmas_px(view):
 
 
 @pytest.mark.slow
-def test_stars_in_the_falling_light_say_that_they_are_less_sure_and_are(vignetted):
+def test_stars_in_uneven_light_have_larger_errors_and_larger_covariances(vignetted):
     _, views, errors = vignetted
     sigma = np.concatenate([sigmas_px(view) for view in views])
     error = np.concatenate(errors)
@@ -44,7 +44,7 @@ def test_stars_in_the_falling_light_say_that_they_are_less_sure_and_are(vignette
 
 
 @pytest.mark.slow
-def test_that_weight_saves_the_focal_length(vignetted):
+def test_these_covariances_keep_the_focal_length_right(vignetted):
     truth, views, _ = vignetted
     fx = truth["camera"]["fx"]
     weighed = calibrate([downweight_vignetted(view, TARGET) for view in views])

@@ -1,4 +1,4 @@
-"""Stars in images of the target: all that are whole, none that is wrong, placed as surely as stated."""
+"""Stars in images of the target: all complete ones, no wrong one, as accurate as their covariances say."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIZE = (560, 440)
 
 
 class Scene:
-    """A camera in front of the target, drawn here with OpenCV's projection alone."""
+    """A camera in front of the target, rendered with OpenCV's projection only."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Scene:
         return cv2.projectPoints(world, cv2.Rodrigues(self.turn)[0], self.shift, self.matrix, self.k)[0][:, 0]
 
     def draw(self, samples=7, blur=0.7, black=0.1):
-        """Image, float32: black to 1 inside of the disc, 0 outside."""
+        """Return the image, float32: black to 1 inside of the disc, 0 outside."""
         image = np.zeros((self.size[1], self.size[0]), np.float32)
         pixels = np.stack(np.meshgrid(*(np.arange(float(n)) for n in self.size)), axis=-1).reshape(-1, 2)
         plane = np.linalg.inv(np.column_stack([self.turn[:, :2], self.shift]))
@@ -65,14 +65,14 @@ class Scene:
         return cv2.GaussianBlur(image, (0, 0), blur)
 
     def lit(self, pixels):
-        """Light of the disc at image points: 1 inside, falling to 0 over its outer twelfth."""
+        """Return the light of the disc at image points: 1 inside, falling to 0 over its outer twelfth."""
         if self.disc_px is None:
             return np.ones(len(pixels))
         distance = np.linalg.norm(pixels - np.array(self.size) / 2, axis=1) / self.disc_px
         return np.clip((1.0 - distance) * 12.0, 0.0, 1.0)
 
     def whole_stars(self, margin=0.72):
-        """Ids of the stars whose cells lie wholly in the frame and the disc, and their image points."""
+        """Return ids and image points of the stars whose cells lie completely in the frame and the disc."""
         ids = TARGET.ids
         mm = TARGET.positions_mm(ids)
         corners = np.array([self.project(mm + margin * TARGET.pitch_mm * np.array(c)) for c in _CORNERS])
@@ -85,7 +85,7 @@ class Scene:
 
 @cache
 def drawn(**settings):
-    """A scene and its image; drawing is what takes the time here."""
+    """Return a scene and its image; they are kept, because rendering takes most of the time."""
     scene = Scene(**settings)
     image = scene.draw()
     image.setflags(write=False)
@@ -96,13 +96,13 @@ _CORNERS = [(-0.7, -0.7), (0.7, -0.7), (0.7, 0.7), (-0.7, 0.7)]
 
 
 def as_events_show_it(image, rng, *, mismatch=0.12, stray=0.02):
-    """A binary image as threshold pixels make it, with mismatch and stray pixels."""
+    """Return the binary image that pixels with a threshold make, with mismatch and stray events."""
     fired = image > 0.25 * np.exp(mismatch * rng.standard_normal(image.shape))
     return np.where(rng.random(image.shape) < stray, rng.random(image.shape) < 0.5, fired).astype(np.float32)
 
 
 def assert_found_where_drawn(view, scene, *, rms_px, share=0.995):
-    """None wrong, nearly all there, as exact as asked; returns the normalised squares."""
+    """Assert that no star is wrong, nearly all are found, and the rms is met; return the normalised squares."""
     off = view.points_px - scene.project(TARGET.positions_mm(view.ids))
     assert np.abs(off).max() < 0.35
     whole, _ = scene.whole_stars()
@@ -227,7 +227,7 @@ def test_a_blot_on_the_target_costs_the_stars_below_it_and_no_others():
 
 
 def expected_homography(scene, nodes_off=(0.0, 0.0)):
-    """What a pose lets expect: from the target's grid to the image, some nodes off."""
+    """Return the homography expected by a pose, from the target's grid to the image, with an error in nodes."""
     ids, points = scene.whole_stars()
     return cv2.findHomography(TARGET.node_of(ids) + np.array(nodes_off), points)[0]
 
@@ -244,7 +244,7 @@ def test_part_of_the_tag_is_enough(roll, shift):
     assert_found_where_drawn(seen.view, scene, rms_px=0.05)
 
 
-def test_without_the_tag_stars_are_not_named():
+def test_without_the_tag_stars_are_not_labelled():
     _, image = drawn(roll=61, shift=(390, 0))
     with pytest.raises(TargetNotFound, match="no readable part of the tag"):
         detect_view(image, TARGET)
@@ -252,14 +252,14 @@ def test_without_the_tag_stars_are_not_named():
 
 @pytest.mark.parametrize("bright", [True, False])
 @pytest.mark.parametrize("off", [(0.0, 0.0), (0.25, -0.2)])
-def test_without_the_tag_the_expected_pose_names_the_stars(off, bright):
+def test_without_the_tag_the_expected_pose_labels_the_stars(off, bright):
     scene, image = drawn(roll=61, shift=(390, 0))
     seen = detect_stars(image if bright else 1 - image, TARGET, expected=expected_homography(scene, off))
     assert seen.named_by == "expected pose"
     assert_found_where_drawn(seen.view, scene, rms_px=0.008)
 
 
-def test_a_known_collimator_and_camera_tell_the_expected_grid():
+def test_a_known_collimator_and_camera_give_the_expected_grid():
     scene = Scene(roll=61, shift=(390, 0), k=(0.0, 0.0))
     centre = -scene.turn.T @ scene.shift
     grid = grid_homography(scene.matrix, scene.turn, centre, TARGET.pitch_mm)
@@ -268,7 +268,7 @@ def test_a_known_collimator_and_camera_tell_the_expected_grid():
 
 
 @pytest.mark.parametrize("off", [(0.5, 0.0), (0.1, -0.4)])
-def test_an_expected_pose_between_two_namings_is_refused(off):
+def test_an_expected_pose_between_two_labellings_is_refused(off):
     scene, image = drawn(roll=61, shift=(390, 0))
     with pytest.raises(TargetNotFound, match="does not identify the stars"):
         detect_view(image, TARGET, expected=expected_homography(scene, off))

@@ -1,4 +1,4 @@
-"""The map from grid to image: exact where it can be, and not led astray."""
+"""The map from grid to image: exact for smooth maps, and not bent by wrong stars."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def grid(n):
 
 
 def bend(points):
-    """A camera's distortion, some pixels at the corners."""
+    """Apply distortion of some pixels at the corners."""
     off = (points - [500.0, 300.0]) / 1000.0
     return points + 20.0 * off * (off**2).sum(axis=1, keepdims=True)
 
@@ -30,7 +30,7 @@ def test_a_homography_is_recovered():
 
 
 @pytest.mark.parametrize("nodes", [grid(5)[:3], np.column_stack([np.arange(9.0), np.arange(9.0)])])
-def test_stars_that_tell_no_homography_are_refused(nodes):
+def test_stars_that_determine_no_homography_are_refused(nodes):
     with pytest.raises(TooFewStars):
         fit_homography(nodes, apply_homography(H, nodes)[: len(nodes)] * np.nan)
 

@@ -1,4 +1,4 @@
-"""Likelihood: black and white images place stars better than symmetry does, whatever way the edges run."""
+"""Likelihood locates stars in black and white images better than symmetry does, in any direction of the edges."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PITCH = 44.0
 
 
 def stars(roll_deg, *, columns=11, rows=8, seed=0, fall_off=False):
-    """Black and white image of a patch of stars, their centres and the map around them."""
+    """Return a black and white image of a patch of stars, their centres and the map around them."""
     angle = np.deg2rad(roll_deg)
     turn = PITCH * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     size, fine = (760, 620), 5
@@ -56,7 +56,7 @@ def test_likelihood_beats_symmetry_in_black_and_white_images(roll):
     assert rms(likely.centres, centres) < 0.03
 
 
-def test_edges_along_the_pixel_grid_are_trusted_less(monkeypatch):
+def test_edges_along_the_pixel_grid_have_less_weight(monkeypatch):
     image, centres, shape = stars(0.4)
     start = centres + 0.03 * np.random.default_rng(5).standard_normal(centres.shape)
     weighted = refine_by_likelihood(quantise(image), start, shape, TARGET)
@@ -65,7 +65,7 @@ def test_edges_along_the_pixel_grid_are_trusted_less(monkeypatch):
     assert rms(weighted.centres, centres) < 0.92 * rms(alike.centres, centres)
 
 
-def test_light_that_falls_off_across_a_star_is_told_and_shifts_it_little():
+def test_light_that_falls_off_across_a_star_is_measured_and_shifts_it_little():
     image, centres, shape = stars(17.0, fall_off=True)
     likely = refine_by_likelihood(quantise(image), centres, shape, TARGET)
     steep = centres[:, 0] > 600
@@ -73,7 +73,7 @@ def test_light_that_falls_off_across_a_star_is_told_and_shifts_it_little():
     assert np.abs(np.mean(likely.centres[steep] - centres[steep], axis=0)).max() < 0.02
 
 
-def test_promised_covariances_are_about_right_where_edges_cross_the_pixels_freely():
+def test_covariances_are_about_right_if_edges_do_not_run_along_the_pixels():
     image, centres, shape = stars(17.0, seed=3)
     start = centres + 0.03 * np.random.default_rng(1).standard_normal(centres.shape)
     likely = refine_by_likelihood(quantise(image), start, shape, TARGET)
@@ -82,7 +82,7 @@ def test_promised_covariances_are_about_right_where_edges_cross_the_pixels_freel
     assert 0.6 < np.sqrt(squares.mean()) < 1.5
 
 
-def test_turning_black_and_white_round_changes_nothing():
+def test_inverted_contrast_changes_nothing():
     image, centres, shape = stars(17.0)
     a = refine_by_likelihood(quantise(image), centres, shape, TARGET)
     b = refine_by_likelihood(quantise(1.0 - image), centres, shape, TARGET)
@@ -105,7 +105,7 @@ def test_levels_keep_the_order_of_brightness(values, levels):
     assert (np.diff(quantised.ravel()[order].astype(int)) >= 0).all()
 
 
-def test_a_drawn_star_is_even_under_half_a_turn():
+def test_the_edge_map_of_a_star_is_point_symmetric():
     drawn = blurred_edge_map(render_star(TARGET, 30.0), TARGET.segments, 30.0, 0.75)
     assert np.abs(drawn.tau - drawn.tau[::-1, ::-1]).max() < 1e-6
     assert drawn.tau.min() < -1.0

@@ -1,4 +1,4 @@
-"""The scatter of neighbouring stars: blind to smooth maps, true to noise."""
+"""The scatter of neighbouring stars: unaffected by smooth maps, and a measure of the noise."""
 
 from __future__ import annotations
 
@@ -50,6 +50,6 @@ def test_a_few_gross_stars_do_not_enlarge_the_factor():
     )
 
 
-def test_without_surrounded_stars_the_usual_factor_holds():
+def test_without_surrounded_stars_the_typical_factor_is_used():
     nodes = grid(10, 2)
     assert variance_factor(nodes, 50.0 * nodes, np.tile(UNIT, (20, 1, 1)), typical=6.0) == 6.0

@@ -1,4 +1,4 @@
-"""Where the stars of a pose should lie, by earlier poses and a gimbal: right where it is said, refused where it is not sure."""
+"""Stars of a pose predicted from earlier poses and the gimbal: within the stated uncertainty, or refused."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FAR = ({"pan": 11, "tilt": 3}, {"pan": -9, "tilt": 7}, {"pan": 0, "tilt": -8})
 
 
 class Gimbal:
-    """A camera mounted askew on a gimbal that stands askew before a collimator."""
+    """A camera mounted at an angle on a gimbal that stands at an angle in front of a collimator."""
 
     def __init__(self, bench, mounting=(0.0, 0.0, 0.0), standing=(0.3, -0.2, 12.0)):
         self.bench = bench
@@ -35,20 +35,20 @@ class Gimbal:
 
 
 def off_node(expected, view):
-    """Distance of the stars from the nodes where they are expected, in pitches."""
+    """Return the distances of the stars from their predicted nodes, pitches."""
     there = apply_homography(np.linalg.inv(expected.grid), view.points_px)
     return np.linalg.norm(there - TARGET.node_of(view.ids), axis=1)
 
 
 @pytest.mark.parametrize("mounting", [(0, 0, 0), (1.5, -1.0, 12.0)])
 @pytest.mark.parametrize("reading", FAR)
-def test_poses_with_the_tag_tell_where_the_stars_of_others_are(bench, mounting, reading):
+def test_poses_with_the_tag_predict_the_stars_of_others(bench, mounting, reading):
     gimbal = Gimbal(bench, mounting)
     expected = predict_grid(gimbal.labelled_views(THREE), reading, bench.size, TARGET.pitch_mm)
     assert off_node(expected, gimbal.view(reading)).max() < 3 * expected.sigma_pitches < 0.45
 
 
-def test_two_poses_tell_the_direction_they_span_and_one_tells_nothing(bench):
+def test_two_poses_predict_along_the_direction_they_span_and_one_predicts_nothing(bench):
     gimbal = Gimbal(bench)
     two = gimbal.labelled_views(THREE[:2])
     expected = predict_grid(two, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
@@ -58,7 +58,7 @@ def test_two_poses_tell_the_direction_they_span_and_one_tells_nothing(bench):
             predict_grid(seen, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
 
 
-def test_an_axis_that_has_not_moved_yet_tells_nothing(bench):
+def test_an_axis_that_has_not_moved_yet_predicts_nothing(bench):
     with pytest.raises(DegenerateViews, match="squares"):
         predict_grid(
             Gimbal(bench).labelled_views(THREE), {"tilt": -8, "roll": 90}, bench.size, TARGET.pitch_mm
@@ -74,7 +74,7 @@ def test_readings_of_the_wrong_sign_are_refused(bench):
         predict_grid(seen, {"pan": -11, "tilt": 3}, bench.size, TARGET.pitch_mm)
 
 
-def test_a_reading_that_slipped_makes_the_expectation_unsure(bench):
+def test_a_reading_that_slipped_enlarges_the_uncertainty(bench):
     seen = Gimbal(bench).labelled_views((*THREE, {"pan": 4, "tilt": 3}))
     sure = predict_grid(seen, FAR[0], bench.size, TARGET.pitch_mm).sigma_pitches
     slipped = [*seen[:-1], seen[-1]._replace(reading_deg={"pan": 4.3, "tilt": 3})]

@@ -1,4 +1,4 @@
-"""Stars at the rim of the beam: found by the neighbours they lack, and trusted less."""
+"""Vignetted stars: found by the neighbours that they lack, and given less weight."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SIZE = (1280, 720)
 
 
 def view(radius_mm, *, turn_deg=20.0, without=()):
-    """A beam of that radius about the tag, seen by a camera turned about its axis."""
+    """Return a view of a beam of that radius about the tag, with the camera turned about its axis."""
     positions = TARGET.positions_mm(TARGET.ids)
     away = positions - TARGET.tag_centre_mm
     turn = np.radians(turn_deg)
@@ -53,12 +53,12 @@ def test_the_neighbours_of_a_star_that_was_missed_count_as_rim():
     assert len(whole) == len(holed) + 1
 
 
-def test_only_the_rim_is_trusted_less():
+def test_only_vignetted_stars_get_less_weight():
     seen = view(20.0)
     rim = vignetted_stars(seen, TARGET)
-    told = downweight_vignetted(seen, TARGET, 0.3)
+    weighted = downweight_vignetted(seen, TARGET, 0.3)
     np.testing.assert_allclose(
-        told.covariances_px2[rim], np.broadcast_to(0.0904 * np.eye(2), (rim.sum(), 2, 2))
+        weighted.covariances_px2[rim], np.broadcast_to(0.0904 * np.eye(2), (rim.sum(), 2, 2))
     )
-    np.testing.assert_array_equal(told.covariances_px2[~rim], seen.covariances_px2[~rim])
-    np.testing.assert_array_equal(told.points_px, seen.points_px)
+    np.testing.assert_array_equal(weighted.covariances_px2[~rim], seen.covariances_px2[~rim])
+    np.testing.assert_array_equal(weighted.points_px, seen.points_px)
