@@ -1,5 +1,6 @@
 """What a run does otherwise for a frame camera: light, settings, gates, plan."""
 
+from dataclasses import asdict, replace
 from pathlib import Path
 from unittest.mock import create_autospec
 
@@ -17,7 +18,7 @@ from bench.views.pictures import measure_pictures, picture_gates, picture_refusa
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
 from drivers.camera.frame_cameras import OpenCvFrameCamera
-from drivers.camera.frames import FrameCamera, FrameSettings, write_frames
+from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings, write_frames
 from drivers.camera.image_folder import FolderFrameCamera
 from sequences.reader import check_document
 from sequences.script import Gates, LightStep
@@ -34,6 +35,8 @@ steps:
   - solve
   - report
 """
+
+TAKEN = FrameFacts("A7", "double", 640, 480, bits=8, frames=4, bytes=1000, saturated_share=0.0)
 
 
 @pytest.fixture
@@ -103,7 +106,7 @@ def test_the_settings_of_a_station_reach_its_camera():
     kind = camera_kind(station_of("driver: opencv\n  source: /dev/video3\n  exposure: 120\n  pictures: 5"))
     assert kind.prepare(camera) == ({"exposure": 120.0, "gain": None}, [])
     camera.apply.assert_called_once_with(FrameSettings(120.0, None))
-    told = {"frames": 5, "bits": 12, "saturated_share": 0.0002}
+    told = asdict(replace(TAKEN, frames=5, bits=12, saturated_share=0.0002))
     assert kind.conditions([told]) == {"pictures": 5, "bits": 12, "exposure": 120.0}
     assert kind.counts(told) == {"pictures": 5, "bits": 12, "saturated_percent": pytest.approx(0.02)}
 
@@ -123,20 +126,22 @@ def test_what_speaks_against_an_event_camera_is_told_before_a_run():
 
 @pytest.mark.parametrize(("share", "verdict"), [(0.0, "pass"), (0.00095, "marginal"), (0.02, "fail")])
 def test_saturated_pictures_are_refused(share, verdict):
-    gates = picture_gates({"saturated_share": share}, Gates(0, 200.0, True), Measurement(None, None))
+    gates = picture_gates(
+        replace(TAKEN, saturated_share=share), Gates(0, 200.0, True), Measurement(None, None)
+    )
     assert {gate.name: gate.verdict for gate in gates}["saturated pixels"] == verdict
 
 
 def test_pictures_that_moved_further_than_the_sequence_lets_them_are_refused():
     found = Measurement(None, None, {"motion_px": 0.2})
     for most, verdict in ((0.1, "fail"), (0.5, "pass")):
-        gates = picture_gates({"saturated_share": 0.0}, Gates(0, 1.0, True, {"max_motion_px": most}), found)
+        gates = picture_gates(TAKEN, Gates(0, 1.0, True, {"max_motion_px": most}), found)
         assert {gate.name: gate.verdict for gate in gates}["stars moved"] == verdict
 
 
 def test_pictures_that_ended_early_do_not_count():
-    assert picture_refusals({"complete": False}) == ["the pictures ended before their number"]
-    assert picture_refusals({"complete": True}) == []
+    assert picture_refusals(replace(TAKEN, complete=False)) == ["the pictures ended before their number"]
+    assert picture_refusals(TAKEN) == []
 
 
 def test_pictures_without_a_target_and_files_that_are_none_say_why(tmp_path):
