@@ -1,3 +1,3 @@
-"""The application: what an operator runs. May import every other folder; none imports it."""
+"""The application, which an operator runs. It may import all other packages; they do not import it."""
 
 __version__ = "0.1.0"

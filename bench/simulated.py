@@ -1,8 +1,8 @@
-"""The simulated bench as the station's devices: the one place where the bench meets the simulators.
+"""The simulated bench in place of the station's devices. No other module of the bench imports the simulators.
 
-The simulators run in a process of their own and answer on pseudo-terminals and a socket; drivers cannot tell.
-The process ends when this one does, however it ends: it watches its standard input, which closes with us.
-The truth it keeps is read once, after the result stands, for the final comparison only.
+The simulators run in a process of their own and answer on pseudo-terminals and a socket, so that the drivers work as
+with real devices. That process ends with this one, in whatever way this one ends: its standard input is then closed.
+Its true parameters are read once, after the calibration, for the final comparison only.
 """
 
 from __future__ import annotations
@@ -21,26 +21,31 @@ from typing import TYPE_CHECKING, Any, Self
 from bench.base.errors import SimulationError
 
 if TYPE_CHECKING:
-    from simulators.rehearsed_world import RehearsedWorld as RehearsedWorld  # noqa: PLC0414 - handed on, as a type
+    from simulators.rehearsed_world import RehearsedWorld as RehearsedWorld  # noqa: PLC0414 - exported, as a type
 
 _START_TIMEOUT_S = 120.0
-"""The first start ever compiles the pixel model; later ones take about a second."""
+"""The very first start compiles the pixel model; later starts take about a second."""
 
 
 class SimulatedBench:
-    """A simulated bench, running.
+    """A simulated bench in a process of its own, which the constructor starts.
 
     Parameters
     ----------
     config
         The station file's ``simulation`` section.
     seed
-        Seed of everything random in it.
+        Random seed of the simulated bench.
+
+    Attributes
+    ----------
+    endpoints
+        Ports by name of the device; a station file calls the port of ``light`` ``sim:light``.
 
     Raises
     ------
     SimulationError
-        When it does not start; the message carries what it said.
+        When it does not start; the message has the last line of its log.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
@@ -59,7 +64,7 @@ class SimulatedBench:
             str(config_path),
         ]
         command += ["--seed", str(seed), "--until-eof"]
-        # A session of its own: Ctrl-C at the terminal reaches the run, which then needs the devices to make safe.
+        # A session of its own: Ctrl-C at the terminal must reach the run alone, which then makes the devices safe.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -73,10 +78,10 @@ class SimulatedBench:
             self.endpoints: dict[str, str] = dict(ready["endpoints"])
             self._truth_path = Path(ready["truth"])
         except (json.JSONDecodeError, KeyError, SimulationError) as error:
-            said = self._said()
+            last_line = self._last_log_line()
             self.close()
             raise SimulationError(
-                f"The simulated bench did not start: {said or error}",
+                f"The simulated bench did not start: {last_line or error}",
                 remedy="Check the simulation section of the station file.",
             ) from error
 
@@ -84,14 +89,14 @@ class SimulatedBench:
         stdout = self._process.stdout
         assert stdout is not None
         lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        # A thread waits: not every system can wait for a pipe with a time limit.
+        # A thread waits, because not every system can wait for a pipe with a time limit.
         threading.Thread(target=lambda: lines.put(stdout.readline()), daemon=True).start()
         try:
             return lines.get(timeout=_START_TIMEOUT_S)
         except queue.Empty:
             raise SimulationError(f"it was not ready within {_START_TIMEOUT_S:.0f} s") from None
 
-    def _said(self) -> str:
+    def _last_log_line(self) -> str:
         try:
             self._process.wait(timeout=2.0)
         except subprocess.TimeoutExpired:
@@ -103,16 +108,26 @@ class SimulatedBench:
 
     @property
     def alive(self) -> bool:
-        """Whether the process is still there."""
+        """Whether the process still runs."""
         return self._process.poll() is None
 
     def order(self, line: str) -> str:
-        """Give an order for a fault (see docs/simulated-bench.md), and return the answer: a line of JSON.
+        """Order a fault of a simulated device (docs/simulated-bench.md).
+
+        Parameters
+        ----------
+        line
+            The order, as words or as JSON.
+
+        Returns
+        -------
+        str
+            The answer of the simulated bench: one line of JSON.
 
         Raises
         ------
         SimulationError
-            When the process is gone.
+            When the process has ended.
         """
         stdin, stdout = self._process.stdin, self._process.stdout
         assert stdin is not None
@@ -125,12 +140,18 @@ class SimulatedBench:
         return stdout.readline().rstrip("\n")
 
     def truth(self) -> dict[str, Any]:
-        """What the simulated world is made of: for the final comparison, never for an estimator."""
+        """Read the true parameters of the simulated bench, for the final comparison. No estimator may use them.
+
+        Returns
+        -------
+        dict
+            Parameters by part: camera, collimator, and so on.
+        """
         truth: dict[str, Any] = json.loads(self._truth_path.read_text(encoding="utf-8"))
         return truth
 
     def close(self) -> None:
-        """End the process and remove its ports."""
+        """End the process and remove its files and ports."""
         if self._process.stdin is not None:
             self._process.stdin.close()
         try:
@@ -153,12 +174,24 @@ class SimulatedBench:
 
 
 def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:
-    """Make a world to rehearse in, without a process and without devices.
+    """Make a simulated world for a rehearsal: without a process, ports or devices.
+
+    Parameters
+    ----------
+    config
+        The station file's ``simulation`` section.
+    seed
+        Random seed of the world.
+
+    Returns
+    -------
+    RehearsedWorld
+        The world; its time is passed in by the caller.
 
     Raises
     ------
     SimulationError
-        When the configuration cannot be used.
+        When the configuration is not valid.
     """
     from simulators.errors import ConfigError
     from simulators.rehearsed_world import RehearsedWorld

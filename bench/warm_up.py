@@ -1,6 +1,6 @@
-"""Compiles the event kernels ahead of the first run: numba keeps them beside the code, for every run that follows.
+"""Compiles the event kernels before the first run. numba keeps them on the disk, so that later runs start at once.
 
-One recording of the simulated bench, from light to stars, passes through all of them. The stage does not move.
+It makes one recording with the simulated bench and measures it; that uses every kernel. The stage does not move.
 """
 
 from __future__ import annotations
@@ -25,12 +25,17 @@ _ATTEMPTS = 5
 
 
 def warm_up() -> int:
-    """Record and measure once; return the number of stars seen.
+    """Make one recording with the simulated bench and measure it.
+
+    Returns
+    -------
+    int
+        Number of stars found.
 
     Raises
     ------
     drivers.errors.DriverError, SimulationError
-        When the simulated bench does not work here.
+        When the simulated bench does not work on this computer.
     """
     station = load_station("simulated").value
     devices = Devices(station, seed=0, clock=BenchClock(), wire_log=None)
@@ -56,7 +61,7 @@ def warm_up() -> int:
 
 
 def _recorded(camera: EventCamera, folder: Path) -> Path:
-    """Record, however long the kernels take to be compiled: a slow machine outlasts the driver's patience."""
+    """Record, several times if the driver's deadline passes while the kernels of the simulated camera are compiled."""
     *tries, last = (folder / f"warm-up-{number}.raw" for number in range(_ATTEMPTS))
     for path in tries:
         with suppress(RecordingFailed):
@@ -67,4 +72,4 @@ def _recorded(camera: EventCamera, folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    click.echo(f"Event kernels are compiled ({warm_up()} stars seen).")
+    click.echo(f"Event kernels are compiled (test recording: {warm_up()} stars found).")

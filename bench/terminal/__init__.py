@@ -1,1 +1,1 @@
-"""The terminal: progress, questions, signals, and what the terminal can show. Imports the base only."""
+"""The terminal: progress, questions to the operator, signals, text encodings. Imports `bench.base` only."""

@@ -1,7 +1,4 @@
-"""Terminals and pipes that cannot show every sign: they are told in signs they have, and nothing fails for it.
-
-Knows streams and nothing of what is said.
-"""
+"""Output to terminals and pipes whose encoding lacks a character: a plain substitute is written instead."""
 
 from __future__ import annotations
 
@@ -21,7 +18,13 @@ _PLAIN = {
 
 
 def replace_unencodable(*streams: TextIO | None) -> None:
-    """Let streams replace signs that their encoding lacks, instead of failing at them."""
+    """Make text streams replace characters that their encoding lacks. Otherwise writing them would raise an error.
+
+    Parameters
+    ----------
+    *streams
+        Streams such as standard output; anything that is not a text stream is left as it is.
+    """
     codecs.register_error(_NAME, _replaced)
     for stream in streams:
         if isinstance(stream, io.TextIOWrapper):
@@ -32,4 +35,4 @@ def _replaced(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     missing = error.object[error.start : error.end]
-    return "".join(_PLAIN.get(sign, "?") for sign in missing), error.end
+    return "".join(_PLAIN.get(character, "?") for character in missing), error.end

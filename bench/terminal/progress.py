@@ -1,4 +1,4 @@
-"""What the operator sees while a run goes on: state, pose n of m, time left. Always on standard error."""
+"""The progress of a run for the operator: state, pose n of m, time left. Written to standard error."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ _BAR_WIDTH, _LEAST_BAR = 24, 8
 
 
 class Progress:
-    """Shows a run as it goes: one live line on a terminal, a line a change elsewhere.
+    """Shows the progress of a run: one live line on a terminal; elsewhere a new line for each change of state.
 
     Parameters
     ----------
     monotonic
-        The run's clock, s.
+        Returns the time of the run's clock, s.
     total_s
         Expected duration of the whole run, s.
     poses
         Number of poses.
     stream
-        Where to write; standard error by default.
+        Where to write; None for standard error.
     """
 
     def __init__(
@@ -38,8 +38,8 @@ class Progress:
         self._total_s = total_s
         self._poses = poses
         self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False)
-        # A terminal that cannot go back over a line gets lines, as a file does.
-        self._goes_back = self._console.is_terminal and not self._console.is_dumb_terminal
+        # A terminal that cannot overwrite a line gets one line for each change, as a file does.
+        self._can_overwrite = self._console.is_terminal and not self._console.is_dumb_terminal
         self._state, self._detail, self._pose, self._done_s = "idle", "", 0, 0.0
         self._counted_from_s = monotonic()
         self._live = Live(
@@ -47,47 +47,65 @@ class Progress:
         )
 
     def __enter__(self) -> Self:
-        if self._goes_back:
+        if self._can_overwrite:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError):  # the terminal has gone
+        with suppress(OSError):  # the terminal is closed
             self._live.stop()
 
     def done(self, seconds: float) -> None:
-        """Tell how much of the expected total lies behind, s."""
+        """Set how much of the expected duration has passed.
+
+        Parameters
+        ----------
+        seconds
+            Time from the start of the run in the plan, s.
+        """
         self._done_s, self._counted_from_s = seconds, self._monotonic()
 
     def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
-        """Tell the present state.
+        """Show the present state.
 
         Parameters
         ----------
         state
-            State of the machine.
+            State of the run's state machine.
         pose
-            Number of the pose at work, from 1; None: as before.
+            Number of the present pose, from 1; None if it has not changed.
         detail
-            A few words more.
+            Further words, shown in brackets after the pose.
         """
         self._state, self._detail = state, detail
         self._pose = pose or self._pose
-        if not self._goes_back:
+        if not self._can_overwrite:
             self._print(Text(self._plain()))
 
     def say(self, message: str) -> None:
-        """Print a line that stays."""
+        """Print a line that remains on the terminal.
+
+        Parameters
+        ----------
+        message
+            The line.
+        """
         self._print(Text(message))
 
     def _print(self, text: Text) -> None:
         try:
             self._console.print(text, soft_wrap=True)
-        except OSError:  # the terminal has gone: the run goes on, or ends, by itself
+        except OSError:  # the terminal is closed; that does not affect the run
             self._console = Console(quiet=True)
 
     def left_s(self) -> float:
-        """Expected time to the end, s: the plan's, counted down while the present step lasts."""
+        """Return the expected time to the end of the run: that of the plan, counted down during the present step.
+
+        Returns
+        -------
+        float
+            Seconds, not negative.
+        """
         return max(0.0, self._total_s - self._done_s - (self._monotonic() - self._counted_from_s))
 
     def _where(self) -> str:
@@ -99,18 +117,18 @@ class Progress:
         return f"{self._state:<11}  {self._where():<28}  {clock_text(self.left_s()):>6} left"
 
     def _line(self) -> Text:
-        """Give one line that fits the terminal: where it is narrow the bar gives way first, then the end is cut."""
-        told = Text.assemble(
+        """Return one line that fits the terminal. On a narrow one the bar is left out, then the end of the text."""
+        text = Text.assemble(
             (f"{self._state:<11}", "bold"), f"  {clock_text(self.left_s())} left  {self._where()}".rstrip()
         )
-        width = min(_BAR_WIDTH, self._console.width - told.cell_len - 2)
+        width = min(_BAR_WIDTH, self._console.width - text.cell_len - 2)
         if width < _LEAST_BAR:
-            told.truncate(self._console.width, overflow="ellipsis")
-            return told
+            text.truncate(self._console.width, overflow="ellipsis")
+            return text
         share = 1.0 if self._total_s <= 0 else min(1.0, 1.0 - self.left_s() / self._total_s)
         full = round(share * width)
-        # Told apart without colour too, and where the terminal has no lines to draw.
+        # Two characters, so that the bar is readable without colour; plain ones without line-drawing characters.
         done, rest = "━─" if self._console.encoding.startswith("utf") else "#-"
         return Text.assemble(
-            (done * full, "bold green"), (rest * (width - full), "bright_black"), "  ", told, no_wrap=True
+            (done * full, "bold green"), (rest * (width - full), "bright_black"), "  ", text, no_wrap=True
         )

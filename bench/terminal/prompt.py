@@ -1,7 +1,7 @@
-"""Questions to the operator: answered at this terminal or from another, or by their default once their time is up.
+"""Questions to the operator: answered at this terminal, from another one, or by the default after a time-out.
 
-Knows terminals, and how to see without waiting whether a line was typed: by select where it takes terminals, else (on
-Windows) by a thread that reads.
+A typed line is noticed without waiting: by ``select`` if that accepts terminals, else (on Windows) by a thread that
+reads.
 """
 
 from __future__ import annotations
@@ -24,7 +24,15 @@ _NO = {"a", "abort", "n", "no"}
 
 @dataclass(frozen=True)
 class Reply:
-    """``word`` is ``continue`` or ``abort``; ``by`` says who gave it: operator, a name, or time-out."""
+    """An answer.
+
+    Attributes
+    ----------
+    word
+        ``continue`` or ``abort``.
+    by
+        Who gave it: ``operator`` at this terminal, a name, or ``time-out``.
+    """
 
     word: str
     by: str
@@ -40,28 +48,38 @@ def ask(
     terminal: TextIO | None = None,
     elsewhere: Callable[[], Reply | None] = lambda: None,
 ) -> Reply:
-    """Ask and wait.
+    """Ask the operator, and wait for an answer.
 
     Parameters
     ----------
     text
         The question.
     default
-        The answer that counts when nobody answers in time.
+        The answer if nobody answers in time: ``continue`` or ``abort``.
     timeout_s
-        How long to wait.
+        How long to wait, s.
     clock
-        Waits go through it, so a stop ends the question.
+        Its waits are ended by a request to stop.
     say
         Shows a line to the operator.
     terminal
-        Where answers come from; standard input by default. Where it is no terminal, or has been closed, they only
-        come from elsewhere. A line typed counts, an empty one as the default.
+        Where answers are typed; None for standard input. If it is not a terminal, or is closed, only ``elsewhere``
+        gives an answer. An empty line is the default.
     elsewhere
-        Gives the answer from another terminal (`starbench answer`), once there is one.
+        Returns the answer given from another terminal (`starbench answer`); None while there is none.
+
+    Returns
+    -------
+    Reply
+        The answer, and who gave it.
+
+    Raises
+    ------
+    Aborted, Interrupted
+        When the clock is asked to stop or to pause.
     """
     source = sys.stdin if terminal is None else terminal
-    here = source is not None and source.isatty()  # none: a process begun without standard input
+    here = source is not None and source.isatty()  # None: the process has no standard input
     typed = _typed(source) if here else None
     how = "[c]ontinue / [a]bort" if here else "`starbench answer`"
     say(f"{text}  {how}, {default} after {timeout_s:g} s:")
@@ -71,31 +89,31 @@ def ask(
             say(f"{reply.by}: {reply.word}")
             return reply
         line = typed() if typed is not None else None
-        if line == "":  # its end, which is nobody's answer
-            say("This terminal is closed: `starbench answer` counts.")
+        if line == "":  # the end of the input, which is not an answer
+            say("This terminal is closed. Answer with `starbench answer` from another one.")
             typed = None
         elif line is not None:
             word = line.strip().lower()
             if word in _YES | _NO | {""}:
                 return Reply(default if not word else "abort" if word in _NO else "continue", "operator")
-            say("Please answer c or a.")
+            say("Please answer c (continue) or a (abort).")
         clock.sleep(_POLL_S)
     return Reply(default, "time-out")
 
 
 def _typed(source: TextIO) -> Callable[[], str | None]:
-    """Give a function that returns the next line typed: None while there is none, ``""`` at the terminal's end."""
+    """Return a function that returns the next line typed: None while there is none, ``""`` at the end of the input."""
     try:
         select.select([source], [], [], 0)
-    except (OSError, ValueError):  # no terminals here, sockets alone
+    except (OSError, ValueError):  # on this system select accepts sockets only
         return _lines_of(source)
-    _forget_what_was_typed(source)
+    _discard_typed(source)
     return lambda: source.readline() if select.select([source], [], [], 0)[0] else None
 
 
-def _forget_what_was_typed(source: TextIO) -> None:
-    """What was typed before the question counts for nothing: a key pressed an hour ago must not confirm it."""
-    with suppress(ImportError, OSError, ValueError):  # no terminal after all
+def _discard_typed(source: TextIO) -> None:
+    """Discard what was typed before the question: a key pressed an hour ago must not answer it."""
+    with suppress(ImportError, OSError, ValueError):  # it is not a terminal
         import termios
 
         with suppress(termios.error):
@@ -103,11 +121,11 @@ def _forget_what_was_typed(source: TextIO) -> None:
 
 
 _readers: dict[TextIO, queue.SimpleQueue[str]] = {}
-"""One reader a terminal: one that waits for a line cannot be stopped, so the next question takes it over."""
+"""One reader for each terminal. A reader that waits for a line cannot be stopped, so the next question uses it."""
 
 
 def _lines_of(source: TextIO) -> Callable[[], str | None]:
-    """Read a terminal in a thread of its own; what was typed before the question counts for nothing."""
+    """Read a terminal in a thread of its own. What was typed before the question is discarded."""
     lines = _readers.get(source)
     if lines is None:
         lines = _readers[source] = queue.SimpleQueue()
@@ -123,7 +141,7 @@ def _lines_of(source: TextIO) -> Callable[[], str | None]:
 
 
 def _read(source: TextIO, lines: queue.SimpleQueue[str]) -> None:
-    """Pass lines on until the terminal ends."""
+    """Put the lines of a terminal into a queue until the input ends."""
     while True:
         try:
             line = source.readline()

@@ -1,7 +1,8 @@
-"""Signals become a request to stop: a run then ends at its next wait, safely, any other work at once.
+"""Signals that end a run safely, and other work at once.
 
-In a run, the first SIGINT, SIGTERM or SIGHUP asks; while the bench makes itself safe, more of them are only counted.
-Only the third SIGINT gives the operator the default back: the process ends at once, whatever it is doing.
+During a run, the first SIGINT, SIGTERM or SIGHUP asks the run to stop at its next wait. Further signals do not stop the
+bench while it makes its devices safe. The third signal, if it is a SIGINT (Ctrl-C), restores the default behaviour:
+the next SIGINT ends the process at once.
 """
 
 from __future__ import annotations
@@ -14,19 +15,30 @@ from contextlib import contextmanager
 from types import FrameType
 
 _STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
-_PATIENCE = 3
-_AGAIN_S = 0.05
+_SIGNALS_TO_END_AT_ONCE = 3
+_RESEND_AFTER_S = 0.05
 
 
 @contextmanager
 def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
-    """Turn stopping signals into ``request_stop(reason)`` while the block runs (main thread only)."""
+    """Turn SIGINT, SIGTERM and SIGHUP into a request to stop while the block runs. Only for the main thread.
+
+    Parameters
+    ----------
+    request_stop
+        Called in the signal handler with the reason, such as ``SIGINT received``.
+
+    Yields
+    ------
+    None
+        Earlier handlers are restored after the block.
+    """
     received = 0
 
     def ask(number: int, _frame: FrameType | None) -> None:
         nonlocal received
         received += 1
-        if received >= _PATIENCE and number == signal.SIGINT:
+        if received >= _SIGNALS_TO_END_AT_ONCE and number == signal.SIGINT:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         request_stop(f"{signal.Signals(number).name} received")
 
@@ -41,23 +53,31 @@ def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
 
 @contextmanager
 def reliable_interrupts() -> Iterator[None]:
-    """Let SIGTERM break the block off as Ctrl-C does, with all cleaning up, and let no interrupt be lost (main thread).
+    """Let SIGTERM end the block as Ctrl-C does, with all clean-up, and let no interrupt be lost. Main thread only.
 
-    Python drops what is raised while it clears objects away; where files are written piece by piece, that is often.
+    Python ignores an exception raised in a finalizer (documentation of ``sys.unraisablehook``). In work that writes
+    files piece by piece this happens to KeyboardInterrupt often; it is then sent again.
+
+    Yields
+    ------
+    None
+        Earlier handlers are restored after the block.
     """
     hook = sys.unraisablehook
     timers: list[threading.Timer] = []
     main = threading.get_ident()
 
-    def again(lost: sys.UnraisableHookArgs) -> None:
-        if issubclass(lost.exc_type, KeyboardInterrupt):  # later: within this hook it would be lost as well
-            timers.append(threading.Timer(_AGAIN_S, signal.pthread_kill, (main, signal.SIGINT)))
+    def resend(lost: sys.UnraisableHookArgs) -> None:
+        if issubclass(
+            lost.exc_type, KeyboardInterrupt
+        ):  # sent later: within this hook it would be lost again
+            timers.append(threading.Timer(_RESEND_AFTER_S, signal.pthread_kill, (main, signal.SIGINT)))
             timers[-1].start()
         else:
             hook(lost)
 
     terminate = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    sys.unraisablehook = again
+    sys.unraisablehook = resend
     try:
         yield
     finally:
