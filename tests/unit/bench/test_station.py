@@ -107,7 +107,7 @@ def test_serial_numbers_stay_text_zeros_included():
         (
             "simulation: {}",
             "target: {segments: 6}\nsimulation: {}",
-            "target: no such target can be printed: 6 segments",
+            "target: no such target can be printed: A star has 6 segments",
         ),
         ("simulation: {}", "simulation: yes", "simulation: must be a mapping (key: value)"),
     ],
