@@ -2,9 +2,9 @@
 
 The module describes the printed pattern only: no camera, no collimator, no image. The pattern is a grid of squares.
 Every inner node of the grid has a star of alternating black and white segments, cut to the square cell of half a
-pitch around the node. An AprilTag of family 36h11 (Olson 2011) takes the place of some squares, inside a white ring
-that is half a square wide. Star patterns with an AprilTag for calibration are from Schöps et al. (2020),
-arXiv:1912.02908; the collimator of arXiv:2512.16092 shows one.
+pitch around the node. An AprilTag (Olson 2011) of family 36h11 takes the place of some squares, inside a white ring
+that is half a square wide. Such patterns for calibration are from Schöps et al. (2020), arXiv:1912.02908; the
+collimator of arXiv:2512.16092 shows a star pattern.
 
 Target frame: the plane Z = 0, in millimetres; X points right along the columns, Y down along the rows. The origin is
 node (0, 0), the inner node of the first column and row.
@@ -58,6 +58,9 @@ class TargetLayout(NamedTuple):
 @dataclass(frozen=True)
 class StarTarget:
     """A printed star target.
+
+    The defaults are those of the pattern ``pattern_resolution_50x72_segments_16_apriltag_3`` in the toolbox of Schöps
+    et al. (2020): 50 x 72 squares, 16 segments, tag 3.
 
     Parameters
     ----------

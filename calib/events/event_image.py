@@ -4,8 +4,8 @@ The input is arrays of events and a `Flicker`; the module reads no file and does
 brighter where the target is brighter. The kinds are:
 
 last polarity
-    +1, -1 or 0: the polarity of a pixel's last event. This is the event-accumulated image of arXiv:2512.16092. A
-    single stray event changes it.
+    +1, -1 or 0: the polarity of a pixel's last event. arXiv:2512.16092 too maps polarities to pixel values, within
+    33 ms. A single stray event changes this image.
 count
     Number of events of a pixel.
 fired-per-edge

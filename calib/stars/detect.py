@@ -200,7 +200,7 @@ def _candidates(
 
 
 def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
-    """Return a function that tells for nodes of the target whether a star is printed there."""
+    """Return a function from (N, 2) nodes of the target to (N,) bool: whether a star is printed there."""
     return lambda nodes: np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
 
 

@@ -22,7 +22,7 @@ from calib.target import StarTarget
 
 #: Least correlation with its pattern of a star during growth.
 MIN_CORRELATION = 0.45
-#: Radius of the search around a predicted star, pitches: for the first stars, and beside other stars.
+#: Radius of the search around a predicted star, pitches: for the first stars, and next to stars already found.
 FIRST_REACH, REACH = 0.15, 0.08
 #: Least distance of neighbouring stars, px.
 MIN_PITCH_PX = 10.0

@@ -1,7 +1,7 @@
 """The target's AprilTag in an image: its corners, the orientation of the target, and the contrast.
 
-The module does not use stars. OpenCV's ArUco detector (Garrido-Jurado et al. 2014) finds and decodes the tags of
-family 36h11 (Olson 2011).
+The module does not use stars. OpenCV's ArUco detector (Garrido-Jurado et al. 2014) finds and decodes the
+AprilTags (Olson 2011) of family 36h11.
 """
 
 from __future__ import annotations
