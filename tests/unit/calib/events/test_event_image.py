@@ -1,4 +1,4 @@
-"""Event images: what each gathers, which window they take, which one is chosen, and what is refused."""
+"""Event images: their values, their window, the choice between them, and input that is refused."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ FLICKER = Flicker(PERIOD, 1000.0, 0.5, 0.0, 4, 0, 0, "triggers")
 
 
 def sort_events(events):
-    """Arrays t, x, y, p of a list of (t, x, y, p)."""
+    """Return arrays t, x, y, p of a list of (t, x, y, p)."""
     t, x, y, p = np.array(sorted(events), np.int64).reshape(-1, 4).T
     return t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)
 
 
 def lit_square(periods=2, *, burst=1, spread=400, seed=0):
-    """A lit square of pixels, columns 4..9 and rows 3..8: `burst` events a pixel at each edge of the light."""
+    """Return the events of a lit square of pixels, columns 4..9 and rows 3..8: `burst` events a pixel at each edge of the light."""
     rng = np.random.default_rng(seed)
     events = []
     for k in range(periods):
@@ -39,7 +39,7 @@ def images(events, **options):
     return make_images(*sort_events(events), SIZE, FLICKER, **options)
 
 
-def test_each_image_gathers_what_it_says():
+def test_each_image_holds_its_events():
     made = images(lit_square(burst=3))
     inside = np.zeros((12, 16), bool)
     inside[3:9, 4:10] = True
@@ -96,12 +96,12 @@ def test_facts_state_what_the_slice_was_like():
     assert abs(facts.off_window.start_us % PERIOD - 6000) < 60
 
 
-def test_a_row_without_events_between_others_is_told():
+def test_a_row_without_events_between_others_is_reported():
     events = [e for e in lit_square() if e[2] != 5]
     assert images(events).facts.silent_rows == 1
 
 
-def test_rows_beside_what_is_lit_are_not_missed():
+def test_rows_outside_of_the_lit_ones_are_not_silent():
     assert images([*lit_square(), (4000, 0, 11, 1)]).facts.silent_rows == 0
 
 
@@ -158,7 +158,7 @@ def test_no_events_are_refused(window):
         images([] if window is None else lit_square(), window_us=window)
 
 
-def test_an_event_beside_the_sensor_is_refused():
+def test_an_event_outside_of_the_sensor_is_refused():
     with pytest.raises(InputMismatch, match="column 16"):
         images([(5, 16, 0, 1)])
 

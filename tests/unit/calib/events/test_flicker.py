@@ -12,7 +12,7 @@ from calib.events.flicker import flicker_from_events, flicker_from_triggers
 
 
 def edges(period, phase, n, *, duty=0.5, jitter=0.0, seed=0):
-    """Times and values of n whole periods of edges, in order."""
+    """Return times and values of n whole periods of edges, in order."""
     rng = np.random.default_rng(seed)
     k = np.arange(n)
     t = np.concatenate([phase + k * period, phase + (k + duty) * period]) + jitter * rng.standard_normal(
@@ -24,7 +24,7 @@ def edges(period, phase, n, *, duty=0.5, jitter=0.0, seed=0):
 
 
 def bursts(period, phase, n, *, duty=0.5, events=400, spread=300.0, background=0, seed=0):
-    """Event times and polarities: a burst of ON after each rising edge, of OFF after each falling one."""
+    """Return event times and polarities: a burst of ON after each rising edge, of OFF after each falling one."""
     rng = np.random.default_rng(seed)
     t, p = [], []
     for k in range(n):
@@ -108,7 +108,7 @@ def test_one_edge_is_enough_where_the_frequency_is_known():
         ([0, 900, 7000, 7100, 11_300, 30_000], [1, 1, 1, 1, 1, 1]),
     ],
 )
-def test_edges_that_make_no_train_are_refused(t, value):
+def test_edges_without_a_period_are_refused(t, value):
     with pytest.raises(FlickerNotFound, match="trigger edges"):
         flicker_from_triggers(np.array(t, np.int64), np.array(value, np.uint8))
 
@@ -120,7 +120,7 @@ def test_a_train_of_another_frequency_than_the_lights_is_refused():
 
 @pytest.mark.parametrize("duty", [0.1, 0.5, 0.7])
 @pytest.mark.parametrize("frequency", [20, 60, 333])
-def test_events_alone_tell_period_and_phase(frequency, duty):
+def test_events_alone_give_period_and_phase(frequency, duty):
     period = 1e6 / frequency
     spread = min(300.0, period / 40)
     n = max(3, int(frequency * 0.1))
