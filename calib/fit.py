@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.centre_drift import WORRYING, centre_drift
+from calib.adjustment.centre_drift import BIASING_DRIFT, centre_drift
 from calib.adjustment.degeneracy import (
     explain_weak_geometry,
     require_constrained,
@@ -36,10 +36,10 @@ from calib.uncertainty.covariance import (
     Uncertainty,
     covariance_at_optimum,
     inflate,
-    propagate_passport,
     rotation_covariance,
 )
 from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
+from calib.uncertainty.passport_propagation import propagate_passport
 from calib.uncertainty.variance_components import variance_components
 from calib.view import View
 
@@ -128,7 +128,7 @@ def fit_model(
     bundle, refined, loss = refine_robustly(bundle, start, options)
     if options.passport:
         check_passport(bundle, refined.parameters, loss, options.passport)
-    known, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
+    estimate, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole, used = bundle, np.ones(len(bundle.observations.view), np.bool_)
     if options.guard_band < 1 and discs:
         used = np.concatenate(
@@ -137,7 +137,7 @@ def fit_model(
         shifts = _shifts(views, discs, refined.parameters.collimator, terms) if terms else None
         whole = replace(bundle, observations=Observations.from_views(views), displacements=shifts)
     return Fit(
-        model, views, bundle, refined, loss, whole, used, known, left_out, discs if terms and discs else ()
+        model, views, bundle, refined, loss, whole, used, estimate, left_out, discs if terms and discs else ()
     )
 
 
@@ -236,26 +236,26 @@ def _uncertainty(
         require_distinct_poses(parameters)
     why = explain_weak_geometry(views, parameters)
     try:
-        known = covariance_at_optimum(bundle, parameters, loss)
+        estimate = covariance_at_optimum(bundle, parameters, loss)
     except DegenerateViews as error:
         raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
-    require_constrained(parameters, bundle.names, known.covariance, why)
+    require_constrained(parameters, bundle.names, estimate.covariance, why)
     if not refined.converged:
         raise NotConverged(
             f"The adjustment did not converge within {refined.iterations} steps. {why}".strip(),
             remedy="Add views from other angles, or estimate fewer distortion coefficients.",
         )
     left_out = None
-    if len(views) >= MIN_VIEWS and (leave_out or known.inconsistent):
+    if len(views) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
         left_out = leave_one_out(bundle, parameters, loss)
     if options.passport is None:
         found = partial(variance_components, bundle, parameters, loss)
-        return inflate(known, bundle, parameters, loss, found), left_out
-    known = propagate_passport(bundle, parameters, known, options.passport)
+        return inflate(estimate, bundle, parameters, loss, found), left_out
+    estimate = propagate_passport(bundle, parameters, estimate, options.passport)
     require_constrained(
-        parameters, known.names, known.covariance, "The passport does not constrain it either."
+        parameters, estimate.names, estimate.covariance, "The passport does not constrain it either."
     )
-    return known, left_out
+    return estimate, left_out
 
 
 def summarize(fitted: Fit) -> Calibration:
@@ -312,7 +312,7 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
     )
     if fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:
         drift = centre_drift(fitted.bundle, fitted.parameters, fitted.loss)
-        if np.linalg.norm(drift) > WORRYING:
+        if np.linalg.norm(drift) > BIASING_DRIFT:
             shares = " / ".join(f"{100 * share:.2f}" for share in drift)
             notes.append(
                 f"The centre moves by {shares} % of r (rms along x / y / z) from view to view, so the spherical "

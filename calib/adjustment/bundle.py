@@ -1,6 +1,7 @@
-"""All views at once: the residuals of every star, their derivatives, and what is known beforehand.
+"""The bundle of all views: residuals of all stars, their derivatives, and priors.
 
-Knows how camera, collimator and rotations together predict the stars; not how to search.
+The residuals are those of arXiv:2512.16092, eq. 6. The structure follows bundle adjustment (Triggs et al., 2000). This
+module sets up the equations; `calib.adjustment.levenberg_marquardt` solves them.
 """
 
 from __future__ import annotations
@@ -22,25 +23,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Bundle:
-    """What is estimated from which stars.
+    """Which parameters are estimated, from which stars, with which priors.
 
     Attributes
     ----------
     observations
-        The stars.
+        The stars of n views.
     names
-        Names of the shared parameters that are free.
+        Names of the G free shared parameters.
     free_centres
-        Whether each view has a centre of its own.
+        Whether each view has its own centre.
     displacements
-        (N, 2, T) displacement of each star by a unit of each of the collimator's imperfections, in their
-        order (`calib.model.aberrations`); None: it has none.
+        (N, 2, T) float64 displacement of each star, mm, by a unit of each of the collimator's aberrations, in their
+        order (`calib.model.aberrations`); None if there are no aberrations.
     drift_mm
-        1-sigma, per axis, of a free centre about the collimator's; infinite: nothing binds it.
+        Prior 1-sigma per axis of a free centre about the collimator's centre, mm; infinite for no prior.
     prior
-        What is known of shared parameters; None: nothing.
+        Prior of shared parameters; None for no prior.
     noise_variance
-        Variance of a whitened residual component, by which priors are weighed against the stars.
+        Variance of a component of the weighted residuals. Priors are multiplied by it to balance them with the stars.
     """
 
     observations: Observations
@@ -53,17 +54,17 @@ class Bundle:
 
     @property
     def has_drift_prior(self) -> bool:
-        """Whether each view's centre is free, but bound to the shared one."""
+        """Whether the centre of each view is free, with a prior about the shared centre."""
         return self.free_centres and bool(np.isfinite(self.drift_mm))
 
     @property
     def _drift_information(self) -> float:
-        """What binds a centre, in the residuals' unit over mm^2."""
+        """Prior information on a free centre, 1 / mm^2, times the noise variance."""
         return self.noise_variance / self.drift_mm**2
 
     @property
     def local_prior_information(self) -> Array:
-        """(L, L) what binds a view's own parameters beforehand, in the residuals' unit."""
+        """(L, L) float64 prior information on the local parameters of a view, times the noise variance."""
         free = 6 if self.free_centres else 3
         return (
             np.diag([0.0] * 3 + [self._drift_information] * 3)
@@ -73,7 +74,7 @@ class Bundle:
 
     @property
     def prior_information(self) -> Array:
-        """(G, G) what is known of the shared parameters beforehand, in the residuals' unit."""
+        """(G, G) float64 prior information on the free shared parameters, times the noise variance."""
         information = np.zeros((len(self.names), len(self.names)))
         if self.prior is not None:
             at = [self.names.index(name) for name in self.prior.names]
@@ -81,13 +82,36 @@ class Bundle:
         return information
 
     def subset(self, kept: Sequence[int]) -> Bundle:
-        """Return the same with some of its views."""
+        """Return the bundle of some of the views.
+
+        Parameters
+        ----------
+        kept
+            Indices of the views to keep.
+
+        Returns
+        -------
+        Bundle
+            Bundle with the same free parameters and priors.
+        """
         rows = self.observations.rows(kept)
         shifts = None if self.displacements is None else self.displacements[np.concatenate(rows)]
         return replace(self, observations=self.observations.with_rows(rows), displacements=shifts)
 
     def thinned(self, stars: int) -> Bundle:
-        """Return the same with some tens of stars of each view, evenly taken."""
+        """Return a bundle with fewer stars, evenly spread over each view's list.
+
+        Parameters
+        ----------
+        stars
+            Approximate number of stars of each view.
+
+        Returns
+        -------
+        Bundle
+            Bundle with the same free parameters and priors. Views that have fewer than twice as many stars keep all of
+            them.
+        """
         obs = self.observations
         steps = [max(1, (rows.stop - rows.start) // stars) for rows in obs.slices]
         kept = [np.arange(rows.start, rows.stop, step) for rows, step in zip(obs.slices, steps, strict=True)]
@@ -95,7 +119,18 @@ class Bundle:
         return replace(self, observations=obs.with_rows(kept), displacements=shifts)
 
     def prior_cost(self, parameters: AdjustmentParameters) -> float:
-        """Return what the priors add to the cost, in the residuals' unit."""
+        """Return the contribution of the priors to the cost.
+
+        Parameters
+        ----------
+        parameters
+            Where to evaluate the cost.
+
+        Returns
+        -------
+        float
+            Contribution in units of weighted squared residuals.
+        """
         cost = float((parameters.offsets**2).sum()) / self.drift_mm**2 if self.has_drift_prior else 0.0
         if self.prior is not None:
             off = parameters.values(self.prior.names) - self.prior.mean
@@ -103,28 +138,56 @@ class Bundle:
         return float(0.5 * self.noise_variance * cost)
 
     def residuals_px(self, parameters: AdjustmentParameters) -> Array:
-        """Return (N, 2) star found minus star projected, px; NaN where a star cannot be projected."""
+        """Return the residuals: image point found minus image point predicted.
+
+        Parameters
+        ----------
+        parameters
+            Where to evaluate the residuals.
+
+        Returns
+        -------
+        Array
+            (N, 2) residuals, px; NaN for a star that cannot be projected.
+        """
         return np.asarray(
-            self.observations.points_px - parameters.camera.project(self._in_camera(parameters))
+            self.observations.points_px - parameters.camera.project(self._camera_points(parameters))
         )
 
     def weighted_residuals(self, parameters: AdjustmentParameters) -> Array:
-        """Return (N, 2) the misses in units of the stars' own uncertainty."""
+        """Return the residuals in units of the stars' standard deviations.
+
+        Parameters
+        ----------
+        parameters
+            Where to evaluate the residuals.
+
+        Returns
+        -------
+        Array
+            (N, 2) weighted residuals; NaN for a star that cannot be projected.
+        """
         return self.observations.whitened(self.residuals_px(parameters))
 
     def normal_equations(
         self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None = None
     ) -> NormalEquations:
-        """Linearise at a state.
+        """Linearise the cost and return the normal equations.
 
         Parameters
         ----------
-        state
-            Where.
+        parameters
+            Where to linearise.
         influence
-            (N, 2) gradient of the cost by each star's residual.
+            (N, 2) gradient of the cost by each weighted residual.
         curvature_root
-            (N, 2, 2) symmetric root of the cost's second derivative by it; None: unity.
+            (N, 2, 2) symmetric square root of the second derivative of the cost by each weighted residual; None for the
+            identity.
+
+        Returns
+        -------
+        NormalEquations
+            Equations of all free parameters, with priors.
         """
         normal, gradient = self._view_equations(parameters, influence, curvature_root)
         n = len(self.names)
@@ -141,7 +204,26 @@ class Bundle:
     def scores(
         self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None = None
     ) -> Iterator[tuple[Array, Array]]:
-        """Yield, for each view, its own information on the shared parameters (G, G) and its pull at them (G,)."""
+        """Yield the information and the score of each view for the shared parameters, its local parameters eliminated.
+
+        The score is the view's contribution J^T psi to the negative gradient of the cost. At the optimum without prior
+        the scores add up to zero.
+
+        Parameters
+        ----------
+        parameters
+            Where to linearise.
+        influence
+            (N, 2) gradient of the cost by each weighted residual.
+        curvature_root
+            (N, 2, 2) symmetric square root of the second derivative of the cost by each weighted residual; None for the
+            identity.
+
+        Yields
+        ------
+        tuple of Array
+            (G, G) information and (G,) score of one view.
+        """
         n = len(self.names)
         for i, (normal, gradient) in enumerate(
             zip(*self._view_equations(parameters, influence, curvature_root), strict=True)
@@ -156,7 +238,7 @@ class Bundle:
     def _view_equations(
         self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None
     ) -> tuple[Array, Array]:
-        """Return each view's normal matrix (n, G + L, G + L) and gradient (n, G + L), priors aside."""
+        """Return the normal matrix (n, G + L, G + L) and the gradient (n, G + L) of each view, without priors."""
         weight = (
             self.observations.whitening
             if curvature_root is None
@@ -165,15 +247,15 @@ class Bundle:
         square = np.ascontiguousarray((np.swapaxes(weight, 1, 2) @ weight).transpose(1, 2, 0))
         weighted_influence = np.ascontiguousarray(self.observations.unwhitened(influence).T)
         normal, gradient = [], []
-        for rows, slopes in zip(self.observations.slices, self.jacobians(parameters), strict=True):
-            flat, own = slopes.reshape(len(slopes), -1), square[:, :, rows]
-            weighted = slopes * np.stack([own[0, 0], own[1, 1]]) + slopes[:, ::-1] * own[0, 1]
+        for rows, jacobian in zip(self.observations.slices, self.jacobians(parameters), strict=True):
+            flat, own = jacobian.reshape(len(jacobian), -1), square[:, :, rows]
+            weighted = jacobian * np.stack([own[0, 0], own[1, 1]]) + jacobian[:, ::-1] * own[0, 1]
             normal.append(flat @ weighted.reshape(flat.shape).T)
             gradient.append(flat @ weighted_influence[:, rows].reshape(-1))
         return np.array(normal), np.array(gradient)
 
     def _add_priors(self, equations: NormalEquations, parameters: AdjustmentParameters) -> None:
-        """Add what the priors pull at a state."""
+        """Add the information and the gradient of the priors to equations."""
         if self.has_drift_prior:
             equations.local[:, [3, 4, 5], [3, 4, 5]] += self._drift_information
             equations.local_gradient[:, 3:] -= self._drift_information * parameters.offsets
@@ -185,8 +267,8 @@ class Bundle:
                 parameters.values(self.prior.names) - self.prior.mean
             )
 
-    def _in_camera(self, parameters: AdjustmentParameters) -> Array:
-        """Return (N, 3) the stars in the camera frame: R (P - c)."""
+    def _camera_points(self, parameters: AdjustmentParameters) -> Array:
+        """Return (N, 3) the stars in the camera frame, mm: R (P - c)."""
         points = self.observations.target.copy()
         if self.displacements is not None:
             coefficients = np.array(list(parameters.collimator.aberrations.values()))
@@ -197,37 +279,49 @@ class Bundle:
         return points
 
     def jacobians(self, parameters: AdjustmentParameters) -> Iterator[Array]:
-        """Yield, for each view, (G + L, 2, n) the projection's derivatives, px, by its parameters, then by its own.
+        """Yield the derivatives of the image points of each view.
 
-        View by view and one contiguous row a parameter: what is worked on stays in the processor's cache.
+        The function works view by view, with one contiguous row for each parameter, so that the data stay in the
+        processor's cache.
+
+        Parameters
+        ----------
+        parameters
+            Where to evaluate the derivatives.
+
+        Yields
+        ------
+        Array
+            (G + L, 2, n_i) derivatives of one view's n_i image points, px per unit, by the G free shared parameters and
+            by the L local ones (rotation in rad, then centre in mm).
         """
-        camera, points = parameters.camera, self._in_camera(parameters)
+        camera, points = parameters.camera, self._camera_points(parameters)
         _, by_points, by_camera = camera.project_with_jacobians(points)
         along, by_camera = by_points.transpose(2, 1, 0), by_camera.transpose(2, 1, 0)
         shifts = None if self.displacements is None else self.displacements.transpose(2, 1, 0)
         count, depth = len(self.names), 6 if self.free_centres else 3
-        places = self._places(parameters)
+        places = self._parameter_places(parameters)
         for rows, rotation in zip(self.observations.slices, parameters.rotations, strict=True):
             x, y, z = points[rows].T
             u, v, w = along[:, :, rows]
-            slopes = np.empty((count + depth, 2, len(x)))
-            # A turn t on the camera's side moves the point by t x P; a move of the centre, by -R times it.
-            slopes[count] = y * w - z * v
-            slopes[count + 1] = z * u - x * w
-            slopes[count + 2] = x * v - y * u
+            jacobian = np.empty((count + depth, 2, len(x)))
+            # A rotation t on the camera's side moves the point P by t x P; a shift s of the centre moves it by -R s.
+            jacobian[count] = y * w - z * v
+            jacobian[count + 1] = z * u - x * w
+            jacobian[count + 2] = x * v - y * u
             by_centre = np.tensordot(-rotation.T, along[:, :, rows], 1)
-            slopes[count + 3 :] = by_centre[: depth - 3]
-            for row, (kind, at) in zip(slopes, places, strict=False):
+            jacobian[count + 3 :] = by_centre[: depth - 3]
+            for row, (kind, at) in zip(jacobian, places, strict=False):
                 if kind == "camera":
                     row[:] = by_camera[at, :, rows]
                 elif kind == "centre":
                     row[:] = -by_centre[at] if CENTRE[at] == "r" else by_centre[at]
                 elif shifts is not None:
                     row[:] = -(by_centre[0] * shifts[at, 0, rows] + by_centre[1] * shifts[at, 1, rows])
-            yield slopes
+            yield jacobian
 
-    def _places(self, parameters: AdjustmentParameters) -> list[tuple[str, int]]:
-        """Return for each free shared parameter what it belongs to, and its place there."""
+    def _parameter_places(self, parameters: AdjustmentParameters) -> list[tuple[str, int]]:
+        """Return for each free shared parameter the kind of part it belongs to, and its index there."""
         kinds = {
             "camera": parameters.camera.parameter_names,
             "centre": CENTRE,

@@ -1,7 +1,7 @@
-"""How far the camera's centre wanders from view to view, under a model that says it does not.
+"""Diagnosis of the spherical model: how far the camera's centre moves from view to view.
 
-Knows a spherical optimum, and how to let each view's centre go. On the published recordings the wander follows the
-camera's place in the pupil and is some tenths of a per cent of r; two hundredths of one per cent are enough to bias a
+The spherical model assumes one centre for all views. On the published recordings the centre follows the camera's
+position in the pupil and moves by some tenths of a per cent of r. Two hundredths of a per cent are enough to bias a
 focal length.
 """
 
@@ -18,23 +18,34 @@ from calib.adjustment.parameters import AdjustmentParameters
 
 Array = NDArray[np.float64]
 
-#: Root mean square wander, as a share of r, from which on the spherical model is biased.
-WORRYING = 2e-4
-#: Centres are let go this far, as a share of r: enough to show any wander, and no view lost in its own noise.
-_LEASH = 1e-2
+#: Root mean square movement of the centre, as a share of r, from which the spherical model is biased.
+BIASING_DRIFT = 2e-4
+#: Prior 1-sigma of a centre, as a share of r: wide enough for any real movement, and it limits that of noisy views.
+_DRIFT_SIGMA = 1e-2
 _ROUNDS = 2
 
 
 def centre_drift(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Array:
-    """Return (3,) root mean square wander of the views' centres along x, y and z, as shares of r.
+    """Return the root mean square movement of the views' centres along x, y and z.
+
+    The centres are freed with a weak prior, and the adjustment is repeated from the given optimum.
 
     Parameters
     ----------
-    bundle, state, loss
-        A model whose views share one centre, and its optimum.
+    bundle
+        Bundle of a model whose views share one centre.
+    parameters
+        Its optimum.
+    loss
+        Loss with the limit that the adjustment ended with.
+
+    Returns
+    -------
+    Array
+        (3,) root mean square movement as shares of r.
     """
     r = parameters.collimator.r
-    freed = replace(bundle, free_centres=True, drift_mm=_LEASH * r)
+    freed = replace(bundle, free_centres=True, drift_mm=_DRIFT_SIGMA * r)
     for _ in range(_ROUNDS):
         spread = float((freed.weighted_residuals(parameters) ** 2).mean())
         freed = replace(freed, noise_variance=spread)

@@ -1,7 +1,7 @@
-"""Views that do not constrain a camera: recognised, and named.
+"""Recognition of views that do not constrain a camera, and the reason in words.
 
-Knows a fitted state and the uncertainty it has. Whether views constrain is decided by the numbers; the geometry
-(same pose, one axis, narrow beam) tells the operator why, and what to change.
+The decision rests on the computed uncertainties. The geometry (same pose, one axis, narrow beam) explains the reason to
+the operator.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: A focal length less certain than this share of itself is no calibration.
+#: Largest acceptable 1-sigma of a focal length, as a share of it.
 MAX_FOCAL_SIGMA = 0.05
-#: At least this share of the views must show the beam's rim themselves.
+#: Smallest share of the views that must show the rim of the beam.
 _SHOWING_RIM = 0.5
 _SAME_POSE_DEG = 0.5
 _PARALLEL_SINE = 0.05
@@ -29,12 +29,17 @@ _NARROW_DEG = 5.0
 
 
 def require_distinct_poses(parameters: AdjustmentParameters) -> None:
-    """Refuse views that all show one pose: noise alone would tell the focal length.
+    """Refuse views that all show the same pose: only noise would determine the focal length.
+
+    Parameters
+    ----------
+    parameters
+        Optimum of the adjustment.
 
     Raises
     ------
     DegenerateViews
-        When no view is turned against the first by half a degree.
+        If no view is rotated from the first one by at least half a degree.
     """
     if np.linalg.norm(relative_rotations_deg(parameters.rotations), axis=1).max(initial=0.0) < _SAME_POSE_DEG:
         raise DegenerateViews(
@@ -46,12 +51,23 @@ def require_distinct_poses(parameters: AdjustmentParameters) -> None:
 def require_constrained(
     parameters: AdjustmentParameters, names: Sequence[str], covariance: Array, why: str
 ) -> None:
-    """Refuse a result whose focal lengths are hardly known.
+    """Refuse a result with poorly determined focal lengths.
+
+    Parameters
+    ----------
+    parameters
+        Optimum of the adjustment.
+    names
+        G names of the parameters of the covariance.
+    covariance
+        (G, G) covariance of the parameters.
+    why
+        Explanation of the geometry, for the message; may be empty.
 
     Raises
     ------
     DegenerateViews
-        When the 1-sigma of a focal length exceeds a twentieth of it.
+        If the 1-sigma of a focal length is more than 5 % of it.
     """
     sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     for name, value in (("fx", parameters.camera.fx), ("fy", parameters.camera.fy)):
@@ -64,12 +80,19 @@ def require_constrained(
 
 
 def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
-    """Refuse views most of which do not show their beam's rim, where its disc's centre is asked for.
+    """Refuse views if most of them do not show the rim of their beam; models with aberrations need the rim.
+
+    Parameters
+    ----------
+    views
+        Views of one bench.
+    discs
+        Their visible discs.
 
     Raises
     ------
     DegenerateViews
-        Naming the first such view.
+        If fewer than half of the views show the rim; names the first that does not.
     """
     hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.rim_visible]
     unknown = any(not np.isfinite(disc.sigma_mm) for disc in discs)
@@ -83,7 +106,20 @@ def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
 
 
 def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameters) -> str:
-    """Say in words why views may constrain little; empty when their geometry looks sound."""
+    """Explain in words why views may constrain little.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    parameters
+        Their optimum.
+
+    Returns
+    -------
+    str
+        One sentence; empty if the geometry looks sound.
+    """
     turns = relative_rotations_deg(parameters.rotations)
     lengths = np.linalg.norm(turns, axis=1)
     if len(views) > 1 and (np.linalg.norm(turns[:, :2], axis=1) < _PARALLEL_SINE * lengths.max()).all():
@@ -97,12 +133,36 @@ def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameter
 
 
 def relative_rotations_deg(rotations: Array) -> Array:
-    """Return (n - 1, 3) the rotation vector from the first view to each other one, degrees."""
+    """Return the rotations from the first view to each other one.
+
+    Parameters
+    ----------
+    rotations
+        (n, 3, 3) rotations, camera <- target.
+
+    Returns
+    -------
+    Array
+        (n - 1, 3) rotation vectors, degrees.
+    """
     return np.asarray(np.rad2deg(log_map(rotations[1:] @ rotations[0].T)))
 
 
 def beam_half_angle_deg(parameters: AdjustmentParameters, views: Sequence[View]) -> float:
-    """Return the half angle of the beam: the largest a view's stars span about their middle, degrees."""
+    """Return the largest half angle that the stars of a view span about their middle.
+
+    Parameters
+    ----------
+    parameters
+        Optimum of the adjustment.
+    views
+        Views of one camera.
+
+    Returns
+    -------
+    float
+        Half angle, degrees.
+    """
     widest = 0.0
     for view, centre in zip(views, parameters.centres, strict=True):
         rays = np.column_stack([view.target_mm, np.zeros(len(view))]) - centre

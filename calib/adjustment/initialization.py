@@ -1,6 +1,6 @@
-"""Where refinements begin: every closed form tried, and the best of them chosen by a short race.
+"""Starting values of the adjustment: all closed forms are tried, and a short comparison selects the best.
 
-Knows how to turn closed forms into states, and that noise can defeat any one of them; so none is trusted alone.
+Noise can make any closed form fail, so none is used without the comparison.
 """
 
 from __future__ import annotations
@@ -27,25 +27,38 @@ from calib.model.spherical import (
 
 Array = NDArray[np.float64]
 
-#: Focal lengths tried last, as shares of the image's diagonal: from a wide lens to a long one.
+#: Focal lengths tried last, as shares of the diagonal of the image: from a wide-angle lens to a telephoto lens.
 _FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)
-#: The race: on so many stars a view all starts take a few steps, and the best few run on.
-_RACE_STARS = 40
-_HEAT_STEPS = 4
+#: The comparison: all starts take a few steps on this number of stars per view; the best few take more steps.
+_COMPARISON_STARS = 40
+_FIRST_STEPS = 4
 _FINALISTS = 3
 _FINAL_STEPS = 30
-#: The winner is refined on all stars anyway; the race is decided when no step lowers the cost by this share.
-_RACE_TOLERANCE = 1e-6
+#: The comparison ends when no step lowers the cost by this share; the best start is refined on all stars later.
+_COMPARISON_TOLERANCE = 1e-6
 
 
 def spherical_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str]
 ) -> Iterator[AdjustmentParameters]:
-    """Yield starts of the spherical model, the most trusted first; distortion zero.
+    """Yield starting values of the spherical model, the most reliable first.
 
-    The linear solutions with the principal point free and at the image's centre; of two views, every real root;
-    Zhang's camera, and a range
-    of focal lengths, each with the mean of the centres it gives.
+    They are the linear solutions with a free and with a central principal point; for two views every real solution;
+    then Zhang's camera and a range of focal lengths, each with the median of its centres. Distortion starts at zero.
+
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) homographies from `calib.model.homography.view_homography`.
+    image_size
+        Width and height, px.
+    distortion
+        Names of the distortion coefficients.
+
+    Yields
+    ------
+    AdjustmentParameters
+        Starting values.
     """
     solutions = [
         linear_solution(homographies, image_size, free_principal_point=free) for free in (True, False)
@@ -63,7 +76,22 @@ def spherical_starts(
 def planar_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str]
 ) -> Iterator[AdjustmentParameters]:
-    """Yield starts of the planar model, the most trusted first: Zhang's, then a range of focal lengths."""
+    """Yield starting values of the planar model, the most reliable first: Zhang's, then a range of focal lengths.
+
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) homographies from `calib.model.homography.view_homography`.
+    image_size
+        Width and height, px.
+    distortion
+        Names of the distortion coefficients, which start at zero.
+
+    Yields
+    ------
+    AdjustmentParameters
+        Starting values; the centres of the views are their offsets.
+    """
     matrices = [
         zhang_matrix(homographies, image_size, free_principal_point=True),
         zhang_matrix(homographies, image_size, free_principal_point=False),
@@ -83,7 +111,24 @@ def planar_starts(
 def passport_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str], passport: Passport
 ) -> Iterator[AdjustmentParameters]:
-    """Yield starts with a collimator known beforehand: from its centre alone, then as without it."""
+    """Yield starting values for a known collimator: from its centre alone, then those of the spherical model.
+
+    Parameters
+    ----------
+    homographies
+        (n, 3, 3) homographies from `calib.model.homography.view_homography`; n >= 1.
+    image_size
+        Width and height, px.
+    distortion
+        Names of the distortion coefficients, which start at zero.
+    passport
+        The collimator.
+
+    Yields
+    ------
+    AdjustmentParameters
+        Starting values with the collimator of the passport.
+    """
     spherical = list(spherical_starts(homographies, image_size, distortion))
     middle = spherical[0].collimator if len(homographies) > 1 else _looked_at(homographies, image_size)
     collimator = passport.collimator(middle)
@@ -95,52 +140,66 @@ def passport_starts(
 
 
 def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> AdjustmentParameters:
-    """Refine every start a little on a share of the stars, the best of them further, and return the best.
+    """Return the best starting values.
+
+    All are refined a little on a share of the stars; the best few are refined further.
+
+    Parameters
+    ----------
+    bundle
+        Stars and free parameters.
+    starts
+        Starting values to compare.
+
+    Returns
+    -------
+    AdjustmentParameters
+        The refined values with the least cost.
 
     Raises
     ------
     DegenerateViews
-        When no start leads anywhere.
+        If no start leads to a real camera.
     """
-    thinned = bundle.thinned(_RACE_STARS)
+    thinned = bundle.thinned(_COMPARISON_STARS)
 
-    heat = _raced(thinned, starts, _HEAT_STEPS)
-    final = _raced(thinned, [one.parameters for one in heat[:_FINALISTS]], _FINAL_STEPS)
-    if not final or not _is_camera(final[0]):
+    first = _refined_starts(thinned, starts, _FIRST_STEPS)
+    last = _refined_starts(thinned, [one.parameters for one in first[:_FINALISTS]], _FINAL_STEPS)
+    if not last or not _is_camera(last[0]):
         raise DegenerateViews(
             "No camera fits these views.",
             remedy="Check that the star ids belong to this target, and add views that see it at an angle.",
         )
-    return final[0].parameters
+    return last[0].parameters
 
 
-def _raced(bundle: Bundle, starts: Sequence[AdjustmentParameters], steps: int) -> list[Refinement]:
-    """Refine every start by some steps; those that are cameras come first, and of these the best."""
-    ends = (refine(bundle, start, Loss("l2"), steps, _RACE_TOLERANCE) for start in starts)
+def _refined_starts(bundle: Bundle, starts: Sequence[AdjustmentParameters], steps: int) -> list[Refinement]:
+    """Refine all starts by some steps; return those with finite cost, real cameras first, then by cost."""
+    ends = (refine(bundle, start, Loss("l2"), steps, _COMPARISON_TOLERANCE) for start in starts)
     finite = (one for one in ends if np.isfinite(one.cost))
     return sorted(finite, key=lambda one: (not _is_camera(one), one.cost))
 
 
 def _is_camera(refined: Refinement) -> bool:
-    """Tell whether focal lengths and radius are positive."""
+    """Tell whether the focal lengths are positive and the radius is not negative."""
     camera = refined.parameters.camera
     return camera.fx > 0 and camera.fy > 0 and refined.parameters.collimator.r >= 0
 
 
 def _about(homographies: Array, collimator: Collimator, camera: CameraModel) -> AdjustmentParameters:
-    """Return the start of a camera about a known centre."""
+    """Return the parameters of a camera with a known centre."""
     ideal = Collimator(collimator.x, collimator.y, collimator.r)
     rotations = rotations_from_centre(homographies, camera.matrix, ideal)
     return AdjustmentParameters(camera, ideal, rotations, np.zeros((len(rotations), 3)))
 
 
 def _looked_at(homographies: Array, image_size: tuple[int, int]) -> Collimator:
-    """Return a centre above the point of the target that the middle of the image shows."""
+    """Return a centre above the point of the target at the middle of the first image."""
     middle = np.linalg.inv(homographies[0]) @ [(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0]
     return Collimator(float(middle[0] / middle[2]), float(middle[1] / middle[2]), 1.0)
 
 
 def _camera(matrix: Array, image_size: tuple[int, int], distortion: Sequence[str]) -> CameraModel:
-    """Return the camera of a matrix, with its distortion zero."""
+    """Return the camera with a (3, 3) camera matrix and zero distortion."""
     fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return CameraModel(fx, fy, cx, cy, image_size, dict.fromkeys(distortion, 0.0))

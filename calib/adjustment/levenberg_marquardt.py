@@ -1,8 +1,8 @@
-"""Refinement: the state of least robust cost, by Levenberg-Marquardt.
+"""The adjustment: minimisation of the robust cost by the Levenberg-Marquardt algorithm.
 
-Knows cost functions and steps; what is minimised is a `Bundle`. The robust loss acts on the length
-of each star's residual vector, through its gradient and its own curvature along and across the residual,
-so that the search converges as fast as it does for least squares.
+The robust loss acts on the length of each star's weighted residual (arXiv:2512.16092, eqs. 6 and 7). It enters by its
+gradient and by its curvature along and across the residual, so that the search converges as fast as for least squares
+(compare Triggs et al., 2000, on robust Gauss-Newton).
 """
 
 from __future__ import annotations
@@ -19,27 +19,34 @@ from calib.errors import InputMismatch
 
 Array = NDArray[np.float64]
 
-#: A promised reduction below this share of the cost a star has is far below the parameters' own uncertainty.
+#: A predicted reduction below this share of the cost is far below the uncertainty of the parameters.
 RELATIVE_TOLERANCE = 1e-12
 _ABSOLUTE_TOLERANCE = 1e-16
-#: Focal length and radius lie along a bent valley, of which the damped step follows the tangent only: the less damping,
-#: the fewer steps, and the more starts reach its bottom.
+#: Focal length and radius lie along a curved valley, and a damped step follows its tangent only. Little damping needs
+#: fewer steps, and more starts reach the bottom.
 _FIRST_DAMPING = 1e-6
 _MAX_DAMPING = 1e12
-#: A projection is a few operations, each of them rounded.
+#: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
 
 
 @dataclass(frozen=True)
 class Loss:
-    """A cost rho of the residual's length e, quadratic near zero.
+    """A cost rho of the length e of a weighted residual, quadratic near zero.
+
+    Huber (1964) is the loss of arXiv:2512.16092, eq. 7, divided by two.
 
     Parameters
     ----------
     name
-        ``l2``: e^2 / 2. ``huber``: linear beyond the limit. ``cauchy``: logarithmic beyond it.
+        ``l2``: e^2 / 2. ``huber``: linear above the limit. ``cauchy``: logarithmic above it.
     limit
-        The length where it leaves the parabola, in units of the residual.
+        Length at which the loss leaves the parabola, in standard deviations.
+
+    Raises
+    ------
+    InputMismatch
+        If the name is unknown.
     """
 
     name: str
@@ -50,7 +57,18 @@ class Loss:
             raise InputMismatch(f"Unknown loss {self.name!r}.", remedy="Known: l2, huber, cauchy.")
 
     def cost(self, lengths: Array) -> float:
-        """Return the sum of rho(e)."""
+        """Return the total cost.
+
+        Parameters
+        ----------
+        lengths
+            (N,) lengths of the weighted residuals.
+
+        Returns
+        -------
+        float
+            Sum of rho(e).
+        """
         if self.name == "huber" and np.isfinite(self.limit):
             inside = np.minimum(lengths, self.limit)
             return float((inside * (lengths - 0.5 * inside)).sum())
@@ -59,7 +77,18 @@ class Loss:
         return float(0.5 * (lengths**2).sum())
 
     def weights(self, lengths: Array) -> Array:
-        """Return rho'(e) / e for each star."""
+        """Return the weights rho'(e) / e.
+
+        Parameters
+        ----------
+        lengths
+            (N,) lengths of the weighted residuals.
+
+        Returns
+        -------
+        Array
+            (N,) weights, 0 to 1.
+        """
         if self.name == "huber" and np.isfinite(self.limit):
             return np.asarray(self.limit / np.maximum(lengths, self.limit))
         if self.name == "cauchy" and np.isfinite(self.limit):
@@ -67,7 +96,18 @@ class Loss:
         return np.ones_like(lengths)
 
     def second_derivatives(self, lengths: Array) -> Array:
-        """Return rho''(e) for each star: how fast its pull grows along the residual."""
+        """Return the second derivatives rho''(e), along the residuals.
+
+        Parameters
+        ----------
+        lengths
+            (N,) lengths of the weighted residuals.
+
+        Returns
+        -------
+        Array
+            (N,) second derivatives; negative where the Cauchy loss is concave.
+        """
         if self.name == "huber" and np.isfinite(self.limit):
             return np.where(lengths <= self.limit, 1.0, 0.0)
         if self.name == "cauchy" and np.isfinite(self.limit):
@@ -75,9 +115,20 @@ class Loss:
         return np.ones_like(lengths)
 
     def curvature_root(self, residuals: Array) -> Array | None:
-        """Return (N, 2, 2) symmetric roots of rho's second derivatives in the plane; None: all unity.
+        """Return the symmetric square roots of the second derivatives of rho in the plane.
 
-        rho'' along the residual (not below zero, so that a step descends), rho' / e across it.
+        The curvature is rho'' along the residual (set to zero where negative, so that every step descends) and rho' / e
+        across it.
+
+        Parameters
+        ----------
+        residuals
+            (N, 2) weighted residuals.
+
+        Returns
+        -------
+        Array or None
+            (N, 2, 2) square roots; None if all are the identity.
         """
         if not np.isfinite(self.limit):
             return None
@@ -91,18 +142,18 @@ class Loss:
 
 @dataclass(frozen=True)
 class Refinement:
-    """Where a refinement ended.
+    """The end of a refinement.
 
     Attributes
     ----------
-    state
-        The state of least cost found.
+    parameters
+        The parameters of least cost found.
     cost
-        Its robust cost.
+        Their robust cost.
     converged
-        Whether no step promises a reduction worth taking.
+        Whether no further step promises a reduction above the tolerance.
     iterations
-        Steps tried.
+        Number of steps tried.
     """
 
     parameters: AdjustmentParameters
@@ -118,25 +169,25 @@ def refine(
     max_iterations: int = 100,
     tolerance: float = RELATIVE_TOLERANCE,
 ) -> Refinement:
-    """Minimise the robust cost from a start (Levenberg-Marquardt, Nielsen's rule for the damping).
+    """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999).
 
     Parameters
     ----------
     bundle
-        Stars and free parameters.
+        Stars, free parameters and priors.
     start
-        Where to begin.
+        Starting values.
     loss
-        The cost of a residual's length.
+        Cost of a weighted residual.
     max_iterations
-        Bound on the steps tried.
+        Largest number of steps tried.
     tolerance
-        A step that promises to lower the cost by less than this share of it is not worth taking.
+        The refinement ends when the predicted reduction is below this share of the cost.
 
     Returns
     -------
-    Refined
-        ``converged`` is False when the bound was met or the start cannot be projected.
+    Refinement
+        ``converged`` is False if the number of steps was reached, or if a star cannot be projected at the start.
     """
     parameters, (cost, equations) = start, _linearised(bundle, start, loss)
     damping, growth, iteration = _FIRST_DAMPING, 2.0, 0
@@ -147,16 +198,16 @@ def refine(
         except np.linalg.LinAlgError:
             damping, growth = damping * growth, growth * 2.0
             continue
-        promised = equations.decrement(shared, local)
-        if promised * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
+        predicted = equations.decrement(shared, local)
+        if predicted * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
             return Refinement(parameters, cost, converged=True, iterations=iteration)
         candidate = parameters.after_step(bundle.names, shared, local)
         candidate_cost = loss.cost(_lengths(_residuals(bundle, candidate))) + bundle.prior_cost(candidate)
-        gain = 2.0 * (cost - candidate_cost) / promised
+        gain = 2.0 * (cost - candidate_cost) / predicted
         if gain > 0.0:
             parameters, (cost, equations) = candidate, _linearised(bundle, candidate, loss)
             damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
-        elif promised * (1.0 + damping) <= _rounding(bundle, cost):
+        elif predicted * (1.0 + damping) <= _rounding(bundle, cost):
             return Refinement(parameters, cost, converged=True, iterations=iteration)
         else:
             damping, growth = damping * growth, growth * 2.0
@@ -164,10 +215,10 @@ def refine(
 
 
 def _rounding(bundle: Bundle, cost: float) -> float:
-    """Return how far rounding of the image points moves the cost: a step that promised less cannot be judged by it.
+    """Return how much rounding of the image points changes the cost.
 
-    Where stars are known to thousandths of a pixel this exceeds `RELATIVE_TOLERANCE`. Each residual is off by the
-    machine's epsilon of its coordinates, at random.
+    A smaller predicted reduction cannot be verified. For stars known to thousandths of a pixel, this limit exceeds
+    `RELATIVE_TOLERANCE`. Each residual has a random error of the machine's epsilon times its coordinates.
     """
     obs = bundle.observations
     each = np.finfo(float).eps * float(np.abs(obs.points_px).max()) * obs.sigmas_per_px
@@ -177,7 +228,7 @@ def _rounding(bundle: Bundle, cost: float) -> float:
 def _linearised(
     bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
 ) -> tuple[float, NormalEquations | None]:
-    """Return the cost at a state and the normal equations there; none where a star cannot be projected."""
+    """Return the cost and the normal equations; None instead of equations if a star cannot be projected."""
     residuals = _residuals(bundle, parameters)
     lengths = _lengths(residuals)
     cost = loss.cost(lengths) + bundle.prior_cost(parameters)
@@ -188,7 +239,7 @@ def _linearised(
 
 
 def _residuals(bundle: Bundle, parameters: AdjustmentParameters) -> Array:
-    """Return (N, 2) residuals; infinite where a star cannot be projected."""
+    """Return (N, 2) weighted residuals; infinite for a star that cannot be projected."""
     with np.errstate(invalid="ignore", over="ignore"):
         residuals = bundle.weighted_residuals(parameters)
     return np.where(np.isfinite(residuals), residuals, np.inf)

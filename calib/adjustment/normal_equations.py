@@ -1,7 +1,8 @@
-"""Normal equations of many views, reduced to what the views share.
+"""Normal equations of many views, reduced to the parameters that the views share.
 
-Knows linear algebra only. The views share few parameters and have each a rotation of their own (and a centre, where it
-is free), so the whole system is solved by the Schur complement onto the shared ones.
+The views share few parameters, and each has its own rotation (and a centre, if it is free). The system is therefore
+solved by the Schur complement onto the shared parameters: the reduced camera system of bundle adjustment (Brown, 1976;
+Triggs et al., 2000). This module is linear algebra only.
 """
 
 from __future__ import annotations
@@ -16,16 +17,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """J^T W J and J^T W e, split into shared and per-view blocks.
+    """J^T W J and J^T W e, split into blocks of shared and of local (per-view) parameters.
 
     Attributes
     ----------
     shared, shared_gradient
-        (G, G) and (G,).
+        (G, G) and (G,) float64 blocks of the G shared parameters.
     local, local_gradient
-        (n, L, L) and (n, L).
+        (n, L, L) and (n, L) float64 blocks of the L local parameters of each of n views.
     coupling
-        (n, G, L).
+        (n, G, L) float64 blocks between shared and local parameters.
     """
 
     shared: Array
@@ -35,7 +36,18 @@ class NormalEquations:
     coupling: Array
 
     def damped(self, damping: float) -> NormalEquations:
-        """Return the equations with Marquardt's damping: diagonals times 1 + damping."""
+        """Return the equations with Marquardt's damping: diagonals times 1 + damping (Marquardt, 1963).
+
+        Parameters
+        ----------
+        damping
+            Damping factor, at least 0.
+
+        Returns
+        -------
+        NormalEquations
+            Damped equations with the same gradient.
+        """
         diagonal = np.arange(self.local.shape[1])
         local, shared = self.local.copy(), self.shared.copy()
         local[:, diagonal, diagonal] *= 1.0 + damping
@@ -43,17 +55,28 @@ class NormalEquations:
         return replace(self, shared=shared, local=local)
 
     def reduced(self) -> Array:
-        """Return the Schur complement onto the shared parameters, (G, G): their information."""
+        """Return the Schur complement onto the shared parameters, which is their information.
+
+        Returns
+        -------
+        Array
+            (G, G) information matrix.
+        """
         solved = np.linalg.solve(self.local, np.swapaxes(self.coupling, 1, 2))
         return np.asarray(self.shared - (self.coupling @ solved).sum(axis=0))
 
     def step(self) -> tuple[Array, Array]:
-        """Solve for the step: shared (G,) and per view (n, L).
+        """Solve the equations.
+
+        Returns
+        -------
+        tuple of Array
+            (G,) step of the shared parameters; (n, L) step of the local ones.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When the equations are singular.
+            If the equations are singular.
         """
         solved = np.linalg.solve(self.local, self.local_gradient[:, :, None])
         right = self.shared_gradient - (self.coupling @ solved).sum(axis=0)[:, 0]
@@ -65,5 +88,18 @@ class NormalEquations:
         return shared, np.linalg.solve(self.local, back[:, :, None])[:, :, 0]
 
     def decrement(self, shared: Array, local: Array) -> float:
-        """Return gradient times step: twice the reduction of the cost that a full step promises."""
+        """Return gradient times step, which is twice the predicted reduction of the cost.
+
+        Parameters
+        ----------
+        shared
+            (G,) step of the shared parameters.
+        local
+            (n, L) step of the local parameters.
+
+        Returns
+        -------
+        float
+            Gradient times step, in the unit of the cost.
+        """
         return float(self.shared_gradient @ shared + (self.local_gradient * local).sum())

@@ -1,7 +1,4 @@
-"""The stars of all views, one below the other, as the refinement takes them.
-
-Knows what was measured and how well; no camera.
-"""
+"""The observations of the adjustment: the stars of all views in common arrays, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -19,20 +16,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Observations:
-    """The stars of all views, one below the other.
+    """The N stars of all views, view after view.
 
     Attributes
     ----------
     target
-        (N, 3) positions on the target, mm, with Z = 0.
+        (N, 3) float64 positions on the target, mm, with Z = 0.
     points_px
-        (N, 2) image points, px.
+        (N, 2) float64 image points, px.
     whitening
-        (N, 2, 2) inverse Cholesky factors of the stars' covariances; they give residuals unit covariance.
+        (N, 2, 2) float64 inverse Cholesky factors of the stars' covariances, 1 / px. They give residuals unit
+        covariance.
     slices
         The rows of each view.
     view
-        (N,) index of each row's view.
+        (N,) int64 index of the view of each row.
     """
 
     target: Array
@@ -43,12 +41,22 @@ class Observations:
 
     @classmethod
     def from_views(cls, views: Sequence[View]) -> Observations:
-        """Stack views.
+        """Stack the stars of views.
+
+        Parameters
+        ----------
+        views
+            Views of one camera.
+
+        Returns
+        -------
+        Observations
+            The stars of the views, in their order.
 
         Raises
         ------
         InputMismatch
-            When a star's covariance is not positive definite.
+            If the covariance of a star is not positive definite.
         """
         counts = [len(view) for view in views]
         target = np.concatenate([view.target_mm for view in views])
@@ -70,11 +78,22 @@ class Observations:
 
     @property
     def sigmas_per_px(self) -> float:
-        """The factor from px to units of the typical star's uncertainty."""
+        """The factor from px to standard deviations of the typical star."""
         return float(np.sqrt(np.median(np.abs(np.linalg.det(self.whitening)))))
 
     def whitened(self, vectors: Array) -> Array:
-        """Multiply (N, 2) vectors by the whitening."""
+        """Multiply vectors by the whitening: residuals in px become weighted residuals.
+
+        Parameters
+        ----------
+        vectors
+            (N, 2) vectors, px.
+
+        Returns
+        -------
+        Array
+            (N, 2) vectors in standard deviations.
+        """
         w = self.whitening
         # The factors are lower triangular; written out, this is several times faster than small products.
         return np.column_stack(
@@ -82,18 +101,51 @@ class Observations:
         )
 
     def unwhitened(self, vectors: Array) -> Array:
-        """Multiply (N, 2) vectors by the whitening's transpose: a gradient by residuals becomes one by px."""
+        """Multiply vectors by the transposed whitening: a gradient by weighted residuals becomes one by px.
+
+        Parameters
+        ----------
+        vectors
+            (N, 2) gradients by weighted residuals.
+
+        Returns
+        -------
+        Array
+            (N, 2) gradients by image points, 1 / px.
+        """
         w = self.whitening
         return np.column_stack(
             [w[:, 0, 0] * vectors[:, 0] + w[:, 1, 0] * vectors[:, 1], w[:, 1, 1] * vectors[:, 1]]
         )
 
     def rows(self, views: Sequence[int]) -> list[NDArray[np.int64]]:
-        """Return the rows of some views, view by view."""
+        """Return the rows of some views.
+
+        Parameters
+        ----------
+        views
+            Indices of the views.
+
+        Returns
+        -------
+        list of NDArray of int64
+            Row indices, shape (N_i,), of each view.
+        """
         return [np.arange(self.slices[i].start, self.slices[i].stop) for i in views]
 
     def with_rows(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
-        """Return views made of the given rows, view by view."""
+        """Return observations that consist of given rows.
+
+        Parameters
+        ----------
+        rows
+            For each new view, its row indices, shape (N_i,) int64.
+
+        Returns
+        -------
+        Observations
+            One view for each entry of `rows`.
+        """
         every = np.concatenate(rows)
         counts = [len(r) for r in rows]
         return Observations(
@@ -106,6 +158,6 @@ class Observations:
 
 
 def _slices(counts: Sequence[int]) -> tuple[slice, ...]:
-    """Return the rows of views of so many stars, one below the other."""
+    """Return the rows of views with the given numbers of stars."""
     ends = np.cumsum(counts)
     return tuple(slice(int(end - n), int(end)) for n, end in zip(counts, ends, strict=True))

@@ -1,6 +1,6 @@
-"""A state of the refinement: a camera, a collimator, and each view's rotation and centre.
+"""The parameters of the adjustment: a camera, a collimator, and the rotation and centre of each view.
 
-Knows how a step moves it; not what it is measured against.
+This module applies steps to the parameters. It does not compare them with observations.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AdjustmentParameters:
-    """A camera, a collimator and each view's rotation and centre.
+    """A camera, a collimator, and the rotation and centre of each of n views.
 
     Attributes
     ----------
     camera, collimator
-        What the views share.
+        The parameters that the views share.
     rotations
-        (n, 3, 3), camera <- target.
+        (n, 3, 3) float64 rotations, camera <- target.
     offsets
-        (n, 3) each view's centre less the collimator's, mm; zero in the spherical model.
+        (n, 3) float64 centre of each view minus the collimator's centre, mm; zero in the spherical model.
     """
 
     camera: CameraModel
@@ -39,7 +39,7 @@ class AdjustmentParameters:
 
     @property
     def centres(self) -> Array:
-        """(n, 3) centre of each view in the target frame, mm."""
+        """(n, 3) float64 centre of each view in the target frame, mm."""
         return self.collimator.centre + self.offsets
 
     @property
@@ -48,15 +48,38 @@ class AdjustmentParameters:
         return {**self.camera.to_dict(), **self.collimator.to_dict()}
 
     def values(self, names: Sequence[str]) -> Array:
-        """Return shared parameters by name."""
+        """Return values of shared parameters.
+
+        Parameters
+        ----------
+        names
+            K names of shared parameters.
+
+        Returns
+        -------
+        Array
+            (K,) values, each in the unit of its parameter.
+        """
         known = self.shared
         return np.array([known[name] for name in names])
 
     def after_step(self, names: Sequence[str], shared: Array, local: Array) -> AdjustmentParameters:
-        """Return the state after a step.
+        """Return the parameters after a step.
 
-        `shared` adds to the named parameters; `local`, (n, 3 or 6), turns each view by a rotation vector on the
-        camera's side and moves its centre.
+        Parameters
+        ----------
+        names
+            G names of the free shared parameters.
+        shared
+            (G,) increments of these parameters.
+        local
+            (n, 3) rotation vectors, rad, that turn each view on the camera's side; or (n, 6), followed by shifts of
+            each view's centre, mm.
+
+        Returns
+        -------
+        AdjustmentParameters
+            New parameters; rotations stay orthogonal.
         """
         known = self.shared
         for name, step in zip(names, shared, strict=True):
@@ -67,6 +90,17 @@ class AdjustmentParameters:
         return AdjustmentParameters(camera, self.collimator.with_values(known), rotations, offsets)
 
     def subset(self, kept: Sequence[int]) -> AdjustmentParameters:
-        """Return the state with some of its views."""
+        """Return the parameters of some of the views.
+
+        Parameters
+        ----------
+        kept
+            Indices of the views to keep.
+
+        Returns
+        -------
+        AdjustmentParameters
+            Parameters with the same camera and collimator.
+        """
         index = list(kept)
         return replace(self, rotations=self.rotations[index], offsets=self.offsets[index])

@@ -19,7 +19,8 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.collimator import CENTRE, Collimator
 from calib.studies.predicted_views import ExpectedBench, predicted_view
-from calib.uncertainty.covariance import consider_covariance, inverse_information
+from calib.uncertainty.covariance import inverse_information
+from calib.uncertainty.passport_propagation import consider_covariance
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 

@@ -1,7 +1,7 @@
-"""Whether views contradict a collimator's passport.
+"""Test whether views contradict the passport of a collimator.
 
-Knows how to ask the views alone: the same fit with the passport's centre forgotten, its imperfections kept. Where
-they tell the centre themselves, it is held against the passport's, each with its own uncertainty.
+The views are adjusted again without the passport's centre, but with its aberrations. If they determine the centre
+themselves, it is compared with the passport's, with both uncertainties.
 """
 
 from __future__ import annotations
@@ -19,19 +19,31 @@ from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
 from calib.uncertainty.covariance import covariance_at_optimum
 
-#: A passport that is right is refused this rarely.
+#: Probability that a correct passport is refused.
 _FALSE_ALARMS = 1e-4
 
 
 def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, passport: Passport) -> None:
-    """Refuse a passport whose centre these views contradict.
+    """Refuse a passport whose centre contradicts the views, by a chi-square test.
 
-    One view, or views that do not tell the centre, cannot contradict it.
+    A single view, or views that do not determine the centre, cannot contradict it.
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted with the passport.
+    parameters
+        Its optimum.
+    loss
+        Loss with the limit that the adjustment ended with.
+    passport
+        The passport.
 
     Raises
     ------
     PassportContradicted
-        With both values, their uncertainties, and chi-square.
+        If the chi-square of the difference has a probability below 1 in 10000; gives both values, their uncertainties
+        and the chi-square.
     """
     spread = float((bundle.weighted_residuals(parameters) ** 2).mean())
     names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
@@ -41,13 +53,13 @@ def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss,
     if len(parameters.rotations) < 2 or not refined.converged:
         return
     try:
-        known = covariance_at_optimum(free, refined.parameters, loss)
+        estimate = covariance_at_optimum(free, refined.parameters, loss)
     except DegenerateViews:
         return
     asked = [name for name in passport.names if name in CENTRE]
-    ours = [names.index(name) for name in asked]
-    growth = max(known.birge_ratio if known.inconsistent else 1.0, passport.birge_ratio)
-    found, covariance = refined.parameters.values(asked), growth**2 * known.covariance[np.ix_(ours, ours)]
+    at = [names.index(name) for name in asked]
+    growth = max(estimate.birge_ratio if estimate.inconsistent else 1.0, passport.birge_ratio)
+    found, covariance = refined.parameters.values(asked), growth**2 * estimate.covariance[np.ix_(at, at)]
     stated, own = np.array([passport.values_by_name[name] for name in asked]), passport.covariance_of(asked)
     off, together = found - stated, covariance + own
     chi_square = float(off @ np.linalg.solve(together, off))
@@ -58,5 +70,5 @@ def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss,
             f"views give {found[worst]:.2f} +- {np.sqrt(covariance[worst, worst]):.2f} mm "
             f"(chi-square {chi_square:.0f} with {len(asked)} degrees of freedom).",
             where="collimator passport",
-            remedy="Check that the passport belongs to this collimator and that nothing moved, or calibrate without it.",
+            remedy="Check that the passport belongs to this collimator and nothing moved, or calibrate without it.",
         )

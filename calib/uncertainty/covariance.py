@@ -1,10 +1,10 @@
-"""How sure the estimates are: their covariance at the optimum, and what views disagree on.
+"""Covariance of the estimates at the optimum, enlarged if the views are inconsistent.
 
-Knows residuals and normal equations. The covariance rests on what the residuals show, not on what the stars'
-covariances promise: J^T J inverted, times the variance of the influence function over the square of its mean slope
-(Huber's formula for M-estimators). That holds when the model does. Whether it does, the views tell: each alone would
-like other shared parameters, and when they differ by more than their stars' noise allows, the covariance is that of
-their pulls (`cluster_robust`), and of fewer than five that of `variance_components`.
+The covariance rests on the residuals, not on the stars' stated covariances: J^T J inverted, times the variance of the
+influence function over the square of its mean slope (Huber, 1981, chapter 7). It is right if the model is right. The
+views test that: if their estimates differ by more than star noise allows (Birge ratio), the covariance comes from
+`calib.uncertainty.variance_components` for fewer than five views, and its sigmas from the scores of the views
+(`calib.uncertainty.cluster_robust`) for five or more.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
-from calib.model.passport import Passport
 from calib.uncertainty.cluster_robust import cluster_robust_covariance
 from calib.uncertainty.variance_components import VarianceComponents
 
 Array = NDArray[np.float64]
 
-#: Below this, the information matrix scaled to a unit diagonal is singular to working precision.
+#: Below this ratio of eigenvalues, the information matrix (scaled to a unit diagonal) is numerically singular.
 _SINGULAR = 1e-13
-#: A view alone tells a direction of the shared parameters when its eigenvalue exceeds this.
+#: A view determines a direction of the shared parameters if the relative eigenvalue exceeds this.
 _DETERMINED = 1e-6
-#: Views that agree are found to disagree this rarely.
+#: Probability that consistent views are reported as inconsistent.
 _FALSE_ALARMS = 1e-3
-#: From this number of views on, their pulls at the parameters tell more than how their stars miss alike.
+#: From this number of views on, the scores of the views determine the sigmas.
 _SCORE_VIEWS = 5
-#: From this number on, what shape the pulls' covariance is taken for matters little, and the fields take long.
+#: From this number of views on, the working covariance matters little, and variance components take long.
 _MANY_VIEWS = 16
-_INCONSISTENCY = "disagreement of the views"
-#: Probability that k = 2 covers for a Gaussian.
+#: Source of the budget that holds what the inconsistency of the views adds.
+INCONSISTENCY = "disagreement of the views"
+#: Coverage probability of value +- 2 sigma for a Gaussian.
 _COVERAGE = 0.9545
 
 
@@ -48,21 +48,21 @@ class Uncertainty:
     Attributes
     ----------
     names
-        The parameters.
+        Names of the G parameters.
     covariance
-        (G, G), in their order.
+        (G, G) float64 covariance, in the order of the names.
     variance_factor
-        Estimated variance of a weighted residual component.
+        Estimated variance of a component of the weighted residuals.
     degrees_of_freedom
-        Measured components less estimated parameters.
-    disagreement
-        How many times the stars' noise the views' estimates differ by: the Birge ratio. 1 is agreement.
-    disagree
-        Whether that is more than chance allows, and the covariance was inflated.
-    effective_freedom
-        Degrees of freedom behind the covariance: the stars' when views agree, else the views'.
+        Number of measured components minus number of estimated parameters.
+    birge_ratio
+        How many times more than star noise explains the estimates of the views differ (Birge, 1932); 1 is agreement.
+    inconsistent
+        Whether the ratio is more than chance allows; the covariance is then enlarged.
+    effective_degrees_of_freedom
+        Degrees of freedom of the covariance: those of the stars if the views are consistent, else those of the views.
     budget
-        (G,) variance of each parameter by source; the sources add up to the covariance's diagonal.
+        (G,) float64 variances of the parameters by source; the sources add up to the diagonal of the covariance.
     """
 
     names: tuple[str, ...]
@@ -76,7 +76,7 @@ class Uncertainty:
 
     @property
     def coverage_factor(self) -> float:
-        """The k for which value +- k sigma covers 95.45 % (Student)."""
+        """The k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G)."""
         tail = 0.5 + 0.5 * _COVERAGE
         if np.isinf(self.effective_degrees_of_freedom):
             return float(special.ndtri(tail))
@@ -84,32 +84,48 @@ class Uncertainty:
 
 
 def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Uncertainty:
-    """Return the covariance of the shared parameters at the optimum, were the model right.
+    """Return the covariance of the shared parameters at the optimum, if the model is right (Huber, 1981, chapter 7).
+
+    The Birge ratio of the views is tested by an F test.
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted.
+    parameters
+        Its optimum.
+    loss
+        Loss with the limit that the adjustment ended with.
+
+    Returns
+    -------
+    Uncertainty
+        Covariance that is not yet enlarged, and the result of the test.
 
     Raises
     ------
     DegenerateViews
-        When there are no more measurements than parameters, or the views leave a parameter free.
+        If there are no more measurements than parameters, or if the views do not constrain a parameter.
     """
     residuals = bundle.weighted_residuals(parameters)
     lengths = np.linalg.norm(residuals, axis=1)
     equations = bundle.normal_equations(parameters, residuals)
     count = len(bundle.names) + equations.local_gradient.size
-    known = len(bundle.prior.names) if bundle.prior else 0
-    known += parameters.offsets.size if bundle.has_drift_prior else 0
-    freedom = 2 * len(lengths) - count + known
+    prior_count = len(bundle.prior.names) if bundle.prior else 0
+    prior_count += parameters.offsets.size if bundle.has_drift_prior else 0
+    freedom = 2 * len(lengths) - count + prior_count
     if freedom <= 0:
         raise DegenerateViews(
             f"{2 * len(lengths)} measurements cannot determine {count} parameters.",
             remedy="Add views, or views with more stars.",
         )
     influence = loss.weights(lengths) * lengths
-    # The mean of rho's second derivative over directions in the plane: half its trace.
+    # Mean second derivative of rho over all directions in the plane: half its trace.
     slope = 0.5 * (loss.weights(lengths) + loss.second_derivatives(lengths)).mean()
     variance = float((influence**2).sum() / freedom)
     factor = variance / float(slope) ** 2
-    # Priors weigh noise_variance in these equations, so that is what the inverse is to be scaled by.
-    scale = bundle.noise_variance if known else factor
+    # Priors are weighted by noise_variance in these equations, so the inverse is scaled by it.
+    scale = bundle.noise_variance if prior_count else factor
     covariance = scale * inverse_information(equations.reduced(), bundle.names)
     ratio, views_freedom = _birge(bundle, parameters, loss, variance)
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
@@ -125,86 +141,38 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     )
 
 
-def propagate_passport(
-    bundle: Bundle, parameters: AdjustmentParameters, known: Uncertainty, passport: Passport
-) -> Uncertainty:
-    """Return the uncertainty of all parameters where a passport held some of them.
+def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty) -> Array:
+    """Return the joint covariance of the rotations of all views.
 
-    The stars count by what views disagree on, here or when the passport was made: their noise alone would let a
-    model's small faults pass for knowledge.
-    """
-    names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
-    whole = replace(bundle, names=names)
-    information = whole.normal_equations(parameters, whole.weighted_residuals(parameters)).reduced()
-    growth = max(known.birge_ratio if known.inconsistent else 1.0, passport.birge_ratio)
-    noise = known.variance_factor
-    stars, total = (consider_covariance(information / v, names, passport) for v in (noise, growth**2 * noise))
-    alone = consider_covariance(
-        information / noise, names, replace(passport, covariance=0.0 * passport.covariance)
-    )
-    own = np.diag(alone)
-    return replace(
-        known,
-        names=names,
-        covariance=total,
-        budget={
-            "stars": own,
-            _INCONSISTENCY: np.diag(total) - np.diag(stars),
-            "passport of the collimator": np.diag(stars) - own,
-        },
-    )
-
-
-def consider_covariance(information: Array, names: Sequence[str], passport: Passport) -> Array:
-    """Return the covariance of all parameters, those of a passport held at its values.
-
-    With S the information, f the free and p the held parameters: a change of p moves f by -S_ff^-1 S_fp, so
-    cov_ff = S_ff^-1 + (S_ff^-1 S_fp) cov_p (S_ff^-1 S_fp)^T.
+    It holds the star noise of each view, and the shared uncertainty of camera and collimator.
 
     Parameters
     ----------
-    information
-        (G, G) what the views tell of all parameters.
-    names
-        The parameters.
-    passport
-        Its names are the held ones.
+    bundle
+        Bundle that was adjusted.
+    parameters
+        Its optimum.
+    nominal
+        Uncertainty of the shared parameters.
 
-    Raises
-    ------
-    DegenerateViews
-        When the views leave a free parameter free.
+    Returns
+    -------
+    Array
+        (3 n, 3 n) covariance of rotation vectors on the camera's side, rad^2.
     """
-    held = [list(names).index(name) for name in passport.names]
-    free = [i for i in range(len(names)) if i not in held]
-    own = inverse_information(information[np.ix_(free, free)], [names[i] for i in free])
-    answer = -own @ information[np.ix_(free, held)]
-    covariance = np.zeros_like(information)
-    covariance[np.ix_(free, free)] = own + answer @ passport.covariance @ answer.T
-    covariance[np.ix_(free, held)] = answer @ passport.covariance
-    covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
-    covariance[np.ix_(held, held)] = passport.covariance
-    return covariance
-
-
-def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, known: Uncertainty) -> Array:
-    """Return (3 n, 3 n) the joint covariance of all views' rotations, rad^2, turns on the camera's side.
-
-    What the stars of each view leave, and what all share through the camera and the collimator.
-    """
-    whole = replace(bundle, names=known.names)
+    whole = replace(bundle, names=nominal.names)
     equations = whole.normal_equations(parameters, whole.weighted_residuals(parameters))
-    growth = known.birge_ratio if known.inconsistent else 1.0
+    growth = nominal.birge_ratio if nominal.inconsistent else 1.0
     inverse = np.linalg.inv(equations.local)
-    answer = -(inverse @ np.swapaxes(equations.coupling, 1, 2))[:, :3].reshape(-1, len(known.names))
-    joint = answer @ known.covariance @ answer.T
+    answer = -(inverse @ np.swapaxes(equations.coupling, 1, 2))[:, :3].reshape(-1, len(nominal.names))
+    joint = answer @ nominal.covariance @ answer.T
     for i, own in enumerate(inverse[:, :3, :3]):
-        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += growth**2 * known.variance_factor * own
+        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += growth**2 * nominal.variance_factor * own
     return np.asarray(joint)
 
 
 def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
-    """Split the variances into what the stars and what the priors leave."""
+    """Split the variances into those from the stars and those from the priors."""
     variances = np.diag(covariance)
     if bundle.prior is None:
         return {"stars": variances}
@@ -214,93 +182,102 @@ def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
 
 
 def inflate(
-    known: Uncertainty,
+    nominal: Uncertainty,
     bundle: Bundle,
     parameters: AdjustmentParameters,
     loss: Loss,
-    found: Callable[[], VarianceComponents],
+    estimate_components: Callable[[], VarianceComponents],
 ) -> Uncertainty:
-    """Return the uncertainty with what the views disagree on; unchanged when they agree.
+    """Return the uncertainty, enlarged if the views are inconsistent.
 
-    Fewer than five views are judged by how their stars miss alike. From five on, the views' pulls give each sigma
-    (`calib.uncertainty.cluster_robust`), correlations kept.
+    With fewer than five views the covariance is that of the variance components. From five views on, each sigma comes
+    from the scores of the views (`calib.uncertainty.cluster_robust`); correlations are kept.
 
     Parameters
     ----------
-    known
-        The uncertainty were the model right.
-    bundle, state, loss
-        What was fitted, its optimum, and the loss with the limit it ended with.
-    found
-        Measures what views disagree on (`variance_components`); asked where they disagree and are fewer than 16.
+    nominal
+        Uncertainty if the model is right.
+    bundle
+        Bundle that was adjusted.
+    parameters
+        Its optimum.
+    loss
+        Loss with the limit that the adjustment ended with.
+    estimate_components
+        Estimates the variance components; called if the views are inconsistent and fewer than 16.
+
+    Returns
+    -------
+    Uncertainty
+        The enlarged uncertainty; the same object if the views are consistent.
     """
-    if not known.inconsistent:
-        return known
+    if not nominal.inconsistent:
+        return nominal
     views = len(parameters.rotations)
     if views >= _MANY_VIEWS:
-        return _by_scores(known, bundle, parameters, loss, None)
-    shared = found()
-    shaped = _with_fields(known, shared)
+        return _from_scores(nominal, bundle, parameters, loss, None)
+    shared = estimate_components()
+    shaped = _from_variance_components(nominal, shared)
     return (
         shaped
         if views < _SCORE_VIEWS
-        else _by_scores(shaped, bundle, parameters, loss, shared.score_covariances)
+        else _from_scores(shaped, bundle, parameters, loss, shared.score_covariances)
     )
 
 
-def _with_fields(known: Uncertainty, shared: VarianceComponents) -> Uncertainty:
-    """Return the uncertainty by the fields that neighbouring stars share."""
+def _from_variance_components(nominal: Uncertainty, shared: VarianceComponents) -> Uncertainty:
+    """Return the uncertainty with the covariance of the variance components."""
     budget = {"stars": np.diag(shared.star_covariance), "known beforehand": np.diag(shared.prior_covariance)}
     return replace(
-        known,
+        nominal,
         covariance=shared.covariance,
         effective_degrees_of_freedom=max(
-            1.0, min(shared.effective_degrees_of_freedom, known.effective_degrees_of_freedom)
+            1.0, min(shared.effective_degrees_of_freedom, nominal.effective_degrees_of_freedom)
         ),
         budget={
-            **{source: budget[source] for source in known.budget},
-            _INCONSISTENCY: np.diag(shared.field_covariance),
+            **{source: budget[source] for source in nominal.budget},
+            INCONSISTENCY: np.diag(shared.field_covariance),
         },
     )
 
 
-def _by_scores(
-    known: Uncertainty, bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, working: Array | None
+def _from_scores(
+    nominal: Uncertainty, bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, working: Array | None
 ) -> Uncertainty:
-    """Return the uncertainty with each sigma as the views' pulls show it, but no less than the stars leave.
+    """Return the uncertainty with sigmas from the scores of the views, but not below those from the stars.
 
-    `working` (n, G, G) is what the covariance of each pull is taken for; None: what the stars' noise gives it. The
-    degrees of freedom differ from parameter to parameter; their median stands for all.
+    `working` (n, G, G) is the working covariance of the scores; None for that of star noise. The degrees of freedom
+    differ from parameter to parameter; their median is used for all.
     """
     residuals = bundle.weighted_residuals(parameters)
     influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
     equations = list(bundle.scores(parameters, influence, loss.curvature_root(residuals)))
     information, scores = (np.array(each) for each in zip(*equations, strict=True))
-    working = known.variance_factor * information if working is None else working
+    working = nominal.variance_factor * information if working is None else working
     prior = bundle.prior_information
     shown = cluster_robust_covariance(scores, information, working, prior, bundle.noise_variance * prior)
-    others = {source: variances for source, variances in known.budget.items() if source != _INCONSISTENCY}
-    least = sum(others.values(), start=np.zeros(len(known.names)))
+    others = {source: variances for source, variances in nominal.budget.items() if source != INCONSISTENCY}
+    least = sum(others.values(), start=np.zeros(len(nominal.names)))
     variances = np.maximum(shown.variances, least)
-    growth = np.sqrt(variances / np.diag(known.covariance))
+    growth = np.sqrt(variances / np.diag(nominal.covariance))
     return replace(
-        known,
-        covariance=known.covariance * np.outer(growth, growth),
+        nominal,
+        covariance=nominal.covariance * np.outer(growth, growth),
         effective_degrees_of_freedom=max(
-            1.0, min(float(np.median(shown.degrees_of_freedom)), known.effective_degrees_of_freedom)
+            1.0, min(float(np.median(shown.degrees_of_freedom)), nominal.effective_degrees_of_freedom)
         ),
-        budget={**others, _INCONSISTENCY: variances - least},
+        budget={**others, INCONSISTENCY: variances - least},
     )
 
 
 def _birge(
     bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, variance: float
 ) -> tuple[float, int]:
-    """Return the mean square by which views pull at the shared parameters, over what noise explains.
+    """Return the squared Birge ratio of the views and its degrees of freedom.
 
-    At the optimum the views' pulls s_i cancel. Noise gives each the covariance variance * A_i, A_i its own
-    information on the shared parameters; the sum of s_i^T A_i^+ s_i has as many degrees of freedom as
-    the views tell directions, less the parameters they share.
+    At the optimum the scores s_i of the views cancel. Star noise gives s_i the covariance variance * A_i, where A_i is
+    the view's information on the shared parameters. The sum of s_i^T A_i^+ s_i has as many degrees of freedom as the
+    views determine directions, minus the number of shared parameters.
     """
     residuals = bundle.weighted_residuals(parameters)
     influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
@@ -315,12 +292,24 @@ def _birge(
 
 
 def inverse_information(information: Array, names: Sequence[str]) -> Array:
-    """Return the covariance that information on named parameters leaves.
+    """Invert an information matrix, scaled to a unit diagonal.
+
+    Parameters
+    ----------
+    information
+        (G, G) information on the parameters.
+    names
+        Names of the G parameters, for the message.
+
+    Returns
+    -------
+    Array
+        (G, G) covariance.
 
     Raises
     ------
     DegenerateViews
-        When it leaves a parameter free; names it.
+        If a parameter is not constrained; names it, or the two that cannot be separated.
     """
     diagonal = np.diag(information)
     if not (diagonal > 0).all():

@@ -1,7 +1,7 @@
-"""One view left out at a time: what the others say of it, and of themselves.
+"""Leave-one-out cross-validation over views, and the jackknife.
 
-Knows how to refit without a view. The views left out measure how well a model predicts (held-out error); the
-estimates without them measure what views disagree on (the jackknife).
+Views that were left out measure how well a model predicts. The estimates without them measure how much the views differ
+(the jackknife).
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ _STEP_VIEWS = 9
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """What leaving each view out in turn shows.
+    """Results of leaving out each of n views in turn.
 
     Attributes
     ----------
     values
-        (n, G) shared parameters estimated without each view.
+        (n, G) float64 shared parameters estimated without each view.
     rms_px
-        (n,) rms residual of each view, predicted by the others: camera and centre theirs, the rotation its own.
+        (n,) float64 root mean square residual of each view, px, with camera and centre of the others and its own
+        rotation.
     stars
-        (n,) number of its stars.
+        (n,) int64 number of its stars.
     """
 
     values: Array
@@ -47,24 +48,35 @@ class CrossValidation:
 
     @property
     def total_rms_px(self) -> float:
-        """Root mean square over all stars of all views."""
+        """Root mean square residual of all stars of all views, px."""
         return float(np.sqrt((self.rms_px**2 * self.stars).sum() / self.stars.sum()))
 
     @property
     def jackknife(self) -> Array:
-        """(G, G) covariance of the shared parameters from their scatter: (n - 1) / n sum (v - mean)^2."""
+        """(G, G) float64 jackknife covariance: (n - 1) / n sum (v - mean)(v - mean)^T (Efron, 1982)."""
         n = len(self.values)
         off = self.values - self.values.mean(axis=0)
         return np.asarray((n - 1) / n * off.T @ off)
 
 
 def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CrossValidation:
-    """Refit without each view in turn, from the optimum of all: to the end, or by a step where views are many.
+    """Adjust without each view in turn, from the optimum of all views.
+
+    With many views one Newton step replaces the full adjustment (compare Pregibon, 1981, on one-step deletion).
 
     Parameters
     ----------
-    bundle, state, loss
-        What was fitted, its optimum, and the loss with the limit it ended with; at least 3 views.
+    bundle
+        Bundle of at least 3 views.
+    parameters
+        Its optimum.
+    loss
+        Loss with the limit that the adjustment ended with.
+
+    Returns
+    -------
+    CrossValidation
+        Estimates without each view, and its predicted residuals.
     """
     values, rms, stars = [], [], []
     for i, near in enumerate(_steps_without(bundle, parameters, loss)):
@@ -84,9 +96,9 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
 def _steps_without(
     bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
 ) -> Iterator[AdjustmentParameters]:
-    """Yield, for each view, the state one Newton step from the optimum of all towards that without it.
+    """Yield, for each view, the parameters one Newton step from the optimum of all towards that without it.
 
-    Without view i, the reduced normal equations are H - A_i, and what pulls is its missing pull, -s_i.
+    Without view i, the reduced normal equations are H - A_i, and their right side is the missing score, -s_i.
     """
     residuals = bundle.weighted_residuals(parameters)
     lengths = np.linalg.norm(residuals, axis=1)
@@ -104,7 +116,7 @@ def _steps_without(
 
 
 def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:
-    """Return the robust cost; infinite where a star cannot be projected."""
+    """Return the robust cost; infinite if a star cannot be projected."""
     with np.errstate(invalid="ignore", over="ignore"):
         cost = loss.cost(np.linalg.norm(bundle.weighted_residuals(parameters), axis=1)) + bundle.prior_cost(
             parameters
@@ -113,7 +125,7 @@ def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float
 
 
 def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, i: int) -> Array:
-    """Return the residuals, px, of a view of which only the rotation is solved."""
+    """Return the residuals, (N, 2) px, of a view of which only the rotation is adjusted."""
     collimator = others.collimator
     if bundle.free_centres and not bundle.has_drift_prior:
         x, y, z = others.centres.mean(axis=0)

@@ -1,8 +1,8 @@
-"""How sure a calibrated camera is of directions: its projection uncertainty over the sensor, at infinity.
+"""Projection uncertainty of a camera over its sensor, for points at infinity.
 
-Knows a camera and the covariance of its parameters. A camera turned a little and recalibrated is the same camera, so
-the turn that a change of parameters implies is taken out first; what is left is what no mounting can undo. Points at
-infinity have no position, so no translation enters.
+A camera that is rotated a little and calibrated again is the same camera. Therefore the rotation implied by a change of
+the parameters is removed first; the remaining uncertainty cannot be removed by any mounting. Points at infinity have no
+position, so there is no translation. The idea is that of mrcal's projection uncertainty (Kogan).
 """
 
 from __future__ import annotations
@@ -24,16 +24,17 @@ _TURNS = 10
 
 @dataclass(frozen=True)
 class ProjectionMap:
-    """A quantity over the sensor.
+    """Projection uncertainty over the sensor.
 
     Attributes
     ----------
     grid_px
-        (h, w, 2) image points.
+        (h, w, 2) float64 image points, px.
     sigma_px
-        (h, w) 1-sigma of the projected point along the worse direction, px; NaN beyond the lens's fold.
+        (h, w) float64 1-sigma of the projected point along the worse direction, px; NaN beyond the fold of the
+        distortion.
     sigma_arcsec
-        (h, w) 1-sigma of the direction of the ray seen there, the worse way, arc seconds.
+        (h, w) float64 1-sigma of the direction of the ray seen there, along the worse direction, arc seconds.
     """
 
     grid_px: Array
@@ -42,25 +43,25 @@ class ProjectionMap:
 
     @property
     def worst_px(self) -> float:
-        """Largest over the sensor, px."""
+        """Largest uncertainty over the sensor, px."""
         return float(np.nanmax(self.sigma_px))
 
     @property
     def worst_arcsec(self) -> float:
-        """Largest over the sensor, arc seconds."""
+        """Largest uncertainty over the sensor, arc seconds."""
         return float(np.nanmax(self.sigma_arcsec))
 
 
 @dataclass(frozen=True)
 class CameraDifference:
-    """How differently two cameras project, at infinity, the best turn between them taken out.
+    """Difference between the projections of two cameras at infinity, after the best rotation between them.
 
     Attributes
     ----------
     grid_px
-        (h, w, 2) image points of the first camera.
+        (h, w, 2) float64 image points of the first camera, px.
     offset_px
-        (h, w, 2) where the second one shows the same direction, less that point, px.
+        (h, w, 2) float64 image point of the same direction in the second camera, minus that point, px.
     """
 
     grid_px: Array
@@ -68,26 +69,33 @@ class CameraDifference:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square length over the sensor."""
+        """Root mean square length over the sensor, px."""
         return float(np.sqrt(np.nanmean((self.offset_px**2).sum(axis=2))))
 
     @property
     def worst_px(self) -> float:
-        """Largest length over the sensor."""
+        """Largest length over the sensor, px."""
         return float(np.nanmax(np.linalg.norm(self.offset_px, axis=2)))
 
 
 def projection_uncertainty(camera: CameraModel, covariance: Array, points_across: int = 33) -> ProjectionMap:
-    """Map the projection uncertainty of a camera: var(q) = dq/db var(b) dq/db^T, the implied turn taken out.
+    """Map the projection uncertainty of a camera: var(q) = dq/db var(b) dq/db^T, without the implied rotation.
+
+    The law of propagation is that of JCGM 100:2008, section 5.2.
 
     Parameters
     ----------
     camera
         The camera.
     covariance
-        (k, k) of its parameters, in the order of `CameraModel.parameter_names`.
+        (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
     points_across
-        Points of the map along the sensor's longer side.
+        Number of grid points along the width of the sensor.
+
+    Returns
+    -------
+    ProjectionMap
+        Uncertainty at each grid point.
     """
     grid = sensor_grid(camera.image_size, points_across)
     pixels = grid.reshape(-1, 2)
@@ -111,7 +119,21 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
 def camera_difference(first: CameraModel, second: CameraModel, points_across: int = 33) -> CameraDifference:
     """Compare two calibrations of one camera over its sensor.
 
-    The turn between their frames is the one of least squares (Gauss-Newton over the sensor).
+    The rotation between their frames is estimated by least squares over the sensor (Gauss-Newton).
+
+    Parameters
+    ----------
+    first
+        Camera whose pixels are compared.
+    second
+        Camera to compare with.
+    points_across
+        Number of grid points along the width of the sensor.
+
+    Returns
+    -------
+    CameraDifference
+        Difference at each grid point.
     """
     grid = sensor_grid(first.image_size, points_across)
     pixels = grid.reshape(-1, 2)
@@ -132,7 +154,20 @@ def camera_difference(first: CameraModel, second: CameraModel, points_across: in
 
 
 def sensor_grid(image_size: Sequence[int], points_across: int) -> Array:
-    """Return (h, w, 2) image points from the first pixel's centre to the last one's."""
+    """Return a grid of image points, from the centre of the first pixel to that of the last one.
+
+    Parameters
+    ----------
+    image_size
+        Width and height, px.
+    points_across
+        Number of points along the width.
+
+    Returns
+    -------
+    Array
+        (h, w, 2) image points, px.
+    """
     width, height = image_size
     down = max(2, round(points_across * height / width))
     across = max(2, points_across)
@@ -141,12 +176,12 @@ def sensor_grid(image_size: Sequence[int], points_across: int) -> Array:
 
 
 def _larger(variances: Array) -> Array:
-    """Return the larger 1-sigma of (N, 2, 2) covariances."""
+    """Return (N,) the larger 1-sigma of (N, 2, 2) covariances."""
     return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(variances)[:, 1], 0.0)))
 
 
 def _across(rays: Array) -> Array:
-    """Return (N, 3, 2) two directions square to each unit ray and to each other."""
+    """Return (N, 3, 2) two directions perpendicular to each unit ray and to each other."""
     helper = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     one = np.cross(rays, helper)
     one /= np.linalg.norm(one, axis=1, keepdims=True)

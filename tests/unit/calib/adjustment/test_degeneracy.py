@@ -12,7 +12,7 @@ from calib.errors import DegenerateViews
     ("poses", "reason"),
     [
         ((), "0 views"),
-        (((0, 0),), "1 view; at least 2"),
+        (((0, 0),), "1 view given; at least 2"),
         (((1, 1), (1, 1)), "All 2 views show the same pose"),
         (((1, 1), (1, 1.1), (1.1, 1)), "All 3 views show the same pose"),
         (((0, 0, 0), (0, 0, 30)), "roll about the optical axis"),

@@ -1,0 +1,108 @@
+"""Covariance of all parameters if a passport holds those of the collimator.
+
+The passport's values are not estimated again; their covariance is propagated to the camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.model.passport import Passport
+from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty, inverse_information
+
+Array = NDArray[np.float64]
+
+
+def propagate_passport(
+    bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty, passport: Passport
+) -> Uncertainty:
+    """Return the uncertainty of all parameters if a passport held some of them.
+
+    Star noise is multiplied by the Birge ratio of these views or of those from which the passport was made, whichever
+    is larger. Otherwise the small errors of a model would appear as knowledge.
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted with the passport's values held.
+    parameters
+        Its optimum.
+    nominal
+        Uncertainty of the free parameters (`covariance_at_optimum`).
+    passport
+        The passport.
+
+    Returns
+    -------
+    Uncertainty
+        Uncertainty of the camera's and the collimator's parameters.
+
+    Raises
+    ------
+    DegenerateViews
+        If the views do not constrain a free parameter.
+    """
+    names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
+    whole = replace(bundle, names=names)
+    information = whole.normal_equations(parameters, whole.weighted_residuals(parameters)).reduced()
+    growth = max(nominal.birge_ratio if nominal.inconsistent else 1.0, passport.birge_ratio)
+    noise = nominal.variance_factor
+    stars, total = (consider_covariance(information / v, names, passport) for v in (noise, growth**2 * noise))
+    alone = consider_covariance(
+        information / noise, names, replace(passport, covariance=0.0 * passport.covariance)
+    )
+    own = np.diag(alone)
+    return replace(
+        nominal,
+        names=names,
+        covariance=total,
+        budget={
+            "stars": own,
+            INCONSISTENCY: np.diag(total) - np.diag(stars),
+            "passport of the collimator": np.diag(stars) - own,
+        },
+    )
+
+
+def consider_covariance(information: Array, names: Sequence[str], passport: Passport) -> Array:
+    """Return the covariance of all parameters if some are held at the values of a passport.
+
+    This is a consider covariance (Tapley, Schutz and Born, 2004, chapter 6). With the information S, free parameters f
+    and held parameters p, a change of p moves f by -S_ff^-1 S_fp, so cov_ff = S_ff^-1 + (S_ff^-1 S_fp) cov_p (S_ff^-1
+    S_fp)^T.
+
+    Parameters
+    ----------
+    information
+        (G, G) information of the views on all parameters.
+    names
+        Names of the G parameters.
+    passport
+        Passport of the held parameters.
+
+    Returns
+    -------
+    Array
+        (G, G) covariance, in the order of the names.
+
+    Raises
+    ------
+    DegenerateViews
+        If the views do not constrain a free parameter.
+    """
+    held = [list(names).index(name) for name in passport.names]
+    free = [i for i in range(len(names)) if i not in held]
+    own = inverse_information(information[np.ix_(free, free)], [names[i] for i in free])
+    answer = -own @ information[np.ix_(free, held)]
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(free, free)] = own + answer @ passport.covariance @ answer.T
+    covariance[np.ix_(free, held)] = answer @ passport.covariance
+    covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
+    covariance[np.ix_(held, held)] = passport.covariance
+    return covariance
