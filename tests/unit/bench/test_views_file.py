@@ -1,5 +1,8 @@
 """`views.h5`: what is written is read again, and a damaged file is refused in one message."""
 
+import re
+from pathlib import Path
+
 import h5py
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from bench.views.measure import Measurement, Picture
 from bench.views.views_file import read_picture, read_views, views_file
 from calib.view import View
 
+DOCUMENT = Path(__file__).parents[3] / "docs" / "run-folder.md"
 RNG = np.random.default_rng(5)
 
 
@@ -65,20 +69,27 @@ def path(tmp_path):
     return path
 
 
+def documented_layout():
+    """Shapes and types by name, as the table of docs/run-folder.md has them."""
+    section = DOCUMENT.read_text(encoding="utf-8").partition("## views.h5")[2].partition("\n## ")[0]
+    assert "`starbench/views/1`" in section
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| \(([^)]*)\) (\w+) \|", section, re.MULTILINE)
+    sizes = {"N": 5, "H": 48, "W": 64}
+    return {
+        name: (tuple(sizes.get(n) or int(n) for n in re.findall(r"\w+", shape)), dtype)
+        for name, kind, shape, dtype in rows
+        if kind.startswith("dataset")
+    }
+
+
 def test_the_file_has_the_documented_layout(path):
     with h5py.File(path) as file:
         assert dict(file.attrs) == {"format": "starbench/views/1"}
         (group,) = file.values()
         assert group.name == "/pose-001"
         assert set(group.attrs) == {"name", "image_size"}
-        assert {name: (data.shape, str(data.dtype)) for name, data in group.items()} == {
-            "ids": ((5,), "int64"),
-            "points_px": ((5, 2), "float64"),
-            "target_mm": ((5, 2), "float64"),
-            "covariances_px2": ((5, 2, 2), "float64"),
-            "residuals_px": ((5, 2), "float64"),
-            "picture": ((48, 64), "uint8"),
-        }
+        assert group.attrs["image_size"].dtype == np.int64
+        assert {name: (data.shape, str(data.dtype)) for name, data in group.items()} == documented_layout()
 
 
 def change_format(file):

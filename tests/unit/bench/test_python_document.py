@@ -1,0 +1,57 @@
+"""The example for notebooks, docs/python.md: its code runs, in order, on a solved run."""
+
+import re
+from pathlib import Path
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import pytest
+from solved_run import write_solved_run
+
+from bench.front_door import Pose, Run
+from calib.view import View
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "python.md"
+TEXT = DOCUMENT.read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def in_a_lab(tmp_path, monkeypatch):
+    """A folder with a run at the place that the document names."""
+    (tmp_path / "runs").mkdir()
+    write_solved_run(tmp_path).rename(tmp_path / "runs" / "demo")
+    monkeypatch.chdir(tmp_path)
+    mpl.use("agg")
+    yield tmp_path
+    plt.close("all")
+
+
+def test_every_block_of_code_runs_in_order(in_a_lab, capsys):
+    names = {}
+    blocks = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+    assert len(blocks) >= 5
+    for block in blocks:
+        exec(compile(block, str(DOCUMENT), "exec"), names)
+    said = capsys.readouterr().out
+    assert "correlation of fx and r" in said
+    assert re.findall(r"^ *(\w+): fx", said, re.MULTILINE) == ["none", "k1", "k1k2", "k1k2k3"]
+    for name in re.findall(r'savefig\("(.+?)"\)', TEXT):
+        assert (in_a_lab / name).stat().st_size > 10_000
+
+
+def test_the_printed_lines_have_the_form_that_the_document_shows(in_a_lab, capsys):
+    """Numbers apart: those of the document come from the demonstration, these from a smaller run."""
+    names = {}
+    for block, output in re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", TEXT, re.DOTALL):
+        exec(compile(block, str(DOCUMENT), "exec"), names)
+        said = capsys.readouterr().out
+        missing = set(re.findall(r"[a-zA-Z]{3,}", output)) - set(re.findall(r"[a-zA-Z]{3,}", said))
+        assert missing <= {"encoder"}, said  # the stage of the smaller run has none
+
+
+def test_every_attribute_is_in_the_tables():
+    tables = "\n".join(line for line in TEXT.splitlines() if line.startswith("|"))
+    for cls in (Run, Pose, View):
+        public = {*cls.__dataclass_fields__, *(n for n, v in vars(cls).items() if isinstance(v, property))}
+        for name in public - {"read_picture", "name", "image_size"}:
+            assert re.search(rf"\b{name}\b", tables), f"{cls.__name__}.{name}"
