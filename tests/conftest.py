@@ -1,6 +1,7 @@
 """What every test may ask for."""
 
 import os
+import signal
 from pathlib import Path
 
 # Before numpy is loaded: on small matrices, threads of the linear algebra cost three times what they gain, and the
@@ -10,16 +11,33 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
+# A shell starts background jobs (`make test &`) with SIGINT ignored, and so would every process that a test starts.
+# Tests of Ctrl-C rely on Python's own handler.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # No test is timed: machines are shared, and the first call of a compiled function takes seconds.
 settings.register_profile("starbench", deadline=None)
 settings.load_profile("starbench")
 
 
+EVK4_RECORDING = Path(__file__).parent / "data" / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+
+
 @pytest.fixture(scope="session")
-def reference_data() -> Path:
-    """Folder of recordings published by others; it is not part of the project and may be absent."""
+def evk4_recording() -> Path:
+    """A recording of a real EVK4, published under Apache-2.0 (tests/data/README.md)."""
+    return EVK4_RECORDING
+
+
+@pytest.fixture(scope="session")
+def collimator_recordings() -> Path:
+    """Folder of 20 views of a real collimator. They were published without a licence, so they are not in the project."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("STARBENCH_REFERENCE_DATA", beside))
+    folder = Path(os.environ.get("STARBENCH_REFERENCE_DATA", beside)) / "collimator_real"
     if not folder.is_dir():
-        pytest.skip("the reference recordings are not here; STARBENCH_REFERENCE_DATA names their folder")
+        pytest.skip(
+            "the published collimator recordings have no licence and are not in the project; "
+            "tests/data/README.md says where they come from, STARBENCH_REFERENCE_DATA names their folder"
+        )
     return folder

@@ -64,6 +64,9 @@ def reliable_interrupts() -> Iterator[None]:
         Earlier handlers are restored after the block.
     """
     hook = sys.unraisablehook
+    # A shell starts background jobs with SIGINT ignored; SIGTERM is handled below in any case.
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    sent_again = signal.SIGTERM if ignored else signal.SIGINT
     timers: list[threading.Timer] = []
     main = threading.get_ident()
 
@@ -71,7 +74,7 @@ def reliable_interrupts() -> Iterator[None]:
         if issubclass(
             lost.exc_type, KeyboardInterrupt
         ):  # sent later: within this hook it would be lost again
-            timers.append(threading.Timer(_RESEND_AFTER_S, signal.pthread_kill, (main, signal.SIGINT)))
+            timers.append(threading.Timer(_RESEND_AFTER_S, signal.pthread_kill, (main, sent_again)))
             timers[-1].start()
         else:
             hook(lost)
@@ -83,5 +86,6 @@ def reliable_interrupts() -> Iterator[None]:
     finally:
         for timer in timers:
             timer.cancel()
+            timer.join()
         sys.unraisablehook = hook
         signal.signal(signal.SIGTERM, terminate)

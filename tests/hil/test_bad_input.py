@@ -142,11 +142,11 @@ def test_a_folder_that_holds_something_is_left_alone(capsys):
     assert [path.name for path in Path("out").iterdir()] == ["letter.txt"]
 
 
-def test_recordings_that_are_none_or_cut_short_are_named(capsys, reference_data):
+def test_recordings_that_are_none_or_cut_short_are_named(capsys, evk4_recording):
     write("text.raw", "this is no recording")
-    whole = (reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw").read_bytes()
+    whole = evk4_recording.read_bytes()
     Path("half.raw").write_bytes(whole[:-100_001])  # words have two bytes
-    for name, words in (("text.raw", "not a"), ("half.raw", "is cut off")):
+    for name, words in (("text.raw", "not a"), ("half.raw", "is incomplete")):
         status, said = say(capsys, "calibrate", name)
         assert status == 1
         assert name in said

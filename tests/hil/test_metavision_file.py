@@ -13,12 +13,12 @@ hal = pytest.importorskip(
 
 
 @pytest.fixture
-def camera(reference_data):
+def camera(evk4_recording):
     """The real recording, played by the vendor's software."""
     config = hal.RawFileConfig()
     config.do_time_shifting = False
     config.build_index = False
-    path = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+    path = evk4_recording
     device = hal.DeviceDiscovery.open_raw_file(str(path), config)
     return MetavisionEvk4(device, hal, serial=None, clock=SystemClock()), path
 

@@ -22,8 +22,8 @@ L2 = CalibrationOptions(loss="l2")
 
 
 @pytest.fixture(scope="module")
-def views(reference_data):
-    return [read(reference_data / "collimator_real" / f"image{i}.txt") for i in range(1, 21)]
+def views(collimator_recordings):
+    return [read(collimator_recordings / f"image{i}.txt") for i in range(1, 21)]
 
 
 def read(path):

@@ -94,13 +94,13 @@ def test_what_the_simulated_sensor_writes_is_what_both_decoders_read(tmp_path, d
     assert RawFile.open(path).scan().mismatched_windows == 0
 
 
-def test_the_real_recording_decodes_alike_and_has_the_published_counts(reference_data):
-    path = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+def test_the_real_recording_decodes_alike_and_has_the_published_counts(evk4_recording):
+    path = evk4_recording
     assert assert_same(path) == (82_469, 2)
 
 
-def test_the_real_recording_accounts_for_its_events_and_its_trigger_pulse(reference_data):
-    recording = RawFile.open(reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw")
+def test_the_real_recording_accounts_for_its_events_and_its_trigger_pulse(evk4_recording):
+    recording = RawFile.open(evk4_recording)
     scan = recording.scan()
     triggers = recording.triggers()
     assert scan.rate_controller_in == scan.rate_controller_out == 82_460
@@ -111,11 +111,9 @@ def test_the_real_recording_accounts_for_its_events_and_its_trigger_pulse(refere
     assert scan.duration_s == pytest.approx(1.25, abs=0.01)
 
 
-def test_words_taken_out_of_the_real_recording_are_missed(reference_data, tmp_path):
-    whole = (reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw").read_bytes()
-    start = RawFile.open(
-        reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
-    ).raw_header.size_bytes
+def test_words_taken_out_of_the_real_recording_are_missed(evk4_recording, tmp_path):
+    whole = evk4_recording.read_bytes()
+    start = RawFile.open(evk4_recording).raw_header.size_bytes
     words = np.frombuffer(whole, "<u2", offset=start)
     kept = np.ones(len(words), bool)
     kept[np.flatnonzero(words >> 12 == 0x2)[1000::5000]] = False
@@ -126,8 +124,8 @@ def test_words_taken_out_of_the_real_recording_are_missed(reference_data, tmp_pa
     assert scan.mismatched_windows == 17
 
 
-def test_a_damaged_real_recording_never_gives_events_outside_the_sensor(reference_data, tmp_path):
-    whole = (reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw").read_bytes()[:40_000]
+def test_a_damaged_real_recording_never_gives_events_outside_the_sensor(evk4_recording, tmp_path):
+    whole = evk4_recording.read_bytes()[:40_000]
     rng = np.random.default_rng(5)
     path = tmp_path / "damaged.raw"
     refused_at = []
@@ -148,9 +146,9 @@ def test_a_damaged_real_recording_never_gives_events_outside_the_sensor(referenc
     assert all(300 <= offset < len(whole) for offset in refused_at)
 
 
-def test_a_recording_converted_from_events_is_read_alike(reference_data, tmp_path):
+def test_a_recording_converted_from_events_is_read_alike(evk4_recording, tmp_path):
     """Out of the recording, through a file of arrays, and back into words that we made ourselves."""
-    source = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+    source = evk4_recording
     now = datetime(2026, 3, 1, tzinfo=UTC)
     convert(source, tmp_path / "events.npz", "numpy", utc_now=lambda: now)
     convert(tmp_path / "events.npz", tmp_path / "again.raw", "raw", utc_now=lambda: now)
@@ -163,13 +161,11 @@ def test_a_recording_converted_from_events_is_read_alike(reference_data, tmp_pat
 
 @pytest.mark.parametrize("reports", [1, 2, 7, 40])
 def test_whole_windows_lost_are_counted_and_their_events_said_to_be_at_least(
-    reference_data, tmp_path, reports
+    evk4_recording, tmp_path, reports
 ):
     """A stretch of the real recording is cut out, with the sensor's own reports in it."""
-    whole = (reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw").read_bytes()
-    start = RawFile.open(
-        reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
-    ).raw_header.size_bytes
+    whole = evk4_recording.read_bytes()
+    start = RawFile.open(evk4_recording).raw_header.size_bytes
     words = np.frombuffer(whole, "<u2", offset=start)
     reported = np.flatnonzero(words == 0xE016)
     clocks = np.flatnonzero(words >> 12 == 0x8)

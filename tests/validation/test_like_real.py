@@ -30,8 +30,8 @@ BANDS = {
 
 
 @pytest.fixture(scope="module")
-def recorded(reference_data):
-    return like_real.recordings(reference_data / "collimator_real")
+def recorded(collimator_recordings):
+    return like_real.recordings(collimator_recordings)
 
 
 @pytest.fixture(scope="module")

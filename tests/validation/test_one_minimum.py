@@ -32,8 +32,8 @@ FOCAL_PX = (2369.0, 2428.0)
 
 
 @pytest.fixture(scope="module")
-def views(reference_data):
-    return [read(reference_data / "collimator_real" / f"image{i}.txt") for i in range(1, 21)]
+def views(collimator_recordings):
+    return [read(collimator_recordings / f"image{i}.txt") for i in range(1, 21)]
 
 
 def far_starts(whole, homographies, rng):

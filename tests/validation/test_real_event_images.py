@@ -13,15 +13,10 @@ from calib.stars.detect import detect_view
 from calib.target import StarTarget
 from drivers.camera.raw_file import RawFile
 
-RECORDING = "evk4_real/imx636_1280x720_two_triggers.raw"
-
 
 @pytest.fixture
-def recording(reference_data):
-    path = reference_data / RECORDING
-    if not path.is_file():
-        pytest.skip(f"{RECORDING} is not among the reference recordings")
-    raw = RawFile.open(path)
+def recording(evk4_recording):
+    raw = RawFile.open(evk4_recording)
     events, triggers = raw.read()
     return raw, events, triggers
 

@@ -6,8 +6,9 @@ from unittest.mock import create_autospec
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.stations import devices
+from bench.stations.devices import Devices
 from bench.stations.station import SHIPPED_STATIONS, Station
+from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
 from drivers.light.gardasoft import GardasoftLight
@@ -65,42 +66,59 @@ STAGES = [
 ]  # fmt: skip
 
 
+DRIVERS = (
+    ZaberStage,
+    XimcStage,
+    EspStage,
+    GrblStage,
+    ScpiLight,
+    GardasoftLight,
+    MetavisionEvk4,
+    NeuromorphicEvk4,
+    RecordedCamera,
+)
+
+
 @pytest.fixture
-def opened(monkeypatch):
-    """Let a driver's ``open`` be called with its own signature, and tell with what."""
-
-    def watch(driver):
-        double = create_autospec(driver.open)
+def opened(monkeypatch, tmp_path):
+    """Open the devices of a station, of which no driver reaches hardware; each driver's ``open`` is called by its own signature."""
+    monkeypatch.setenv("STARBENCH_LOCKS", str(tmp_path))
+    doubles = {driver: create_autospec(driver.open) for driver in DRIVERS}
+    for driver, double in doubles.items():
         monkeypatch.setattr(driver, "open", double)
-        return double
 
-    return watch
+    def open_devices(station):
+        clock = BenchClock()
+        devices = Devices(station, seed=1, clock=clock, wire_log=None)
+        called = {driver: double for driver, double in doubles.items() if double.called}
+        assert {devices.stage, devices.light, devices.camera} == {d.return_value for d in called.values()}
+        devices.close()
+        return called, clock
+
+    return open_devices
 
 
 @pytest.mark.parametrize(
     ("stage", "driver", "given", "options"), STAGES, ids=lambda value: getattr(value, "__name__", "")
 )
 def test_each_stage_s_driver_gets_what_the_file_says(stage, driver, given, options, opened):
-    double, clock = opened(driver), BenchClock()
-    assert devices._open_stage(station_with(stage=stage), str, clock, None) is double.return_value
-    double.assert_called_once_with(*given, **options, clock=clock, wire_log=None)
+    called, clock = opened(station_with(stage=stage))
+    called[driver].assert_called_once_with(*given, **options, clock=clock, wire_log=None)
 
 
-def test_the_light_s_driver_is_told_dialect_and_load(opened):
-    double, clock = opened(ScpiLight), BenchClock()
+def test_the_light_s_driver_is_given_dialect_and_load(opened):
     light = "light: {driver: scpi, port: /dev/e, dialect: siglent, load: 50-ohm, serial: 09}"
-    devices._open_light(station_with(light=light), str, clock, None)
-    double.assert_called_once_with(
+    called, clock = opened(station_with(light=light))
+    called[ScpiLight].assert_called_once_with(
         "/dev/e", serial="09", baudrate=9600, clock=clock, wire_log=None, load="50-ohm", dialect="siglent"
     )
 
 
-def test_a_strobe_controller_is_told_its_channels(opened):
-    double, clock = opened(GardasoftLight), BenchClock()
+def test_a_strobe_controller_is_given_its_channels(opened):
     light = "light: {driver: gardasoft, port: /dev/f, model: RT420F-20, channel: 3, sync_channel: 4, full_percent: 50}"
     station = station_with(light=light)
-    devices._open_light(station, str, clock, None)
-    double.assert_called_once_with(
+    called, clock = opened(station)
+    called[GardasoftLight].assert_called_once_with(
         "/dev/f",
         model="RT420F-20",
         channel=3,
@@ -115,13 +133,12 @@ def test_a_strobe_controller_is_told_its_channels(opened):
 
 
 def test_an_evk4_may_be_reached_through_neuromorphic_drivers(opened):
-    double, clock = opened(NeuromorphicEvk4), BenchClock()
-    devices._open_camera(station_with(camera="camera: {driver: neuromorphic_evk4, serial: 0005}"), str, clock)
-    double.assert_called_once_with(serial="0005", clock=clock, utc_now=clock.utc_now)
+    called, clock = opened(station_with(camera="camera: {driver: neuromorphic_evk4, serial: 0005}"))
+    called[NeuromorphicEvk4].assert_called_once_with(serial="0005", clock=clock, utc_now=clock.utc_now)
 
 
 def test_recordings_may_stand_for_a_camera(opened):
-    double, clock = opened(RecordedCamera), BenchClock()
-    camera = "camera: {driver: recorded, path: tapes/monday, serial: 0005}"
-    devices._open_camera(station_with(camera=camera), str, clock)
-    double.assert_called_once_with(Path("tapes/monday"), serial="0005", clock=clock)
+    called, clock = opened(
+        station_with(camera="camera: {driver: recorded, path: tapes/monday, serial: 0005}")
+    )
+    called[RecordedCamera].assert_called_once_with(Path("tapes/monday"), serial="0005", clock=clock)

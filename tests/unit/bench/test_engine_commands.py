@@ -166,19 +166,19 @@ def test_a_study_finds_sigmas_that_hold_and_draws_them(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["metavision", "hdf5", "numpy"])
-def test_a_recording_is_converted_whole_and_never_over_another_file(capsys, reference_data, tmp_path, kind):
+def test_a_recording_is_converted_whole_and_never_over_another_file(capsys, evk4_recording, tmp_path, kind):
     from drivers.camera.formats.event_import import import_events
 
-    raw = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+    raw = evk4_recording
     assert "82469 events, 2 triggers" in say(capsys, "convert", raw, tmp_path / "out", "--as", kind)
     assert len(import_events(tmp_path / "out").events.t) == 82_469
     say(capsys, "convert", raw, tmp_path / "out", "--as", kind, status=2)
 
 
-def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, reference_data, tmp_path):
+def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, evk4_recording, tmp_path):
     from drivers.camera.raw_file import RawFile
 
-    raw = reference_data / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+    raw = evk4_recording
     say(capsys, "convert", raw, tmp_path / "pose.hdf5")
     assert "82469 events, 2 triggers" in say(
         capsys, "convert", tmp_path / "pose.hdf5", tmp_path / "again.raw"

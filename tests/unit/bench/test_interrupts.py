@@ -39,6 +39,22 @@ def test_an_interrupt_that_falls_into_clearing_up_is_raised_again():
     assert sys.unraisablehook is before
 
 
+def test_none_is_lost_in_a_background_job_either():
+    """Shells start background jobs with SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+
+        def work():
+            kept = _cleared_up_with(KeyboardInterrupt)
+            threading.Event().wait(60)
+            return kept
+
+        with pytest.raises(KeyboardInterrupt), reliable_interrupts():
+            work()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def test_being_ended_breaks_off_as_an_interrupt_does():
     def work():
         os.kill(os.getpid(), signal.SIGTERM)
