@@ -1,1 +1,1 @@
-"""Batches: many runs from a queue, each in a process of its own that a supervisor watches."""
+"""Batches: many runs from a queue, each in its own process under supervision."""

@@ -1,8 +1,8 @@
-"""A night of runs: takes them from a queue file one by one, each in a worker of its own, and goes on after anything.
+"""A batch: does the runs of a queue file one by one, each in its own process, and continues after any failure.
 
-What has happened stands in the batch's own journal; a batch that was cut off goes on where it stopped. A run that was
-cut off is taken up again, never begun anew beside its first half and never taken for done. Which run comes next is
-the schedule's business (`schedule`), what has happened the record's (`batch_record`). Knows no devices.
+The batch's journal records what has happened, so an interrupted batch continues where it stopped. An interrupted run is
+resumed; it is never started a second time and never counted as done. `schedule` decides which run is next;
+`batch_record` holds the state of the batch. This module reaches no device.
 """
 
 from __future__ import annotations
@@ -35,29 +35,30 @@ from sequences.queue import Queue
 from sequences.reader import Located, check_document
 
 WAIT_POLL_S = 1.0
-"""While the batch waits for a time, it looks so often whether a job was added."""
+"""Period at which a waiting batch checks whether a job was added, s."""
 
 RunWork = Callable[[Item, Path, Path], WorkerEnd]
-"""Runs an item in its run folder to its end; what it says goes to a log file."""
+"""Does a run, in its run folder, to its end; the output goes to a log file."""
 
 
 class Batch:
-    """A batch in its folder, held by this process.
+    """A batch in its folder, which this process locks.
 
     Parameters
     ----------
     folder
-        New, empty, or that of a batch that was cut off.
+        A new or empty folder, or that of an interrupted batch.
     queue
-        What is to be run; the folder keeps a copy, and goes on with no other.
+        The runs to do. The folder keeps a copy and continues with no other queue.
     clock
-        The batch's clock; a stop asked of it ends the run at work safely, and the batch.
+        Clock of the batch. A stop requested from it ends the current run safely, and then the batch.
     say
-        Where to tell the operator.
+        Receives the messages for the operator.
     work
-        Runs an item to its end: in a process of its own, watched, unless told otherwise.
+        Does a run to its end; by default in its own process, under supervision.
     rehearsal
-        Whether nothing of it is real; a rehearsed batch never goes on as a real one, nor the other way round.
+        Whether the batch is a rehearsal. A rehearsed batch never continues as a real one, and a real one never as a
+        rehearsed one.
     """
 
     def __init__(
@@ -90,9 +91,9 @@ class Batch:
         Raises
         ------
         RunFolderError
-            When the folder holds something else, or another process works on it.
+            When the folder belongs to something else, or another process works on it.
         StorageError
-            When the disk does not take it.
+            When a file cannot be written.
         """
         make_folder(self.folder / RUNS)
         lock = lock_folder(self.folder)
@@ -116,7 +117,7 @@ class Batch:
             write_atomic(copy, self._queue.text)
         elif copy.read_bytes() != self._queue.text:
             raise RunFolderError(
-                "This folder belongs to another queue.",
+                "The folder belongs to another queue.",
                 where=str(self.folder),
                 remedy="Choose another --output.",
             )
@@ -125,13 +126,13 @@ class Batch:
         for entry in self._journal.entries:
             self._record.apply(entry)
         if self._record.begun is None:
-            said: dict[str, Any] = {"rehearsal": True} if self._rehearsal else {}
-            self._journal_event(BatchEvent.BEGUN, queue=self._queue.value.name, files=self._files(), **said)
+            flags: dict[str, Any] = {"rehearsal": True} if self._rehearsal else {}
+            self._journal_event(BatchEvent.BEGUN, queue=self._queue.value.name, files=self._files(), **flags)
         else:
             self._say(resume_text(self._record))
         if self._record.rehearsal != self._rehearsal:
             raise RunFolderError(
-                "A rehearsed batch and a real one never go on in one folder.",
+                "A rehearsed batch and a real one cannot continue in the same folder.",
                 where=str(self.folder),
                 remedy="Choose another --output.",
             )
@@ -156,32 +157,38 @@ class Batch:
             )
 
     def _files(self) -> dict[str, str]:
-        """Say which files the queue means by the names in it, where it does not name them in full."""
+        """Return the full path of each file that the queue names by a shorter name."""
         written = check_document(self._queue.text, QUEUE_COPY, Queue).value
         pairs = zip(written.jobs, self._queue.value.jobs, strict=True)
         names = [(w, f) for a, b in pairs for w, f in ((a.sequence, b.sequence), (a.station, b.station))]
-        return {said: meant for said, meant in names if said != meant}
+        return {name: path for name, path in names if name != path}
 
     def _journal_event(self, event: BatchEvent, **data: Any) -> None:
         with self._lock:
             self._record.apply(self._journal.append(event, **data))
 
     def _answer(self, request: Request | None, name: str) -> None:
-        """Decide on a request, once, and journal it."""
+        """Decide on a request once, and record the decision in the journal."""
         with self._lock:
             if request is None:
                 self._journal_event(
-                    BatchEvent.REQUESTED, id=name, word="unknown", taken=False, why="it is no request"
+                    BatchEvent.REQUESTED,
+                    id=name,
+                    word="unknown",
+                    taken=False,
+                    why="the file is not a request",
                 )
             elif request.id not in self._record.answered:
                 try:
                     why = refusal(request, self._record)
-                except Exception as error:  # noqa: BLE001 - a request that nobody foresaw must not end the night
-                    why = f"it cannot be judged: {type(error).__name__}: {error}"
-                said = request.model_dump(exclude={"format"}, exclude_none=True)
-                self._journal_event(BatchEvent.REQUESTED, **said, taken=not why, why=why)
+                except Exception as error:  # noqa: BLE001 - an unexpected request must not end the batch
+                    why = f"the request cannot be processed: {type(error).__name__}: {error}"
+                content = request.model_dump(exclude={"format"}, exclude_none=True)
+                self._journal_event(BatchEvent.REQUESTED, **content, taken=not why, why=why)
                 what = request.name or (request.job.name if request.job else "")
-                self._say(f"{request.word} {what} by {request.by}: {why or 'taken'}")
+                self._say(
+                    f"{request.word} {what} by {request.by}: {f'refused, {why}' if why else 'accepted'}"
+                )
 
     def _choose_next(self) -> Item | float | None:
         with self._lock:
@@ -195,22 +202,22 @@ class Batch:
             )
 
     def _run_all(self) -> tuple[str, str]:
-        """Do run after run; say how that ended, and why."""
-        told_wait = False
+        """Do all runs; return how this ended, and why."""
+        wait_announced = False
         try:
             self._recover_last_run()
             while (found := self._choose_next()) is not None:
                 if not isinstance(found, Item):
-                    if not told_wait:
+                    if not wait_announced:
                         self._say(f"waiting until {self._time_after(found)}")
-                    told_wait = True
+                    wait_announced = True
                     self._clock.sleep(min(found + 0.01, self._look_s))
                     continue
-                told_wait = False
+                wait_announced = False
                 self._run_item(found)
                 end = self._record.ends[found.key]
                 if end.how != "finished" and self._record.is_done(found) and found.job.on_failure == "stop":
-                    return "stopped", f"{found.key} failed, and the queue says to stop then"
+                    return "stopped", f"{found.key} failed, and its job has on_failure: stop"
         except Aborted as stop:
             return "aborted", stop.reason
         if pending := self._record.pending():
@@ -220,21 +227,21 @@ class Batch:
         return ("finished", "") if not failed else ("failed", f"without a result: {', '.join(failed)}")
 
     def _time_after(self, wait_s: float) -> str:
-        """Say at what time of day a wait is over."""
+        """Return the time of day at the end of a wait."""
         moment = self._record.moment(self._clock.monotonic() - self._begun_s + wait_s)
         return f"{moment.astimezone(self._queue.value.tzinfo):%a %H:%M %Z}"
 
     def _run_item(self, item: Item) -> None:
-        """Begin a run, or take it up again, and wait for its end."""
+        """Begin or resume a run, and wait for its end."""
         run, record, unreadable = self.folder / RUNS / item.key, self._record, ""
         self._wait_for_orphan(item, run)
-        if is_sealed(run):  # done, but cut off before that was told
+        if is_sealed(run):  # done, but interrupted before the end was recorded
             self._end(item, WorkerEnd("finished", ""))
             return
         try:
             _set_aside_unbegun(run)
             recorded = _poses_recorded(run)
-        except BenchError as error:  # one folder that cannot be read must not end the night
+        except BenchError as error:  # one folder that cannot be read must not end the batch
             unreadable, recorded = str(error), record.recorded.get(item.key, 0)
         again = (run / JOURNAL).exists()
         attempt = record.attempts.get(item.key, 0) + 1
@@ -244,11 +251,11 @@ class Batch:
         if unreadable:
             self._end(item, WorkerEnd("failed", unreadable))
             return
-        self._say(f"{item.key}: {'taken up again' if again else 'begun'}")
+        self._say(f"{item.key}: {'resumed' if again else 'begun'}")
         self._end(item, self._work(item, run, self.folder / RUNS / f"{item.key}.log"))
 
     def _recover_last_run(self) -> None:
-        """See to the run that was at work when the process before this one died: before any other is begun."""
+        """Take care of the run that was in progress when the previous process died, before another run begins."""
         item = self._record.items.get(self._record.current_run)
         if item is None:
             return
@@ -260,10 +267,10 @@ class Batch:
             unsafe = make_safe_after(run, self._clock)
             for fault in unsafe:
                 self._say(f"CHECK THE BENCH: {fault}")
-            self._alarm(item, WorkerEnd("died", "together with what watched it", 0.0, unsafe))
+            self._alarm(item, WorkerEnd("died", "its supervisor died, too", 0.0, unsafe))
 
     def _wait_for_orphan(self, item: Item, run: Path) -> bool:
-        """Watch whoever works on a run already: it outlived its supervisor. Tell whether it hung."""
+        """Supervise a process that outlived its supervisor and still works on the run; return whether it hung."""
         silent_s = adopt(run, self._clock, self._say) if run.is_dir() else 0.0
         if silent_s:
             self._alarm(item, WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s))
@@ -274,7 +281,7 @@ class Batch:
         self._alarm(item, end)
 
     def _alarm(self, item: Item, end: WorkerEnd) -> None:
-        """Say how a run ended; and tell those who are away, where it should not have ended so."""
+        """Report how a run ended, and send messages if it should not have ended so."""
         self._say(f"{item.key}: {end.how}{': ' if end.why else ''}{end.why}")
         if not self._rehearsal:
             run = self.folder / RUNS / item.key
@@ -286,7 +293,20 @@ class Batch:
 
 
 def worker_command(item: Item, run: Path) -> list[str]:
-    """Say the command that begins a run, or takes it up again where its folder has a journal."""
+    """Return the arguments of the command that begins a run, or resumes it if its folder has a journal.
+
+    Parameters
+    ----------
+    item
+        The run.
+    run
+        Its run folder.
+
+    Returns
+    -------
+    list of str
+        Arguments of ``starbench``.
+    """
     if (run / JOURNAL).exists():
         return ["resume", str(run)]
     words = ["run", item.job.sequence, "--station", item.job.station, "--output", str(run)]
@@ -300,7 +320,7 @@ def _history_of(run: Path) -> History:
 
 
 def _has_ended(run: Path) -> bool:
-    """Whether the journal of a run tells of an end, and so of a bench left safe; not where it cannot be read."""
+    """Whether the journal of a run records an end, and therefore a safe bench; False if it cannot be read."""
     try:
         return bool(_history_of(run).ended)
     except BenchError:
@@ -308,13 +328,13 @@ def _has_ended(run: Path) -> bool:
 
 
 def _poses_recorded(run: Path) -> int:
-    """Count the poses of a run that are done with: recorded and accepted, or skipped."""
+    """Return the number of poses of a run that are done: recorded and accepted, or skipped."""
     history = _history_of(run)
     return len(history.accepted().keys() | history.skipped.keys())
 
 
 def _set_aside_unbegun(run: Path) -> None:
-    """Keep, under another name, what a run left that was cut off before its first line: it cannot be taken up."""
+    """Rename the folder of a run that was interrupted before its first line in the journal: it cannot be resumed."""
     if not run.is_dir() or ((run / JOURNAL).exists() and read_journal(run / JOURNAL)[0]):
         return
     number = 1

@@ -1,7 +1,7 @@
-"""Tells of a batch what none of its workers can: that one died, hung or could not begin, and how the batch ended.
+"""Messages of a batch that no run can send: a process died, hung or could not begin; the batch ended.
 
-To whom, each run's station file says. A worker that failed by itself has told of it already: the same key then, and
-nothing is told twice. Knows no devices.
+The station file of each run names the recipients. If a run has sent a message about its failure itself, the batch uses
+the same key, so that nobody receives the message twice.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class BatchMessages:
     Parameters
     ----------
     clock
-        Tells the time.
+        Clock of the batch.
     say
-        Told what could not be kept; a batch is not ended for that.
+        Receives reports about messages that could not be stored or sent; these do not end the batch.
     """
 
     def __init__(self, clock: BenchClock, say: Callable[[str], None]) -> None:
@@ -43,20 +43,20 @@ class BatchMessages:
         self._couriers: dict[str, Courier] = {}
 
     def run_ended(self, key: str, station: str, run: Path, end: WorkerEnd, line: str) -> None:
-        """Tell of a run that ended otherwise than it should.
+        """Send a message about a run that failed, died or hung.
 
         Parameters
         ----------
         key
             Name of the run in the batch.
         station
-            Its station file.
+            Station file of the run.
         run
-            Its folder.
+            Run folder.
         end
-            How it ended.
+            How the run's process ended.
         line
-            Hash of the batch's line that tells of it.
+            Hash of the line in the batch's journal that records this end.
         """
         courier = self._courier(station)
         if courier is None or end.how not in REPORTED_BY_BATCH:
@@ -64,16 +64,30 @@ class BatchMessages:
         what = f"{end.how}{': ' if end.why else ''}{end.why}"
         text = _status_of(run)
         if end.how != "failed":
-            made_safe = end.unsafe or ["The stage it had is stopped, its light is off."]
+            made_safe = end.unsafe or ["Its stage is stopped, its light is off."]
             text = "\n".join([f"Its process {what}", *made_safe, "", text])
         subject = f"Starbench: run {key} {what}"
-        said_by_itself = _journal_head(run) if end.how == "failed" else ""
-        courier.write("failure", subject, text, run=key, folder=run, key=said_by_itself or line)
+        own_message = _journal_head(run) if end.how == "failed" else ""
+        courier.write("failure", subject, text, run=key, folder=run, key=own_message or line)
 
     def batch_ended(
         self, name: str, how: str, why: str, runs: Iterable[str], folder: Path, line: str
     ) -> None:
-        """Tell everybody who hears of any of its runs how the batch ended."""
+        """Send a message about the end of the batch to all recipients of its runs.
+
+        Parameters
+        ----------
+        name
+            Name of the queue.
+        how, why
+            How the batch ended, and why.
+        runs
+            One line of text for each run.
+        folder
+            Folder of the batch.
+        line
+            Hash of the line in the batch's journal that records the end.
+        """
         what = f"{how}{': ' if why else ''}{why}"
         text = "\n".join([f"Batch {name}: {what}", "", *runs])
         for courier in self._couriers.values():
@@ -87,12 +101,18 @@ class BatchMessages:
             )
 
     def add_recipients(self, stations: Iterable[str]) -> None:
-        """Get to know who hears of the runs on these stations."""
+        """Add the recipients that these stations name.
+
+        Parameters
+        ----------
+        stations
+            Station files of the runs.
+        """
         for station in stations:
             self._courier(station)
 
     def close(self) -> None:
-        """Try once more what is waiting."""
+        """Try once more to send the messages that are waiting."""
         for courier in self._couriers.values():
             courier.close()
 
@@ -100,7 +120,7 @@ class BatchMessages:
         try:
             messages = load_station(station).value.messages
         except DocumentFaults as error:
-            self._say(f"{station} cannot be read any more, nobody can be told: {error}")
+            self._say(f"{station} cannot be read any more, so no message can be sent: {error}")
             return None
         name = json.dumps(messages.model_dump(), sort_keys=True)
         if name not in self._couriers:
@@ -119,7 +139,7 @@ def _status_of(run: Path) -> str:
 
 
 def _journal_head(run: Path) -> str:
-    """Hash of the last line of a run's journal; empty where there is none."""
+    """Return the hash of the last line of a run's journal; empty if there is none."""
     try:
         entries, _ = read_journal(run / JOURNAL)
     except BenchError:

@@ -1,6 +1,6 @@
-"""A night before it is run: the queue with all it names checked, when each run is expected, and what it will be worth.
+"""Plan of a batch: checks the queue with all its files, and predicts when each run begins and ends.
 
-Time is the schedule's own (`schedule`), fed with the plan of every run; nothing is run and nothing written.
+`schedule` gives the times, from the planned duration of every run. Runs nothing and writes nothing.
 """
 
 from __future__ import annotations
@@ -21,11 +21,22 @@ from sequences.reader import Located, read_document
 
 _HEAD_BYTES = 4096
 WORKER_S = 2.5
-"""Beginning a run's process and sealing what it leaves, as measured on the simulated bench."""
+"""Time to start a run's process and to seal its folder, s; measured on the simulated bench."""
 
 
 def is_queue(name: str) -> bool:
-    """Whether a file says that it is a queue; whether it is a sound one, ``read_queue`` tells."""
+    """Whether a file says that it is a queue; `read_queue` checks whether it is a valid one.
+
+    Parameters
+    ----------
+    name
+        Path of the file.
+
+    Returns
+    -------
+    bool
+        False also if the file cannot be read.
+    """
     try:
         with Path(name).open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
@@ -35,12 +46,22 @@ def is_queue(name: str) -> bool:
 
 
 def read_queue(path: Path) -> Located[Queue]:
-    """Read a queue file, and everything it names; its jobs then name their files in full, shipped ones aside.
+    """Read and check a queue file and all files that it names.
+
+    Parameters
+    ----------
+    path
+        The queue file.
+
+    Returns
+    -------
+    Located[Queue]
+        The queue. Its jobs have the full paths of their files, except for shipped ones.
 
     Raises
     ------
     ScriptError
-        With every fault of the queue, or of the sequences and stations in it.
+        With every fault of the queue, and of the sequences and stations that it names.
     """
     try:
         read = read_document(path, Queue)
@@ -56,7 +77,17 @@ def read_queue(path: Path) -> Located[Queue]:
 
 
 def read_job(path: Path) -> JobConfig:
-    """Read a file of one job, and everything it names; its files are named in full afterwards, shipped ones aside.
+    """Read and check a file with one job, and all files that it names.
+
+    Parameters
+    ----------
+    path
+        The job file.
+
+    Returns
+    -------
+    JobConfig
+        The job, with the full paths of its files, except for shipped ones.
 
     Raises
     ------
@@ -73,18 +104,29 @@ def read_job(path: Path) -> JobConfig:
 
 
 def _resolve_files(job: JobConfig, base: Path) -> JobConfig:
-    """Name the files of a job so that they are found from anywhere: beside the file that names them, or from here."""
+    """Replace the file names of a job by full paths: beside the queue file, otherwise in the current folder."""
     names = {}
     for key in ("sequence", "station"):
-        said = Path(getattr(job, key))
-        found = next((path for path in (base / said, said) if path.is_file()), None)
+        name = Path(getattr(job, key))
+        found = next((path for path in (base / name, name) if path.is_file()), None)
         if found is not None:
             names[key] = str(found.resolve())
     return job.model_copy(update=names)
 
 
 def job_faults(job: JobConfig) -> list[str]:
-    """Say what is wrong with the files a job names; empty when nothing is."""
+    """Check the files that a job names.
+
+    Parameters
+    ----------
+    job
+        The job.
+
+    Returns
+    -------
+    list of str
+        Every fault; empty if there is none.
+    """
     try:
         return [
             str(fault) for fault in make_plan(*load_documents(job.sequence, job.station, job.settings)).faults
@@ -94,12 +136,28 @@ def job_faults(job: JobConfig) -> list[str]:
 
 
 def plan_of(job: JobConfig) -> Plan:
-    """Plan one run of a job, once a process. Raises ScriptError where a file cannot be read."""
+    """Plan one run of a job; the result is cached.
+
+    Parameters
+    ----------
+    job
+        The job.
+
+    Returns
+    -------
+    Plan
+        Plan of one run.
+
+    Raises
+    ------
+    ScriptError
+        When a file cannot be read.
+    """
     return _plan_of(*_key(job))
 
 
 def _key(job: JobConfig) -> tuple[str, str, tuple[tuple[str, str], ...]]:
-    """Give what the plan of a job depends on."""
+    """Return everything that the plan of a job depends on."""
     return job.sequence, job.station, tuple(job.settings.items())
 
 
@@ -109,10 +167,21 @@ def _plan_of(sequence: str, station: str, settings: tuple[tuple[str, str], ...])
 
 
 def planned_duration_s(job: JobConfig) -> float:
-    """Expected duration of one run of a job, its process included, s; nothing where its files cannot be read."""
+    """Return the planned duration of one run of a job, with the start of its process, s.
+
+    Parameters
+    ----------
+    job
+        The job.
+
+    Returns
+    -------
+    float
+        Duration, s; 0 if its files cannot be read, because the run itself will report that.
+    """
     try:
         return plan_of(job).duration_s + WORKER_S
-    except ScriptError:  # the run itself will say so
+    except ScriptError:  # the run itself will report it
         return 0.0
 
 
@@ -123,15 +192,15 @@ class BatchPlan:
     Attributes
     ----------
     queue
-        What is to be run.
+        The queue.
     begun
-        When it would be begun.
+        Time at which the batch would begin.
     bounds
-        Between which moments it works.
+        Times between which it works.
     slots
-        When each run is expected; those there is no time for come last.
+        Expected times of each run; runs without time are last.
     plans
-        The plan of one run of each job.
+        Plan of one run of each job, by name of the job.
     """
 
     queue: Queue
@@ -142,25 +211,42 @@ class BatchPlan:
 
     @property
     def end(self) -> datetime:
-        """When the last run is expected to end."""
+        """Time at which the last run is expected to end."""
         return self.moment(max((slot.end_s for slot in self.slots if slot.end_s is not None), default=0.0))
 
     @property
     def without_time(self) -> tuple[Item, ...]:
-        """Runs for which there is no time."""
+        """Runs for which no time is left."""
         return tuple(slot.item for slot in self.slots if slot.begin_s is None)
 
     @property
     def size_bytes(self) -> int:
-        """Disk expected."""
+        """Expected disk space of all runs that have a time, bytes."""
         return sum(self.plans[s.item.job.name].size_bytes for s in self.slots if s.begin_s is not None)
 
     def moment(self, at_s: float) -> datetime:
-        """Give seconds after the begin as a moment."""
+        """Convert seconds after the begin to a time.
+
+        Parameters
+        ----------
+        at_s
+            Seconds after the begin of the batch.
+
+        Returns
+        -------
+        datetime
+            The time, in the zone of `begun`.
+        """
         return self.begun + timedelta(seconds=at_s)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as JSON carries it; times in UTC."""
+        """Return the plan as JSON holds it.
+
+        Returns
+        -------
+        dict
+            Object of schema ``starbench/night/1``; times in UTC.
+        """
         without_time = {item.key for item in self.without_time}
         return {
             "schema": "starbench/night/1",
@@ -183,12 +269,24 @@ class BatchPlan:
 
 
 def plan_batch(queue: Queue, begun: datetime) -> BatchPlan:
-    """Say when each run of a queue would begin and end, were the batch begun at a moment.
+    """Predict when each run of a queue begins and ends, if the batch begins at a given time.
+
+    Parameters
+    ----------
+    queue
+        The queue.
+    begun
+        Begin of the batch, with its time zone.
+
+    Returns
+    -------
+    BatchPlan
+        The expected times.
 
     Raises
     ------
     ScriptError
-        When a file it names cannot be read.
+        When a file that the queue names cannot be read.
     """
     bounds = bounds_of(queue, begun)
     items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)

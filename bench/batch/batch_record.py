@@ -1,7 +1,6 @@
-"""A batch so far: what its journal amounts to. Which runs there are, how each stands, what jobs came or went.
+"""State of a batch, computed from its journal: its runs, their attempts and ends, and the requests.
 
-Knows the events of a batch's journal; no files and no devices. The batch under way, its status and its summary all
-read from here.
+Reads events of the journal only, no files. The batch itself, its status and its summary use this state.
 """
 
 from __future__ import annotations
@@ -22,23 +21,31 @@ from sequences.queue import JobConfig, Queue
 
 
 class BatchEvent(StrEnum):
-    """What a line of a batch's journal tells."""
+    """Kinds of lines in a batch's journal."""
 
     BEGUN = "batch_begun"
-    """First line: the queue's name."""
+    """First line: name of the queue."""
     ITEM_BEGUN = "item_begun"
-    """A run begins, or is taken up again (``again``), for the so-and-so-many-th time (``attempt``)."""
+    """A run begins or is resumed (``again``); ``attempt`` is the number of the attempt, from 1."""
     ITEM_ENDED = "item_ended"
-    """It ended (a ``WorkerEnd``)."""
+    """The attempt ended (a ``WorkerEnd``)."""
     REQUESTED = "requested"
-    """An operator's request (`bench.batch.batch_requests`): what, by whom, whether and why not it was taken."""
+    """An operator's request (`bench.batch.batch_requests`) and the answer: accepted, or refused with a reason."""
     ENDED = "batch_ended"
-    """The batch ended: how and why. It may be called again, and goes on."""
+    """The batch ended: how and why. If it is called again, it continues."""
 
 
 @dataclass(frozen=True)
 class RunAttempt:
-    """One try of a run: from when to when its worker worked, and how that ended."""
+    """One attempt at a run.
+
+    Attributes
+    ----------
+    begun, ended
+        Times at which its process began and ended.
+    how
+        How it ended, as in ``WorkerEnd``.
+    """
 
     begun: datetime
     ended: datetime
@@ -46,13 +53,23 @@ class RunAttempt:
 
     @property
     def duration_s(self) -> float:
-        """How long, s."""
+        """Duration, s."""
         return (self.ended - self.begun).total_seconds()
 
 
 @dataclass(frozen=True)
 class ItemEnd:
-    """How a run of a batch ended last, and when it had begun for the first time."""
+    """The last end of a run of a batch.
+
+    Attributes
+    ----------
+    how, why
+        How it ended, and why.
+    begun
+        Begin of its first attempt.
+    ended
+        End of its last attempt.
+    """
 
     how: str
     why: str
@@ -62,58 +79,94 @@ class ItemEnd:
 
 @dataclass
 class BatchRecord:
-    """A batch so far; ``apply`` keeps it up to date, line by line."""
+    """State of a batch; `apply` updates it with each line of the journal."""
 
     queue: Queue
     begun: datetime | None = None
     bounds: Bounds = field(default_factory=Bounds)
-    """Between which moments it works."""
+    """Times between which the batch works."""
     rehearsal: bool = False
     items: dict[str, Item] = field(default_factory=dict)
-    """Every run there is or was, by its name."""
+    """Every run, including withdrawn ones, by its name."""
     withdrawn: set[str] = field(default_factory=set)
-    """Runs that were withdrawn before they began."""
+    """Names of the runs that were withdrawn before they began."""
     attempts: dict[str, int] = field(default_factory=dict)
     attempts_without_progress: dict[str, int] = field(default_factory=dict)
-    """Tries of a run in a row before which no further pose had been recorded."""
+    """Consecutive attempts at a run that began without a further recorded pose."""
     recorded: dict[str, int] = field(default_factory=dict)
-    """Poses that a run had recorded when it was begun last."""
+    """Number of poses that a run had recorded when its last attempt began."""
     ends: dict[str, ItemEnd] = field(default_factory=dict)
     begun_at: dict[str, datetime] = field(default_factory=dict)
-    """When each run was begun first."""
+    """Begin of the first attempt at each run."""
     current_run: str = ""
-    """The run at work; empty between runs."""
+    """Name of the run in progress; empty between runs."""
     current_since: datetime | None = None
     ended_attempts: dict[str, list[RunAttempt]] = field(default_factory=dict)
     answered: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    """What became of each request, by its id."""
+    """Answer to each request, by its id."""
     ended: str = ""
     why: str = ""
 
     def jobs(self) -> dict[str, list[Item]]:
-        """List the runs of each job, withdrawn ones too."""
+        """Group the runs by job, including withdrawn ones.
+
+        Returns
+        -------
+        dict
+            Runs by name of the job.
+        """
         found: dict[str, list[Item]] = {}
         for item in self.items.values():
             found.setdefault(item.job.name, []).append(item)
         return found
 
     def pending(self) -> list[Item]:
-        """List the runs that are still to be done, or to be taken up again."""
+        """List the runs that are still to begin or to resume.
+
+        Returns
+        -------
+        list of Item
+            In the order of the queue.
+        """
         return [item for item in self.items.values() if not self.is_done(item)]
 
     def is_done(self, item: Item) -> bool:
-        """Whether nothing more is to be done about a run."""
+        """Whether a run needs no further attempt.
+
+        Parameters
+        ----------
+        item
+            The run.
+
+        Returns
+        -------
+        bool
+            True if it finished, was aborted or withdrawn, or its last attempts recorded no further pose.
+        """
         if item.key in self.withdrawn:
             return True
         end = self.ends.get(item.key)
         if end is None:
             return False
-        if end.how in {"finished", "aborted"}:  # whoever aborted a run does not want it taken up again
+        if end.how in {"finished", "aborted"}:  # an aborted run is not resumed
             return True
         return self.attempts_without_progress.get(item.key, 0) >= item.job.attempts
 
     def expected_duration_s(self, item: Item, planned_duration_s: float) -> float:
-        """Expect a run to take as long as others of its job took; before there are such, as planned."""
+        """Return the expected duration of a run: the mean of its job's finished runs, otherwise the planned duration.
+
+        Parameters
+        ----------
+        item
+            The run.
+        planned_duration_s
+            Planned duration, s.
+
+        Returns
+        -------
+        float
+            Expected duration, s. Only runs that finished in their first attempt enter the mean.
+        """
         took = [
             self.ended_attempts[key][0].duration_s
             for key, end in self.ends.items()
@@ -124,7 +177,18 @@ class BatchRecord:
         return fmean(took) if took else planned_duration_s
 
     def withdrawable(self, job: str) -> list[Item]:
-        """List the runs of a job that have not begun."""
+        """List the runs of a job that have not begun.
+
+        Parameters
+        ----------
+        job
+            Name of the job.
+
+        Returns
+        -------
+        list of Item
+            Runs that a request can still withdraw.
+        """
         return [
             item
             for item in self.jobs().get(job, [])
@@ -132,24 +196,40 @@ class BatchRecord:
         ]
 
     def seconds(self, moment: datetime) -> float:
-        """Give a moment as seconds after the begin."""
+        """Convert a time to seconds after the begin of the batch.
+
+        Parameters
+        ----------
+        moment
+            A time with its time zone.
+
+        Returns
+        -------
+        float
+            Seconds after the begin.
+        """
         assert self.begun is not None
         return (moment - self.begun).total_seconds()
 
     def apply(self, entry: Entry) -> None:
-        """Take a line of the journal.
+        """Update the state with one line of the journal.
+
+        Parameters
+        ----------
+        entry
+            The line.
 
         Raises
         ------
         JournalBroken
-            When it lacks what it must carry.
+            When the line lacks a field.
         """
         try:
             self._apply(entry, datetime.fromisoformat(entry.utc))
         except (KeyError, TypeError, ValueError, ValidationError) as error:
             raise JournalBroken(
-                f"Line {entry.seq + 1} ({entry.event}) of the batch lacks something: {error}.",
-                remedy="This journal was written by another program or version.",
+                f"Line {entry.seq + 1} ({entry.event}) of the batch's journal is incomplete: {error}.",
+                remedy="Another program or version wrote this journal; use that version.",
             ) from error
 
     def _apply(self, entry: Entry, now: datetime) -> None:
@@ -209,26 +289,48 @@ class BatchRecord:
         self.items |= {item.key: item for item in items}
 
     def moment(self, at_s: float) -> datetime:
-        """Give seconds after the begin as a moment."""
+        """Convert seconds after the begin of the batch to a time.
+
+        Parameters
+        ----------
+        at_s
+            Seconds after the begin.
+
+        Returns
+        -------
+        datetime
+            The time.
+        """
         assert self.begun is not None
         return self.begun + timedelta(seconds=at_s)
 
 
 def _with_files(job: JobConfig, files: Mapping[str, str]) -> JobConfig:
-    """Name a job's files as the batch was begun with."""
+    """Replace a job's file names by the paths with which the batch began."""
     names = {key: files.get(getattr(job, key), getattr(job, key)) for key in ("sequence", "station")}
     return job.model_copy(update=names)
 
 
 def resume_text(record: BatchRecord) -> str:
-    """Say what a batch that was cut off, or has ended, will do when it is called again."""
+    """Describe what an interrupted or ended batch does when it is called again.
+
+    Parameters
+    ----------
+    record
+        State of the batch.
+
+    Returns
+    -------
+    str
+        One line.
+    """
     pending = record.pending()
     again = [item.key for item in pending if item.key in record.attempts]
     fresh = [item.key for item in pending if item.key not in record.attempts]
-    said = [f"{len(record.items) - len(pending)} of {len(record.items)} runs are done with"]
-    said += [f"to take up again: {', '.join(again)}"] if again else []
-    said += [f"to begin: {_shortened(fresh)}"] if fresh else []
-    return f"{record.queue.name} goes on: {'; '.join(said)}."
+    parts = [f"{len(record.items) - len(pending)} of {len(record.items)} runs are done"]
+    parts += [f"to resume: {', '.join(again)}"] if again else []
+    parts += [f"to begin: {_shortened(fresh)}"] if fresh else []
+    return f"{record.queue.name} continues: {'; '.join(parts)}."
 
 
 def _shortened(keys: list[str], most: int = 8) -> str:
@@ -237,7 +339,25 @@ def _shortened(keys: list[str], most: int = 8) -> str:
 
 
 def replay_batch(queue: Queue, entries: Iterable[Entry]) -> BatchRecord:
-    """Replay a batch's journal. Raises JournalBroken."""
+    """Compute the state of a batch from its journal.
+
+    Parameters
+    ----------
+    queue
+        The queue of the batch.
+    entries
+        Lines of the journal.
+
+    Returns
+    -------
+    BatchRecord
+        The state.
+
+    Raises
+    ------
+    JournalBroken
+        When a line lacks a field.
+    """
     record = BatchRecord(queue)
     for entry in entries:
         record.apply(entry)

@@ -1,8 +1,8 @@
-"""Requests to a batch from another terminal: a job added, a job withdrawn.
+"""Requests to a batch from another terminal: add a job, withdraw a job.
 
-A request is one file, written whole into ``requests/`` of the batch's folder; it stays until it is answered, also while
-no process works on the batch. The batch decides, journals what it decided and removes the file; so the journal is
-the answer, and no request is taken twice. Knows no devices.
+A request is one file, written atomically into ``requests/`` of the batch's folder. It stays there until it is answered,
+even while no process works on the batch. The batch decides, records the decision in its journal and then removes the
+file. The journal is therefore the answer, and no request is answered twice.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ Word = Literal["add", "withdraw"]
 
 
 class Request(BaseModel):
-    """What an operator wants of a batch.
+    """An operator's request to a batch.
 
     Attributes
     ----------
     id
-        Its own; the journal answers by it.
+        Unique id; the answer in the journal has the same id.
     word, by
-        What is wanted, and by whom.
+        What is requested, and by whom.
     job
         The job to add.
     name
-        The job to withdraw.
+        Name of the job to withdraw.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -62,25 +62,42 @@ class Request(BaseModel):
     @model_validator(mode="after")
     def _complete(self) -> Request:
         if (self.job is None) is (self.word == "add") or (self.name is None) is (self.word == "withdraw"):
-            raise ValueError("add takes a job, withdraw a name")
+            raise ValueError("add needs a job, withdraw needs a name")
         return self
 
 
 def refusal(request: Request, record: BatchRecord) -> str:
-    """Say why a request is not taken; empty when it is."""
+    """Return why a request is refused.
+
+    Parameters
+    ----------
+    request
+        The request.
+    record
+        State of the batch.
+
+    Returns
+    -------
+    str
+        The reason; empty if the request is accepted.
+    """
     if request.word == "withdraw":
         assert request.name is not None
         if request.name not in record.jobs():
             return f"there is no job {request.name}"
-        return "" if record.withdrawable(request.name) else f"no run of {request.name} is left to begin"
+        return (
+            ""
+            if record.withdrawable(request.name)
+            else f"all runs of {request.name} have begun or are withdrawn"
+        )
     assert request.job is not None
     if request.job.name.lower() in map(str.lower, record.jobs()):
-        return f"the batch has a job {request.job.name}, or had one"
+        return f"the batch already has or had a job {request.job.name}"
     return "; ".join(job_faults(request.job)[:3])
 
 
 class RequestInbox:
-    """Where a batch answers requests.
+    """Answers the requests to a batch.
 
     Parameters
     ----------
@@ -102,7 +119,7 @@ class RequestInbox:
         self._poller = Poller(self.drain, self._failed, name="requests", period_s=POLL_S)
 
     def drain(self) -> None:
-        """Answer every request that lies there, oldest first.
+        """Answer all requests in the folder, oldest first.
 
         Raises
         ------
@@ -112,11 +129,11 @@ class RequestInbox:
         self._inbox.drain(self._answer)
 
     def watch(self) -> None:
-        """Begin to answer while the batch is busy with a run."""
+        """Answer requests in the background while the batch does its runs."""
         self._poller.start()
 
     def close(self) -> None:
-        """Answer no more; requests that remain wait for the next process."""
+        """Stop answering; requests that remain wait for the next process."""
         self._poller.close()
 
     def _failed(self, error: Exception) -> None:
@@ -130,26 +147,35 @@ def _inbox_of(folder: Path) -> Inbox[Request]:
 
 
 def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> dict[str, Any] | None:
-    """Leave a request with a batch, and wait for the answer where a process works on it.
+    """Send a request to a batch, and wait for the answer if a process works on it.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    request
+        The request.
+    patience_s
+        Longest time to wait for the answer, s.
 
     Returns
     -------
     dict or None
-        The journal's answer: ``word by taken why`` and ``job`` or ``name``; None while there is none: the request
-        then lies there until the batch goes on.
+        The answer in the journal: ``word by taken why`` and ``job`` or ``name``. None if there is no answer yet; the
+        request then stays until the batch continues.
 
     Raises
     ------
     RunFolderError
-        When there is no batch.
+        When there is no batch in the folder.
     StorageError
-        When it cannot be written.
+        When the request cannot be written.
     """
     if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
         raise RunFolderError(
             "There is no batch in this folder.",
             where=str(folder),
-            remedy="Name the folder that `starbench batch` was given.",
+            remedy="Give the --output folder of `starbench batch`.",
         )
     inbox = _inbox_of(folder)
     make_folder(inbox.folder)
@@ -170,17 +196,27 @@ def _answer_in(folder: Path, request_id: str) -> dict[str, Any] | None:
 
 
 def answer_text(answer: dict[str, Any] | None) -> str:
-    """Say what became of a request.
+    """Describe the answer to a request.
+
+    Parameters
+    ----------
+    answer
+        Answer from `send_request`.
+
+    Returns
+    -------
+    str
+        One line.
 
     Examples
     --------
     >>> answer_text({"word": "withdraw", "name": "cam7", "taken": True, "why": ""})
-    'Taken: cam7 is withdrawn; a run of it that is under way goes on.'
+    'Accepted: cam7 is withdrawn; a run in progress continues.'
     """
     if answer is None:
-        return "Noted: no process works on the batch; it is taken up as soon as the batch goes on."
+        return "Stored: no process works on the batch. The batch answers the request when it continues."
     if not answer["taken"]:
-        return f"Not taken: {answer['why']}."
+        return f"Refused: {answer['why']}."
     if answer["word"] == "add":
-        return f"Taken: {answer['job']['name']} is in the batch."
-    return f"Taken: {answer['name']} is withdrawn; a run of it that is under way goes on."
+        return f"Accepted: {answer['job']['name']} is in the batch."
+    return f"Accepted: {answer['name']} is withdrawn; a run in progress continues."

@@ -1,6 +1,6 @@
-"""How a batch stands, for somebody who looks on from another terminal: what is done, what comes when, when it ends.
+"""Status of a batch for another terminal: what is done, what comes when, and when the batch ends.
 
-Read from the batch's folder, which stays untouched; what is to come, by the same rule as the batch goes by.
+Reads the batch's folder and changes nothing in it. Future runs follow the same schedule as the batch itself.
 """
 
 from __future__ import annotations
@@ -29,7 +29,15 @@ _MOST_UPCOMING = 12
 
 @dataclass(frozen=True)
 class UpcomingRun:
-    """A run that is under way or to come; ``begin`` and ``end`` are None where there is no time for it."""
+    """A run in progress or to come.
+
+    Attributes
+    ----------
+    item
+        Name of the run.
+    begin, end
+        Expected times; None if no time is left for it.
+    """
 
     item: str
     begin: datetime | None
@@ -38,22 +46,22 @@ class UpcomingRun:
 
 @dataclass(frozen=True)
 class BatchStatus:
-    """How a batch stands.
+    """Status of a batch.
 
     Attributes
     ----------
     folder, queue, zone
-        Where it is, its name, and whose clocks its times are told by.
+        Folder of the batch, name of its queue, and time zone of the printed times.
     running, rehearsal
         Whether a process works on it; whether it is a rehearsal.
     ended, why
-        How it ended, and why; empty while it has not.
+        How it ended, and why; empty if it has not ended.
     done
-        For each run that is done with: its name, how it ended, and why.
-    at_work
-        The run under way, in words; empty between runs.
-    coming
-        Runs under way and to come, in their order; those there is no time for last.
+        Name, outcome and reason of each run that is done.
+    current_run
+        The run in progress, in words; empty between runs.
+    upcoming
+        Runs in progress and to come, in their order; runs without time are last.
     withdrawn
         Runs that were withdrawn.
     """
@@ -72,11 +80,17 @@ class BatchStatus:
 
     @property
     def end(self) -> datetime | None:
-        """When the last run is expected to end; None where nothing is to come."""
+        """Time at which the last run is expected to end; None if no run is to come."""
         return max((run.end for run in self.upcoming if run.end is not None), default=None)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as JSON carries it; times in UTC."""
+        """Return the status as JSON holds it.
+
+        Returns
+        -------
+        dict
+            Object of schema ``starbench/batch-status/1``; times in UTC.
+        """
         return {
             "schema": "starbench/batch-status/1",
             "folder": self.folder,
@@ -99,12 +113,24 @@ class BatchStatus:
 def read_batch_status(
     folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)
 ) -> BatchStatus:
-    """Look at a batch; nothing is changed, and no process of it is disturbed.
+    """Read the status of a batch; changes nothing and disturbs no process.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    utc_now
+        Returns the current time.
+
+    Returns
+    -------
+    BatchStatus
+        The status.
 
     Raises
     ------
     RunFolderError, JournalBroken, StorageError
-        When there is no batch, or it cannot be read.
+        When there is no batch in the folder, or it cannot be read.
     """
     record = read_batch(folder)
     running = is_locked(folder)
@@ -129,7 +155,20 @@ def read_batch_status(
 
 
 def follow_batch(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterator[BatchStatus]:
-    """Look at a batch again whenever a run of it begins or ends, until no process works on it."""
+    """Read the status whenever a run begins or ends, until no process works on the batch.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    sleep
+        Waits for a number of seconds.
+
+    Yields
+    ------
+    BatchStatus
+        The status at each change, and at the end.
+    """
     seen = -1
     while True:
         with storage_errors(folder):
@@ -144,11 +183,11 @@ def follow_batch(folder: Path, sleep: Callable[[float], None] = time.sleep) -> I
 
 
 def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[UpcomingRun, ...]:
-    """Look ahead from now on, past the end of the run under way."""
+    """Predict the times of the run in progress and of the runs to come."""
     if record.begun is None or (record.ended and not under_way):
         return ()
 
-    def expected_duration_s(item: Item) -> float:
+    def duration_of(item: Item) -> float:
         return record.expected_duration_s(item, planned_duration_s(item.job))
 
     at_s, first = record.seconds(now), []
@@ -156,10 +195,10 @@ def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[U
     if record.current_run and under_way:
         item = record.items[record.current_run]
         since_s = record.seconds(record.current_since or now)
-        at_s = max(at_s, since_s + expected_duration_s(item))
+        at_s = max(at_s, since_s + duration_of(item))
         first = [UpcomingRun(item.key, record.moment(since_s), record.moment(at_s))]
         pending = [other for other in pending if other.key != item.key]
-    slots = look_ahead(pending, at_s, record.bounds, expected_duration_s)
+    slots = look_ahead(pending, at_s, record.bounds, duration_of)
     return (
         *first,
         *(
@@ -176,30 +215,41 @@ def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[U
 def _current_run_text(folder: Path, record: BatchRecord) -> str:
     try:
         status = read_status(folder / RUNS / record.current_run)
-    except BenchError:  # it has not written its first line yet
-        return f"{record.current_run}: beginning"
+    except BenchError:  # its journal has no line yet
+        return f"{record.current_run}: starting"
     held = f", HELD by {status.held_by}" if status.held_by else ""
     left = "" if status.left_s is None else f", {duration_text(status.left_s)} left"
     return f"{record.current_run}: {status.state}, {status.accepted} of {status.poses} poses recorded{held}{left}"
 
 
 def batch_status_text(status: BatchStatus) -> str:
-    """Say how a batch stands, for people."""
+    """Describe the status of a batch for the operator.
+
+    Parameters
+    ----------
+    status
+        The status.
+
+    Returns
+    -------
+    str
+        Several lines.
+    """
     state = "running" if status.running else status.ended or "killed or cut off"
     state += f": {status.why}" if status.why else ""
     lines = [f"Batch {status.queue}{'  REHEARSAL' if status.rehearsal else ''}: {state}"]
     failed = [one for one in status.done if one[1] != "finished"]
-    lines.append(f"{len(status.done) - len(failed)} runs with a result, {len(failed)} without")
+    lines.append(f"{len(status.done) - len(failed)} runs with a result, {len(failed)} runs without")
     lines += [f"  {item}: {how}{': ' if why else ''}{why}" for item, how, why in failed]
     if status.withdrawn:
         lines.append(f"Withdrawn: {', '.join(status.withdrawn)}")
     if status.current_run:
-        lines.append(f"At work: {status.current_run}")
+        lines.append(f"In progress: {status.current_run}")
     lines += _upcoming_lines(status)
     if status.end is not None and status.running:
         lines.append(f"Expected end: {_clock(status.end, status.zone, day=True)}")
     if not status.running and status.ended != "finished":
-        lines.append(f"No process works on it; go on with: starbench batch QUEUE --output {status.folder}")
+        lines.append(f"No process works on it; continue with: starbench batch QUEUE --output {status.folder}")
     return "\n".join(lines)
 
 

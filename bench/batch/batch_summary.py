@@ -1,7 +1,7 @@
-"""What a batch came to: every run, why those failed that did, and how each camera's parameters went over it.
+"""Summary of a batch: every run, the reasons of failures, and the trend of each camera's parameters.
 
-Read from the batch's record and from the journals of its runs; written as ``summary.json`` and ``summary.html``, and
-can be written again at any time.
+Uses the batch's journal and the journals of its runs. The summary is written as ``summary.json`` and ``summary.html``,
+and can be written again at any time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, RunFolderError
-from bench.batch.batch_record import BatchRecord, replay_batch
+from bench.batch.batch_record import BatchRecord, RunAttempt, replay_batch
 from bench.batch.schedule import Item, by_priority
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, PLAN, REPORT
@@ -31,20 +31,30 @@ SCHEMA = "starbench/batch/1"
 
 
 def read_batch(folder: Path) -> BatchRecord:
-    """Read a batch's folder; nothing is changed, and no process of it is disturbed.
+    """Read the state of a batch from its folder; changes nothing and disturbs no process.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+
+    Returns
+    -------
+    BatchRecord
+        State of the batch.
 
     Raises
     ------
     RunFolderError
-        When there is no batch.
+        When there is no batch in the folder.
     JournalBroken
-        When its journal does not hold.
+        When its journal is not intact.
     """
     if not is_batch(folder):
         raise RunFolderError(
             "There is no batch in this folder.",
             where=str(folder),
-            remedy="Name the folder that `starbench batch` was given.",
+            remedy="Give the --output folder of `starbench batch`.",
         )
     try:
         queue = read_document(folder / QUEUE_COPY, Queue).value
@@ -52,18 +62,30 @@ def read_batch(folder: Path) -> BatchRecord:
         raise RunFolderError(
             f"{QUEUE_COPY} cannot be read: {error}",
             where=str(folder),
-            remedy="It is not what was begun with.",
+            remedy="The file was changed after the batch began; restore it.",
         ) from error
     return replay_batch(queue, read_journal(folder / JOURNAL)[0])
 
 
 def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
-    """Write ``summary.json`` and ``summary.html``; return what the first holds.
+    """Write ``summary.json`` and ``summary.html``.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    record
+        State of the batch.
+
+    Returns
+    -------
+    dict
+        Content of ``summary.json``.
 
     Raises
     ------
     StorageError
-        When the disk does not take them.
+        When a file cannot be written.
     """
     summary = summarise(folder, record)
     write_atomic(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
@@ -72,7 +94,20 @@ def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
 
 
 def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
-    """Sum a batch up, as far as it has come."""
+    """Summarise a batch, finished or not.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    record
+        State of the batch.
+
+    Returns
+    -------
+    dict
+        Content of ``summary.json``.
+    """
     runs: dict[str, IndexedRun] = {}
     unread: dict[str, str] = {}
     for key in record.attempts:
@@ -109,7 +144,7 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
 
 
 def _in_order_of_begin(record: BatchRecord) -> list[Item]:
-    """Runs in the order in which they began; those that did not come last, as they would have come."""
+    """Return the runs in the order in which they began; runs that did not begin are last, by priority."""
     never = datetime.max.replace(tzinfo=record.begun.tzinfo if record.begun else None)
     return sorted(by_priority(list(record.items.values())), key=lambda i: record.begun_at.get(i.key, never))
 
@@ -117,35 +152,63 @@ def _in_order_of_begin(record: BatchRecord) -> list[Item]:
 def _item(
     item: Item, record: BatchRecord, folder: Path, run: IndexedRun | None, unread: Mapping[str, str]
 ) -> dict[str, Any]:
-    end = record.ends.get(item.key)
-    how = end.how if end else "cut off" if item.key in record.attempts else "not begun"
-    begun = record.begun_at.get(item.key)
-    attempts = record.ended_attempts.get(item.key, [])
+    end, path = record.ends.get(item.key), f"{RUNS}/{item.key}"
     return {
         "item": item.key,
         "job": item.job.name,
-        "folder": f"{RUNS}/{item.key}",
-        "how": "withdrawn" if item.key in record.withdrawn else how,
+        "folder": path,
+        "how": _outcome(item, record),
         "why": unread.get(item.key) or (end.why if end else ""),
         "attempts": record.attempts.get(item.key, 0),
-        "begun_utc": _iso(begun),
+        "begun_utc": _iso(record.begun_at.get(item.key)),
         "ended_utc": _iso(end.ended) if end else None,
+        **_attempt_times(record.ended_attempts.get(item.key, [])),
+        "report": f"{path}/{REPORT}" if (folder / path / REPORT).is_file() else None,
+        **_run_facts(run, _planned_poses(folder / path)),
+    }
+
+
+def _outcome(item: Item, record: BatchRecord) -> str:
+    """Return how a run ended, or why it has no end."""
+    if item.key in record.withdrawn:
+        return "withdrawn"
+    if item.key in record.ends:
+        return record.ends[item.key].how
+    return "cut off" if item.key in record.attempts else "not begun"
+
+
+def _attempt_times(attempts: Sequence[RunAttempt]) -> dict[str, Any]:
+    """Return the total duration of the attempts, s, and the times of each."""
+    return {
         "took_s": round(sum(one.duration_s for one in attempts), 1) if attempts else None,
         "tries": [
             {"begun_utc": _iso(one.begun), "ended_utc": _iso(one.ended), "how": one.how} for one in attempts
         ],
-        "report": f"{RUNS}/{item.key}/{REPORT}" if (folder / RUNS / item.key / REPORT).is_file() else None,
-        "camera": run.camera if run else "",
-        "poses": _poses(folder / RUNS / item.key),
-        "accepted": run.accepted if run else 0,
-        "recordings": run.recordings if run else 0,
-        "deviations": run.deviations if run else 0,
-        "temperature_c": run.temperature_c if run else None,
-        "model": run.model if run else None,
-        "rms_px": run.rms_px if run else None,
-        "sealed": run.sealed if run else False,
-        "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in run.parameters.items()} if run else {},
     }
+
+
+def _run_facts(run: IndexedRun | None, planned_poses: int | None) -> dict[str, Any]:
+    """Return what a run's own journal says about it; default values if it has none."""
+    if run is None:
+        counts = {"accepted": 0, "recordings": 0, "deviations": 0}
+        result = {"temperature_c": None, "model": None, "rms_px": None, "sealed": False, "parameters": {}}
+        return {"camera": "", "poses": planned_poses, **counts, **result}
+    return {
+        "camera": run.camera,
+        "poses": planned_poses,
+        "accepted": run.accepted,
+        "recordings": run.recordings,
+        "deviations": run.deviations,
+        "temperature_c": run.temperature_c,
+        "model": run.model,
+        "rms_px": run.rms_px,
+        "sealed": run.sealed,
+        "parameters": _parameters(run),
+    }
+
+
+def _parameters(run: IndexedRun) -> dict[str, dict[str, float]]:
+    return {name: {"value": value, "sigma": sigma} for name, (value, sigma) in run.parameters.items()}
 
 
 def _point(run: IndexedRun) -> dict[str, Any]:
@@ -153,7 +216,7 @@ def _point(run: IndexedRun) -> dict[str, Any]:
         "item": run.id,
         "begun_utc": run.begun_utc,
         "temperature_c": run.temperature_c,
-        "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in run.parameters.items()},
+        "parameters": _parameters(run),
     }
 
 
@@ -180,8 +243,8 @@ def _request(data: Mapping[str, Any]) -> dict[str, Any]:
     return {k: data.get(k, "") for k in ("word", "by", "taken", "why")} | {"job": what}
 
 
-def _poses(run: Path) -> int | None:
-    """How many poses a run was to record; None where its plan is not there."""
+def _planned_poses(run: Path) -> int | None:
+    """Return the number of poses in a run's plan; None if there is no plan."""
     try:
         with storage_errors(run / PLAN):
             return len(json.loads((run / PLAN).read_text(encoding="utf-8"))["poses"])

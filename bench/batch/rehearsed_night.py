@@ -1,7 +1,8 @@
-"""Rehearses a whole batch on a virtual clock, in this process: ten hours pass in less than a minute.
+"""Rehearsal of a whole batch on a virtual clock, in this process: ten hours take less than a minute.
 
-The same queue, schedule, steps, journals and summary as a batch's; see `rehearsal` for what is left out. It is
-written in memory where the system has a place there, and put in its folder as a whole: nothing is worth a sync.
+Queue, schedule, steps, journals and summary are those of a real batch; `rehearsal` lists what is left out. The
+rehearsal is written in memory if the system has a folder there, and then copied to its folder, because no file of it
+needs to be synced one by one.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from bench.rehearsal.rehearsal import rehearse_run
 from sequences.queue import Queue
 from sequences.reader import Located
 
-_IN_MEMORY = "/dev/shm"  # noqa: S108 - a place in memory, not a name of a file
+_IN_MEMORY = "/dev/shm"  # noqa: S108 - a folder in memory, not a predictable file name
 _ROOM_BYTES = 1_000_000_000
 
 
@@ -36,15 +37,16 @@ def rehearse_batch(
     Parameters
     ----------
     queue
-        What is to be run.
+        The runs to rehearse.
     folder
-        New, or empty.
+        A new or empty folder.
     begin
-        The virtual moment at which it begins, with its time zone.
+        Virtual time at which the batch begins, with its time zone.
     seed
-        Of the runs that the queue gives none; the same seed and begin give the same journals, byte for byte.
+        Random seed of the runs to which the queue gives none. The same seed and begin give the same journals, byte for
+        byte.
     say
-        Told how it goes.
+        Receives the messages for the operator.
 
     Returns
     -------
@@ -54,15 +56,15 @@ def rehearse_batch(
     Raises
     ------
     RunFolderError
-        When the folder is not empty: a rehearsal is not gone on with.
+        When the folder is not empty, because a rehearsal cannot be continued.
     StorageError
-        When the disk does not take it.
+        When a file cannot be written.
     """
     make_folder(folder)
     with storage_errors(folder):
         if any(folder.iterdir()):
             raise RunFolderError(
-                "The folder is not empty; a rehearsal is not gone on with.",
+                "The folder is not empty, and a rehearsal cannot be continued.",
                 where=str(folder),
                 remedy="Choose another --output.",
             )
@@ -74,7 +76,7 @@ def rehearse_batch(
 
 
 def _memory() -> str | None:
-    """Name a folder that lies in memory, where there is one with room; None for the usual one."""
+    """Return a folder in memory that has enough space; None for the system's usual temporary folder."""
     try:
         roomy = shutil.disk_usage(_IN_MEMORY).free > _ROOM_BYTES
     except OSError:

@@ -1,7 +1,7 @@
-"""Which run of a batch comes next, when, and what there is no time left for: the rule, and a look ahead by it.
+"""Schedule of a batch: which run is next, when it begins, and for which runs no time is left.
 
-Pure: seconds in, decisions out; the batch that is under way, the plan of a night and the status all ask here. Times
-count from the begin of the batch. Times of day become seconds once, when they are first asked for.
+Pure functions of times in seconds; the batch itself, its plan and its status all use them. Times count from the begin
+of the batch. Times of day are converted to seconds once, when the batch begins.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ class Item:
     Attributes
     ----------
     key
-        Its name in the batch: the job's and the number of its repetition.
+        Its name in the batch: the name of the job and the number of the repetition.
     job
-        What the queue says.
+        The job, as in the queue.
     number
-        Of the repetition, from 0.
-    from_s
-        When the job's first repetition may begin, s after the begin of the batch.
+        Number of the repetition, from 0.
+    first_begin_s
+        Earliest begin of the job's first repetition, s after the begin of the batch.
     """
 
     key: str
@@ -40,22 +40,22 @@ class Item:
 
     @property
     def due_s(self) -> float:
-        """Earliest begin after the begin of the batch, s."""
+        """Earliest begin of this repetition, s after the begin of the batch."""
         return self.first_begin_s + self.number * self.job.every_min * 60.0
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Between which moments a batch works, s after its begin.
+    """Times between which a batch works, s after its begin.
 
     Attributes
     ----------
     opens_s
-        Nothing begins before.
+        No run begins before this time.
     last_begin_s
-        Nothing begins after.
+        No run begins after this time.
     done_by_s
-        Nothing begins that is not expected to be done by then.
+        No run begins that is expected to end after this time.
     """
 
     opens_s: float = 0.0
@@ -63,13 +63,26 @@ class Bounds:
     done_by_s: float = NEVER_S
 
     def fits(self, begin_s: float, expected_duration_s: float) -> bool:
-        """Whether a run may begin then."""
+        """Whether a run may begin at a time.
+
+        Parameters
+        ----------
+        begin_s
+            Begin, s after the begin of the batch.
+        expected_duration_s
+            Expected duration of the run, s.
+
+        Returns
+        -------
+        bool
+            False if it would begin or end too late.
+        """
         return begin_s <= self.last_begin_s and begin_s + expected_duration_s <= self.done_by_s
 
 
 @dataclass(frozen=True)
 class Slot:
-    """When a run is expected; ``begin_s`` and ``end_s`` are None where there is no time for it."""
+    """Expected times of a run, s after the begin of the batch; None if no time is left for it."""
 
     item: Item
     begin_s: float | None
@@ -117,7 +130,20 @@ def next_time(at: str, after: datetime, zone: str | None) -> datetime:
 
 
 def bounds_of(queue: Queue, begun: datetime) -> Bounds:
-    """Say between which moments a queue's batch works that was begun at a moment."""
+    """Return the times between which a batch works.
+
+    Parameters
+    ----------
+    queue
+        The queue of the batch.
+    begun
+        Begin of the batch, UTC.
+
+    Returns
+    -------
+    Bounds
+        The times, s after the begin.
+    """
     opens = next_time(queue.start_at, begun, queue.zone) if queue.start_at else begun
     opens_s = (opens - begun).total_seconds()
     closes = next_time(queue.stop_by, opens, queue.zone) if queue.stop_by else None
@@ -136,13 +162,19 @@ def items_of(
     Parameters
     ----------
     jobs
-        As the queue, or a file of a job added to it, has them.
+        Jobs of the queue, or a job that was added to it.
     begun
-        When the batch was begun.
+        Begin of the batch, UTC.
     now_s
-        From when on these jobs count, s after that: the opening of the batch, or when they were added.
+        Time from which these jobs may begin, s after the begin of the batch: the opening of the batch, or the time at
+        which they were added.
     zone
-        Of times of day.
+        Time zone of times of day; None for this computer's.
+
+    Returns
+    -------
+    list of Item
+        The repetitions of each job, in the order of the jobs.
     """
     items = []
     for job in jobs:
@@ -155,43 +187,65 @@ def items_of(
 
 
 def by_priority(items: Sequence[Item]) -> list[Item]:
-    """Put runs in the order in which they are tried: higher priorities first, else as they came."""
+    """Sort runs: higher priorities first, otherwise in the given order.
+
+    Parameters
+    ----------
+    items
+        Runs in the order of the queue.
+
+    Returns
+    -------
+    list of Item
+        The same runs.
+    """
     return sorted(items, key=lambda item: -item.job.priority)
 
 
 def choose_next(
-    pending: Sequence[Item], at_s: float, bounds: Bounds, expected_duration_s: DurationOf
+    pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of: DurationOf
 ) -> Item | float | None:
-    """Say what to do at a moment.
+    """Decide what to do at a time.
+
+    Parameters
+    ----------
+    pending
+        Runs that are not done.
+    at_s
+        The time, s after the begin of the batch.
+    bounds
+        Times between which the batch works.
+    duration_of
+        Returns the expected duration of a run, s.
 
     Returns
     -------
     Item, float or None
-        The run to begin; how long to wait before asking again, s; or None when no more run can be begun.
+        The run to begin now; the time to wait before the next decision, s; None if no more run can begin.
     """
-    return _choose(by_priority(pending), at_s, bounds, _once_a_job(expected_duration_s))
+    return _choose(by_priority(pending), at_s, bounds, _once_a_job(duration_of))
 
 
-def _once_a_job(expected_duration_s: DurationOf) -> DurationOf:
-    """Ask only once for each job: a long night has many runs, and each answer may look at all that have ended."""
+def _once_a_job(duration_of: DurationOf) -> DurationOf:
+    """Call the function once for each job only, because it may go through all runs that have ended."""
     known: dict[str, float] = {}
 
     def lasts(item: Item) -> float:
         name = item.job.name
         if name not in known:
-            known[name] = expected_duration_s(item)
+            known[name] = duration_of(item)
         return known[name]
 
     return lasts
 
 
 def _choose(
-    ordered: Sequence[Item], at_s: float, bounds: Bounds, expected_duration_s: DurationOf
+    ordered: Sequence[Item], at_s: float, bounds: Bounds, duration_of: DurationOf
 ) -> Item | float | None:
     wait_s = NEVER_S
     for item in ordered:
         begin_s = max(at_s, item.due_s, bounds.opens_s)
-        if not bounds.fits(begin_s, expected_duration_s(item)):
+        if not bounds.fits(begin_s, duration_of(item)):
             continue
         if begin_s <= at_s:
             return item
@@ -199,10 +253,24 @@ def _choose(
     return None if wait_s == NEVER_S else wait_s
 
 
-def look_ahead(
-    pending: Sequence[Item], at_s: float, bounds: Bounds, expected_duration_s: DurationOf
-) -> list[Slot]:
-    """Say when each run is expected, in the order in which they will be done; those without time for them last.
+def look_ahead(pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of: DurationOf) -> list[Slot]:
+    """Predict when each run begins and ends.
+
+    Parameters
+    ----------
+    pending
+        Runs that are not done.
+    at_s
+        Time from which to predict, s after the begin of the batch.
+    bounds
+        Times between which the batch works.
+    duration_of
+        Returns the expected duration of a run, s.
+
+    Returns
+    -------
+    list of Slot
+        Runs in the order in which they will begin; runs without time are last.
 
     Examples
     --------
@@ -211,13 +279,13 @@ def look_ahead(
     >>> [(s.item.key, s.begin_s) for s in look_ahead(items, 0, Bounds(done_by_s=7000), lambda _: 600)]
     [('a-001', 0), ('a-002', 3600.0), ('a-003', None)]
     """
-    left, slots, expected_duration_s = by_priority(pending), [], _once_a_job(expected_duration_s)
+    left, slots, duration_of = by_priority(pending), [], _once_a_job(duration_of)
     while left:
-        chosen = _choose(left, at_s, bounds, expected_duration_s)
+        chosen = _choose(left, at_s, bounds, duration_of)
         if chosen is None:
             break
         if isinstance(chosen, Item):
-            begin_s, at_s = at_s, at_s + expected_duration_s(chosen)
+            begin_s, at_s = at_s, at_s + duration_of(chosen)
             slots.append(Slot(chosen, begin_s, at_s))
             left.remove(chosen)
         else:

@@ -1,9 +1,9 @@
-"""Watches one worker process, and makes the bench safe where it cannot do that itself any more.
+"""Supervises one worker process, and makes the bench safe if the worker cannot do so any more.
 
-A worker gives signs of life (`bench.run.heartbeat`). One that ends is noticed at once; one that stands still (stopped,
-stuck where not even its threads run, or in a driver that never returns) within ``SILENCE_S``: it is ended by SIGABRT,
-at which it writes down where it stood, or else by SIGKILL; the devices it had are opened anew and made safe. A worker
-whose supervisor was killed is watched in the same way by the next one. Knows no queue.
+A worker gives signs of life (`bench.run.heartbeat`). The supervisor notices at once that a worker has ended, and within
+``SILENCE_S`` that it hangs: it is stopped, deadlocked, or in a driver that never returns. A hanging worker is ended by
+SIGABRT, at which it writes its position in the program to a file, or else by SIGKILL. Then its devices are opened again
+and made safe. A worker whose supervisor was killed is supervised by the next one in the same way.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
 
 SILENCE_S = 4.0
-"""Longer without a sign of life is hung; it is looked at every ``POLL_S``, so that 5 s are not exceeded."""
+"""A worker hangs if it gives no sign of life for this time, s. With the period ``POLL_S``, 5 s are not exceeded."""
 QUIET_S = 600.0
-"""So long may it begin, end or seal without a sign: what it does with devices then has deadlines of its own."""
+"""Time without a sign of life that is allowed at the start, at the end and while sealing, s. The devices' own deadlines
+apply there."""
 POLL_S = 0.2
-OUT_OF_MEMORY = "ended by the system for want of memory"
+OUT_OF_MEMORY = "ended by the system because memory ran out"
 _LAST_WORDS_S = 2.0
 _SAFE_END_S = 60.0
 _ENDS = {0: "finished", 3: "aborted"}
@@ -46,13 +47,13 @@ class WorkerEnd:
     Attributes
     ----------
     how
-        ``finished``, ``aborted``, ``failed``; ``died`` by a signal; ``hung`` and was ended.
+        ``finished``, ``aborted`` or ``failed``; ``died`` by a signal; ``hung`` and was ended.
     why
-        In words; the last line it said, where it failed.
+        The reason in words; the last message of the worker if it failed.
     noticed_s
-        How long it had been silent when it was ended as hung, s; 0 otherwise.
+        How long the worker had been silent when it was ended as hung, s; otherwise 0.
     unsafe
-        Devices that a dead worker left and that did not confirm that they are safe.
+        Devices of a dead worker that did not confirm that they are safe.
     """
 
     how: str
@@ -74,22 +75,27 @@ def supervise(
     Parameters
     ----------
     command
-        Its program and words.
+        Program and arguments of the worker.
     folder
-        The run folder it works on, made by itself.
+        Run folder, created by the worker.
     log
-        Where what it says is appended.
+        File to which the worker's output is appended.
     clock
-        A stop asked of it ends the worker, safely, and is raised again.
+        If a stop is requested from it, the worker is ended safely and the stop is raised again.
     say
-        Told what the operator must know.
+        Receives what the operator must know.
     environ
-        The worker's environment, but for what it is told of its supervisor.
+        Environment of the worker; the process id of its supervisor is added.
+
+    Returns
+    -------
+    WorkerEnd
+        How the worker ended.
 
     Raises
     ------
     Aborted
-        When a stop was asked for; the worker has ended by then.
+        When a stop was requested; the worker has ended by then.
     """
     killed_for_memory = out_of_memory_kills()
     try:
@@ -121,14 +127,26 @@ def supervise(
 
 
 def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
-    """Watch a worker that outlived its supervisor, to its end; return how long it was silent where it hung, else 0.
+    """Supervise a worker that outlived its supervisor, to its end. Return at once if there is none.
 
-    How it ended stands in its run folder. Returns at once where nobody works there.
+    Parameters
+    ----------
+    folder
+        Run folder; its lock shows whether a worker is alive. The folder records how the worker ended.
+    clock
+        If a stop is requested from it, the worker is ended safely and the stop is raised again.
+    say
+        Receives what the operator must know.
+
+    Returns
+    -------
+    float
+        How long the worker had been silent when it was ended as hung, s; 0 if it did not hang.
 
     Raises
     ------
     Aborted
-        When a stop was asked for; the worker has ended by then.
+        When a stop was requested; the worker has ended by then.
     """
     if not is_locked(folder):
         return 0.0
@@ -137,8 +155,21 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
 
 
 def make_safe_after(folder: Path, clock: BenchClock) -> list[str]:
-    """Make the devices safe that a dead worker had; return what could not be, in words."""
-    if not (folder / STATION_COPY).is_file():  # it died before it could open any
+    """Make the devices of a dead worker safe.
+
+    Parameters
+    ----------
+    folder
+        Run folder of the worker.
+    clock
+        Clock for the devices' deadlines.
+
+    Returns
+    -------
+    list of str
+        A sentence for each device that did not confirm that it is safe.
+    """
+    if not (folder / STATION_COPY).is_file():  # it died before it could open a device
         return []
     try:
         return make_orphans_safe(load_station(str(folder / STATION_COPY)).value, clock)
@@ -157,11 +188,11 @@ class _Worker(Protocol):
         ...
 
     def send(self, number: signal.Signals) -> None:
-        """Send it a signal, if it is still there."""
+        """Send it a signal if it is still there."""
         ...
 
     def wait(self, seconds: float) -> bool:
-        """Wait for its end; tell whether it came."""
+        """Wait for its end; return whether it has ended."""
         ...
 
     def killed(self) -> bool:
@@ -190,7 +221,7 @@ class _Child:
 
 @dataclass
 class _Orphan:
-    """A worker of a supervisor that is gone: known by its folder's lock, reached by its own sign of life."""
+    """A worker whose supervisor is gone: the folder's lock shows that it lives, its sign of life names its process."""
 
     folder: Path
     ended_by_us: bool = field(default=False, init=False)
@@ -224,7 +255,7 @@ class _Orphan:
 def _supervise_worker(
     worker: _Worker, folder: Path, clock: BenchClock, say: Callable[[str], None]
 ) -> tuple[float, list[str]]:
-    """Watch a worker to its end; return how long it was silent where it hung, and what could not be made safe."""
+    """Supervise a worker to its end; return its silence if it hung (s), and the devices that could not be made safe."""
     silent_s, unsafe = 0.0, []
     try:
         silent_s = _watch(worker, folder, clock)
@@ -243,7 +274,7 @@ def _supervise_worker(
 
 
 def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
-    """Wait for the worker's end; return how long it had been silent where it hangs, else 0."""
+    """Wait for the worker's end; return how long it has been silent if it hangs, otherwise 0."""
     left_over = last = read_sign(folder)
     if isinstance(worker, _Orphan):
         left_over = None
@@ -265,7 +296,7 @@ def _is_due(sign: Sign | None, left_over: Sign | None) -> bool:
 
 
 def _end_now(worker: _Worker) -> None:
-    """End a worker that does not answer; first let it write down where it stands."""
+    """End a worker that does not respond, after it had a chance to write its position to a file."""
     worker.send(signal.SIGABRT)
     worker.send(signal.SIGCONT)
     if not worker.wait(_LAST_WORDS_S):

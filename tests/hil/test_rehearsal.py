@@ -125,7 +125,7 @@ def test_a_rehearsal_leaves_nothing_that_passes_for_evidence(queue, tmp_path, mo
     real = Batch(
         tmp_path / "night", queue, VirtualClock(EVENING), print, lambda *_: WorkerEnd("finished", "")
     )
-    with pytest.raises(RunFolderError, match="never go on in one folder"):
+    with pytest.raises(RunFolderError, match="cannot continue in the same folder"):
         real.run()
 
 

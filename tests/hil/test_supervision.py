@@ -101,7 +101,7 @@ def test_a_worker_whose_supervisor_is_killed_goes_on_says_so_and_is_found_again(
     again = start("batch", queue, "-o", folder, "--json", home=tmp_path / "home")
     out, err = again.communicate(timeout=PATIENCE_S)
     assert again.returncode == 0, err
-    assert err.startswith("Night goes on: 0 of 1 runs are done with; to take up again: cam-001.\n")
+    assert err.startswith("Night continues: 0 of 1 runs are done; to resume: cam-001.\n")
     (item,) = json.loads(out)["items"]
     assert (item["how"], item["attempts"]) == ("finished", 1)
     assert results(run)["run"]["resumed"] == 0

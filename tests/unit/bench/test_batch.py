@@ -102,9 +102,9 @@ def test_a_batch_says_what_it_will_do_before_it_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(batch, "_say", lambda line: said.append((line, len(workers.begun))))
     batch.run()
     fresh = ", ".join(f"c-00{n}" for n in range(1, 9))
-    will_do = f"1 of 12 runs are done with; to take up again: b-001; to begin: {fresh} and 2 more."
+    will_do = f"1 of 12 runs are done; to resume: b-001; to begin: {fresh} and 2 more."
     assert said[0][1] == 0
-    assert said[0][0].endswith(f" goes on: {will_do}")
+    assert said[0][0].endswith(f" continues: {will_do}")
 
 
 def test_a_run_that_was_sealed_as_the_batch_was_cut_off_is_done(tmp_path):

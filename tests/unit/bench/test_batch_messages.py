@@ -93,4 +93,4 @@ def test_a_station_file_that_is_gone_does_not_end_the_batch(tmp_path, outbox):
     said = []
     messages = BatchMessages(VirtualClock(NOW), said.append)
     messages.run_ended("cam-001", str(tmp_path / "gone.yaml"), tmp_path, WorkerEnd("died", "so"), "a" * 64)
-    assert "nobody can be told" in said[0]
+    assert "no message can be sent" in said[0]

@@ -67,9 +67,9 @@ def test_a_job_added_while_a_run_is_under_way_is_done_and_one_withdrawn_is_not(t
 @pytest.mark.parametrize(
     ("request_", "why"),
     [
-        (add("a"), "has a job a"),
+        (add("a"), "has or had a job a"),
         (withdraw("c"), "no job c"),
-        (withdraw("a"), "no run of a is left"),
+        (withdraw("a"), "all runs of a have begun"),
         (add("x", sequence="no_such"), "no_such"),
     ],
     ids=["doubled", "unknown", "nothing left", "no such sequence"],
@@ -90,7 +90,7 @@ def test_requests_left_while_no_process_works_are_taken_when_the_batch_goes_on(t
     Batch(tmp_path, jobs, clock, lambda _: None, Workers(clock)).run()
     request = add("late", times=2)
     assert send_request(tmp_path, request, patience_s=0.5) is None
-    assert "as soon as the batch goes on" in answer_text(None)
+    assert "when it continues" in answer_text(None)
     workers = Workers(clock)
     summary = Batch(tmp_path, jobs, clock, lambda _: None, workers).run()
     assert begun(workers) == ["run late-001", "run late-002"]
@@ -144,7 +144,7 @@ def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
         gate.set()
         thread.join()
     assert answers[0]["taken"]
-    assert answer_text(answers[0]) == "Taken: b is in the batch."
+    assert answer_text(answers[0]) == "Accepted: b is in the batch."
 
 
 def test_a_request_to_a_folder_without_a_batch_is_refused(tmp_path):
@@ -161,7 +161,7 @@ def test_a_faulty_job_file_is_refused_before_anything_is_asked(tmp_path):
 
 @pytest.mark.parametrize("words", [{"word": "add"}, {"word": "withdraw"}, {"word": "add", "name": "a"}])
 def test_a_request_carries_what_its_word_needs(words):
-    with pytest.raises(ValueError, match="add takes a job"):
+    with pytest.raises(ValueError, match="add needs a job"):
         Request(by="ada", **words)
 
 
@@ -207,7 +207,7 @@ def test_a_job_whose_name_differs_in_capitals_alone_is_refused(tmp_path):
     clock = NightClock()
     workers = Asked(clock, tmp_path, [add("A")])
     Batch(tmp_path, queue(("a", "")), clock, lambda _: None, workers).run()
-    assert [data["why"] for data in asked(tmp_path)] == ["the batch has a job A, or had one"]
+    assert [data["why"] for data in asked(tmp_path)] == ["the batch already has or had a job A"]
 
 
 def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, monkeypatch):
@@ -219,5 +219,5 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
     clock = NightClock()
     assert Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock)).run()["how"] == "finished"
     assert [data["why"] for data in asked(tmp_path)] == [
-        "it cannot be judged: ZeroDivisionError: nobody foresaw this"
+        "the request cannot be processed: ZeroDivisionError: nobody foresaw this"
     ]
