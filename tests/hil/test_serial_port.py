@@ -237,7 +237,7 @@ def test_silence_ends_at_the_deadline(port) -> None:
     link = Link(port, clock=SystemClock(), resynchronise=lambda: None)
     began_s = time.monotonic()
     with pytest.raises(ReplyTimeout):
-        link.exchange(b"anybody?\n", lambda incoming: incoming.line(), deadline_s=0.2)
+        link.exchange(b"anybody?\n", lambda reader: reader.read_line(), deadline_s=0.2)
     assert time.monotonic() - began_s >= 0.2
 
 
@@ -249,7 +249,7 @@ def test_threads_take_turns_on_one_line(plug, port) -> None:
             os.write(plug.ours, data)
             served += data.count(b"\n")
 
-    device = threading.Thread(target=echo)
+    device = threading.Thread(target=echo, daemon=True)
     device.start()
     link = Link(port, clock=SystemClock(), resynchronise=lambda: None)
     wrong = []
@@ -257,7 +257,7 @@ def test_threads_take_turns_on_one_line(plug, port) -> None:
     def ask(name: str) -> None:
         for number in range(20):
             text = f"{name}{number}\n".encode()
-            if link.exchange(text, lambda incoming: incoming.line(), deadline_s=30.0) != text:
+            if link.exchange(text, lambda reader: reader.read_line(), deadline_s=30.0) != text:
                 wrong.append(text)
 
     threads = [threading.Thread(target=ask, args=(name,)) for name in "abcd"]
