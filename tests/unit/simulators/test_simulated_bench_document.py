@@ -47,7 +47,8 @@ def test_the_example_is_a_configuration():
 def test_the_example_orders_are_orders():
     block = TEXT.split("answered by a line of JSON:\n\n```\n", 1)[1].split("```", 1)[0].splitlines()
     orders = [
-        fault_order(yaml.safe_load(line)) if line.startswith("{") else fault_order_from_text(line) for line in block
+        fault_order(yaml.safe_load(line)) if line.startswith("{") else fault_order_from_text(line)
+        for line in block
     ]
     assert [one.fault for one in orders] == ["stall", "late", "wrong_frequency"]
 
