@@ -1,1 +1,1 @@
-"""Seals, signatures, keys, and what verifies them."""
+"""Seals of run folders: signatures, keys, and their verification."""

@@ -1,8 +1,9 @@
-"""The bench's signing key and the keys it trusts: where they lie, who may read them, how they are made.
+"""The bench's signing key, and the list of keys that it trusts.
 
-The key is an Ed25519 key in OpenSSH's own file format, in the user's configuration folder, readable by
-its owner alone; it never goes into a run folder or a log. Beside it lies ``allowed_signers``, OpenSSH's
-list of trusted keys: give that file, or its line, to whoever is to verify reports.
+The key is an Ed25519 key (RFC 8032) in OpenSSH's private key format (PROTOCOL.key of OpenSSH). Its file lies in the
+user's configuration folder, readable by its owner alone; the private key is never copied into a run folder or a log.
+Beside it lies ``allowed_signers``, the list of trusted keys in OpenSSH's format (ssh-keygen(1), ALLOWED SIGNERS). Those
+who verify reports need that file or its line.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from bench.records.storage import make_folder, open_to_lock, storage_errors, wri
 from drivers import file_lock
 
 NAMESPACE = "starbench-report@v1"
-"""What signatures of run folders are for."""
+"""Purpose of the signatures of run folders: the namespace of SSHSIG."""
 KEY_FILE = "bench_key"
 SIGNERS_FILE = "allowed_signers"
 
@@ -38,16 +39,16 @@ _OPTION = re.compile(r'([a-z-]+)(?:="([^"]*)")?(?:,|$)')
 
 @dataclass(frozen=True)
 class BenchKey:
-    """The bench's key, ready to sign.
+    """The bench's private key, ready to sign.
 
     Attributes
     ----------
     private
-        The key itself; not shown when this is printed.
+        The private key; ``repr`` does not show it.
     principal
-        Who signs, as ``name@place``.
+        Name of the signer, as ``name@place``.
     created
-        Whether it was made just now.
+        Whether the key was made by this call.
     """
 
     private: Ed25519PrivateKey
@@ -59,25 +60,37 @@ class BenchKey:
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint of its public half, as ``ssh-keygen -l`` prints it."""
+        """Fingerprint of the public key, as ``ssh-keygen -l`` prints it."""
         return fingerprint(encode_public_key(self.private.public_key()))
 
     @property
     def public_text(self) -> str:
-        """Its public half as OpenSSH writes it: type and base64."""
+        """The public key as OpenSSH writes it: type and base64."""
         return (
             f"{KEY_TYPE.decode()} {base64.b64encode(encode_public_key(self.private.public_key())).decode()}"
         )
 
     @property
     def signers_line(self) -> str:
-        """The line of ``allowed_signers`` that trusts this key for reports and nothing else."""
+        """The line of ``allowed_signers`` that trusts this key for reports only."""
         return f'{self.principal} namespaces="{NAMESPACE}" {self.public_text}'
 
 
 @dataclass(frozen=True)
 class Signer:
-    """A trusted key: one line of ``allowed_signers`` (ssh-keygen(1), ALLOWED SIGNERS)."""
+    """A trusted key: one line of ``allowed_signers`` (ssh-keygen(1), ALLOWED SIGNERS).
+
+    Attributes
+    ----------
+    principal
+        Name of the signer, as ``name@place``.
+    public_key
+        The key as SSH encodes it (what stands in base64 after ``ssh-ed25519``).
+    namespaces
+        Patterns of the purposes that it may sign for; empty if it may sign for all.
+    valid_after, valid_before
+        Period in which it may sign; None where there is no limit.
+    """
 
     principal: str
     public_key: bytes
@@ -86,7 +99,20 @@ class Signer:
     valid_before: datetime | None = None
 
     def rejection(self, namespace: str, when: datetime) -> str | None:
-        """Say why this key may not sign for ``namespace`` at ``when``; None when it may."""
+        """Return why a signature of this key is rejected.
+
+        Parameters
+        ----------
+        namespace
+            Purpose of the signature.
+        when
+            Moment at which the key must be valid, with its time zone.
+
+        Returns
+        -------
+        str or None
+            The reason; None if the key may sign.
+        """
         if self.namespaces and not any(fnmatchcase(namespace, pattern) for pattern in self.namespaces):
             return f"the key is trusted for {', '.join(self.namespaces)}, not for {namespace}"
         if self.valid_after is not None and when < self.valid_after:
@@ -99,29 +125,35 @@ class Signer:
 def ensure_key(
     folder: Path, *, principal: str | None = None, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> BenchKey:
-    """Load the bench's key, or make one at first use (``created`` tells: the operator wants to know).
+    """Load the bench's key, or make one at first use.
 
     Parameters
     ----------
     folder
-        As ``home_folder`` gives it.
+        The configuration folder, from `bench.base.home.home_folder`.
     principal
-        Who signs, when a key is made; the default is ``bench@`` and the name of the machine.
+        Name of the signer for a new key, as ``name@place``; None for ``bench@`` and the name of the computer.
     ask_passphrase
-        Asked for the passphrase of a protected key, given its file.
+        Returns the passphrase of a protected key, given the path of its file; None if nobody can be asked.
+
+    Returns
+    -------
+    BenchKey
+        The key; its ``created`` is set if it is new.
 
     Raises
     ------
     EvidenceError
-        When the key cannot be used: readable by others, protected and nobody to ask, not Ed25519.
+        When the key cannot be used: other users can read it, it is protected and nobody can be asked, or it is not an
+        Ed25519 key.
     StorageError
-        When it cannot be read or made.
+        When it cannot be read or written.
     """
     make_folder(folder)
     with storage_errors(folder):
         lock = open_to_lock(folder)
         try:
-            file_lock.lock(lock, wait=True)  # two runs started at once must not make two keys
+            file_lock.lock(lock, wait=True)  # two runs started at the same time must not make two keys
             if (folder / KEY_FILE).exists():
                 return load_key(folder, ask_passphrase=ask_passphrase)
             return create_key(folder, principal=principal)
@@ -130,12 +162,26 @@ def ensure_key(
 
 
 def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes | None = None) -> BenchKey:
-    """Make the bench's key and trust it in ``allowed_signers``.
+    """Make the bench's key, and add it to ``allowed_signers``.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    principal
+        Name of the signer, as ``name@place``; None for ``bench@`` and the name of the computer.
+    passphrase
+        Encrypts the private key; None leaves it unencrypted.
+
+    Returns
+    -------
+    BenchKey
+        The new key.
 
     Raises
     ------
     EvidenceError
-        When there is one already, or the principal is not ``name@place``.
+        When there is a key already, or the principal is not ``name@place``.
     StorageError
         When it cannot be written.
     """
@@ -144,11 +190,12 @@ def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes 
         raise EvidenceError(
             "The bench has a key already.",
             where=str(path),
-            remedy="Reports signed with it need it to stay known; move it away first to begin a new one.",
+            remedy="To make a new one, move this one away first; keep its line in allowed_signers, so that reports"
+            " signed with it can still be verified.",
         )
     principal = principal or f"bench@{re.sub(r'[^A-Za-z0-9._-]', '-', socket.gethostname()) or 'localhost'}"
     if not _PRINCIPAL.fullmatch(principal):
-        raise EvidenceError(f"{principal!r} does not name a signer.", remedy="Write it as name@place.")
+        raise EvidenceError(f"{principal!r} is not a name of a signer.", remedy="Write it as name@place.")
     key = BenchKey(Ed25519PrivateKey.generate(), principal, created=True)
     protection = (
         serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
@@ -166,14 +213,34 @@ def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes 
 
 
 def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> BenchKey:
-    """Load the bench's key. Parameters and errors as ``ensure_key``; EvidenceError when there is none."""
+    """Load the bench's key.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    ask_passphrase
+        Returns the passphrase of a protected key, given the path of its file; None if nobody can be asked.
+
+    Returns
+    -------
+    BenchKey
+        The key.
+
+    Raises
+    ------
+    EvidenceError
+        When there is no key, or it cannot be used (see `ensure_key`).
+    StorageError
+        When it cannot be read.
+    """
     path = folder / KEY_FILE
     if not path.exists():
         raise EvidenceError("There is no key.", where=str(path), remedy="Make one with `starbench keys`.")
     with storage_errors(path):
         _refuse_readable_by_others(path)
         secret = path.read_bytes()
-    private = _opened(secret, path, ask_passphrase)
+    private = _load_private_key(secret, path, ask_passphrase)
     if not isinstance(private, Ed25519PrivateKey):
         raise EvidenceError(
             "This is not an Ed25519 key.", where=str(path), remedy="Make one: ssh-keygen -t ed25519."
@@ -182,12 +249,26 @@ def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = N
 
 
 def trust(folder: Path, line: str) -> Signer:
-    """Add a line to ``allowed_signers``, unless it stands there.
+    """Add a line to ``allowed_signers``, unless the file contains it already.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    line
+        A line of ``allowed_signers``, as `BenchKey.signers_line`.
+
+    Returns
+    -------
+    Signer
+        The key that is now trusted.
 
     Raises
     ------
     EvidenceError
-        When it is not such a line.
+        When the line does not name a trusted Ed25519 key.
+    StorageError
+        When the file cannot be read or written.
     """
     signer = _read_signer(line.strip())
     path = folder / SIGNERS_FILE
@@ -201,12 +282,22 @@ def trust(folder: Path, line: str) -> Signer:
 
 
 def read_signers(path: Path) -> list[Signer]:
-    """Read a list of trusted keys; keys other than Ed25519 are passed over.
+    """Read a list of trusted keys.
+
+    Parameters
+    ----------
+    path
+        A file in the format ``allowed_signers``, with Ed25519 keys only.
+
+    Returns
+    -------
+    list of Signer
+        The keys in the order of the lines.
 
     Raises
     ------
     EvidenceError
-        When the file is missing, unreadable, or a line is not understood (it is named).
+        When the file cannot be read, or a line is not understood; the message names the line.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -215,7 +306,7 @@ def read_signers(path: Path) -> list[Signer]:
         raise EvidenceError(
             f"The list of trusted keys cannot be read: {reason}.",
             where=str(path),
-            remedy="Get the laboratory's allowed_signers and name it.",
+            remedy="Get the file allowed_signers from the laboratory, and name it.",
         ) from error
     signers = []
     for number, line in enumerate(lines, start=1):
@@ -243,16 +334,16 @@ def _read_signer(line: str) -> Signer:
         raise bad
     try:
         public_key = base64.b64decode(after.split()[0], validate=True)
-        valid_after = _moment(options["valid-after"]) if "valid-after" in options else None
-        valid_before = _moment(options["valid-before"]) if "valid-before" in options else None
+        valid_after = _parse_time(options["valid-after"]) if "valid-after" in options else None
+        valid_before = _parse_time(options["valid-before"]) if "valid-before" in options else None
     except (ValueError, binascii.Error) as error:
         raise bad from error
     namespaces = tuple(filter(None, options.get("namespaces", "").split(",")))
     return Signer(principal, public_key, namespaces, valid_after, valid_before)
 
 
-def _moment(text: str) -> datetime:
-    """Read OpenSSH's ``YYYYMMDD[HHMM[SS]][Z]``; local time without the Z."""
+def _parse_time(text: str) -> datetime:
+    """Read a time of ssh-keygen(1): ``YYYYMMDD[HHMM[SS]][Z]``, which is local time without the Z."""
     digits = text.removesuffix("Z")
     form = {8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}.get(len(digits), "")
     moment = datetime.strptime(digits, form)  # noqa: DTZ007 - the zone follows from the Z
@@ -263,26 +354,26 @@ def _refuse_readable_by_others(path: Path) -> None:
     status = path.stat()
     if hasattr(os, "getuid") and (status.st_mode & 0o077 or status.st_uid != os.getuid()):
         raise EvidenceError(
-            f"The key can be read by others (mode {status.st_mode & 0o777:04o}): it proves nothing.",
+            f"Other users can read the key (mode {status.st_mode & 0o777:04o}): its signatures prove nothing.",
             where=str(path),
-            remedy=f"If nobody has read it: chmod 600 {path}. Else make a new one.",
+            remedy=f"If nobody has read it: chmod 600 {path}. Otherwise make a new key.",
         )
 
 
-def _opened(secret: bytes, path: Path, ask_passphrase: Callable[[Path], bytes] | None) -> object:
+def _load_private_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], bytes] | None) -> object:
     try:
-        with suppress(TypeError):  # cryptography's way of asking for a passphrase
+        with suppress(TypeError):  # raised by cryptography if the key is protected
             return serialization.load_ssh_private_key(secret, password=None)
         if ask_passphrase is None:
             raise EvidenceError(
-                "The key is protected by a passphrase and there is nobody to ask.",
+                "The key is protected by a passphrase, and there is no terminal to ask for it.",
                 where=str(path),
-                remedy="Run in a terminal, or take the passphrase off with ssh-keygen -p.",
+                remedy="Run in a terminal, or remove the passphrase with ssh-keygen -p.",
             )
         return serialization.load_ssh_private_key(secret, password=ask_passphrase(path))
     except ValueError as error:
         raise EvidenceError(
-            "The key cannot be opened: wrong passphrase, or not an OpenSSH key.",
+            "The key cannot be read: wrong passphrase, or not an OpenSSH key.",
             where=str(path),
             remedy="Try again, or restore the file from a copy.",
         ) from error
@@ -294,8 +385,8 @@ def _principal_of(public_path: Path) -> str:
     principal = fields[2] if len(fields) > 2 else ""
     if not _PRINCIPAL.fullmatch(principal):
         raise EvidenceError(
-            "The public key does not say who signs.",
+            "The public key does not name its signer.",
             where=str(public_path),
-            remedy="Write name@place as its last word.",
+            remedy="Write name@place at the end of its line.",
         )
     return principal

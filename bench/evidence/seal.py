@@ -1,10 +1,10 @@
-"""The seal of a run folder: the list of its files with their hashes, and the bench's signature under it.
+"""The seal of a run folder: the list of its files with their hashes, and the bench's signature of that list.
 
-``SHA256SUMS`` lists every file of the folder but itself and ``SHA256SUMS.sig``, sorted by name, as
-``sha256sum`` writes it. ``SHA256SUMS.sig`` is the SSH signature of that list, namespace
-``starbench-report@v1``; it is written last, so a folder is sealed as a whole or not at all.
-``VERIFY.txt`` tells a stranger how to check both, and is in the list itself. After sealing, nothing in
-the folder is writable. The seal says which bench made these files, not that a person approved of them.
+``SHA256SUMS`` lists every file of the folder except itself and ``SHA256SUMS.sig``, sorted by name, in the format of
+``sha256sum``. ``SHA256SUMS.sig`` is the SSH signature of that list (`bench.evidence.sshsig`), namespace
+``starbench-report@v1``. It is written last, so that a folder is sealed as a whole or not at all. ``VERIFY.txt``
+explains how to check both without Starbench; the list includes it. After sealing, nothing in the folder is writable.
+The seal states which bench made these files; it does not state that a person has approved them.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ delete it: chmod -R u+w, then rm -r.
 
 
 def seal(folder: RunFolder, key: BenchKey) -> str:
-    """Seal a run folder; afterwards it is never written to again.
+    """Seal a run folder. Nothing is written to it afterwards.
 
     Parameters
     ----------
     folder
-        Held by the caller; its journal is closed, its report written.
+        The folder, locked by the caller; its journal is closed and its report is written.
     key
         The bench's key.
 
@@ -69,16 +69,17 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
     Raises
     ------
     EvidenceError
-        When the folder holds no journal, or what cannot be listed: a link, a device, a strange name.
+        When the folder has no journal, or has something that cannot be listed: a link, a device, a name with control
+        characters.
     StorageError
-        When the disk did not take it; the folder is then not sealed.
+        When a file cannot be written; the folder is then not sealed.
     """
     if not folder.journal_path.is_file():
         raise EvidenceError(f"There is no {JOURNAL} to seal.", where=str(folder.path))
     folder.release_reserve()
     text = _INSTRUCTIONS.format(principal=key.principal, namespace=NAMESPACE, fingerprint=key.fingerprint)
     folder.write_atomic(INSTRUCTIONS, text.encode())
-    _sync_what_others_wrote(folder.path)
+    _sync_files(folder.path)
     manifest = make_manifest(folder.path)
     folder.write_atomic(MANIFEST, manifest)
     folder.write_atomic(SIGNATURE, sign(key.private, manifest, NAMESPACE))
@@ -86,8 +87,8 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
     return key.fingerprint
 
 
-def _sync_what_others_wrote(path: Path) -> None:
-    """Make last what was not synced when it was written, as the log of the lines: a seal must not outlive its files."""
+def _sync_files(path: Path) -> None:
+    """Sync the files that were not synced when they were written, so that none is lost while its seal remains."""
     with storage_errors(path):
         for name, kind in list_files(path).items():
             if kind == "file" and not name.startswith(
@@ -97,12 +98,22 @@ def _sync_what_others_wrote(path: Path) -> None:
 
 
 def make_manifest(path: Path) -> bytes:
-    """Hash every file of a folder, and list them as ``sha256sum`` does, sorted by name.
+    """Hash every file of a folder, and list them in the format of ``sha256sum``, sorted by name.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Returns
+    -------
+    bytes
+        The text of ``SHA256SUMS``.
 
     Raises
     ------
     EvidenceError
-        When the folder holds something that cannot be listed: a link, a device, a strange name.
+        When the folder has something that cannot be listed: a link, a device, a name with control characters.
     StorageError
         When a file cannot be read.
     """
@@ -120,12 +131,23 @@ def make_manifest(path: Path) -> bytes:
 
 
 def read_manifest(manifest: bytes) -> dict[str, str]:
-    """Read a list of hashes: file name to SHA-256.
+    """Read the list of a seal.
+
+    Parameters
+    ----------
+    manifest
+        The text of ``SHA256SUMS``.
+
+    Returns
+    -------
+    dict
+        SHA-256 in hexadecimal by file name, in the order of the list.
 
     Raises
     ------
     EvidenceError
-        When a line is not ``hash, two spaces, name``, names are not sorted and different, or lead elsewhere.
+        When a line is not ``hash, two spaces, name``, when names are not sorted or not unique, or when a name leads out
+        of the folder.
     """
     hashes: dict[str, str] = {}
     last = ""
@@ -135,9 +157,9 @@ def read_manifest(manifest: bytes) -> dict[str, str]:
         parts = match[2].split("/") if match else [""]
         if match is None or {"", ".", ".."} & set(parts) or match[2] <= last or match[2] in NOT_LISTED:
             raise EvidenceError(
-                "This line does not list a file of the folder, in order.",
+                "This line does not list a file of the folder in the order of names.",
                 where=f"{MANIFEST}:{number}",
-                remedy="Ask the laboratory for the bundle again.",
+                remedy="Ask the laboratory for the run folder again.",
             )
         last = match[2]
         hashes[match[2]] = match[1]
@@ -145,9 +167,22 @@ def read_manifest(manifest: bytes) -> dict[str, str]:
 
 
 def list_files(path: Path) -> dict[str, str]:
-    """Everything below a folder but folders: name, with ``/``, to ``file``, ``link`` or ``special file``.
+    """List everything in a folder and its subfolders, except the folders. Links are not followed.
 
-    Links are not followed.
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Returns
+    -------
+    dict
+        ``file``, ``link`` or ``special file`` by name; names are relative to the folder, with ``/``.
+
+    Raises
+    ------
+    OSError
+        When a subfolder cannot be read.
     """
     found = {}
     for folder_name, folders, files in os.walk(path, onerror=_refuse):
@@ -160,7 +195,7 @@ def list_files(path: Path) -> dict[str, str]:
 
 
 def _refuse(error: OSError) -> None:
-    raise error  # os.walk would pass over a folder that it cannot read
+    raise error  # without this, os.walk ignores a folder that it cannot read
 
 
 def _make_read_only(path: Path) -> None:

@@ -1,7 +1,7 @@
-"""Whether a sealed run folder is what the bench sealed: signature, files, journal, and what is printed.
+"""Verify a sealed run folder: signature, files, journal, results and report.
 
-Reads only, trusts nothing in the folder, and finds every fault rather than the first. The keys to trust
-come from outside the folder.
+The verifier writes nothing, trusts nothing in the folder, and reports all faults, not only the first one. The trusted
+keys come from outside the folder.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from bench.records.storage import sha256_of, storage_errors
 
 _LARGEST_SEAL_BYTES = 64 << 20
 _LARGEST_TEXT_BYTES = 1 << 30
-"""Seals, and results and reports of ten thousand poses, are smaller; what is larger is not read."""
+"""Seals, and results and reports of ten thousand poses, are smaller; a larger file is not read."""
 
 
 _NOT_RESULTS = (ValueError, LookupError, TypeError, RecursionError)
-"""What reading JSON of another form ends in."""
+"""Exceptions raised by reading JSON that is not of the expected form."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that does not hold.
+    """One fault of a sealed folder.
 
     Attributes
     ----------
@@ -65,17 +65,17 @@ class Verification:
     folder
         The run folder.
     faults
-        Everything that does not hold; empty when the bundle is as it was sealed by a trusted bench.
+        All faults; empty when the folder is as a trusted bench sealed it.
     remarks
         What could not be checked, and why.
     signer, fingerprint
-        Who signed, by the list of trusted keys (None when nobody trusted did), and with which key.
+        Name of the signer in the list of trusted keys (None when the key is not in it), and fingerprint of the key.
     files
-        Number of files that the seal lists.
+        Number of files in the list of the seal.
     run_id, camera_serial
-        What the results say they are about, to hold against what one expects.
+        Run and camera that the results name; the reader compares them with the expected ones.
     simulated
-        Whether the devices were simulated; None when the results do not say.
+        Whether the devices were simulated; None when the results do not state it.
     """
 
     folder: str
@@ -94,7 +94,13 @@ class Verification:
         return not self.faults
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as JSON can hold it."""
+        """Return the verification as JSON carries it.
+
+        Returns
+        -------
+        dict
+            ``ok``, and all attributes.
+        """
         return {"ok": self.ok, **asdict(self), "faults": [asdict(fault) for fault in self.faults]}
 
 
@@ -113,15 +119,20 @@ def verify_run(
     folder
         The run folder.
     signers
-        Trusted keys, as ``keys.read_signers`` gives them.
+        Trusted keys, from `bench.evidence.keys.read_signers`.
     when
-        Moment at which the signer's key must be valid; the default is now.
+        Moment at which the signer's key must be valid, with its time zone; None for now.
     camera_serial
-        Serial number that the calibrated camera must have, against a report passed off for another.
+        Serial number that the calibrated camera must have; None for any. It reveals a report of another camera.
     recalculate
         Calibrates again from the recordings and returns a sentence for each value that differs
-        (`bench.results.reproduce.differences`); None: this is not checked. It is passed in, so that the verifier itself
-        needs no engine.
+        (`bench.results.reproduce.differences`); None: this is not checked. It is a parameter so that the verifier
+        itself does not import the calibration engine.
+
+    Returns
+    -------
+    Verification
+        All faults and remarks.
 
     Raises
     ------
@@ -132,14 +143,16 @@ def verify_run(
     """
     if not folder.is_dir() or not any((folder / name).exists() for name in (MANIFEST, JOURNAL)):
         raise RunFolderError(
-            "This is not a run folder.", where=str(folder), remedy="Name the folder a run was written to."
+            "This is not a run folder.",
+            where=str(folder),
+            remedy="Name the folder that a run was written to.",
         )
     check = _Check(folder)
     with storage_errors(folder):
         manifest = check.signature(list(signers), when or datetime.now(UTC))
         check.files(manifest)
-        told = check.journal()
-        facts = check.results(told, manifest, camera_serial)
+        captures = check.journal()
+        facts = check.results(captures, manifest, camera_serial)
         if not check.faults and facts is not _NO_RESULTS:
             check.report()
         if recalculate is not None and not check.faults and facts is not _NO_RESULTS:
@@ -159,7 +172,7 @@ def verify_run(
 
 @dataclass
 class _Check:
-    """The checks of one folder, each adding its faults."""
+    """The checks of one folder; each adds its faults."""
 
     folder: Path
     faults: list[Fault] = field(default_factory=list)
@@ -171,11 +184,11 @@ class _Check:
         self.faults.append(Fault(kind, where, what))
 
     def signature(self, signers: list[Signer], when: datetime) -> dict[str, str]:
-        """Check the signature under the list of files; return the list."""
+        """Check the signature of the list of files; return the list."""
         for name in (MANIFEST, SIGNATURE):
             path = self.folder / name
             if path.is_symlink() or not path.is_file():
-                self.fault("unsealed", name, "it is not there: this folder is not sealed")
+                self.fault("unsealed", name, "the file is missing: this folder is not sealed")
                 return {}
             if self._too_large("manifest", name):
                 return {}
@@ -185,10 +198,10 @@ class _Check:
             self.fingerprint = fingerprint(signature.public_key)
             if signature.namespace != NAMESPACE:
                 self.fault(
-                    "signature", SIGNATURE, f"it is a signature for {signature.namespace!r}, not for a report"
+                    "signature", SIGNATURE, f"the signature is for {signature.namespace!r}, not for a report"
                 )
             if not is_valid(signature, manifest):
-                self.fault("signature", SIGNATURE, f"it is not the signature of this {MANIFEST}")
+                self.fault("signature", SIGNATURE, f"the signature does not match this {MANIFEST}")
             self._key(signature.public_key, signers, when)
         except EvidenceError as error:
             self.fault("signature", SIGNATURE, error.what)
@@ -200,33 +213,37 @@ class _Check:
 
     def _key(self, public_key: bytes, signers: list[Signer], when: datetime) -> None:
         known = [signer for signer in signers if signer.public_key == public_key]
-        objections = [signer.rejection(NAMESPACE, when) for signer in known]
-        if None in objections:
-            self.signer = known[objections.index(None)].principal
+        rejections = [signer.rejection(NAMESPACE, when) for signer in known]
+        if None in rejections:
+            self.signer = known[rejections.index(None)].principal
         elif known:
-            self.fault("key", SIGNATURE, str(objections[0]))
+            self.fault("key", SIGNATURE, str(rejections[0]))
         else:
-            self.fault("key", SIGNATURE, f"it was made with a key you do not trust ({self.fingerprint})")
+            self.fault(
+                "key",
+                SIGNATURE,
+                f"the key that signed is not in the list of trusted keys ({self.fingerprint})",
+            )
 
     def files(self, manifest: Mapping[str, str]) -> None:
-        """Check that exactly the listed files are there, unchanged."""
+        """Check that the folder has exactly the listed files, unchanged."""
         found = list_files(self.folder)
         for name, kind in sorted(found.items()):
             if kind != "file":
-                self.fault("link" if kind == "link" else "added", name, f"a {kind} in place of a file")
+                self.fault("link" if kind == "link" else "added", name, f"this is a {kind}, not a file")
             elif name not in manifest and name not in NOT_LISTED:
-                self.fault("added", name, "it was added after sealing")
+                self.fault("added", name, "the file was added after sealing")
         for name, sha256 in manifest.items():
             if name not in found:
-                self.fault("missing", name, "it is missing")
+                self.fault("missing", name, "the file is missing")
             elif found[name] == "file" and sha256_of(self.folder / name) != sha256:
-                self.fault("changed", name, "it was changed after sealing")
+                self.fault("changed", name, "the file was changed after sealing")
 
     def journal(self) -> dict[str, str]:
-        """Check the chain of the journal; return the captures it tells of, with their hashes."""
+        """Check the hash chain of the journal; return the SHA-256 of the recordings that it names."""
         path = self.folder / JOURNAL
         if path.is_symlink() or not path.is_file():
-            self.fault("journal", JOURNAL, "it is not there")
+            self.fault("journal", JOURNAL, "the file is missing")
             return {}
         try:
             entries, torn = read_journal(path)
@@ -235,33 +252,35 @@ class _Check:
             self.fault("journal", error.where.removeprefix(f"{self.folder}/") or JOURNAL, error.what)
             return {}
         if torn:
-            self.fault("journal", JOURNAL, "its last line is half-written")
+            self.fault("journal", JOURNAL, "its last line is incomplete")
         return {name: capture.sha256 for name, capture in captures.items()}
 
     def results(
-        self, told: Mapping[str, str], manifest: Mapping[str, str], camera_serial: str | None
+        self, captures: Mapping[str, str], manifest: Mapping[str, str], camera_serial: str | None
     ) -> _ResultFacts:
-        """Check that results, journal and list of files speak of the same recordings."""
+        """Check that results, journal and list of files name the same recordings."""
         path = self.folder / RESULTS
         if path.is_symlink() or not path.is_file():
-            return _NO_RESULTS  # a run that failed has none; one that had them lacks a listed file
+            return _NO_RESULTS  # a failed run has no results; if they were removed, a listed file is missing
         if self._too_large("results", RESULTS):
             return _NO_RESULTS
         try:
             facts = _facts_of(json.loads(path.read_bytes()))
         except _NOT_RESULTS as error:
-            self.fault("results", RESULTS, f"it cannot be read ({error!r})")
+            self.fault("results", RESULTS, f"the file cannot be read ({error!r})")
             return _NO_RESULTS
         for name, sha256 in facts.captures:
-            for source, hashes in (("the journal", told), (MANIFEST, manifest)):
+            for source, hashes in (("the journal", captures), (MANIFEST, manifest)):
                 if hashes.get(name) != sha256:
                     self.fault("results", RESULTS, f"{source} does not name {name} with this hash")
         if camera_serial is not None and facts.camera_serial != camera_serial:
-            self.fault("item", RESULTS, f"it is about camera {facts.camera_serial}, not {camera_serial}")
+            self.fault(
+                "item", RESULTS, f"the results are of camera {facts.camera_serial}, not {camera_serial}"
+            )
         return facts
 
     def report(self) -> None:
-        """Check that the report prints what the results say: render it again and compare every word."""
+        """Check that the report prints the results: render it again and compare every word."""
         import jinja2
 
         from bench.report.html import ReportData, printed_text, render_report
@@ -280,16 +299,16 @@ class _Check:
         hashes = {entry.hash for entry in read_journal(self.folder / JOURNAL)[0]}
         head = next((word for word in printed if word in hashes), None)
         if head is None:
-            self.fault("report", REPORT, "it names no line of this journal")
+            self.fault("report", REPORT, "the report names no line of this journal")
             return
         try:
             wanted = printed_text(render_report(ReportData(results, (), head), draw=False))
         except (*_NOT_RESULTS, AttributeError, ArithmeticError, jinja2.TemplateError) as error:
-            self.fault("results", RESULTS, f"no report can be made of it ({error!r})")
+            self.fault("results", RESULTS, f"no report can be made of these results ({error!r})")
             return
         for had, due in zip_longest(printed, wanted, fillvalue=""):
             if had != due:
-                self.fault("report", REPORT, f"it prints {had!r} where {RESULTS} gives {due!r}")
+                self.fault("report", REPORT, f"the report prints {had!r} where {RESULTS} gives {due!r}")
                 return
 
     def calibration(self, recalculate: Callable[[Path], Sequence[str]]) -> None:
@@ -297,21 +316,21 @@ class _Check:
         try:
             found = list(recalculate(self.folder))
         except _NOT_RESULTS as error:
-            found = [f"it holds no calibration to compare ({error!r})"]
+            found = [f"the results have no calibration to compare ({error!r})"]
         for difference in found:
             self.fault("results", RESULTS, difference)
 
     def _too_large(self, kind: str, name: str) -> bool:
-        most = _LARGEST_SEAL_BYTES if name in NOT_LISTED else _LARGEST_TEXT_BYTES
-        if (self.folder / name).stat().st_size <= most:
+        limit = _LARGEST_SEAL_BYTES if name in NOT_LISTED else _LARGEST_TEXT_BYTES
+        if (self.folder / name).stat().st_size <= limit:
             return False
-        self.fault(kind, name, "it is too large to be one")
+        self.fault(kind, name, f"the file is too large: more than {limit} bytes")
         return True
 
 
 @dataclass(frozen=True)
 class _ResultFacts:
-    """What results say they are about, and from which recordings they were made."""
+    """Run and camera that results name, and the recordings they were made from."""
 
     run_id: str | None = None
     camera_serial: str | None = None

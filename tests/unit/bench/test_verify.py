@@ -36,7 +36,7 @@ def test_what_was_found_can_be_written_as_json(sealed, signers):
     (sealed / "results.json").unlink()
     found = json.loads(json.dumps(verify_run(sealed, signers).to_dict()))
     assert found["ok"] is False
-    assert found["faults"] == [{"kind": "missing", "where": "results.json", "what": "it is missing"}]
+    assert found["faults"] == [{"kind": "missing", "where": "results.json", "what": "the file is missing"}]
 
 
 # ------------------------------------------------------------------ attacks

@@ -87,7 +87,7 @@ def test_results_that_no_report_can_be_made_of_are_found(reported, key, signers)
     (reported / "results.json").write_text(json.dumps(results))
     found = sealed_and_verified(reported, key, signers)
     assert kinds(found) == [("results", "results.json")]
-    assert "no report can be made of it" in found.faults[0].what
+    assert "no report can be made of these results" in found.faults[0].what
 
 
 def test_a_report_that_is_no_text_is_found(reported, key, signers):
