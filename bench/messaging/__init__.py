@@ -1,1 +1,1 @@
-"""Who is told of what, and an outbox that survives a dead network."""
+"""Messages about runs to people, and an outbox that keeps them while the network is down."""

@@ -1,7 +1,8 @@
-"""Sends messages about runs: writes them, hands them to mail, webhooks or apprise, off the path of the run.
+"""Sends messages about runs by mail, webhook or apprise.
 
-What is to be sent is put into the outbox first, and goes out from there by a thread; a dead network holds up no run.
-Both channels carry the message's key (``Message-ID``, ``Idempotency-Key``), by which receivers know one they have had.
+A message is put into the outbox first. A thread delivers it from there, so that a dead network does not delay a run.
+Mail carries the key of the message in ``Message-ID`` (RFC 5322), a webhook in ``Idempotency-Key``, so that a receiver
+recognises a message that arrives twice.
 """
 
 from __future__ import annotations
@@ -29,13 +30,24 @@ from bench.messaging.outbox import DeliveryFailed, Message, Outbox
 from bench.stations.station_messages import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 TIMEOUT_S = 10.0
-"""How long a server may be silent."""
+"""Longest silence of a server, s."""
 _LOOK_S = 5.0
 _MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
 
 
 def channels_of(messages: MessagesConfig) -> list[str]:
-    """Give the channels of a station as the outbox keeps them: JSON, without secrets."""
+    """Return the channels of a station as the outbox keeps them.
+
+    Parameters
+    ----------
+    messages
+        The station file's ``messages`` section.
+
+    Returns
+    -------
+    list of str
+        One JSON object for each channel: kind and configuration, without secrets.
+    """
     mails = [{_MAIL: messages.mail.model_dump()}] if messages.mail is not None else []
     hooks = [{_WEBHOOK: hook.model_dump()} for hook in messages.webhooks]
     services = [{_APPRISE: service.model_dump()} for service in messages.apprise]
@@ -43,21 +55,30 @@ def channels_of(messages: MessagesConfig) -> list[str]:
 
 
 def send(message: Message, channel: str, environ: Mapping[str, str] = os.environ) -> None:
-    """Hand a message to a channel as ``channels_of`` gave it.
+    """Deliver a message to a channel.
+
+    Parameters
+    ----------
+    message
+        The message.
+    channel
+        The channel, from `channels_of`.
+    environ
+        Environment variables, which hold passwords and secret addresses.
 
     Raises
     ------
     DeliveryFailed
-        When it did not go through, and why.
+        When it could not be delivered, with the reason.
     """
-    ((kind, words),) = json.loads(channel).items()
+    ((kind, config),) = json.loads(channel).items()
     try:
         if kind == _MAIL:
-            _mail(MailConfig.model_validate(words), message, environ)
+            _mail(MailConfig.model_validate(config), message, environ)
         elif kind == _APPRISE:
-            _notify(AppriseConfig.model_validate(words), message, environ)
+            _notify(AppriseConfig.model_validate(config), message, environ)
         else:
-            _post(WebhookConfig.model_validate(words), message, environ)
+            _post(WebhookConfig.model_validate(config), message, environ)
     except (OSError, smtplib.SMTPException, http.client.HTTPException, ValueError) as error:
         raise DeliveryFailed(f"{type(error).__name__}: {error}") from error
 
@@ -81,16 +102,16 @@ def _mail(mail: MailConfig, message: Message, environ: Mapping[str, str]) -> Non
             server.login(mail.user, _secret(mail.password_env, environ))
         refused = server.send_message(letter)
     if refused:
-        raise DeliveryFailed(f"refused by the server for {', '.join(sorted(refused))}")
+        raise DeliveryFailed(f"the server refused {', '.join(sorted(refused))}")
 
 
 def _post(hook: WebhookConfig, message: Message, environ: Mapping[str, str]) -> None:
     url = hook.url or _secret(hook.url_env or "", environ)
-    told = asdict(message)
-    body = json.dumps({"schema": "starbench/message/1", "id": told.pop("key"), **told}).encode()
+    fields = asdict(message)
+    body = json.dumps({"schema": "starbench/message/1", "id": fields.pop("key"), **fields}).encode()
     if not url.startswith(("http://", "https://")):
-        raise DeliveryFailed(f"{hook.url_env} holds no http or https address")
-    request = urllib.request.Request(  # noqa: S310 - seen to be http or https
+        raise DeliveryFailed(f"the environment variable {hook.url_env} is not an http or https address")
+    request = urllib.request.Request(  # noqa: S310 - is http or https, see above
         url, body, {"Content-Type": "application/json", "Idempotency-Key": message.key}
     )
     with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310 - as above; raises unless 2xx
@@ -106,12 +127,14 @@ def _notify(service: AppriseConfig, message: Message, environ: Mapping[str, str]
     try:
         known = notifier.add(url)
         taken = known and notifier.notify(title=message.subject, body=message.text)
-    except Exception as error:  # whatever a service's own code raises must not hold up other messages
+    except Exception as error:  # an error in a service's code must not delay other messages
         raise DeliveryFailed(f"apprise: {type(error).__name__}: {error}") from error
     if not known:
-        raise DeliveryFailed(f"{service.url_env} holds no address that apprise knows")
+        raise DeliveryFailed(
+            f"the environment variable {service.url_env} is not an address that apprise supports"
+        )
     if not taken:
-        raise DeliveryFailed("the service did not take it")
+        raise DeliveryFailed("the service did not accept it")
 
 
 def _secret(variable: str, environ: Mapping[str, str]) -> str:
@@ -121,18 +144,18 @@ def _secret(variable: str, environ: Mapping[str, str]) -> str:
 
 
 class Courier:
-    """Writes messages about one run, and sees to their delivery by a thread of its own.
+    """Writes the messages about one run, and delivers them in a thread of its own.
 
     Parameters
     ----------
     messages
-        What the station file says.
+        The station file's ``messages`` section.
     outbox
-        Where messages wait.
+        Keeps the messages until they are delivered.
     clock
-        Tells the time.
+        Gives the time of a message.
     say
-        Told what could not even be kept; a run is not ended for that.
+        Shows the operator a message that could not be kept; the run continues.
     """
 
     def __init__(
@@ -149,20 +172,20 @@ class Courier:
             self._thread.start()
 
     def write(self, occasion: str, subject: str, text: str, *, run: str, folder: Path, key: str) -> None:
-        """Put a message into the outbox, if the station file asks for messages on this occasion. Returns at once.
+        """Put a message into the outbox if the station file asks for messages on this occasion. Returns at once.
 
         Parameters
         ----------
         occasion
             ``failure``, ``hold`` or ``end``.
         subject, text
-            What the message says.
+            Subject and text of the message.
         run
             Name of the run or batch.
         folder
             Its folder.
         key
-            Identifies this message for ever: the hash of the journal's line that gave occasion to it.
+            Identifies the message permanently: the hash of the journal line that caused it.
         """
         if not self.is_wanted(occasion):
             return
@@ -173,7 +196,7 @@ class Courier:
                 self._channels,
             )
         except BenchError as error:
-            self._say(f"A message could not be kept: {error}")
+            self._say(f"A message could not be put into the outbox and is lost: {error}")
         self._wake.set()
 
     def is_wanted(self, occasion: str) -> bool:
@@ -192,7 +215,13 @@ class Courier:
         return occasion in self._occasions and bool(self._channels)
 
     def close(self, patience_s: float = 2 * TIMEOUT_S) -> None:
-        """Try once more what is waiting, for no longer than that; what does not go through stays in the outbox."""
+        """Try once more to deliver what waits. What cannot be delivered stays in the outbox.
+
+        Parameters
+        ----------
+        patience_s
+            Longest wait for the thread, s.
+        """
         self._closing.set()
         self._wake.set()
         if self._thread.is_alive():
@@ -204,9 +233,11 @@ class Courier:
             while not closing:
                 self._wake.wait(_LOOK_S)
                 self._wake.clear()
-                closing = self._closing.is_set()  # seen before the last try, which then misses nothing
+                closing = (
+                    self._closing.is_set()
+                )  # read before the last delivery, which then misses no message
                 waiting = self._outbox.deliver(send, self._clock.utc_now())
             if waiting:
-                self._say(f"{waiting} messages did not go out yet; see `starbench messages`.")
+                self._say(f"Messages not delivered yet: {waiting}. See `starbench messages`.")
         except BenchError as error:
-            self._say(f"Messages do not go out: {error}")
+            self._say(f"Messages cannot be delivered: {error}")

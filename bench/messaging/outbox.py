@@ -1,9 +1,9 @@
-"""Messages that still have to go out, kept so that none is lost and none is made twice; knows no network.
+"""Messages that are to be delivered, kept so that none is lost and none is made twice. Does not use the network.
 
-One SQLite file beside the signing key, synced at every change. A message has a key of its own: putting it in
-again changes nothing. A delivery is marked before it is tried and after it went through; where the process dies in
-between, nobody can tell whether it arrived: it is then tried again with the same key, by which the receiver can tell,
-and is marked as ``perhaps twice``. A message that does not go through is tried again, ever more seldom, for ever.
+They lie in one SQLite file beside the signing key, synced at every change. Every message has a key; putting a message
+in again changes nothing. A delivery is marked before and after it is tried. If the process dies in between, it is
+unknown whether the message arrived. It is then tried again with the same key, which lets the receiver recognise it, and
+is marked ``perhaps_twice``. A message that cannot be delivered is tried again without end, at growing intervals.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ PRAGMA user_version = {VERSION};
 
 
 class DeliveryFailed(Exception):
-    """A message did not go through; what the other side, or the network, said."""
+    """A message could not be delivered; its text is the reason that the receiver or the network gave."""
 
 
 @dataclass(frozen=True)
 class Message:
-    """What somebody should hear.
+    """A message to people.
 
     Attributes
     ----------
     key
-        Stands for this message for ever.
+        Identifies the message permanently.
     occasion
         ``failure``, ``hold`` or ``end``.
     subject, text
-        For people.
+        Subject and text.
     run, folder, utc
-        Which run it is about, and when it was written.
+        The run or batch that it is about, its folder, and the time at which it was written (ISO 8601).
     """
 
     key: str
@@ -67,22 +67,22 @@ class Message:
 
 @dataclass(frozen=True)
 class Delivery:
-    """One message to one channel.
+    """The delivery of one message to one channel.
 
     Attributes
     ----------
     message
-        What.
+        The message.
     channel
-        To whom, as JSON; the outbox does not look into it.
+        The channel, as JSON that the outbox does not read.
     state
         ``waiting``, ``sending`` or ``sent``.
     tries
-        How often it was tried.
+        Number of attempts.
     perhaps_twice
         Whether it may have arrived more than once.
     last_error
-        Why it did not go through when it was tried last.
+        Why the last attempt failed; empty if it did not.
     """
 
     message: Message
@@ -94,16 +94,16 @@ class Delivery:
 
 
 Send = Callable[[Message, str], None]
-"""Hands a message to a channel, or raises DeliveryFailed."""
+"""Delivers a message to a channel, or raises DeliveryFailed."""
 
 
 class Outbox:
-    """The outbox of a bench; every method opens it anew, for other processes use it too.
+    """The outbox of a bench. Every method opens the file anew, because other processes use it too.
 
     Parameters
     ----------
     home
-        The configuration folder, as ``home_folder`` gives it.
+        The configuration folder, from `bench.base.home.home_folder`.
     """
 
     def __init__(self, home: Path) -> None:
@@ -111,43 +111,61 @@ class Outbox:
         self.path = home / OUTBOX
 
     def put(self, message: Message, channels: Sequence[str]) -> None:
-        """Keep a message for its channels; when this returns, it lasts. Nothing is changed for one that is known.
+        """Keep a message for its channels. It is on the disk when this returns; a key that is known changes nothing.
+
+        Parameters
+        ----------
+        message
+            The message.
+        channels
+            Its channels, from `bench.messaging.messages.channels_of`.
 
         Raises
         ------
         StorageError
-            When it cannot be kept.
+            When it cannot be written.
         """
-        said = (message.occasion, message.subject, message.text, message.run, message.folder, message.utc)
+        fields = (message.occasion, message.subject, message.text, message.run, message.folder, message.utc)
         with self._open() as database:
             database.executemany(
                 "INSERT OR IGNORE INTO deliveries VALUES (?, ?, ?, ?, ?, ?, ?, ?, 'waiting', 0, 0.0, 0, '')",
-                [(message.key, channel, *said) for channel in channels],
+                [(message.key, channel, *fields) for channel in channels],
             )
 
     def deliveries(self) -> list[Delivery]:
-        """List all there are, sent ones too, oldest first. Raises StorageError."""
+        """List all deliveries, also those that were sent, oldest first.
+
+        Returns
+        -------
+        list of Delivery
+            Empty while there is no outbox.
+
+        Raises
+        ------
+        StorageError
+            When the outbox cannot be read.
+        """
         if not self.path.exists():
             return []
         with self._open() as database:
             return [_delivery(row) for row in database.execute("SELECT * FROM deliveries ORDER BY utc, key")]
 
     def deliver(self, send: Send, now: datetime, *, all_waiting: bool = False) -> int:
-        """Try what is due, unless another process is at it.
+        """Try the deliveries that are due, unless another process does so at this moment.
 
         Parameters
         ----------
         send
-            Hands a message over; must not take long.
+            Delivers one message; must have a time limit.
         now
-            The present time.
+            The present time, with its time zone.
         all_waiting
-            Try also what is not due yet.
+            Whether to try deliveries that are not due yet, too.
 
         Returns
         -------
         int
-            How many are still waiting.
+            Number of deliveries that still wait.
 
         Raises
         ------
@@ -200,7 +218,7 @@ class Outbox:
 
     @contextmanager
     def _alone(self) -> Iterator[bool]:
-        """Whether this process alone delivers, for as long as the block lasts."""
+        """Yield whether this process alone may deliver during the block."""
         with storage_errors(self.path):
             lock = os.open(self._home / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
         try:
@@ -228,7 +246,7 @@ class Outbox:
             raise StorageError(
                 f"The outbox of messages cannot be used: {error}.",
                 where=str(self.path),
-                remedy="Check the disk; a file that another version wrote can be moved away.",
+                remedy="Check the disk. If another version of Starbench wrote the file, move it away.",
             ) from error
 
 

@@ -64,7 +64,7 @@ def test_a_webhook_gets_one_object_with_its_key():
     ("environ", "why"),
     [
         ({}, "SECRET is not set"),
-        ({"SECRET": "file:///etc/passwd"}, "no http"),
+        ({"SECRET": "file:///etc/passwd"}, "is not an http"),
         ({"SECRET": "http://127.0.0.1:1/"}, "refused"),
     ],
 )
@@ -114,8 +114,8 @@ def test_another_service_gets_subject_and_text(monkeypatch):
     [
         (None, {"CHAT": "json://x"}, "not installed"),
         (Services(takes=True), {}, "CHAT is not set"),
-        (Services(takes=True), {"CHAT": "nonsense"}, "no address"),
-        (Services(takes=False), {"CHAT": "json://x"}, "did not take it"),
+        (Services(takes=True), {"CHAT": "nonsense"}, "is not an address"),
+        (Services(takes=False), {"CHAT": "json://x"}, "did not accept it"),
     ],
 )
 def test_another_service_that_does_not_take_it_is_a_failed_delivery(monkeypatch, module, environ, why):
@@ -133,7 +133,7 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     )
     said = starbench("run", "three_pose", "-s", station, "--seed", 7, "-o", folder, home=home)
     assert said.returncode == 0, said.stderr
-    assert "1 messages did not go out yet" in said.stderr
+    assert "Messages not delivered yet: 1" in said.stderr
     assert results(folder)["run"]["simulated"]
     with serving(WebServer(port)) as server:
         for _ in range(2):
