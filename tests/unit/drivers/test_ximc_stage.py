@@ -200,7 +200,7 @@ def test_a_value_the_controller_corrects_is_refused(peers, clock) -> None:
     peers[0].serve = lambda command, data, given: (
         b"errv" if command == "smov" else serve(command, data, given)
     )
-    with pytest.raises(DeviceRefused, match="out of its range"):
+    with pytest.raises(DeviceRefused, match="out of range"):
         XimcStage(peers, axes(), clock=clock)
 
 
