@@ -13,6 +13,7 @@ from typing import cast
 import click
 
 from bench.base.clock import BenchClock
+from bench.base.kernel_cache import remove_stale_kernels
 from bench.stations.devices import Devices
 from bench.stations.station import load_station
 from bench.views.measure import measure
@@ -37,6 +38,7 @@ def warm_up() -> int:
     drivers.errors.DriverError, SimulationError
         When the simulated bench does not work on this computer.
     """
+    remove_stale_kernels()
     station = load_station("simulated").value
     devices = Devices(station, seed=0, clock=BenchClock(), wire_log=None)
     try:

@@ -9,10 +9,13 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import MutableMapping
+from contextlib import suppress
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
-_BESIDE = Path(__file__).parents[2] / "calib"
+_ROOT = Path(__file__).parents[2]
+_BESIDE = _ROOT / "calib"
+_PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")
 
 
 def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESIDE) -> None:
@@ -42,6 +45,33 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESID
     private = not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
     usable = private and folder.is_dir() and not folder.is_symlink()
     environ[VARIABLE] = str(folder) if usable else tempfile.mkdtemp(prefix="starbench-kernels-")
+
+
+def remove_stale_kernels(root: Path = _ROOT) -> int:
+    """Remove compiled kernels that are older than their source, so that an update never loads them.
+
+    numba compares the age itself, but only after it has unpickled the index of the kernels; this fails where a class
+    that the index names has got another name since.
+
+    Parameters
+    ----------
+    root
+        Folder of the packages.
+
+    Returns
+    -------
+    int
+        Number of kernels removed; files that cannot be removed are left.
+    """
+    removed = 0
+    for package in _PACKAGES_WITH_KERNELS:
+        for index in (root / package).glob("**/__pycache__/*.nbi"):
+            source = index.parent.parent / f"{index.name.partition('.')[0]}.py"
+            with suppress(OSError):
+                if not source.exists() or index.stat().st_mtime < source.stat().st_mtime:
+                    index.unlink()
+                    removed += 1
+    return removed
 
 
 def _user_cache(environ: MutableMapping[str, str]) -> Path:

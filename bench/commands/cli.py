@@ -1,7 +1,7 @@
-"""The command line: `starbench`. Knows words and exits; the work stands in the modules it calls.
+"""The command line, `starbench`: arguments, options and exit statuses. Other modules do the work.
 
-With ``--json`` a command prints one object on standard output and everything else on standard error. Exit status:
-0 done, 1 failed, 2 a wrong word or file, 3 stopped on request (`bench.commands.output`).
+With ``--json`` a command prints one object to standard output and everything else to standard error. Exit status: 0
+done, 1 failed, 2 invalid argument or file, 3 stopped on request (`bench.commands.output`), 130 ended by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ _SET = click.option(
     "settings",
     multiple=True,
     metavar="PATH=VALUE",
-    help="Set something otherwise than the files say: station.camera.biases.bias_diff_on=20. As often as needed.",
+    help="Override a setting of the files, e.g. station.camera.biases.bias_diff_on=20. Can be given several times.",
 )
 
 
 @click.group(cls=Sections, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="starbench")
-@click.option("--debug", is_flag=True, help="On an error, show where in the program it arose.")
+@click.option("--debug", is_flag=True, help="On an error, print the traceback too.")
 def cli(debug: bool) -> None:
-    """Calibrate event cameras on a collimator bench, unattended, and prove what was done.
+    """Calibrate event cameras on a collimator bench without an operator, and write a report that anyone can verify.
 
-    Begin with: starbench run three_pose --station simulated
+    To begin: starbench run three_pose --station simulated
 
-    Each command has its own help, with an example: starbench run --help
+    Each command has its own help with an example: starbench run --help
     """
 
 
 @cli.command()
 @click.argument("sequence")
 @click.option(
-    "--station", "-s", required=True, help="Station file, or the name of a shipped one (simulated)."
+    "--station", "-s", required=True, help="Station file, or the name of a station that is included (simulated)."
 )
 @click.option(
     "--output",
     "-o",
     type=OutputFolder(),
-    help="New folder for the run; by default one in runs/, by date and name.",
+    help="New folder for the run.  [default: a folder in runs/, named by date and sequence]",
 )
-@click.option("--seed", type=SEED, metavar="N", help="Seed of a simulated bench.")
-@click.option("--operator", metavar="NAME", help="Who runs it; printed in the report.")
+@click.option("--seed", type=SEED, metavar="N", help="Random seed of the simulated bench.")
+@click.option("--operator", metavar="NAME", help="Name of the operator; printed in the report.")
 @_SET
 @JSON
 def run(
@@ -67,11 +67,12 @@ def run(
     settings: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    """Run a SEQUENCE on a station, up to the sealed report.
+    """Run a SEQUENCE on a station and write a sealed report.
 
-    SEQUENCE is a file, or the name of a shipped one (three_pose, nine_pose, turntable).
+    SEQUENCE is a file, or the name of a sequence that is included (three_pose, nine_pose, turntable).
 
-    Ctrl-C stops it safely: stage stopped, light off, files closed. The third one ends the process at once.
+    The first Ctrl-C stops the run safely: stage stopped, light off, files closed. The third one ends the process at
+    once.
     """
     from bench.base.clock import BenchClock
     from bench.commands.calibration_output import show_run
@@ -93,10 +94,10 @@ def run(
 
 @cli.command()
 @RUN
-@click.option("--dry-run", is_flag=True, help="Only say what would be done.")
+@click.option("--dry-run", is_flag=True, help="Only print what would be done.")
 @JSON
 def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
-    """Go on with a RUN that was stopped, failed, killed or cut off; first say what will be done."""
+    """Continue a RUN that was stopped, failed, was killed or lost power. It first prints what it will do."""
     from bench.base.clock import BenchClock
     from bench.commands.calibration_output import show_run
     from bench.commands.evidence_output import ask_passphrase
@@ -111,9 +112,11 @@ def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
 
 @cli.command()
 @click.argument("sequence")
-@click.option("--station", "-s", help="Station file, or the name of a shipped one; not with a queue.")
 @click.option(
-    "--suggest", type=click.IntRange(0, 50), metavar="N", default=0, help="Suggest so many further poses."
+    "--station", "-s", help="Station file, or the name of a station that is included; not with a queue."
+)
+@click.option(
+    "--suggest", type=click.IntRange(0, 50), metavar="N", default=0, help="Suggest N additional poses."
 )
 @BEGIN
 @_SET
@@ -126,10 +129,10 @@ def plan(
     settings: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    """Check a SEQUENCE against a station, or a queue file, without touching anything.
+    """Check a SEQUENCE against a station, or check a queue file, without using any device.
 
-    Shows every fault of both files, the poses, the time and disk a run will take, and what its poses will be worth.
-    Of a queue: when each run will begin and end, and what there will be no time for.
+    For a sequence: shows all faults of both files, the poses, the time and disk space of a run, and the uncertainty
+    to expect. For a queue: shows when each run will begin and end, and which runs there is no time for.
     """
     from bench.batch.batch_plan import is_queue
     from bench.commands.plan_output import show_plan
@@ -148,14 +151,14 @@ def plan(
 
 @cli.command()
 @click.argument("run_folder", metavar="RUN", type=RunFolder(journal=False))
-@click.option("--allowed-signers", type=ExistingFile(), help="Trusted keys; by default this bench's own.")
-@click.option("--serial", help="Serial number the calibrated camera must have.")
-@click.option("--again", is_flag=True, help="Also calibrate again from the recordings, and compare.")
+@click.option("--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]")
+@click.option("--serial", help="Serial number that the calibrated camera must have.")
+@click.option("--again", is_flag=True, help="Also calibrate again from the recordings and compare the results.")
 @JSON
 def verify(
     run_folder: Path, allowed_signers: Path | None, serial: str | None, again: bool, as_json: bool
 ) -> int:
-    """Check the seal of a RUN: signature, every file, the journal, the printed numbers."""
+    """Check the seal of a RUN: its signature, every file, the journal and the printed numbers."""
     from bench.base.home import home_folder
     from bench.commands.evidence_output import show_verification
     from bench.evidence.keys import SIGNERS_FILE, read_signers
@@ -175,11 +178,11 @@ def verify(
 @click.option(
     "--station", "-s", default="simulated", show_default=True, help="Station whose devices to simulate."
 )
-@click.option("--seed", type=SEED, metavar="N", default=1, show_default=True, help="Of its chance.")
+@click.option("--seed", type=SEED, metavar="N", default=1, show_default=True, help="Random seed of the simulated bench.")
 def simulate(station: str, seed: int) -> int:
-    """Keep a simulated bench running in a process of its own, and print its ports.
+    """Keep a simulated bench running in its own process, and print its ports.
 
-    A line on standard input orders a fault, as docs/simulated-bench.md lists them: pan stall share=0.3
+    Write a line to standard input to simulate a fault, e.g. pan stall share=0.3 (docs/simulated-bench.md lists all).
     """
     from bench.commands.bench_output import serve_simulated_bench
 
@@ -189,7 +192,7 @@ def simulate(station: str, seed: int) -> int:
 @cli.command()
 @JSON
 def devices(as_json: bool) -> int:
-    """List what is connected, what a station file calls it, and what is missing. Sends nothing to any device."""
+    """List connected devices, their names for a station file, and missing software. Sends nothing to any device."""
     from bench.commands.bench_output import show_devices
     from bench.stations.discovery import discover
 
@@ -198,7 +201,7 @@ def devices(as_json: bool) -> int:
 
 @cli.group()
 def station() -> None:
-    """Write station files."""
+    """Create station files."""
 
 
 @station.command("new")
@@ -209,15 +212,15 @@ def station() -> None:
     type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x"]),
     default="zaber_ascii",
     show_default=True,
-    help="Family of the stage.",
+    help="Kind of stage.",
 )
 @click.option(
     "--camera",
     type=click.Choice(["metavision", "neuromorphic_evk4", "opencv", "recorded", "pictures"]),
-    help="Family of the camera.  [default: what is connected]",
+    help="Kind of camera.  [default: the connected one]",
 )
 def station_new(path: Path, name: str, stage: str, camera: str | None) -> int:
-    """Write a new station file to PATH, with what is connected filled in."""
+    """Create a station file at PATH, filled in with the connected devices."""
     from bench.commands.bench_output import write_station
     from bench.stations.discovery import discover
 
@@ -227,24 +230,24 @@ def station_new(path: Path, name: str, stage: str, camera: str | None) -> int:
 @cli.group(invoke_without_command=True)
 @click.pass_context
 def keys(context: click.Context) -> None:
-    """Show (without a further word), make and trust signing keys."""
+    """Show, create and trust signing keys. Without a command: show."""
     if context.invoked_subcommand is None:
         context.invoke(keys_show)
 
 
 @keys.command("show")
 def keys_show() -> int:
-    """Show this bench's key, the line to give to others, and the keys it trusts."""
+    """Show this bench's key, the line by which others can trust it, and the keys that this bench trusts."""
     from bench.commands.evidence_output import show_keys
 
     return show_keys()
 
 
 @keys.command("create")
-@click.option("--principal", help="Who signs, as name@place; by default bench@ and the machine's name.")
-@click.option("--passphrase", is_flag=True, help="Protect the key; asked for whenever it signs.")
+@click.option("--principal", help="Name of the signer, as name@place.  [default: bench@ and the host name]")
+@click.option("--passphrase", is_flag=True, help="Protect the key by a passphrase, which is asked for at each signature.")
 def keys_create(principal: str | None, passphrase: bool) -> int:
-    """Make this bench's key."""
+    """Create this bench's key."""
     from bench.commands.evidence_output import make_key
 
     return make_key(principal, protect=passphrase)
@@ -253,7 +256,7 @@ def keys_create(principal: str | None, passphrase: bool) -> int:
 @keys.command("trust")
 @click.argument("line")
 def keys_trust(line: str) -> int:
-    """Trust another bench's key: LINE as its `keys show` prints it."""
+    """Trust the key of another bench. LINE is what `starbench keys show` prints there."""
     from bench.commands.evidence_output import trust_key
 
     return trust_key(line)
@@ -262,7 +265,7 @@ def keys_trust(line: str) -> int:
 @cli.command()
 @click.argument("document", type=click.Choice(["sequence", "station", "queue", "job"]))
 def schema(document: str) -> int:
-    """Print the JSON Schema of sequence, station or queue files, for editors."""
+    """Print the JSON Schema of sequence, station, queue or job files, for use by text editors."""
     from bench.commands.bench_output import print_schema
 
     return print_schema(document)
@@ -275,28 +278,36 @@ for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
 complete(cli)
 
 
-def _settings(words: tuple[str, ...]) -> dict[str, str]:
-    """Take PATH=VALUE words apart."""
-    for word in words:
-        if "=" not in word:
-            raise click.BadParameter(f"{word!r} is not PATH=VALUE.", param_hint="--set")
-    return {path.strip(): value for path, _, value in (word.partition("=") for word in words)}
+def _settings(texts: tuple[str, ...]) -> dict[str, str]:
+    """Split PATH=VALUE arguments."""
+    for text in texts:
+        if "=" not in text:
+            raise click.BadParameter(f"{text!r} does not have the form PATH=VALUE.", param_hint="--set")
+    return {path.strip(): value for path, _, value in (text.partition("=") for text in texts)}
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit; every foreseen error is one message, never a traceback."""
-    # Our matrices are small: more threads than one cost three times the time. Before numpy is imported.
+    """Run the command line and exit. Every expected error is printed as one message, without a traceback.
+
+    Parameters
+    ----------
+    arguments
+        Arguments after the program's name; those of the process where None.
+    """
+    # Our matrices are small: several threads take three times as long as one. Must be set before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from bench.base.kernel_cache import set_kernel_cache
+    from bench.base.kernel_cache import remove_stale_kernels, set_kernel_cache
     from bench.terminal.encoding import replace_unencodable
 
     set_kernel_cache(os.environ)
+    remove_stale_kernels()
     replace_unencodable(sys.stdout, sys.stderr)
-    words = sys.argv[1:] if arguments is None else arguments
-    sys.exit(_guarded(lambda: cli.main(args=words, prog_name="starbench", standalone_mode=False), words))
+    args = sys.argv[1:] if arguments is None else arguments
+    sys.exit(_exit_status(lambda: cli.main(args=args, prog_name="starbench", standalone_mode=False), args))
 
 
-def _guarded(command: Callable[[], Any], words: list[str]) -> int:
+def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:
+    """Run a command; print its error, if it raises one, and return the exit status."""
     try:
         status = command()
     except click.exceptions.Abort:
@@ -305,22 +316,19 @@ def _guarded(command: Callable[[], Any], words: list[str]) -> int:
     except click.ClickException as error:
         from bench.commands.output import print_json
 
-        if "--json" in words:
+        if "--json" in arguments:
             print_json({"error": {"kind": "UsageError", "message": error.format_message(), "remedy": ""}})
         error.show()
         return error.exit_code
     except KeyboardInterrupt:
         click.echo("Stopped.", err=True)
         return 128 + 2
-    except (
-        BrokenPipeError
-    ):  # whoever read it has read enough (| head): nothing to tell, and nobody to tell it to
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # else the interpreter fails at its flush
+    except BrokenPipeError:  # the reader has closed the pipe (| head)
+        # Without this the interpreter fails when it flushes standard output.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except Exception as error:  # noqa: BLE001 - the last place where an error can be told in plain words
-        from bench.commands.output import tell_error
+    except Exception as error:  # noqa: BLE001 - the last place that can print any error in plain words
+        from bench.commands.output import print_error
 
-        return tell_error(error, as_json="--json" in words, debug="--debug" in words)
+        return print_error(error, as_json="--json" in arguments, debug="--debug" in arguments)
     return int(status or 0)

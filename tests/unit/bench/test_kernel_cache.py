@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.kernel_cache import VARIABLE, set_kernel_cache
+from bench.base.kernel_cache import VARIABLE, remove_stale_kernels, set_kernel_cache
 
 ROOT = Path(__file__).parents[3]
 
@@ -70,3 +70,17 @@ def test_the_command_line_asks_before_numba_is_imported():
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert said.stdout.splitlines()[0] == "False"
+
+
+def test_kernels_older_than_their_source_or_without_one_are_removed(tmp_path):
+    cache = tmp_path / "calib" / "events" / "__pycache__"
+    cache.mkdir(parents=True)
+    source = cache.parent / "flicker.py"
+    source.touch()
+    fresh, stale, orphan = (cache / f"{name}.py311.nbi" for name in ("flicker.new-3", "flicker.old-9", "gone.fold-1"))
+    for index, age_s in ((fresh, -10), (stale, 10), (orphan, -10)):
+        index.touch()
+        os.utime(index, (source.stat().st_mtime - age_s,) * 2)
+    assert remove_stale_kernels(tmp_path) == 2
+    assert list(cache.iterdir()) == [fresh]
+    assert remove_stale_kernels(tmp_path / "nowhere") == 0
