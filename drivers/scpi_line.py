@@ -1,7 +1,7 @@
 """Talk to an SCPI instrument: its identity and its error queue. Commands of particular instruments do not belong here.
 
-Sources: "Standard Commands for Programmable Instruments (SCPI), Volume 1: Syntax and Style", SCPI Consortium, 1999,
-for ``SYSTem:ERRor?`` and the error numbers; IEEE 488.2 for ``*IDN?``.
+Sources: SCPI Consortium, "SCPI-1999", volume 2 (command reference), ``SYSTem:ERRor`` and its error numbers; IEEE 488.2
+for ``*IDN?``.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ _REMAINDERS = [_remainder(byte) for byte in range(256)]
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC of the data of a message: polynomial 0xA001 (reflected), start value 0xFFFF.
+    """Return the CRC of the data of a message, a CRC-16/MODBUS: polynomial 0xA001 (reflected), start value 0xFFFF.
 
     Parameters
     ----------

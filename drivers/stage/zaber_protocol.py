@@ -135,7 +135,7 @@ class Unsolicited:
 
 
 def checksum(body: bytes) -> int:
-    """Return the LRC of a message: two's complement of the sum of its bytes.
+    """Return the LRC (longitudinal redundancy check) of a message: two's complement of the sum of its bytes.
 
     Parameters
     ----------
