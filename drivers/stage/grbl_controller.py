@@ -110,7 +110,7 @@ class GrblController:
         return repeat(lambda: self.command(line))
 
     def command(self, line: str) -> list[bytes]:
-        """Send a line, once. Raises as ``query``.
+        """Send a line, once.
 
         Parameters
         ----------
@@ -121,6 +121,15 @@ class GrblController:
         -------
         list of bytes
             The lines of the reply before its ``ok``.
+
+        Raises
+        ------
+        DeviceRefused
+            The board answers with an error.
+        ReplyError
+            No valid reply came.
+        PortLost
+            The port is gone.
         """
         return self._link.exchange(
             f"{line}\n".encode("ascii"), lambda reader: self._read_reply(line, reader), deadline_s=_REPLY_S

@@ -121,7 +121,7 @@ class XimcController:
         return EdgeSettings.unpack(self._query("geds", EdgeSettings.LAYOUT))
 
     def set(self, command: str, data: bytes) -> None:
-        """Send a setting; repeat it when its echo does not come, which does no harm. Raises as ``command``.
+        """Send a setting; repeat it when its echo does not come, which does no harm.
 
         Parameters
         ----------
@@ -129,6 +129,15 @@ class XimcController:
             The four letters of the command.
         data
             Data of the command, without CRC.
+
+        Raises
+        ------
+        DeviceRefused
+            The controller refuses the setting.
+        ReplyTimeout, ReplyGarbled
+            No valid echo came at the last attempt.
+        PortLost
+            The port is gone.
         """
         repeat(lambda: self.command(command, data))
 
@@ -161,12 +170,21 @@ class XimcController:
         self._link.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=urgent)
 
     def move(self, count: int) -> None:
-        """Start a move; the command is sent once. Raises as ``command``.
+        """Start a move; the command is sent once.
 
         Parameters
         ----------
         count
             Target, in microsteps.
+
+        Raises
+        ------
+        DeviceRefused
+            The controller refuses the move.
+        ReplyTimeout, ReplyGarbled
+            No valid echo came: the axis may be moving.
+        PortLost
+            The port is gone.
         """
         self.command("move", ximc_protocol.move_data(*self.to_steps(count)))
 

@@ -130,7 +130,7 @@ class ZaberChain:
         return repeat(lambda: self.command(device, axis, words))
 
     def query_integer(self, device: int, axis: int, words: str) -> int:
-        """Send a query whose answer is one integer. Raises as ``query``.
+        """Send a query whose answer is one integer.
 
         Parameters
         ----------
@@ -141,6 +141,15 @@ class ZaberChain:
         -------
         int
             The integer.
+
+        Raises
+        ------
+        DeviceRefused
+            The device rejects the command.
+        ReplyTimeout, ReplyGarbled
+            No valid reply came at the last attempt, or the answer is no integer.
+        PortLost
+            The port is gone.
         """
         data = self.query(device, axis, words).data
         return self.parse_integer(data)
@@ -171,7 +180,7 @@ class ZaberChain:
         return int(data)
 
     def query_flags(self, device: int, axis: int) -> tuple[str, ...]:
-        """Ask for all warning flags of an axis. Raises as ``query``.
+        """Ask for all warning flags of an axis.
 
         Parameters
         ----------
@@ -182,6 +191,15 @@ class ZaberChain:
         -------
         tuple of str
             All active flags.
+
+        Raises
+        ------
+        DeviceRefused
+            The device rejects the command.
+        ReplyTimeout, ReplyGarbled
+            No valid reply came at the last attempt, or the answer is no list of flags.
+        PortLost
+            The port is gone.
         """
         data = self.query(device, axis, "warnings").data
         try:
