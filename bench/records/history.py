@@ -17,6 +17,7 @@ from bench.records.events import (
     Commanded,
     DevicesFound,
     Event,
+    FailureData,
     GateData,
     LedgerPlace,
     MeasuredFacts,
@@ -81,6 +82,8 @@ class History:
     """Recordings the camera could not complete, by pose index."""
     states: list[StateEntered] = field(default_factory=list)
     deviations: list[str] = field(default_factory=list)
+    failures: list[FailureData] = field(default_factory=list)
+    """The errors that ended the run before it was resumed, and the one that ended it last."""
     resumed: int = 0
     ended: str = ""
     why: str = ""
@@ -211,6 +214,8 @@ def take(history: History, entry: Entry) -> None:
             _obey(history, cast("Commanded", data))
         case Event.RUN_ENDED:
             history.ended, history.why = str(data["how"]), str(data["why"])
+            if "error" in data:
+                history.failures.append(cast("FailureData", data["error"]))
             _let_go(history)
             count_crash(history, data.get("crashed"))
         case _:

@@ -312,7 +312,29 @@ def alerts(results: Json) -> list[str]:
         for row in gates(results.get("gates") or [])
         if row.verdict != "pass"
     ]
-    return details + [str(deviation) for deviation in results.get("deviations") or []]
+    return details + deviations(results)
+
+
+def deviations(results: Json) -> list[str]:
+    """List the errors that ended the run before it was resumed, and every departure from the sequence.
+
+    Parameters
+    ----------
+    results
+        Content of results.json.
+
+    Returns
+    -------
+    list of str
+        A sentence or two for each.
+    """
+    failures = [_failure_text(error) for error in results.get("failures") or []]
+    return failures + [str(deviation) for deviation in results.get("deviations") or []]
+
+
+def _failure_text(error: Json) -> str:
+    place = f" ({error['where']})" if error["where"] else ""
+    return f"The run failed and was resumed. {error['kind']}{place}: {error['what']}"
 
 
 def _place_in_ledger(ledger: Json) -> str:

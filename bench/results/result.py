@@ -192,6 +192,7 @@ class ResultWriter:
             "poses": _poses(history, solution, self._job.camera_kind),
             "gates": [*(gate.as_data() for gate in solution.judged), *_gates(history)],
             "deviations": list(history.deviations),
+            **({"failures": list(history.failures)} if history.failures else {}),
             "states": list(history.states),
             "truth": dict(truth) if truth is not None else None,
             "comparison": compare_with_truth(calibration, truth) if truth is not None else [],

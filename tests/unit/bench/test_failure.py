@@ -10,6 +10,8 @@ from bench.base.errors import BenchError, JournalBroken
 from bench.base.failure import FORESEEN, Failure
 from bench.commands.calibration_output import show_run
 from bench.records.events import Event
+from bench.records.history import replay
+from bench.records.journal import read_journal
 from calib.errors import CalibrationError
 from drivers.errors import DriverError, MoveFailed
 from sequences.errors import SequencesError
@@ -59,6 +61,20 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
     assert show_run(end, as_json=True) == 1
     said = json.loads(capsys.readouterr().out)["error"]
     assert said == {**SLIPPED, "message": "pan: The axis slipped. Tighten the clamp."}
+
+
+def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):
+    failures = [MoveFailed(SLIPPED["what"], where=SLIPPED["where"], remedy=SLIPPED["remedy"])]
+
+    def hook(name):
+        if name == "stage.move_to" and failures:
+            raise failures.pop()
+
+    scene = Scene(tmp_path)
+    scene.hook = hook
+    assert scene.run().how == "failed"
+    assert scene.run().how == "finished"
+    assert replay(read_journal(scene.folder / "journal.jsonl")[0]).failures == [SLIPPED]
 
 
 def test_a_run_that_was_aborted_has_no_failure(tmp_path):

@@ -56,6 +56,13 @@ def test_a_run_without_either_has_no_warning(data):
     assert "Read this before" not in html
 
 
+def test_an_error_that_ended_the_run_before_it_was_resumed_keeps_its_kind_and_place(data):
+    error = {"kind": "PortLost", "what": "The port is gone.", "where": "/dev/gimbal", "remedy": "Plug it in."}
+    html = told(data, gates=[], deviations=[], failures=[error])
+    text = "The run failed and was resumed. PortLost (/dev/gimbal): The port is gone."
+    assert html.count(text) == 2  # before the result, and among the deviations
+
+
 def test_many_deviations_are_counted_before_the_result_and_all_told_below(data):
     html = told(data, gates=[], deviations=[f"Deviation {n}." for n in range(20)])
     before, _, after = html.partition("<h2>Result</h2>")
