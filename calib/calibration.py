@@ -1,7 +1,4 @@
-"""What a calibration is asked for and what it answers: options and result, as data.
-
-Knows shapes and names; computes nothing but summaries.
-"""
+"""Options and result of a calibration, as data."""
 
 from __future__ import annotations
 
@@ -29,30 +26,31 @@ class CalibrationOptions:
     Parameters
     ----------
     model
-        ``spherical``: all views share one centre. ``pupil``, ``rim``, ``field``, ``coma``: the same behind a
-        collimator with more and more imperfections (`calib.model.aberrations.LADDER`). ``drift``: each view's
-        centre may lie off the shared one by `drift_mm`. ``planar``: each view has a centre of its own (Zhang's
-        model, for comparison). ``auto``: whichever predicts views it has not seen best.
+        ``spherical``: all views share one centre. ``pupil``, ``rim``, ``field``, ``coma``: the same with more and more
+        aberrations of the collimator (`calib.model.aberrations.LADDER`). ``drift``: the centre of each view may differ
+        from the shared one by about `drift_mm`. ``planar``: each view has its own centre (Zhang's model, for
+        comparison).
+        ``auto``: the data choose (`calib.selection`).
     distortion
         Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`.
     loss
-        ``l2``, ``huber`` or ``cauchy``, applied to the length of each residual vector.
+        ``l2``, ``huber`` or ``cauchy``; it acts on the length of each residual vector.
     huber_px
-        Length at which the robust loss leaves the parabola, px; None: 2.5 times the residuals' own robust
-        standard deviation per axis.
+        Length at which the robust loss leaves the parabola, px; None for 2.5 times the robust standard deviation per
+        axis of the residuals.
     max_iterations
-        Bound on the steps of the refinement.
+        Largest number of steps of each refinement.
     passport
-        The collimator, calibrated before: then one view is enough, and `model` is the passport's own.
+        Passport of the collimator; one view is then enough, and the passport fixes the model.
     guard_band
-        Stars farther from the middle of the visible disc than this share of its radius are left out.
+        Stars farther from the centre of the visible disc than this share of its radius are left out.
     drift_mm
-        1-sigma, per axis, of a view's centre about the shared one, for the model ``drift``.
+        Prior 1-sigma per axis of the centre of a view about the shared one, mm, for the model ``drift``.
 
     Raises
     ------
     InputMismatch
-        When an option has no meaning.
+        If an option is unknown or out of range.
     """
 
     model: ModelName = "spherical"
@@ -86,7 +84,7 @@ class CalibrationOptions:
 
 @dataclass(frozen=True)
 class ViewSummary:
-    """How well one view is reproduced.
+    """Residuals of one view.
 
     Attributes
     ----------
@@ -106,20 +104,20 @@ class ViewSummary:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model that was fitted while one was to be chosen.
+    """A model that was compared while the data chose one.
 
     Attributes
     ----------
     model
-        Its name.
+        Name of the model.
     parameters
-        Number of parameters, the views' own included.
+        Number of parameters, those of the views included.
     rms_px
-        Root mean square of the residuals, px.
+        Root mean square of the lengths of the residual vectors, px.
     left_out_rms_px
-        The same for views that had no part in the fit, only their rotation solved; None with two views.
+        The same for left-out views, of which only the rotation was adjusted; None with two views.
     bic
-        Bayesian information criterion; smaller is better.
+        Bayesian information criterion (Schwarz, 1978); smaller is better.
     """
 
     model: str
@@ -131,54 +129,54 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A calibrated camera and all that was estimated with it.
+    """A calibrated camera and everything that was estimated with it.
 
     Attributes
     ----------
     model
-        The model fitted.
+        Name of the fitted model.
     camera
         Intrinsics and distortion.
     collimator
         The shared centre; None for the planar model, which has none.
     rotations
-        (n, 3, 3) rotation of each view, camera <- target.
+        (n, 3, 3) float64 rotation of each view, camera <- target.
     centres
-        (n, 3) camera centre of each view in the target frame, mm.
+        (n, 3) float64 camera centre of each view in the target frame, mm.
     parameter_names, values
-        Names and values of the parameters that all views share.
+        Names and (G,) float64 values of the parameters that all views share.
     covariance
-        Joint covariance of those, in their order.
+        (G, G) float64 joint covariance of the values, in their order.
     residuals_px
-        For each view (N, 2): star found minus star projected, px.
+        For each view (N, 2) float64: image point found minus image point predicted, px.
     weights
-        For each view (N,): weight the robust loss gave to each star, 0 to 1; 0 in the guard band.
+        For each view (N,) float64: weight of each star in the robust loss, 0 to 1; 0 in the guard band.
     rms_px, mean_px
-        Root mean square and mean of the lengths of all residual vectors, px. They say how well the model
-        follows the data, not how accurate it is.
+        Root mean square and mean of the lengths of all residual vectors, px. They show how well the model follows the
+        data, not how accurate it is.
     variance_factor
-        Estimated variance of the weighted residuals: 1 when the stars' covariances tell the truth.
+        Estimated variance of the weighted residuals: 1 if the stars' covariances are right.
     degrees_of_freedom
-        Measurements less parameters.
-    disagreement
-        How many times their stars' noise the views differ by; 1 is agreement.
-    coverage_factor
-        k for which value +- k sigma covers 95.45 %: 2, or more where few views stand behind the sigmas.
-    left_out_rms_px
-        Root mean square residual of views that had no part in the fit, only their rotation solved, px; None
-        with fewer than 3 views.
+        Number of measurements minus number of parameters.
     views
         Summary of each view.
     converged, iterations
-        Whether the refinement reached its optimum, and in how many steps.
+        Whether the adjustment reached its optimum, and its number of steps.
+    birge_ratio
+        How many times more than star noise explains the views differ (Birge, 1932); 1 is agreement.
+    coverage_factor
+        The k for which value +- k sigma covers 95.45 %: 2, or more if few views determine the sigmas.
+    left_out_rms_px
+        Root mean square residual of left-out views, of which only the rotation was adjusted, px; None if it was not
+        measured.
     rotation_covariance
-        (3 n, 3 n) joint covariance of the rotations, rad^2, as turns on the camera's side.
+        (3 n, 3 n) float64 joint covariance of the rotation vectors on the camera's side, rad^2.
     budget
-        1-sigma of each parameter by source; the squares add up to that of `sigma`.
+        1-sigma of each parameter by source; the squares of all sources add up to the square of `sigma`.
     notes
-        What the reader should know, in words.
+        Notes for the reader, in words.
     candidates
-        The models compared, when one was to be chosen.
+        The models compared, if the data chose the model.
     """
 
     model: str
@@ -214,23 +212,33 @@ class Calibration:
 
     @property
     def camera_covariance(self) -> Array:
-        """(k, k) covariance of the camera's parameters, in the order of `CameraModel.parameter_names`."""
+        """(K, K) float64 covariance of the camera's parameters, in the order of `CameraModel.parameter_names`."""
         at = [self.parameter_names.index(name) for name in self.camera.parameter_names]
         return np.asarray(self.covariance[np.ix_(at, at)])
 
     @property
     def correlation(self) -> Array:
-        """Correlation matrix of the parameters."""
+        """(G, G) float64 correlation matrix of the parameters."""
         sigmas = np.sqrt(np.diag(self.covariance))
         return np.asarray(self.covariance / np.outer(sigmas, sigmas))
 
     def passport(self, conditions: Mapping[str, Any] | None = None) -> Passport:
-        """Return what this calibration knows of the collimator, for other cameras.
+        """Return the passport of the collimator, to calibrate other cameras.
+
+        Parameters
+        ----------
+        conditions
+            Further facts to store: serial number, temperature, date.
+
+        Returns
+        -------
+        Passport
+            The collimator's parameters with their covariance.
 
         Raises
         ------
         InputMismatch
-            For the planar model, which knows no collimator.
+            If the model is planar, which has no collimator.
         """
         if self.collimator is None:
             raise InputMismatch(
@@ -248,7 +256,13 @@ class Calibration:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, lists and names only, ready for JSON."""
+        """Return the result as plain numbers, lists and names, ready for JSON.
+
+        Returns
+        -------
+        dict of str to Any
+            All results except residuals and weights; ``disagreement`` is the Birge ratio.
+        """
         poses = zip(self.views, self.rotations.tolist(), self.centres.tolist(), strict=True)
         return {
             "model": self.model,

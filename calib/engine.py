@@ -1,8 +1,4 @@
-"""From views to a calibrated camera: the engine's front door.
-
-Knows what may be asked and checks what comes in; the work is done by `calib.fit` and, where the model is to be
-chosen by the data, by `calib.selection`.
-"""
+"""From views to a calibrated camera: `calibrate` checks its input, and fits or chooses a model."""
 
 from __future__ import annotations
 
@@ -11,9 +7,10 @@ from collections.abc import Sequence
 
 from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
 from calib.errors import DegenerateViews, InputMismatch
-from calib.fit import fit_model, summarize
+from calib.fit import fit_model
 from calib.model.aberrations import model_with_terms
 from calib.selection import choose
+from calib.summary import summarize
 from calib.view import View
 
 __all__ = ["Calibration", "CalibrationOptions", "Candidate", "ViewSummary", "calibrate"]
@@ -22,12 +19,14 @@ __all__ = ["Calibration", "CalibrationOptions", "Candidate", "ViewSummary", "cal
 def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) -> Calibration:
     """Calibrate a camera from views of the star target through a collimator.
 
+    The method is that of arXiv:2512.16092, extended by aberrations, passports and uncertainties.
+
     Parameters
     ----------
     views
-        Two or more poses; stars with ids, image points (px) and target positions (mm).
+        Two or more poses of one camera; with a passport, one or more.
     options
-        Model, distortion, loss; the defaults when None.
+        Model, distortion, loss, passport and guard band; None for the defaults.
 
     Returns
     -------
@@ -37,13 +36,15 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     Raises
     ------
     InputMismatch
-        When views contradict each other (image sizes, names) or show the target mirrored.
+        If views contradict each other (image sizes, names) or show the target mirrored.
     TooFewStars
-        When a view has fewer than 4 stars.
+        If a view has fewer than 4 stars.
     DegenerateViews
-        When the views do not constrain the camera; says why.
+        If the views do not constrain the camera; says why.
+    PassportContradicted
+        If the views contradict the passport.
     NotConverged
-        When the refinement did not reach an optimum.
+        If the adjustment did not reach an optimum.
     """
     options = options or CalibrationOptions()
     _check(views, 1 if options.passport else 2)
@@ -55,7 +56,7 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
 
 
 def _check(views: Sequence[View], fewest: int) -> None:
-    """Refuse views that cannot belong together, or are too few."""
+    """Refuse views that do not belong together, or are too few."""
     if len(views) < fewest:
         raise DegenerateViews(
             f"{len(views)} view{'s' if len(views) != 1 else ''} given; at least {fewest} needed.",

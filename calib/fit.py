@@ -1,6 +1,7 @@
-"""One model fitted to given views: closed forms, refinement, covariance, summary.
+"""Fit of one model to given views: starting values, adjustment, covariance.
 
-Knows the order of that work and what each model frees; which model to fit is `calib.selection`'s affair.
+This module fixes the order of these steps and the free parameters of each model. `calib.selection` chooses the model,
+and `calib.summary` turns a fit into a result.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.centre_drift import BIASING_DRIFT, centre_drift
 from calib.adjustment.degeneracy import (
     explain_weak_geometry,
     require_constrained,
@@ -24,7 +24,7 @@ from calib.adjustment.initialization import best_start, passport_starts, planar_
 from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.calibration import Calibration, CalibrationOptions, ViewSummary
+from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
 from calib.model.aberrations import LADDER, aberration_prior, displacements
 from calib.model.beam import Disc, inside_guard_band, visible_discs, without_guard_band
@@ -36,7 +36,6 @@ from calib.uncertainty.covariance import (
     Uncertainty,
     covariance_at_optimum,
     inflate,
-    rotation_covariance,
 )
 from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
 from calib.uncertainty.passport_propagation import propagate_passport
@@ -45,12 +44,10 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: The robust loss's limit in robust standard deviations per axis, and how often it is measured anew.
+#: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
 _LIMIT_SIGMAS = 2.5
 _LIMIT_ROUNDS = 3
-#: From this 1-sigma of a focal length on, as a share of it, views count as weak and are named so.
-_WEAK = 0.01
-#: Median length of a residual vector over its standard deviation per axis (Rayleigh): sqrt(2 ln 2).
+#: Median length of a residual vector over its standard deviation per axis (Rayleigh distribution): sqrt(2 ln 2).
 _RAYLEIGH_MEDIAN = 1.1774100225154747
 
 
@@ -61,19 +58,21 @@ class Fit:
     Attributes
     ----------
     model
-        Its name.
+        Name of the model.
     views
         The views, with all their stars.
     bundle, refined, loss
-        What was minimised, where it ended, and the loss it ended with.
-    whole, used
-        The same with the stars of the guard band too, and which of its stars were used.
+        Bundle that was adjusted, the end of the adjustment, and the loss with its final limit.
+    whole
+        The bundle with the stars of the guard band too.
+    used
+        (N,) bool, which stars of `whole` were used.
     uncertainty
         Covariance of the shared parameters.
     cross_validation
-        What leaving out views shows; None where it was not asked for, or the views are too few.
+        Results for views left out; None if it was not done, or if there are too few views.
     discs
-        The views' visible discs; none where the model needs none.
+        The visible discs of the views; none if the model has no aberrations.
     """
 
     model: str
@@ -89,7 +88,7 @@ class Fit:
 
     @property
     def parameters(self) -> AdjustmentParameters:
-        """The optimum."""
+        """The parameters at the optimum."""
         return self.refined.parameters
 
 
@@ -101,28 +100,37 @@ def fit_model(
     leave_out: bool = False,
     discs: Sequence[Disc] | None = None,
 ) -> Fit:
-    """Fit one model; errors as in `calib.engine.calibrate`.
+    """Fit one model to views.
 
     Parameters
     ----------
-    views, options
-        As there.
+    views
+        Views of one camera.
+    options
+        Distortion, loss, passport and guard band.
     model
-        A rung of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``; with a passport, its terms decide.
+        A model of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``. A passport fixes the aberrations instead.
     leave_out
-        Whether to leave out each view in turn even when the views agree.
+        Whether to leave out each view in turn even if the views are consistent.
     discs
-        The views' visible discs, when they are known already.
+        The visible discs of the views, if they are known already.
+
+    Returns
+    -------
+    Fit
+        The fitted model.
+
+    Raises
+    ------
+    TooFewStars, DegenerateViews, NotConverged, InputMismatch, PassportContradicted
+        As `calib.engine.calibrate`.
     """
     terms = options.passport.terms if options.passport else LADDER.get(model, ())
-    kept = views
-    if terms or options.guard_band < 1:
-        discs = discs or visible_discs(views)
-        require_visible_rims(views, discs)
-        kept = [without_guard_band(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
+    discs = _discs_with_rims(views, discs) if terms or options.guard_band < 1 else ()
+    kept = _without_guard_bands(views, discs, options.guard_band)
     bundle, start = initialize(kept, options, model)
-    if terms and discs:
-        bundle, start = _with_terms(kept, discs, bundle, start, options, terms)
+    if terms:
+        bundle, start = _with_aberrations(kept, discs, bundle, start, options, terms)
     if model == "drift":
         bundle = replace(bundle, free_centres=True, drift_mm=options.drift_mm)
     bundle, refined, loss = refine_robustly(bundle, start, options)
@@ -130,21 +138,69 @@ def fit_model(
         check_passport(bundle, refined.parameters, loss, options.passport)
     estimate, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole, used = bundle, np.ones(len(bundle.observations.view), np.bool_)
-    if options.guard_band < 1 and discs:
-        used = np.concatenate(
-            [inside_guard_band(v, disc, options.guard_band) for v, disc in zip(views, discs, strict=True)]
-        )
-        shifts = _shifts(views, discs, refined.parameters.collimator, terms) if terms else None
-        whole = replace(bundle, observations=Observations.from_views(views), displacements=shifts)
-    return Fit(
-        model, views, bundle, refined, loss, whole, used, estimate, left_out, discs if terms and discs else ()
+    if options.guard_band < 1:
+        whole = _with_guard_bands(views, discs, bundle, refined.parameters.collimator, terms)
+        used = _used_stars(views, discs, options.guard_band)
+    return Fit(model, views, bundle, refined, loss, whole, used, estimate, left_out, discs if terms else ())
+
+
+def _discs_with_rims(views: Sequence[View], discs: Sequence[Disc] | None) -> Sequence[Disc]:
+    """Return the visible discs; refuse views if most of them do not show the rim."""
+    discs = discs or visible_discs(views)
+    require_visible_rims(views, discs)
+    return discs
+
+
+def _without_guard_bands(views: Sequence[View], discs: Sequence[Disc], share: float) -> Sequence[View]:
+    """Return the views without the stars of their guard bands."""
+    if not discs:
+        return views
+    return [without_guard_band(view, disc, share) for view, disc in zip(views, discs, strict=True)]
+
+
+def _with_guard_bands(
+    views: Sequence[View],
+    discs: Sequence[Disc],
+    bundle: Bundle,
+    collimator: Collimator,
+    terms: tuple[str, ...],
+) -> Bundle:
+    """Return the bundle with the stars of the guard bands too."""
+    shifts = _displacements(views, discs, collimator, terms) if terms else None
+    return replace(bundle, observations=Observations.from_views(views), displacements=shifts)
+
+
+def _used_stars(views: Sequence[View], discs: Sequence[Disc], share: float) -> NDArray[np.bool_]:
+    """Return which stars are not in a guard band, (N,) bool."""
+    return np.concatenate(
+        [inside_guard_band(view, disc, share) for view, disc in zip(views, discs, strict=True)]
     )
 
 
 def initialize(
     views: Sequence[View], options: CalibrationOptions, model: str
 ) -> tuple[Bundle, AdjustmentParameters]:
-    """Return what the ideal model estimates, and where to begin."""
+    """Return the bundle of the ideal model, without aberrations, and its starting values.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    options
+        Distortion coefficients and passport.
+    model
+        ``planar`` frees the centre of each view; all other models share one centre.
+
+    Returns
+    -------
+    tuple of Bundle and AdjustmentParameters
+        Stars with free parameters, and the best starting values.
+
+    Raises
+    ------
+    DegenerateViews
+        If no start leads to a real camera.
+    """
     h = np.array([view_homography(view) for view in views])
     size, distortion = views[0].image_size, tuple(options.distortion)
     held = options.passport.names if options.passport else ()
@@ -152,15 +208,15 @@ def initialize(
     observations = Observations.from_views(views)
     bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
     if options.passport:
-        states = list(passport_starts(h, size, distortion, options.passport))
+        starts = list(passport_starts(h, size, distortion, options.passport))
     elif model == "planar":
-        states = list(planar_starts(h, size, distortion))
+        starts = list(planar_starts(h, size, distortion))
     else:
-        states = list(spherical_starts(h, size, distortion))
-    return bundle, best_start(bundle, states)
+        starts = list(spherical_starts(h, size, distortion))
+    return bundle, best_start(bundle, starts)
 
 
-def _with_terms(
+def _with_aberrations(
     views: Sequence[View],
     discs: Sequence[Disc],
     bundle: Bundle,
@@ -168,7 +224,7 @@ def _with_terms(
     options: CalibrationOptions,
     terms: tuple[str, ...],
 ) -> tuple[Bundle, AdjustmentParameters]:
-    """Add a collimator's imperfections, expressed about the ideal model's optimum; or those of the passport."""
+    """Add the aberrations of a collimator, about the optimum of the ideal model; or those of the passport."""
     if options.passport:
         collimator = options.passport.collimator(start.collimator)
     else:
@@ -178,14 +234,14 @@ def _with_terms(
         )
         names = (*bundle.names, *terms)
         bundle = replace(bundle, names=names, prior=aberration_prior(terms))
-    bundle = replace(bundle, displacements=_shifts(views, discs, collimator, terms))
+    bundle = replace(bundle, displacements=_displacements(views, discs, collimator, terms))
     return bundle, replace(start, collimator=collimator)
 
 
-def _shifts(
+def _displacements(
     views: Sequence[View], discs: Sequence[Disc], collimator: Collimator, terms: tuple[str, ...]
 ) -> Array:
-    """Return (N, 2, T) what a unit of each imperfection does to each star, view below view."""
+    """Return (N, 2, T) displacements by a unit of each aberration, mm, view after view."""
     assert collimator.reference is not None
     reference = collimator.reference
     return np.concatenate(
@@ -199,10 +255,24 @@ def _shifts(
 def refine_robustly(
     bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
 ) -> tuple[Bundle, Refinement, Loss]:
-    """Refine with the loss asked for; its limit, and the noise priors are weighed by, come from the residuals.
+    """Adjust with the chosen loss; its limit and the weight of the priors come from the residuals.
 
-    The spread is the robust standard deviation per axis at the least squares optimum, and then at each robust
-    one, so that the result depends on the data alone and not on the start.
+    The spread of the residuals is their robust standard deviation per axis at the least squares optimum, and then at
+    each robust optimum. The result therefore depends on the data only, not on the start.
+
+    Parameters
+    ----------
+    bundle
+        Stars, free parameters and priors.
+    start
+        Starting values.
+    options
+        Loss, its limit if given, and the largest number of steps.
+
+    Returns
+    -------
+    tuple of Bundle, Refinement and Loss
+        The bundle with its final noise variance, the optimum, and the loss with its final limit.
     """
     given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
     loss = Loss("l2") if given is None else Loss(options.loss, given)
@@ -230,7 +300,7 @@ def _uncertainty(
     *,
     leave_out: bool,
 ) -> tuple[Uncertainty, CrossValidation | None]:
-    """Refuse what is no calibration; else say how sure it is."""
+    """Refuse views that do not constrain the camera; else return the uncertainty and the cross-validation."""
     parameters = refined.parameters
     if options.passport is None:
         require_distinct_poses(parameters)
@@ -249,106 +319,10 @@ def _uncertainty(
     if len(views) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
         left_out = leave_one_out(bundle, parameters, loss)
     if options.passport is None:
-        found = partial(variance_components, bundle, parameters, loss)
-        return inflate(estimate, bundle, parameters, loss, found), left_out
+        components = partial(variance_components, bundle, parameters, loss)
+        return inflate(estimate, bundle, parameters, loss, components), left_out
     estimate = propagate_passport(bundle, parameters, estimate, options.passport)
     require_constrained(
         parameters, estimate.names, estimate.covariance, "The passport does not constrain it either."
     )
     return estimate, left_out
-
-
-def summarize(fitted: Fit) -> Calibration:
-    """Put a fit into its final shape."""
-    parameters, whole, used = fitted.parameters, fitted.whole, fitted.used
-    residuals = whole.residuals_px(parameters)
-    weights = used * fitted.loss.weights(np.linalg.norm(whole.weighted_residuals(parameters), axis=1))
-    lengths = np.linalg.norm(residuals, axis=1)
-    rows = whole.observations.slices
-    counted = [lengths[r][used[r]] for r in rows]
-    return Calibration(
-        model=fitted.model,
-        camera=parameters.camera,
-        collimator=None if fitted.model == "planar" else parameters.collimator,
-        rotations=parameters.rotations,
-        centres=parameters.centres,
-        parameter_names=fitted.uncertainty.names,
-        values=parameters.values(fitted.uncertainty.names),
-        covariance=fitted.uncertainty.covariance,
-        residuals_px=[residuals[r] for r in rows],
-        weights=[weights[r] for r in rows],
-        rms_px=_rms(lengths[used]),
-        mean_px=float(lengths[used].mean()),
-        variance_factor=fitted.uncertainty.variance_factor,
-        degrees_of_freedom=fitted.uncertainty.degrees_of_freedom,
-        birge_ratio=fitted.uncertainty.birge_ratio,
-        coverage_factor=fitted.uncertainty.coverage_factor,
-        left_out_rms_px=fitted.cross_validation.total_rms_px if fitted.cross_validation else None,
-        views=tuple(
-            ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
-            for view, own in zip(fitted.views, counted, strict=True)
-        ),
-        converged=fitted.refined.converged,
-        iterations=fitted.refined.iterations,
-        rotation_covariance=rotation_covariance(fitted.bundle, parameters, fitted.uncertainty),
-        budget={
-            source: dict(
-                zip(fitted.uncertainty.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True)
-            )
-            for source, variances in fitted.uncertainty.budget.items()
-        },
-        notes=_notes(fitted),
-    )
-
-
-def _notes(fitted: Fit) -> tuple[str, ...]:
-    """Say what the reader should know."""
-    notes = [*_weakness(fitted), *_rims_out_of_sight(fitted)]
-    if not fitted.uncertainty.inconsistent:
-        return tuple(notes)
-    notes.append(
-        f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains; uncertainties are "
-        f"enlarged accordingly. The {fitted.model} model is probably incomplete."
-    )
-    if fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:
-        drift = centre_drift(fitted.bundle, fitted.parameters, fitted.loss)
-        if np.linalg.norm(drift) > BIASING_DRIFT:
-            shares = " / ".join(f"{100 * share:.2f}" for share in drift)
-            notes.append(
-                f"The centre moves by {shares} % of r (rms along x / y / z) from view to view, so the spherical "
-                "model is biased. Use the model auto, or a passport that contains the collimator's aberrations."
-            )
-    return tuple(notes)
-
-
-def _weakness(fitted: Fit) -> list[str]:
-    """Name views that leave a focal length hardly known, and why they do."""
-    sigmas = np.sqrt(np.diag(fitted.uncertainty.covariance))
-    known = dict(
-        zip(
-            fitted.uncertainty.names, sigmas / fitted.parameters.values(fitted.uncertainty.names), strict=True
-        )
-    )
-    name = max(("fx", "fy"), key=lambda focal: known[focal])
-    if known[name] < _WEAK:
-        return []
-    why = explain_weak_geometry(fitted.views, fitted.parameters)
-    text = f"Weak geometry: {name} is known only to {100 * known[name]:.1f} % (1 sigma). {why}".strip()
-    return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
-
-
-def _rims_out_of_sight(fitted: Fit) -> list[str]:
-    """Name views whose place in the pupil was told by other views."""
-    names = [
-        view.name for view, disc in zip(fitted.views, fitted.discs, strict=False) if disc.uses_other_views
-    ]
-    if not names:
-        return []
-    return [
-        f"The rim of the beam is out of view in {', '.join(names)}; the discs of the other views helped to locate it."
-    ]
-
-
-def _rms(lengths: Array) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(lengths**2)))

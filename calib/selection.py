@@ -1,11 +1,12 @@
-"""Which model the data support: each candidate predicts views it has not seen.
+"""Choice of the model: each candidate predicts views that it has not seen.
 
-Knows fits and what leaving views out shows of them. The reprojection error cannot choose: a richer model always has
-the smaller one. A camera is asked for directions, so the test is: with camera and centre held, how well does a
-rotation alone explain a view that had no part in the calibration? The simplest model wins that does about as well as
-the best. Few views cannot spare one: left-out errors of two or three views extrapolate, and choosing by them scatters
-more than any model does. There, the Bayesian information criterion chooses a rung of the ladder: on 100 sets of three
-of the published views the focal length it leads to scatters by 15 px, less than any one rung's.
+The reprojection error cannot choose, because a richer model always has a smaller one. A camera is used for directions,
+so the criterion is: with camera and centre held, how well does a rotation alone explain a view that had no part in the
+calibration? The simplest model within a few per cent of the best is chosen.
+
+Few views cannot spare one, because predictions from two or three views extrapolate. With fewer than six views the
+Bayesian information criterion (Schwarz, 1978) therefore chooses a model of the ladder. On 100 sets of three of the
+published views, the focal lengths of the chosen models scatter by 15 px, less than those of any single model.
 """
 
 from __future__ import annotations
@@ -17,28 +18,42 @@ import numpy as np
 
 from calib.calibration import Calibration, CalibrationOptions, Candidate
 from calib.errors import CalibrationError
-from calib.fit import Fit, fit_model, summarize
+from calib.fit import Fit, fit_model
 from calib.model.aberrations import LADDER
 from calib.model.beam import visible_discs
+from calib.summary import summarize
 from calib.view import View
 
-#: From the simplest; what all share comes first.
+#: All models, from the simplest.
 MODELS = (*LADDER, "drift", "planar")
-#: A richer model must predict views better by this share to be worth its parameters.
-_WORTH = 0.03
-#: From this number of views on, leaving one out leaves enough to judge by.
+#: A richer model is chosen only if it predicts views better by this share.
+_MIN_IMPROVEMENT = 0.03
+#: From this number of views on, left-out views decide.
 _ENOUGH_VIEWS = 6
 
 
 def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
-    """Fit every model and return the simplest that predicts views left out about as well as the best.
+    """Fit every model and return the best.
 
-    With fewer than 6 views: the rung of the ladder with the smallest information criterion.
+    With six or more views, that is the simplest model that predicts left-out views about as well as the best. With
+    fewer views, it is the model of the ladder with the smallest Bayesian information criterion.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    options
+        Distortion, loss and guard band.
+
+    Returns
+    -------
+    Calibration
+        Result of the chosen model, with all candidates and the reason in its notes.
 
     Raises
     ------
     CalibrationError
-        When no model can be fitted: the first one's reason.
+        If no model can be fitted: the error of the first one.
     """
     discs = visible_discs(views)
     fits: list[Fit] = []
@@ -58,7 +73,20 @@ def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
 
 
 def as_candidate(fitted: Fit) -> Candidate:
-    """Summarise a fit; BIC with each residual component as one Gaussian measurement."""
+    """Summarise a fit for the comparison.
+
+    The Bayesian information criterion (Schwarz, 1978) counts each residual component as one Gaussian measurement.
+
+    Parameters
+    ----------
+    fitted
+        A fitted model.
+
+    Returns
+    -------
+    Candidate
+        Its number of parameters, residuals and criterion.
+    """
     residuals = fitted.bundle.residuals_px(fitted.parameters)
     shared = len(fitted.bundle.names)
     local = fitted.parameters.rotations.shape[0] * (6 if fitted.bundle.free_centres else 3)
@@ -70,21 +98,22 @@ def as_candidate(fitted: Fit) -> Candidate:
 
 
 def _by_prediction(candidates: Sequence[Candidate]) -> int:
-    """Return the first that predicts views left out within a few per cent of the best."""
+    """Return the index of the first model that predicts left-out views within a few per cent of the best."""
     predicted = [_predicted(one) for one in candidates]
-    return next(i for i, rms in enumerate(predicted) if rms <= (1 + _WORTH) * min(predicted))
+    return next(i for i, rms in enumerate(predicted) if rms <= (1 + _MIN_IMPROVEMENT) * min(predicted))
 
 
 def _by_criterion(candidates: Sequence[Candidate]) -> int:
-    """Return the rung of the ladder with the smallest information criterion; else the first model at hand."""
+    """Return the index of the model of the ladder with the smallest information criterion; else of the first model."""
     return min(_judged_by_criterion(candidates) or [0], key=lambda i: candidates[i].bic)
 
 
 def _judged_by_criterion(candidates: Sequence[Candidate]) -> list[int]:
-    """Return which candidates an information criterion may choose: the ladder's rungs.
+    """Return the indices of the candidates that the information criterion may choose: the models of the ladder.
 
-    Where the beam's rim is out of sight there is but one, and the drift model follows what an imperfect collimator
-    does: on 60 sets of three of the published views it halves the scatter of fx, 20 px against 37 px.
+    If the rim of the beam is out of view, only the spherical model of the ladder is left. The drift model is then
+    compared with it, as it follows what an imperfect collimator does: on 60 sets of three of the published views it
+    halves the scatter of fx, from 37 px to 20 px.
     """
     rungs = [i for i, one in enumerate(candidates) if one.model in LADDER]
     drifts = [i for i, one in enumerate(candidates) if one.model == "drift"]
@@ -92,7 +121,7 @@ def _judged_by_criterion(candidates: Sequence[Candidate]) -> list[int]:
 
 
 def _not_fitted(errors: Mapping[str, CalibrationError]) -> list[str]:
-    """Say which models could not be fitted, and why; those of one reason together."""
+    """Return notes on the models that could not be fitted; models with the same reason are named together."""
     reasons = dict.fromkeys(error.what for error in errors.values())
     return [
         f"Not compared: {', '.join(model for model, error in errors.items() if error.what == reason)}. {reason}"
@@ -101,12 +130,12 @@ def _not_fitted(errors: Mapping[str, CalibrationError]) -> list[str]:
 
 
 def _predicted(one: Candidate) -> float:
-    """Return the rms residual of views left out, px; what was not measured loses every comparison."""
+    """Return the root mean square residual of left-out views, px; infinite if it was not measured."""
     return np.inf if one.left_out_rms_px is None else one.left_out_rms_px
 
 
 def _reason(place: int, candidates: Sequence[Candidate], *, few: bool) -> str:
-    """Say why a model was chosen, and what came next."""
+    """Return the reason for the choice, and the next best model."""
     chosen = candidates[place]
     others = [one for i, one in enumerate(candidates) if i != place]
     if few:

@@ -34,7 +34,7 @@ class HandEyeCheck:
     Attributes
     ----------
     scale
-        For each axis whose scale could be told: true angle over reading.
+        For each axis whose scale could be rank: true angle over reading.
     scale_sigma
         1-sigma of those.
     mounting, standing
@@ -104,9 +104,9 @@ def check_hand_eye(
     )
     information = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
     for _ in range(_STEPS):
-        off, slopes = _linearised(rotations, angles, scales, camera_from_head, base_from_target, free)
-        normal = slopes.T @ information @ slopes
-        step = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slopes.T @ information @ off
+        off, jacobian = _linearised(rotations, angles, scales, camera_from_head, base_from_target, free)
+        normal = jacobian.T @ information @ jacobian
+        step = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ jacobian.T @ information @ off
         camera_from_head, base_from_target = (
             exp_map(step[:3]) @ camera_from_head,
             exp_map(step[3:6]) @ base_from_target,
@@ -114,9 +114,11 @@ def check_hand_eye(
         scales[free] += step[6:]
         if np.abs(step).max() < 1e-13:
             break
-    off, slopes = _linearised(rotations, angles, scales, camera_from_head, base_from_target, free)
-    spread = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ information @ slopes, rcond=1e-12, hermitian=True)))
-    told = int(np.linalg.matrix_rank(slopes, tol=1e-9))
+    off, jacobian = _linearised(rotations, angles, scales, camera_from_head, base_from_target, free)
+    spread = np.sqrt(
+        np.diag(np.linalg.pinv(jacobian.T @ information @ jacobian, rcond=1e-12, hermitian=True))
+    )
+    rank = int(np.linalg.matrix_rank(jacobian, tol=1e-9))
     return HandEyeCheck(
         {AXES[i]: float(scales[i]) for i in free},
         {AXES[i]: float(spread[6 + k]) for k, i in enumerate(free)},
@@ -125,7 +127,7 @@ def check_hand_eye(
         ARCSEC * off.reshape(-1, 3),
         ARCSEC * np.sqrt(np.diag(covariance)).reshape(-1, 3),
         float(off @ information @ off),
-        len(off) - told,
+        len(off) - rank,
     )
 
 
@@ -150,16 +152,16 @@ def _linearised(
     base_from_target: Array,
     free: Sequence[int],
 ) -> tuple[Array, Array]:
-    """Return (3 n,) seen less read, and its (3 n, 6 + s) slopes by mounting, standing and scales."""
+    """Return (3 n,) seen less read, and its (3 n, 6 + s) jacobian by mounting, standing and scales."""
     heads = _heads(angles, scales)
     read = camera_from_head @ heads @ base_from_target
     off = log_map(rotations @ np.swapaxes(read, 1, 2)).reshape(-1)
-    by_mounting = np.tile(np.eye(3), (len(angles), 1))
-    by_standing = (camera_from_head @ heads).reshape(-1, 3)
-    columns = [by_mounting, by_standing]
+    by_camera_side = np.tile(np.eye(3), (len(angles), 1))
+    by_base_side = (camera_from_head @ heads).reshape(-1, 3)
+    columns = [by_camera_side, by_base_side]
     for i in free:
         step = np.zeros(3)
         step[i] = 1e-6
-        further = camera_from_head @ _heads(angles, scales + step) @ base_from_target
-        columns.append(log_map(further @ np.swapaxes(read, 1, 2)).reshape(-1, 1) / 1e-6)
+        shifted = camera_from_head @ _heads(angles, scales + step) @ base_from_target
+        columns.append(log_map(shifted @ np.swapaxes(read, 1, 2)).reshape(-1, 1) / 1e-6)
     return off, np.hstack(columns)

@@ -21,11 +21,11 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: Probability that value +- k sigma covers, and of the band a study's count must lie in.
+#: Nominal coverage of value +- k sigma, and the probability of the band in which the observed coverage must lie.
 COVERAGE = 0.9545
 _BAND = 0.999
-#: 1-sigma, per axis, of a star that is grossly wrong.
-_GROSS_PX = 2.0
+#: 1-sigma per axis of an outlier.
+_OUTLIER_SIGMA_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -159,6 +159,6 @@ def _noisy(
         noise = bench.star_sigma_px * rng.standard_normal(view.points_px.shape)
         if outliers:
             bad = rng.random(len(view)) < outliers
-            noise[bad] = _GROSS_PX * rng.standard_normal((int(bad.sum()), 2))
+            noise[bad] = _OUTLIER_SIGMA_PX * rng.standard_normal((int(bad.sum()), 2))
         views.append(replace(view, points_px=view.points_px + noise))
     return views

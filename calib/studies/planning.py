@@ -67,7 +67,7 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Mapping[str, float]]) -> 
         When the poses will not constrain the camera.
     """
     views = [predicted_view(bench, pose, f"pose {i}") for i, pose in enumerate(poses_deg, start=1)]
-    information = sum((_information(bench, *view) for view in views), start=_nothing(bench))
+    information = sum((_information(bench, *view) for view in views), start=_no_information(bench))
     covariance = _covariance(bench, information)
     names = _names(bench)
     sigma = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
@@ -98,23 +98,23 @@ def next_poses(
     DegenerateViews
         When the candidates show too little to choose from.
     """
-    known = _nothing(bench)
+    known = _no_information(bench)
     for pose in taken_deg:
         known = known + _information(bench, *predicted_view(bench, pose, "taken"))
-    offered = []
+    possible = []
     for pose in candidates_deg:
         try:
-            offered.append((pose, _information(bench, *predicted_view(bench, pose, "candidate"))))
+            possible.append((pose, _information(bench, *predicted_view(bench, pose, "candidate"))))
         except TooFewStars:
             continue
-    if len(offered) < count:
+    if len(possible) < count:
         raise DegenerateViews(
-            f"Only {len(offered)} of the candidate poses show the target; {count} are needed."
+            f"Only {len(possible)} of the candidate poses show the target; {count} are needed."
         )
     chosen: list[Mapping[str, float]] = []
     for _ in range(count):
-        worth = [_worst(bench, known + information) for _, information in offered]
-        pose, information = offered.pop(int(np.argmin(worth)))
+        remaining = [_worst(bench, known + information) for _, information in possible]
+        pose, information = possible.pop(int(np.argmin(remaining)))
         chosen.append(pose)
         known = known + information
     return tuple(chosen)
@@ -134,7 +134,7 @@ def _information(bench: ExpectedBench, view: View, rotation: Array) -> Array:
     return information
 
 
-def _nothing(bench: ExpectedBench) -> Array:
+def _no_information(bench: ExpectedBench) -> Array:
     """Return the information before any view."""
     return np.zeros((len(_names(bench)), len(_names(bench))))
 
@@ -157,7 +157,7 @@ def _worst(bench: ExpectedBench, information: Array) -> float:
     try:
         return _map(bench, _covariance(bench, information)).worst_px
     except DegenerateViews:
-        # Not solvable yet: the pose that tells the most directions is best, and any solvable one is better.
+        # Not solvable yet: the pose that determines the most directions is best; any solvable pose is better.
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         eigenvalues = np.linalg.eigvalsh(information * np.outer(scale, scale))
         return float(1e12 - np.log(np.maximum(eigenvalues, 1e-15)).sum())

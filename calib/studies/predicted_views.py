@@ -21,7 +21,7 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: Stars nearer than this to the frame's border are not found.
+#: Stars closer than this to the border of the image are not detected.
 _BORDER_PX = 10.0
 _MIN_STARS = 20
 
@@ -68,8 +68,8 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
     rotation = euler_zxy(pose.get("pan_deg", 0.0), pose.get("tilt_deg", 0.0), pose.get("roll_deg", 0.0))
     ids = bench.target.ids
     stars = bench.target.positions_mm(ids)
-    pixels, shown = _shown(bench, stars, rotation)
-    if bench.needs_tag and not _shown(bench, bench.target.tag_corners_mm, rotation)[1].all():
+    pixels, shown = _visible(bench, stars, rotation)
+    if bench.needs_tag and not _visible(bench, bench.target.tag_corners_mm, rotation)[1].all():
         raise TooFewStars(
             "The tag will not be completely in the image.", where=name, remedy="Use smaller angles."
         )
@@ -84,7 +84,7 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
     return view, rotation
 
 
-def _shown(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return image points of points of the target, and which of them lie in the disc and the frame."""
     centre = bench.collimator.centre
     pixels = bench.camera.project(

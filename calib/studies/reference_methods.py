@@ -25,9 +25,9 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: The published recipe names a Huber loss without its limit.
+#: Limit of the Huber loss: the paper does not state it.
 _PUBLISHED_LIMIT_PX = 1.0
-#: OpenCV's steps, and the change of its parameters at which it ends.
+#: OpenCV's largest number of steps, and the change of its parameters at which it stops.
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
 _PUBLISHED = "published recipe, spherical"
 
@@ -106,10 +106,10 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
     names = tuple(options.distortion)
     fisheye = _fisheye(options)
     try:
-        rms, matrix, found, spread = (_by_fisheye if fisheye else _by_brown)(views, names)
+        rms, matrix, found, spread = (_opencv_fisheye if fisheye else _opencv_brown)(views, names)
     except cv2.error as error:
-        told = " ".join(str(error).split())
-        raise DegenerateViews(f"OpenCV did not find a calibration: {told}", remedy="Add views.") from error
+        message = " ".join(str(error).split())
+        raise DegenerateViews(f"OpenCV did not find a calibration: {message}", remedy="Add views.") from error
     if not (np.isfinite(rms) and np.isfinite(matrix).all() and np.isfinite(found).all()):
         raise DegenerateViews("OpenCV's calibration is not finite.", remedy="Add views from other angles.")
     family = FISHEYE if fisheye else BROWN
@@ -141,14 +141,14 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
     loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.sigmas_per_px)
     refined = refine(bundle, start, loss)
     parameters = refined.parameters
-    known = covariance_at_optimum(bundle, parameters, loss)
+    estimate = covariance_at_optimum(bundle, parameters, loss)
     if not refined.converged:
         raise NotConverged(
             f"The adjustment did not converge within {refined.iterations} steps.", remedy="Add views."
         )
     lengths = np.linalg.norm(bundle.residuals_px(parameters), axis=1)
     left_out = leave_one_out(bundle, parameters, loss).total_rms_px if len(views) >= MIN_VIEWS else None
-    sigmas = np.sqrt(np.diag(known.covariance)).tolist()
+    sigmas = np.sqrt(np.diag(estimate.covariance)).tolist()
     return MethodResult(
         _PUBLISHED,
         parameters.camera,
@@ -169,17 +169,23 @@ def _opencv_name(options: CalibrationOptions) -> str:
     return "OpenCV, planar (fisheye)" if _fisheye(options) else "OpenCV, planar (Zhang)"
 
 
-def _by_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
+def _opencv_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
     """Return OpenCV's rms, camera matrix, coefficients and their spreads, for Brown's model."""
     objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
     images = [v.points_px.astype(np.float32)[:, None] for v in views]
     rms, matrix, found, _, _, spread, _, _ = cv2.calibrateCameraExtended(
-        objects, images, views[0].image_size, np.eye(3), np.zeros(5), flags=_flags(names), criteria=_STOP
+        objects,
+        images,
+        views[0].image_size,
+        np.eye(3),
+        np.zeros(5),
+        flags=_brown_flags(names),
+        criteria=_STOP,
     )
     return float(rms), np.asarray(matrix, float), np.asarray(found, float), np.asarray(spread, float)
 
 
-def _by_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
+def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
     """Return OpenCV's rms, camera matrix and coefficients for a fisheye lens; spreads it has none.
 
     OpenCV starts such a lens from half a circle across the image, far from any that looks into a collimator; what wins
@@ -204,7 +210,7 @@ def _fisheye_flag(name: str) -> int:
     return int(getattr(cv2.fisheye if hasattr(cv2.fisheye, f"CALIB_{name}") else cv2, f"CALIB_{name}"))
 
 
-def _flags(names: Sequence[str]) -> int:
+def _brown_flags(names: Sequence[str]) -> int:
     """Return OpenCV's flags that free the named coefficients and hold all others at zero."""
     flags = 0 if {"p1", "p2"} & set(names) else cv2.CALIB_ZERO_TANGENT_DIST
     if {"k4", "k5", "k6"} & set(names):

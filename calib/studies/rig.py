@@ -34,7 +34,7 @@ class RelativeRotation:
     views
         Names of the poses both saw.
     disagreement_arcsec
-        (n, 3) each pose's own relative rotation less the common one, about the second camera's axes.
+        (n, 3) each pose's covariance_of_mean relative rotation less the common one, about the second camera's axes.
     chi_square, degrees_of_freedom
         Of that disagreement: large when the rig flexed.
     """
@@ -87,29 +87,29 @@ def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotati
         When no view of the two has the same name.
     """
     names = [view.name for view in first.views]
-    others = [view.name for view in second.views]
-    common = tuple(name for name in names if name in others)
+    second_names = [view.name for view in second.views]
+    common = tuple(name for name in names if name in second_names)
     if not common:
         raise DegenerateViews(
             "The two cameras share no pose.", remedy="Give the two views of one pose the same name."
         )
-    a, b = [names.index(name) for name in common], [others.index(name) for name in common]
+    a, b = [names.index(name) for name in common], [second_names.index(name) for name in common]
     pairs = second.rotations[b] @ np.swapaxes(first.rotations[a], 1, 2)
-    covariance = _joint(second.rotation_covariance, b) + _carried(_joint(first.rotation_covariance, a), pairs)
+    covariance = _joint(second.rotation_covariance, b) + _rotated(_joint(first.rotation_covariance, a), pairs)
     information = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
-    slopes = np.tile(np.eye(3), (len(common), 1))
-    own = np.asarray(np.linalg.inv(slopes.T @ information @ slopes), np.float64)
+    jacobian = np.tile(np.eye(3), (len(common), 1))
+    covariance_of_mean = np.asarray(np.linalg.inv(jacobian.T @ information @ jacobian), np.float64)
     rotation = nearest_rotation(pairs.mean(axis=0))
     for _ in range(20):
         off = log_map(pairs @ rotation.T).reshape(-1)
-        step = own @ slopes.T @ information @ off
+        step = covariance_of_mean @ jacobian.T @ information @ off
         rotation = exp_map(step) @ rotation
         if np.abs(step).max() < 1e-14:
             break
     off = log_map(pairs @ rotation.T).reshape(-1)
     return RelativeRotation(
         rotation,
-        own,
+        covariance_of_mean,
         common,
         ARCSEC * off.reshape(-1, 3),
         float(off @ information @ off),
@@ -123,7 +123,7 @@ def _joint(covariance: Array, views: list[int]) -> Array:
     return covariance[np.ix_(rows, rows)]
 
 
-def _carried(covariance: Array, turns: Array) -> Array:
+def _rotated(covariance: Array, turns: Array) -> Array:
     """Carry turns on the first camera's side to the second one's."""
     carrier = np.zeros_like(covariance)
     for i, turn in enumerate(turns):

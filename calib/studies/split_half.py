@@ -20,7 +20,7 @@ from calib.uncertainty.projection_uncertainty import (
 )
 from calib.view import View
 
-#: Each half must constrain a camera.
+#: Each half must determine a camera.
 _MIN_VIEWS = 4
 
 

@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from calib.engine import Calibration, CalibrationOptions, calibrate
-from calib.fit import fit
+from calib.fit import fit_model
 from calib.model.passport import Passport
 from calib.studies.monte_carlo import run_monte_carlo
 from calib.view import View
