@@ -306,5 +306,5 @@ def _end_now(worker: _Worker) -> None:
 
 def _last_message(log: Path) -> str:
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    said = [line for line in lines if line.startswith(("The run ", "starbench: "))]
-    return (said or lines or [""])[-1][:500]
+    messages = [line for line in lines if line.startswith(("The run ", "starbench: "))]
+    return (messages or lines or [""])[-1][:500]

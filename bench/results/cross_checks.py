@@ -65,12 +65,12 @@ def gimbal_check(
     """
     readings = [{f"{axis}_deg": deg for axis, deg in best_readings(pose).items()} for pose in readings_deg]
     try:
-        told = check_hand_eye(calibration.rotations, calibration.rotation_covariance, readings)
+        check = check_hand_eye(calibration.rotations, calibration.rotation_covariance, readings)
     except CalibrationError:  # too few poses, or axes that did not move
         return None
     return {
-        "rms_arcsec": told.rms_arcsec,
-        "scale": dict(told.scale),
-        "scale_sigma": dict(told.scale_sigma),
-        "agrees": told.consistent,
+        "rms_arcsec": check.rms_arcsec,
+        "scale": dict(check.scale),
+        "scale_sigma": dict(check.scale_sigma),
+        "agrees": check.consistent,
     }

@@ -110,7 +110,7 @@ def test_a_job_is_noted_for_a_batch_that_is_not_at_work(night):
     folder, _ = night
     said = starbench("batch", "add", folder / "out", folder / "job.yaml", home=folder / "home")
     assert said.returncode == 0, said.stderr
-    assert "as soon as the batch goes on" in said.stdout
+    assert "when it continues" in said.stdout
     assert len(list((folder / "out" / "requests").iterdir())) == 1
     nowhere = starbench("batch", "withdraw", folder, "a", home=folder / "home")
     assert nowhere.returncode == 1
