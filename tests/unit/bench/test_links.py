@@ -1,0 +1,55 @@
+"""Links between the documents: every file and every heading they lead to exists, and every document is listed."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from sequences.schema import StepConfig
+
+ROOT = Path(__file__).parents[3]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def anchors(path):
+    """Anchors of the headings of a document, as GitHub makes them."""
+    text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    titles = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+
+
+def broken(path):
+    text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for link in LINK.findall(text):
+        if link.startswith(("http://", "https://")):
+            continue
+        file, _, anchor = link.partition("#")
+        target = (path.parent / file).resolve() if file else path
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            yield link
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_link_leads_somewhere(path):
+    assert list(broken(path)) == []
+
+
+def test_the_index_lists_every_document():
+    listed = set(LINK.findall((ROOT / "docs" / "README.md").read_text(encoding="utf-8")))
+    documents = {str(path.relative_to(ROOT / "docs")) for path in DOCUMENTS[2:]}
+    records = {name for name in documents if re.match(r"decisions/\d", name)}
+    assert documents - records - {"README.md"} <= listed
+
+
+def test_the_index_of_decisions_lists_every_record():
+    folder = ROOT / "docs" / "decisions"
+    listed = set(LINK.findall((folder / "README.md").read_text(encoding="utf-8")))
+    assert {path.name for path in folder.glob("0*.md")} <= listed
+
+
+def test_the_readme_names_every_step_and_every_folder():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert [name for name in StepConfig.model_fields if f"`{name}`" not in text] == []
+    folders = {path.name for path in ROOT.iterdir() if (path / "__init__.py").exists()} | {"tests", "docs"}
+    assert [name for name in folders if f"| `{name}/` |" not in text] == []
