@@ -1,6 +1,6 @@
-"""Commands about batches: begin or go on with one, add and withdraw jobs, sum up, rehearse a night.
+"""Commands about batches: begin or continue one, add and withdraw jobs, write a summary, rehearse a night.
 
-Knows words and exits, like `bench.commands.cli`; the work stands in the modules it calls.
+Arguments, options and exit statuses only, like `bench.commands.cli`; other modules do the work.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import click
 
 from bench.commands.options import JSON, ExistingFile, ExistingFolder, OutputFolder
 
-_BY = click.option("--operator", "by", metavar="NAME", help="Who you are; by default user@machine.")
+_BY = click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
 _FOLDER = click.argument("folder", metavar="FOLDER", type=ExistingFolder())
 _QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
 _OUTPUT = click.option(
@@ -20,21 +20,21 @@ _OUTPUT = click.option(
     "-o",
     required=True,
     type=OutputFolder(),
-    help="Folder of the batch; with one that was begun it goes on.",
+    help="Folder of the batch. If the batch has begun there, it continues.",
 )
 BEGIN = click.option(
     "--begin",
     type=click.DateTime(["%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
     metavar="DATETHH:MM",
-    help="Moment at which the night begins, by the queue's clocks; by default now.",
+    help="Time at which the night begins, in the time zone of the queue.  [default: now]",
 )
 
 
 class _OrQueue(click.Group):
-    """A group whose first word may also be a queue file: then that is run."""
+    """A group whose first argument may also be a queue file, which is then run."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the word ``run`` before anything that is no command, and no request for help."""
+        """Put ``run`` before a first argument that is neither a command nor a request for help."""
         if args and args[0] not in {*self.commands, "--help", "-h"}:
             args = ["run", *args]
         return super().parse_args(ctx, args)
@@ -42,7 +42,9 @@ class _OrQueue(click.Group):
 
 @click.group(cls=_OrQueue, subcommand_metavar="QUEUE -o FOLDER | COMMAND ...")
 def batch() -> None:
-    """Do the runs of a QUEUE file one after another, each watched; called again, go on where it was cut off.
+    """Do the runs of a QUEUE file one after another, each under supervision.
+
+    Called again with the same folder, it continues where it was interrupted.
 
     While it runs: `starbench status FOLDER`, `batch add`, `batch withdraw`.
     """
@@ -53,7 +55,10 @@ def batch() -> None:
 @_OUTPUT
 @JSON
 def run(queue: Path, output: Path, as_json: bool) -> int:
-    """Do the runs of a QUEUE file one after another, each watched; called again, go on where it was cut off."""
+    """Do the runs of a QUEUE file one after another, each under supervision.
+
+    Called again with the same folder, it continues where it was interrupted.
+    """
     from bench.commands.batch_output import do_batch
 
     return do_batch(queue, output, as_json=as_json)
@@ -65,7 +70,7 @@ def run(queue: Path, output: Path, as_json: bool) -> int:
 @_BY
 @JSON
 def add(folder: Path, job: Path, by: str | None, as_json: bool) -> int:
-    """Add a JOB (a file) to the batch in FOLDER, also while it runs."""
+    """Add a JOB (a file) to the batch in FOLDER; also possible while the batch runs."""
     from bench.commands.batch_output import ask_batch
 
     return ask_batch(folder, job=job, name=None, by=by, as_json=as_json)
@@ -77,7 +82,7 @@ def add(folder: Path, job: Path, by: str | None, as_json: bool) -> int:
 @_BY
 @JSON
 def withdraw(folder: Path, name: str, by: str | None, as_json: bool) -> int:
-    """Withdraw the job NAME from the batch in FOLDER: of it, nothing more is begun."""
+    """Withdraw the job NAME from the batch in FOLDER: no further run of it is begun."""
     from bench.commands.batch_output import ask_batch
 
     return ask_batch(folder, job=None, name=name, by=by, as_json=as_json)
@@ -87,7 +92,7 @@ def withdraw(folder: Path, name: str, by: str | None, as_json: bool) -> int:
 @_FOLDER
 @JSON
 def summary(folder: Path, as_json: bool) -> int:
-    """Write the summary of the batch in FOLDER, as it stands now."""
+    """Write the current summary of the batch in FOLDER."""
     from bench.commands.batch_output import summarise_again
 
     return summarise_again(folder, as_json=as_json)
@@ -95,15 +100,23 @@ def summary(folder: Path, as_json: bool) -> int:
 
 @click.command()
 @_QUEUE
-@click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder.")
+@click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder for the rehearsal.")
 @BEGIN
 @click.option(
-    "--seed", type=click.IntRange(0, 2**62), metavar="N", default=1, show_default=True, help="Of its chance."
+    "--seed",
+    type=click.IntRange(0, 2**62),
+    metavar="N",
+    default=1,
+    show_default=True,
+    help="Random seed of the rehearsed devices.",
 )
 @click.option("--quiet", is_flag=True, help="Print only the summary.")
 @JSON
 def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet: bool, as_json: bool) -> int:
-    """Rehearse the night of a QUEUE file on a virtual clock: no device, no waiting, the same journals and summary."""
+    """Rehearse the night of a QUEUE file on a virtual clock, without devices and without waiting.
+
+    The journals and the summary have the same form as those of a real night.
+    """
     from bench.commands.batch_output import do_rehearsal
 
     return do_rehearsal(queue, output, begin=begin, seed=seed, quiet=quiet, as_json=as_json)

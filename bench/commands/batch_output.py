@@ -1,4 +1,4 @@
-"""What commands about batches print: in words for people, or as JSON for programs (`bench.commands.batch_commands`)."""
+"""Output of the commands about batches: text for people, JSON for programs (`bench.commands.batch_commands`)."""
 
 from __future__ import annotations
 
@@ -31,12 +31,32 @@ _K = 2.0
 
 
 def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
-    """Do a batch, and tell how it ended: every run, and each camera's parameters over it."""
+    """Do a batch, then print how it ended: every run, and each camera's parameters over the batch.
+
+    Parameters
+    ----------
+    queue
+        Queue file.
+    folder
+        Folder of the batch; the batch continues if it has begun there.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status.
+
+    Raises
+    ------
+    UsageError
+        On a system other than Linux.
+    """
     if sys.platform != "linux":
         raise UsageError(
-            "Batches watch their runs by means that only Linux has.",
+            "A batch can be done only on Linux, because its supervision of runs needs Linux.",
             where=str(queue),
-            remedy="Do its runs one by one with `starbench run`; `plan` and `rehearse` take the queue here too.",
+            remedy="Do its runs one by one with `starbench run`. `plan` and `rehearse` accept the queue here too.",
         )
     from bench.batch.batch import Batch
     from bench.terminal.signals import stop_on_signals
@@ -49,12 +69,40 @@ def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
 
 
 def summarise_again(folder: Path, *, as_json: bool) -> int:
-    """Write a batch's summary as it stands now."""
+    """Write and print the current summary of a batch.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
     return show_summary(folder, write_summary(folder, read_batch(folder)), as_json=as_json)
 
 
 def show_summary(folder: Path, summary: Mapping[str, Any], *, as_json: bool) -> int:
-    """Tell how a batch ended; return the exit status."""
+    """Print how a batch ended.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    summary
+        Content of `summary.json`.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
     status = {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)
     if as_json:
         print_json(summary)
@@ -77,15 +125,15 @@ def _attempts(count: int) -> str:
 
 
 def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
-    """Tell how a camera's parameters went, where more than one run has a result."""
+    """Return one line per parameter of a camera, if more than one of its runs has a result."""
     lines = []
     for trend in camera["parameters"]:
         mean, expanded = with_uncertainty(trend["mean"], _K * trend["sigma"])
         unit = unit_text(trend["name"])
         line = f"  {trend['name']:<3} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
         if trend["per_hour"] is not None:
-            slope, its_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])
-            line += f"  {slope:>10} ± {its_u} per hour{'  CHANGES' if trend['per_hour']['seen'] else ''}"
+            slope, slope_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])
+            line += f"  {slope:>10} ± {slope_u} per hour{'  CHANGES' if trend['per_hour']['seen'] else ''}"
         lines.append(line)
     if lines:
         head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with k = 2:"
@@ -94,7 +142,22 @@ def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
 
 
 def show_batch_status(folder: Path, *, follow: bool, as_json: bool) -> int:
-    """Say how a batch stands; with ``follow`` again whenever a run begins or ends, and with the batch's exit status."""
+    """Print the status of a batch.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    follow
+        Whether to print it again whenever a run begins or ends, until the batch ends.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status; with ``follow`` that of the batch.
+    """
     from bench.batch.batch_status import batch_status_text, follow_batch, read_batch_status
 
     for status in follow_batch(folder) if follow else [read_batch_status(folder)]:
@@ -106,7 +169,26 @@ def show_batch_status(folder: Path, *, follow: bool, as_json: bool) -> int:
 
 
 def ask_batch(folder: Path, *, job: Path | None, name: str | None, by: str | None, as_json: bool) -> int:
-    """Add a job to a batch, or withdraw one; say what became of it."""
+    """Add a job to a batch or withdraw one, and print the answer.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    job
+        File of the job to add; None to withdraw one.
+    name
+        Name of the job to withdraw.
+    by
+        Name of the operator; user@host where None.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
     from bench.batch.batch_requests import Request, answer_text, send_request
     from bench.run.control import who_is_there
 
@@ -129,7 +211,28 @@ def ask_batch(folder: Path, *, job: Path | None, name: str | None, by: str | Non
 def do_rehearsal(
     queue: Path, folder: Path, *, begin: datetime | None, seed: int, quiet: bool, as_json: bool
 ) -> int:
-    """Rehearse a batch on a virtual clock; tell how it would end."""
+    """Rehearse a batch on a virtual clock, and print how it would end.
+
+    Parameters
+    ----------
+    queue
+        Queue file.
+    folder
+        New folder for the rehearsal.
+    begin
+        Time at which the night begins, in the time zone of the queue; now where None.
+    seed
+        Random seed of the rehearsed devices.
+    quiet
+        Whether to print only the summary.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
     from bench.batch.rehearsed_night import rehearse_batch
 
     read, started_s = read_queue(queue), time.monotonic()
@@ -148,28 +251,45 @@ def do_rehearsal(
 
 
 def show_night(queue: Path, *, begin: datetime | None, as_json: bool) -> int:
-    """Say when each run of a queue would begin and end, what there is no time for, and what the runs will be worth."""
+    """Print when each run of a queue begins and ends, and the runs that there is no time for.
+
+    The expected uncertainty of each job is printed too.
+
+    Parameters
+    ----------
+    queue
+        Queue file.
+    begin
+        Time at which the night begins, in the time zone of the queue; now where None.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     from bench.results.forecasts import expected_uncertainty
 
     read = read_queue(queue)
     night = plan_batch(read.value, _begin(read.value, begin))
-    worth = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
+    forecasts = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
     if as_json:
-        expected = {name: dict(found.sigma) if found else None for name, found in worth.items()}
+        expected = {name: dict(found.sigma) if found else None for name, found in forecasts.items()}
         print_json({**night.to_dict(), "expected_sigma": expected})
     else:
-        click.echo(_night_text(night, worth))
+        click.echo(_night_text(night, forecasts))
     return 0
 
 
 def _begin(queue: Queue, begin: datetime | None) -> datetime:
-    """Take a moment without a zone as the queue's clocks show it; now where there is none."""
+    """Return the begin in UTC, now where it is None; a time without a zone is in the queue's time zone."""
     if begin is None:
         return datetime.now(UTC)
     return (begin.replace(tzinfo=queue.tzinfo) if queue.tzinfo else begin).astimezone(UTC)
 
 
-def _night_text(night: BatchPlan, worth: Mapping[str, Forecast | None]) -> str:
+def _night_text(night: BatchPlan, forecasts: Mapping[str, Forecast | None]) -> str:
     zone = night.queue.tzinfo
 
     def clock(at_s: float) -> str:
@@ -194,7 +314,7 @@ def _night_text(night: BatchPlan, worth: Mapping[str, Forecast | None]) -> str:
         ]
     lines += ["", f"{'job':<16} {'a run takes':>12} {'disk':>8}  expected, 1 sigma"]
     for name, planned in night.plans.items():
-        found = worth[name]
+        found = forecasts[name]
         sigmas = (
             ", ".join(f"{n} {found.sigma[n]:.2g}" for n in _SHOWN if n in found.sigma) if found else "unknown"
         )
@@ -207,7 +327,22 @@ def _night_text(night: BatchPlan, worth: Mapping[str, Forecast | None]) -> str:
 
 
 def refuse_extra(queue: Path, station: str | None, suggest: int) -> None:
-    """A queue names its own stations. Raises UsageError where options of a sequence are given with it."""
+    """Refuse options of a sequence that are given with a queue, because a queue names its stations itself.
+
+    Parameters
+    ----------
+    queue
+        Queue file.
+    station
+        Value of ``--station``.
+    suggest
+        Value of ``--suggest``.
+
+    Raises
+    ------
+    UsageError
+        If either option is given.
+    """
     if station or suggest:
         raise UsageError(
             "A queue names its stations itself.",

@@ -18,7 +18,20 @@ if TYPE_CHECKING:
 
 
 def show_devices(found: Discovery, *, as_json: bool) -> int:
-    """Show what is connected and what is missing."""
+    """Print the connected devices and the missing software.
+
+    Parameters
+    ----------
+    found
+        What the search for devices found.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     if as_json:
         print_json(found.to_dict())
         return 0
@@ -27,9 +40,9 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
         click.echo(f"serial port  {port.name}  {port.what}{note}")
     for camera in found.cameras:
         trouble = f"  ({camera.trouble})" if camera.trouble else ""
-        told = {"driver": camera.driver, "source": camera.source, "serial": camera.serial}
-        words = "  ".join(f"{name}: {value}" for name, value in told.items() if value)
-        click.echo(f"camera       {words}  # {camera.description}{trouble}")
+        keys = {"driver": camera.driver, "source": camera.source, "serial": camera.serial}
+        entry = "  ".join(f"{name}: {value}" for name, value in keys.items() if value)
+        click.echo(f"camera       {entry}  # {camera.description}{trouble}")
     for sentence in found.missing:
         click.echo(f"missing      {sentence}")
     click.echo("simulated    -s simulated, -s simulated_frames: stations that need no device")
@@ -37,13 +50,39 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
 
 
 def write_station(path: Path, name: str, stage: str, camera: str | None, found: Discovery) -> int:
-    """Write a new station file; never over another."""
+    """Write a new station file, never over an existing one.
+
+    Parameters
+    ----------
+    path
+        The new file.
+    name
+        Name of the bench.
+    stage
+        Kind of stage.
+    camera
+        Kind of camera; the connected one where None.
+    found
+        What the search for devices found.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+
+    Raises
+    ------
+    UsageError
+        If the file exists.
+    """
     from bench.records.storage import write_atomic
     from bench.stations.placeholders import ASK
     from bench.stations.station_draft import draft_station
 
     if path.exists():
-        raise UsageError("There is a file of this name.", where=str(path), remedy="Choose another.")
+        raise UsageError(
+            "A file of this name exists already.", where=str(path), remedy="Choose another name."
+        )
     write_atomic(path, draft_station(name, found, stage=stage, camera=camera).encode())
     click.echo(
         f"Written: {path}. Replace every {ASK}, check scales and limits, then: starbench plan three_pose -s {path}"
@@ -52,7 +91,18 @@ def write_station(path: Path, name: str, stage: str, camera: str | None, found: 
 
 
 def print_schema(document: str) -> int:
-    """Print the JSON Schema of a kind of file."""
+    """Print the JSON Schema of a kind of file.
+
+    Parameters
+    ----------
+    document
+        Kind of file: sequence, station, queue or job.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     from pydantic import BaseModel
 
     from bench.stations.station import Station
@@ -70,7 +120,25 @@ def print_schema(document: str) -> int:
 
 
 def serve_simulated_bench(station_name: str, seed: int) -> int:
-    """Keep a simulated bench running until somebody stops it; lines on standard input order faults."""
+    """Keep a simulated bench running until it is stopped; each line of standard input orders a fault.
+
+    Parameters
+    ----------
+    station_name
+        Station file, or the name of a station that is included.
+    seed
+        Random seed of the simulated bench.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+
+    Raises
+    ------
+    BenchError
+        If the station has no simulation section, or the simulated bench ends unasked.
+    """
     from bench.simulated import SimulatedBench
     from bench.stations.station import load_station
 
@@ -88,16 +156,16 @@ def serve_simulated_bench(station_name: str, seed: int) -> int:
         for name, port in bench.endpoints.items():
             click.echo(f"{name:<8} {port}")
         click.echo(
-            "Ports of the simulated bench, as a station file names them. A line here orders a fault"
-            " (pan stall share=0.3); Ctrl-C ends it.",
+            "These are the ports of the simulated bench, as a station file names them. To simulate a fault, write a"
+            " line (e.g. pan stall share=0.3). Ctrl-C ends the simulated bench.",
             err=True,
         )
 
-        def obey() -> None:
+        def obey_orders() -> None:
             for line in sys.stdin:
                 click.echo(bench.order(line))
 
-        threading.Thread(target=obey, daemon=True).start()
+        threading.Thread(target=obey_orders, daemon=True).start()
         while bench.alive and not stop.wait(0.5):
             pass
         if not bench.alive:

@@ -1,4 +1,4 @@
-"""Print runs and calibrations: values with uncertainties first, reprojection error second, other methods beside."""
+"""Print runs and calibrations: values with uncertainties first, then the reprojection error, then other methods."""
 
 from __future__ import annotations
 
@@ -16,7 +16,20 @@ if TYPE_CHECKING:
 
 
 def show_run(end: RunEnd, *, as_json: bool) -> int:
-    """Tell how a run ended; return the exit status."""
+    """Print how a run ended.
+
+    Parameters
+    ----------
+    end
+        End of the run.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status: 0 finished, 3 stopped on request, 1 failed.
+    """
     status = {"finished": 0, "aborted": STOPPED}.get(end.how, 1)
     report = str(end.outcome.report) if end.outcome else None
     if as_json:
@@ -35,7 +48,7 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
         click.echo(f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}", err=True)
         if not end.unsafe:
             click.echo("The bench is safe: stage stopped, light off.", err=True)
-        click.echo(f"What was recorded is kept; go on with:\n  starbench resume {end.folder}", err=True)
+        click.echo(f"All recordings are kept. To continue:\n  starbench resume {end.folder}", err=True)
         return status
     click.echo(_run_text(end.outcome.results))
     click.echo(f"Report: {report}")
@@ -45,12 +58,22 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
 def print_calibration(
     result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None, *, as_json: bool
 ) -> None:
-    """Show a calibration made without devices, and other methods on the same points where asked for."""
+    """Print a calibration made without devices, and other methods on the same points if there are any.
+
+    Parameters
+    ----------
+    result
+        The calibration.
+    baselines
+        Results of other methods; None if no comparison was asked for.
+    as_json
+        Whether to print JSON.
+    """
     if as_json:
-        told = result.to_dict()
+        facts = result.to_dict()
         if baselines is not None:
-            told["compared"] = [baseline_dict(row) for row in baselines]
-        print_json(told)
+            facts["compared"] = [baseline_dict(row) for row in baselines]
+        print_json(facts)
         return
     for line in result.skipped:
         click.echo(f"left out: {line}", err=True)
@@ -72,7 +95,7 @@ def _run_text(results: Mapping[str, Any]) -> str:
 
 
 def _distance_text(row: Mapping[str, Any]) -> str:
-    """Tell how far a value lies from the truth, to the digits of its uncertainty."""
+    """Return how far a value lies from the truth, to the digits of its uncertainty."""
     from bench.report.text import fixed, with_uncertainty
 
     error, _ = with_uncertainty(row["error"], 2 * row["sigma"])
@@ -81,7 +104,18 @@ def _distance_text(row: Mapping[str, Any]) -> str:
 
 
 def calibration_text(calibration: Mapping[str, Any]) -> str:
-    """Lay out a calibration: values with uncertainties first, reprojection error second."""
+    """Return a calibration as text: values with uncertainties first, reprojection error second.
+
+    Parameters
+    ----------
+    calibration
+        Calibration as `results.json` holds it.
+
+    Returns
+    -------
+    str
+        Lines of text.
+    """
     from bench.report.calibration_tables import coverage_factor
     from bench.report.text import exact, with_uncertainty
 
@@ -97,15 +131,26 @@ def calibration_text(calibration: Mapping[str, Any]) -> str:
         lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit_text(name)}".rstrip())
     lines.append(
         f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
-        " (how well the model follows the stars; not how accurate it is)."
+        " (how well the model fits the stars; this is not the accuracy)."
     )
     if not calibration["converged"]:
-        lines.append("NOT CONVERGED: these numbers are no result.")
+        lines.append("NOT CONVERGED: do not use these numbers.")
     return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
 
 
 def unit_text(name: str) -> str:
-    """Give a parameter's unit as it is printed behind a number; nothing for a pure number."""
+    """Return the unit of a parameter, as it is printed after a number.
+
+    Parameters
+    ----------
+    name
+        Name of the parameter.
+
+    Returns
+    -------
+    str
+        The unit; empty for a number without unit.
+    """
     from bench.report.text import unit_of
 
     unit = unit_of(name)
@@ -113,7 +158,18 @@ def unit_text(name: str) -> str:
 
 
 def baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
-    """Give one method's answer as JSON holds it, or why it has none."""
+    """Return the result of one method for JSON output, or why it has none.
+
+    Parameters
+    ----------
+    row
+        Result or failure of the method.
+
+    Returns
+    -------
+    dict
+        Values that can be written as JSON.
+    """
     from calib.studies.reference_methods import MethodFailure
 
     if isinstance(row, MethodFailure):
@@ -129,14 +185,25 @@ def baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
 
 
 def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
-    """Lay out what several methods make of the same points."""
+    """Return the results of several methods on the same points as a table.
+
+    Parameters
+    ----------
+    baselines
+        Result or failure of each method.
+
+    Returns
+    -------
+    str
+        Lines of text.
+    """
     from calib.studies.reference_methods import MethodFailure
 
     head = f"  {'':<34}{'fx':>10}{'stated':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
     lines = ["On the same points:", head]
     for row in baselines:
         if isinstance(row, MethodFailure):
-            lines.append(f"  {row.name:<34}no answer: {row.why}")
+            lines.append(f"  {row.name:<34}no result: {row.why}")
             continue
         left_out = f"{row.left_out_rms_px:.4f}" if row.left_out_rms_px is not None else "-"
         stated = f"{row.sigma['fx']:.2f}" if "fx" in row.sigma else "-"
@@ -145,6 +212,7 @@ def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
             f"{row.camera.cy:>10.2f}{row.rms_px:>9.4f}{left_out:>10}"
         )
     lines.append(
-        "stated: 1 sigma of fx by the method itself. left out: rms of unseen views, rotation alone solved."
+        "stated: 1 sigma of fx, as the method states it. left out: rms of views that were not used, with only their"
+        " rotation solved."
     )
     return "\n".join(lines)

@@ -46,7 +46,10 @@ def cli(debug: bool) -> None:
 @cli.command()
 @click.argument("sequence")
 @click.option(
-    "--station", "-s", required=True, help="Station file, or the name of a station that is included (simulated)."
+    "--station",
+    "-s",
+    required=True,
+    help="Station file, or the name of a station that is included (simulated).",
 )
 @click.option(
     "--output",
@@ -151,9 +154,13 @@ def plan(
 
 @cli.command()
 @click.argument("run_folder", metavar="RUN", type=RunFolder(journal=False))
-@click.option("--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]")
+@click.option(
+    "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
+)
 @click.option("--serial", help="Serial number that the calibrated camera must have.")
-@click.option("--again", is_flag=True, help="Also calibrate again from the recordings and compare the results.")
+@click.option(
+    "--again", is_flag=True, help="Also calibrate again from the recordings and compare the results."
+)
 @JSON
 def verify(
     run_folder: Path, allowed_signers: Path | None, serial: str | None, again: bool, as_json: bool
@@ -178,7 +185,9 @@ def verify(
 @click.option(
     "--station", "-s", default="simulated", show_default=True, help="Station whose devices to simulate."
 )
-@click.option("--seed", type=SEED, metavar="N", default=1, show_default=True, help="Random seed of the simulated bench.")
+@click.option(
+    "--seed", type=SEED, metavar="N", default=1, show_default=True, help="Random seed of the simulated bench."
+)
 def simulate(station: str, seed: int) -> int:
     """Keep a simulated bench running in its own process, and print its ports.
 
@@ -245,7 +254,11 @@ def keys_show() -> int:
 
 @keys.command("create")
 @click.option("--principal", help="Name of the signer, as name@place.  [default: bench@ and the host name]")
-@click.option("--passphrase", is_flag=True, help="Protect the key by a passphrase, which is asked for at each signature.")
+@click.option(
+    "--passphrase",
+    is_flag=True,
+    help="Protect the key by a passphrase, which is asked for at each signature.",
+)
 def keys_create(principal: str | None, passphrase: bool) -> int:
     """Create this bench's key."""
     from bench.commands.evidence_output import make_key

@@ -1,6 +1,6 @@
-"""Commands of the engine, which need no devices: calibrate again, rigs of two cameras, passports, studies.
+"""Commands of the calibration engine, which need no devices: calibrate, rig, passport, study, convert.
 
-Knows words and exits, like `bench.commands.cli`; the work stands in the modules it calls.
+Arguments, options and exit statuses only, like `bench.commands.cli`; other modules do the work.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ _LOSS = click.option(
     type=click.Choice(["l2", "huber", "cauchy"]),
     default="huber",
     show_default=True,
-    help="How little a star counts that lies far off: l2 in full, huber less, cauchy least.",
+    help="Loss function for outliers: l2 gives them full weight, huber less, cauchy least.",
 )
 _MODEL = click.option(
     "--model",
     type=click.Choice(_MODELS),
     default="spherical",
     show_default=True,
-    help="How far the collimator's imperfections are followed (docs/calibration.md).",
+    help="Model of the collimator and its aberrations (docs/calibration.md).",
 )
 
 
 class _Station(click.ParamType):
-    """A station file or the name of a shipped one, that can be read: also where what is calibrated brings its own."""
+    """A station file, or the name of a station that is included, that can be read."""
 
     name = "text"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Give the word back once it names a station. Raises DocumentFaults."""
+        """Return the value after reading the station. Raises DocumentFaults."""
         del param, ctx
         from bench.stations.station import load_station
 
@@ -48,7 +48,10 @@ class _Station(click.ParamType):
 _OPTIONS = (
     _MODEL,
     click.option(
-        "--distortion", default="k1k2", show_default=True, help="Coefficients, e.g. k1k2k3p1p2, none."
+        "--distortion",
+        default="k1k2",
+        show_default=True,
+        help="Distortion coefficients, e.g. k1k2k3p1p2 or none.",
     ),
     _LOSS,
     click.option(
@@ -57,37 +60,37 @@ _OPTIONS = (
         metavar="SHARE",
         default=1.0,
         show_default=True,
-        help="Share of the beam's radius to use, above 0 to 1.",
+        help="Share of the beam's radius to use: above 0, at most 1.",
     ),
-    click.option("--passport", type=ExistingFile(), help="The collimator's, made by `passport make`."),
-    click.option("--image-size", metavar="WxH", help="For point files, which do not know it."),
-    click.option("--views", metavar="1,5,9", help="Use these only, counted from 1 in the order listed."),
-    click.option("--image", default="auto", show_default=True, help="Kind of event image for RAW captures."),
+    click.option("--passport", type=ExistingFile(), help="Passport of the collimator, from `passport make`."),
+    click.option("--image-size", metavar="WxH", help="Image size for point files, which do not state it."),
+    click.option("--views", metavar="1,5,9", help="Use only these views, counted from 1 in the order given."),
+    click.option("--image", default="auto", show_default=True, help="Kind of event image for RAW files."),
     click.option(
         "--origin",
         type=click.Choice(["corner", "centre"]),
         default="corner",
         show_default=True,
-        help="What (0, 0) is in point files: a pixel's corner or its centre.",
+        help="Position of (0, 0) in point files: corner or centre of the first pixel.",
     ),
     click.option(
         "--station",
         "-s",
         type=_Station(),
-        help="Station file that describes the target, where not the standard one.",
+        help="Station file that describes the target, if it is not the standard target.",
     ),
 )
 
 
 def _engine_options(command: _Command) -> _Command:
-    """Give a command the words that say how to calibrate."""
+    """Add the options that say how to calibrate to a command."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
 
 
 def _views_and_options(command: _Command) -> _Command:
-    """Give a command the words that say which views, and how to calibrate from them."""
+    """Add the argument that names the views, and the options that say how to calibrate, to a command."""
     command = _engine_options(command)
     paths = click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=ExistingPath())
     return paths(command)
@@ -95,13 +98,13 @@ def _views_and_options(command: _Command) -> _Command:
 
 @click.command()
 @_views_and_options
-@click.option("--compare", is_flag=True, help="Beside OpenCV's planar method and the published recipe.")
+@click.option("--compare", is_flag=True, help="Compare with OpenCV's planar method and the published recipe.")
 @JSON
 def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: Any) -> int:
-    """Calibrate again, without devices, from any PATH.
+    """Calibrate without devices, from existing data in one or more PATHs.
 
-    A PATH is a run folder, a RAW capture, a photograph of the target, a file of points (columns x, y, X, Y, id),
-    or a folder of such files.
+    A PATH is a run folder, a RAW file, an image of the target from a frame camera, a file of points (columns x, y,
+    X, Y, id), or a folder of such files.
     """
     from bench.commands.calibration_output import print_calibration
     from bench.results.offline import calibrate_paths, compare_methods
@@ -119,9 +122,9 @@ def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: An
 @_engine_options
 @JSON
 def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
-    """Turn from the camera of FIRST to that of SECOND: two cameras on one rig, behind one collimator.
+    """Calculate the rotation from the camera of FIRST to the camera of SECOND on one rig, behind one collimator.
 
-    FIRST and SECOND are run folders, or folders of files, whose views of one name show one pose of the rig.
+    FIRST and SECOND are run folders or folders of files. Views of the same name must show the same pose of the rig.
     """
     from bench.commands.engine_output import show_rig
     from bench.results.offline import calibrate_paths
@@ -130,27 +133,27 @@ def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
 
     choices = OfflineOptions.from_command_line(**words)
     results = [calibrate_paths([path], choices) for path in (first, second)]
-    turn = relative_rotation(*(result.calibration for result in results))
+    rotation = relative_rotation(*(result.calibration for result in results))
     skipped = [reason for result in results for reason in result.skipped]
-    return show_rig(turn, skipped, as_json=as_json)
+    return show_rig(rotation, skipped, as_json=as_json)
 
 
 @click.group()
 def passport() -> None:
-    """Calibrate a collimator once, and any camera from it with one to three views."""
+    """Calibrate a collimator once, then any camera with it from one to three views."""
 
 
 @passport.command("make")
 @_views_and_options
-@click.option("--output", "-o", required=True, type=NewFile(), help="The new passport file.")
-@click.option("--collimator", help="Its serial number or name.")
+@click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
+@click.option("--collimator", help="Serial number or name of the collimator.")
 @click.option(
-    "--temperature", "temperature_c", type=Number(), metavar="C", help="Degrees Celsius at the collimator."
+    "--temperature", "temperature_c", type=Number(), metavar="C", help="Collimator temperature, °C."
 )
 def passport_make(
     paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **words: Any
 ) -> int:
-    """Make a collimator's passport from the views of any PATH."""
+    """Make a collimator's passport from the views in one or more PATHs."""
     from datetime import UTC, datetime
 
     from bench.commands.calibration_output import print_calibration
@@ -179,7 +182,7 @@ def passport_make(
     type=Number(least=0, above=True),
     metavar="MM",
     required=True,
-    help="The collimator's focal length.",
+    help="Focal length of the collimator, mm.",
 )
 @click.option(
     "--sigma",
@@ -187,17 +190,17 @@ def passport_make(
     type=Number(least=0, above=True),
     metavar="MM",
     required=True,
-    help="Its standard uncertainty (k = 1).",
+    help="Standard uncertainty of the focal length (k = 1), mm.",
 )
 @click.option("--number", required=True, help="Number of the certificate.")
-@click.option("--date", "issued", help="The day it was issued, as it says.")
-@click.option("--collimator", help="Its serial number or name.")
+@click.option("--date", "issued", help="Date of issue, as written on the certificate.")
+@click.option("--collimator", help="Serial number or name of the collimator.")
 @click.option(
-    "--temperature", "temperature_c", type=Number(), metavar="C", help="Degrees Celsius for which it holds."
+    "--temperature", "temperature_c", type=Number(), metavar="C", help="Temperature of validity, °C."
 )
-@click.option("--output", "-o", required=True, type=NewFile(), help="The new passport file.")
+@click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
 def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certificate: Any) -> int:
-    """Make a passport from a certificate of the collimator's focal length alone."""
+    """Make a passport from a certificate that states only the collimator's focal length."""
     from datetime import UTC, datetime
 
     from bench.results.passports import passport_from_certificate, write_passport
@@ -212,7 +215,7 @@ def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certifica
 @click.argument("path", type=ExistingFile())
 @JSON
 def passport_show(path: Path, as_json: bool) -> int:
-    """Show what a passport says, and how sure it is."""
+    """Show the values of a passport and their uncertainties."""
     from bench.commands.engine_output import show_passport
     from bench.results.passports import read_passport
 
@@ -222,7 +225,11 @@ def passport_show(path: Path, as_json: bool) -> int:
 @click.command()
 @click.argument("sequence", default="three_pose")
 @click.option(
-    "--station", "-s", default="simulated", show_default=True, help="Station with an expected section."
+    "--station",
+    "-s",
+    default="simulated",
+    show_default=True,
+    help="Station file with an `expected` section, or the name of a station that is included.",
 )
 @click.option(
     "--runs",
@@ -230,14 +237,16 @@ def passport_show(path: Path, as_json: bool) -> int:
     metavar="N",
     default=200,
     show_default=True,
-    help="How many calibrations.",
+    help="Number of calibrations.",
 )
-@click.option("--seed", type=SEED, metavar="N", default=1, show_default=True, help="Of the noise.")
+@click.option(
+    "--seed", type=SEED, metavar="N", default=1, show_default=True, help="Random seed of the noise."
+)
 @click.option(
     "--noise-px",
     type=Number(least=0, above=True),
     metavar="PX",
-    help="1 sigma of a star; by default what the station expects.",
+    help="Standard deviation of a star position, px.  [default: the station's expected value]",
 )
 @click.option(
     "--drift-mm",
@@ -245,7 +254,7 @@ def passport_show(path: Path, as_json: bool) -> int:
     metavar="MM",
     default=0.0,
     show_default=True,
-    help="1 sigma of each view's own centre about the shared one.",
+    help="Standard deviation of each view's collimator centre about the common centre, mm.",
 )
 @click.option(
     "--outliers",
@@ -253,14 +262,14 @@ def passport_show(path: Path, as_json: bool) -> int:
     metavar="SHARE",
     default=0.0,
     show_default=True,
-    help="Share of stars that are grossly wrong, 0 to 1.",
+    help="Share of stars with gross errors, 0 to 1.",
 )
 @_MODEL
 @_LOSS
-@click.option("--plot", type=NewFile(), help="Draw the errors, in sigmas, into an SVG file.")
+@click.option("--plot", type=NewFile(), help="Plot the errors, in units of their sigma, to an SVG file.")
 @JSON
 def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words: Any) -> int:
-    """Calibrate an imagined camera again and again: see whether stated uncertainties hold."""
+    """Calibrate a simulated camera many times, and check whether the stated uncertainties hold."""
     from bench.commands.engine_output import show_study
     from bench.results.studies import run_study, write_study_plot
 
@@ -277,13 +286,13 @@ def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words
     "--as",
     "kind",
     type=click.Choice(["raw", "metavision", "hdf5", "numpy"]),
-    help="Kind of OUTPUT, where its name does not tell: .raw, .hdf5 (Metavision's, ECF), .h5 (plain), .npz.",
+    help="Format of OUTPUT.  [default: by its name: .raw, .hdf5 (Metavision, ECF), .h5 (plain HDF5) or .npz]",
 )
 def convert(source: Path, output: Path, kind: str | None) -> int:
-    """Convert a file of events, of any kind and told by what it holds, to a new file OUTPUT of another kind.
+    """Convert an event file SOURCE to a new file OUTPUT of another format. The format of SOURCE is detected.
 
-    RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5 and NumPy's .npz. A RAW file that was converted says so in its
-    header: it is no camera's own bytes.
+    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. The header of a converted RAW file states
+    that it was converted, so it cannot be taken for a camera's original file.
     """
     from datetime import UTC, datetime
 
@@ -294,9 +303,9 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
     kind = kind or event_conversion.kind_of_name(output)
     if kind is None:
         raise UsageError(
-            "Its name does not tell what kind of file it shall be.",
+            "The name of the output file does not show its format.",
             where=str(output),
-            remedy="Let it end in .raw, .hdf5, .h5 or .npz, or say it by --as.",
+            remedy="Use a name that ends in .raw, .hdf5, .h5 or .npz, or give --as.",
         )
     with reliable_interrupts():
         written = event_conversion.convert(
@@ -305,10 +314,12 @@ def convert(source: Path, output: Path, kind: str | None) -> int:
             kind,  # type: ignore[arg-type]
             utc_now=lambda: datetime.now(UTC),
         )
-    moved = f", {written.moved_events} with their predecessor's time" if written.moved_events else ""
+    moved = f", {written.moved_events} given the time of the event before" if written.moved_events else ""
     click.echo(f"{output}: {written.events} events{moved}, {written.triggers} triggers")
     if written.cut_off:
-        click.echo(f"{source}: cut off in the middle of a word; all before it is there.", err=True)
+        click.echo(
+            f"{source}: the file ends in the middle of a word; everything before it was converted.", err=True
+        )
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What the engine's commands print: comparisons, passports, rigs, studies; in words or as JSON."""
+"""Output of the calibration engine's commands: passports, rigs, studies; text for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -15,50 +15,95 @@ from calib.studies.rig import RelativeRotation
 
 
 def show_passport(passport: Passport, *, as_json: bool) -> int:
-    """Show what a passport says."""
+    """Print the values of a passport, with their uncertainties.
+
+    Parameters
+    ----------
+    passport
+        The passport.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     if as_json:
         print_json(passport.to_dict())
         return 0
     for name, value, variance in zip(
         passport.names, passport.values, passport.covariance.diagonal(), strict=True
     ):
-        told, expanded = with_uncertainty(float(value), 2.0 * float(variance) ** 0.5)
-        click.echo(f"  {name:<8} {told:>12} ± {expanded:<8} {unit_text(name):<3} (k = 2)")
+        text, expanded = with_uncertainty(float(value), 2.0 * float(variance) ** 0.5)
+        click.echo(f"  {name:<8} {text:>12} ± {expanded:<8} {unit_text(name):<3} (k = 2)")
     for name, condition in passport.conditions.items():
         click.echo(f"  {name}: {', '.join(condition) if isinstance(condition, list) else condition}")
     if passport.views:
         click.echo(f"  from {len(passport.views)} views: {', '.join(passport.views)}")
-        click.echo(f"  they differed by {passport.birge_ratio:.1f} times their stars' noise")
+        click.echo(f"  the views differ by {passport.birge_ratio:.1f} times the noise of their stars")
     return 0
 
 
-def show_rig(turn: RelativeRotation, skipped: Sequence[str], *, as_json: bool) -> int:
-    """Show the turn from one camera of a rig to the other."""
+def show_rig(rotation: RelativeRotation, skipped: Sequence[str], *, as_json: bool) -> int:
+    """Print the rotation from one camera of a rig to the other.
+
+    Parameters
+    ----------
+    rotation
+        Rotation from the first camera to the second.
+    skipped
+        Reasons why views were left out.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     if as_json:
-        print_json({**turn.to_dict(), "skipped": list(skipped)})
+        print_json({**rotation.to_dict(), "skipped": list(skipped)})
         return 0
     for reason in skipped:
         click.echo(f"Left out: {reason}")
-    click.echo(f"Second camera <- first camera, by {len(turn.views)} poses that both saw:")
-    for axis, angle, sigma in zip("xyz", turn.vector_deg, turn.sigma_arcsec, strict=True):
-        told, expanded = with_uncertainty(3600.0 * float(angle), 2.0 * float(sigma))
-        click.echo(f"  rotation vector {axis} {angle:>12.6f} deg = {told} ± {expanded} arcsec (k = 2)")
-    for row in turn.rotation:
+    click.echo(f"Second camera <- first camera, by {len(rotation.views)} poses that both cameras saw:")
+    for axis, angle, sigma in zip("xyz", rotation.vector_deg, rotation.sigma_arcsec, strict=True):
+        text, expanded = with_uncertainty(3600.0 * float(angle), 2.0 * float(sigma))
+        click.echo(f"  rotation vector {axis} {angle:>12.6f} deg = {text} ± {expanded} arcsec (k = 2)")
+    for row in rotation.rotation:
         click.echo("  [" + " ".join(f"{number:>13.9f}" for number in row) + "]")
-    for view, off in zip(turn.views, turn.residuals_arcsec, strict=True):
-        click.echo(f"  {view}: off by {' '.join(f'{axis:.1f}' for axis in off)} arcsec")
+    for view, residual in zip(rotation.views, rotation.residuals_arcsec, strict=True):
+        click.echo(f"  {view}: residual {' '.join(f'{axis:.1f}' for axis in residual)} arcsec")
     verdict = (
-        "the rig is rigid" if turn.rigid else "THE RIG FLEXED, or the cameras did not see the same poses"
+        "the rig is rigid"
+        if rotation.rigid
+        else "THE RIG IS NOT RIGID, or the cameras did not see the same poses"
     )
     click.echo(
-        f"Chi-square {turn.chi_square:.1f} for {turn.degrees_of_freedom} degrees of freedom: {verdict}."
+        f"Chi-square {rotation.chi_square:.1f} for {rotation.degrees_of_freedom} degrees of freedom: {verdict}."
     )
-    click.echo("How far apart the cameras are cannot be seen through a collimator: no translation is given.")
+    click.echo(
+        "The distance between the cameras cannot be measured through a collimator: no translation is given."
+    )
     return 0
 
 
 def show_study(study: MonteCarloStudy, *, as_json: bool) -> int:
-    """Show what repeated calibrations showed."""
+    """Print what repeated simulated calibrations found.
+
+    Parameters
+    ----------
+    study
+        The finished study.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     low, high = study.coverage_band
     held = all(low <= share <= high for share in study.coverage.values())
     if as_json:
@@ -71,6 +116,8 @@ def show_study(study: MonteCarloStudy, *, as_json: bool) -> int:
             f"  {name:<3} error {study.scatter[name]:>9.4g} rms, stated {float(study.sigmas[:, at].mean()):>9.4g},"
             f" ratio {study.z_rms[name]:.2f}; within U {study.coverage[name]:.1%}"
         )
-    verdict = "they hold" if held else "THEY DO NOT HOLD"
-    click.echo(f"Errors lie within a true U (k = 2, or more) {low:.1%} to {high:.1%} of the time: {verdict}.")
+    verdict = "the stated uncertainties hold" if held else "THE STATED UNCERTAINTIES DO NOT HOLD"
+    click.echo(
+        f"A correct U (k = 2, or more) covers the error in {low:.1%} to {high:.1%} of calibrations: {verdict}."
+    )
     return 0

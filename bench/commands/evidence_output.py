@@ -1,4 +1,4 @@
-"""Print what verification found, and the keys of this bench; ask for a passphrase."""
+"""Print the result of a verification and the keys of this bench; ask for a passphrase."""
 
 from __future__ import annotations
 
@@ -16,7 +16,20 @@ if TYPE_CHECKING:
 
 
 def show_verification(verification: Verification, *, as_json: bool) -> int:
-    """Tell whether a run folder is what was sealed; return the exit status."""
+    """Print whether the seal of a run folder is valid.
+
+    Parameters
+    ----------
+    verification
+        Result of the verification.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status: 0 seal is valid, 1 seal is not valid.
+    """
     if as_json:
         print_json(verification.to_dict())
     elif verification.ok:
@@ -37,30 +50,54 @@ def show_verification(verification: Verification, *, as_json: bool) -> int:
 
 
 def ask_passphrase(key: Path) -> bytes:
-    """Ask for a key's passphrase at the terminal."""
+    """Ask for the passphrase of a key at the terminal.
+
+    Parameters
+    ----------
+    key
+        File of the key; shown in the question.
+
+    Returns
+    -------
+    bytes
+        The passphrase, UTF-8.
+
+    Raises
+    ------
+    EvidenceError
+        If there is no terminal.
+    """
     if not sys.stdin.isatty():
         raise EvidenceError(
             "The signing key has a passphrase, and there is no terminal to ask for it.",
             where=str(key),
-            remedy="Run at a terminal, or use a key without one for unattended runs.",
+            remedy="Run at a terminal, or use a key without a passphrase for unattended runs.",
         )
     answer: str = click.prompt(f"Passphrase of {key}", hide_input=True, err=True)
     return answer.encode()
 
 
 def show_keys() -> int:
-    """Show the bench's key and the keys it trusts."""
+    """Print this bench's key and the keys that it trusts.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     from bench.base.home import home_folder
     from bench.evidence.keys import KEY_FILE, SIGNERS_FILE, load_key, read_signers
     from bench.evidence.sshsig import fingerprint
 
     home = home_folder()
     if not (home / KEY_FILE).exists():
-        click.echo("This bench has no key yet; one is made at the first run, or by `starbench keys create`.")
+        click.echo(
+            "This bench has no key yet; the first run creates one, and so does `starbench keys create`."
+        )
     else:
         key = load_key(home, ask_passphrase=ask_passphrase)
         click.echo(
-            f"Key:         {home / KEY_FILE}\nFingerprint: {key.fingerprint}\nGive to those who verify:"
+            f"Key:         {home / KEY_FILE}\nFingerprint: {key.fingerprint}\nLine for those who verify:"
         )
         click.echo(f"  {key.signers_line}")
     if (home / SIGNERS_FILE).exists():
@@ -71,7 +108,20 @@ def show_keys() -> int:
 
 
 def make_key(principal: str | None, *, protect: bool) -> int:
-    """Make the bench's key."""
+    """Create this bench's signing key.
+
+    Parameters
+    ----------
+    principal
+        Name of the signer, as name@place; bench@ and the host name where None.
+    protect
+        Whether to ask for a passphrase that protects the key.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     from bench.base.home import home_folder
     from bench.evidence.keys import create_key
     from bench.records.storage import make_folder
@@ -83,12 +133,28 @@ def make_key(principal: str | None, *, protect: bool) -> int:
     key = create_key(
         home_folder(), principal=principal, passphrase=passphrase.encode() if passphrase else None
     )
-    click.echo(f"Made {key.fingerprint}. Give to those who verify:\n  {key.signers_line}")
+    click.echo(f"Created {key.fingerprint}. Line for those who verify:\n  {key.signers_line}")
     return 0
 
 
 def trust_key(line: str) -> int:
-    """Trust another bench's key."""
+    """Trust the key of another bench.
+
+    Parameters
+    ----------
+    line
+        Line that `starbench keys show` prints on the other bench.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+
+    Raises
+    ------
+    UsageError
+        If the line is not a key.
+    """
     from bench.base.home import home_folder
     from bench.evidence.keys import trust
     from bench.evidence.sshsig import fingerprint

@@ -1,6 +1,7 @@
-"""What `--help` says besides the options: commands in groups, an example of each, what the exit status means.
+"""Text of `--help` besides the options: groups of commands, examples, exit statuses.
 
-Knows the names of commands and nothing they do; `complete` gives a finished command line all of it.
+This module holds only the names of the commands. `complete` adds examples and exit statuses to a finished command
+line.
 """
 
 from __future__ import annotations
@@ -77,55 +78,57 @@ EXAMPLES = {
     "schema": ("starbench schema sequence > sequence.schema.json",),
 }
 
-_PLAIN = "0 done, 1 failed, 2 a wrong word or file."
-_RUN = "0 done, 1 failed, 2 a wrong word or file, 3 stopped on request (safe; `starbench resume` goes on)."
-_COMMAND = "0 taken, 1 refused, 2 a wrong word or file."
+_INVALID = "2 invalid argument or file"
+_CTRL_C = "130 ended by Ctrl-C."
+_PLAIN = f"0 done, 1 failed, {_INVALID}, {_CTRL_C}"
+_RUN = f"0 done, 1 failed, {_INVALID}, 3 stopped on request (safe, and can be resumed), {_CTRL_C}"
+_COMMAND = f"0 accepted, 1 refused, {_INVALID}, {_CTRL_C}"
 STATUSES = {
     "run": _RUN,
     "resume": _RUN,
-    "status": "0; with --follow that of the run: 0 done, 1 failed, 3 stopped on request. 2 a wrong word or file.",
-    "verify": "0 as sealed, 1 not so, 2 a wrong word or file.",
+    "status": f"0 status shown, {_INVALID}, {_CTRL_C} With --follow that of the run: 0 done, 1 failed, 3 stopped.",
+    "verify": f"0 seal is valid, 1 seal is not valid, {_INVALID}, {_CTRL_C}",
     **dict.fromkeys(("hold", "release", "skip", "abort", "answer", "batch add", "batch withdraw"), _COMMAND),
     **dict.fromkeys(
         ("batch", "batch run", "batch summary", "rehearse"),
-        "0 every run has a result, 1 not so, 2 a wrong word or file, 3 stopped on request.",
+        f"0 every run has a result, 1 at least one run has no result, {_INVALID}, 3 stopped on request, {_CTRL_C}",
     ),
-    "runs": "0; 1 where a run of the ledger is gone or altered; 2 a wrong word or file.",
-    "messages": "0; 1 where a message still waits after --send; 2 a wrong word or file.",
+    "runs": f"0 runs shown, 1 a run in the ledger is missing or was changed, {_INVALID}, {_CTRL_C}",
+    "messages": f"0 messages shown, 1 a message is still waiting after --send, {_INVALID}, {_CTRL_C}",
 }
 _SHORT = {
-    "run": "Run a sequence on a station, up to the sealed report.",
-    "resume": "Go on with a run that was stopped, failed or cut off.",
-    "plan": "Check a sequence or a queue; what it takes, what it is worth.",
+    "run": "Run a sequence on a station and write a sealed report.",
+    "resume": "Continue a run that was stopped, failed or was interrupted.",
+    "plan": "Check a sequence or a queue; show time, disk space and expected uncertainty.",
     "verify": "Check the seal of a run.",
-    "status": "Say how a run or a batch stands.",
+    "status": "Show the status of a run or a batch.",
     "hold": "Hold a run at its next safe point.",
-    "release": "Let a held run go on.",
-    "skip": "Leave out a pose.",
+    "release": "Let a held run continue.",
+    "skip": "Skip a pose.",
     "abort": "End a run now, safely.",
-    "answer": "Answer the question a run asks.",
-    "batch": "Do the runs of a queue file, each watched.",
+    "answer": "Answer a question that a run asks.",
+    "batch": "Do the runs of a queue file, each under supervision.",
     "rehearse": "Rehearse a queue on a virtual clock.",
     "runs": "List, filter and compare runs.",
-    "messages": "List or send the bench's messages.",
-    "calibrate": "Calibrate again, from recordings, pictures or points.",
+    "messages": "List or send the messages of this bench.",
+    "calibrate": "Calibrate from existing recordings, images or point files.",
     "passport": "Calibrate a collimator once, then cameras from 1 to 3 views.",
-    "rig": "The turn between two cameras of a rig.",
-    "study": "See whether stated uncertainties hold.",
-    "convert": "Convert files of events.",
-    "devices": "List what is connected.",
-    "station": "Begin a station file.",
+    "rig": "Calculate the rotation between two cameras of a rig.",
+    "study": "Check stated uncertainties by simulation.",
+    "convert": "Convert event files.",
+    "devices": "List connected devices.",
+    "station": "Create a station file.",
     "simulate": "Keep a simulated bench running.",
-    "keys": "Show, make and trust signing keys.",
+    "keys": "Show, create and trust signing keys.",
     "schema": "Print the JSON Schema of a kind of file.",
 }
 
 
 class Sections(click.Group):
-    """A group that lists its commands by what they are for, each with its whole line however narrow the terminal."""
+    """Group that lists its commands by purpose, each on one whole line at any terminal width."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the sections."""
+        """See `click.Group.format_commands`."""
         del ctx
         for title, names in SECTIONS.items():
             with formatter.section(title):
@@ -133,13 +136,21 @@ class Sections(click.Group):
 
 
 def complete(group: click.Group, path: str = "") -> None:
-    """Give every command below ``group`` its example and what its exit status means."""
+    """Add examples and exit statuses to the help of every command below ``group``.
+
+    Parameters
+    ----------
+    group
+        Command group; its commands are changed in place.
+    path
+        Names of the groups above ``group``, separated by spaces; empty for the program itself.
+    """
     if not path:
-        group.epilog = f"Exit status: {_RUN} 130 broken off by Ctrl-C before that."
+        group.epilog = f"Exit status: {_RUN}"
     for name, command in group.commands.items():
-        words = f"{path} {name}".strip()
-        examples = "\n".join(f"  {line}" for line in EXAMPLES[words])
-        several = "Examples" if len(EXAMPLES[words]) > 1 else "Example"
-        command.epilog = f"\b\n{several}:\n{examples}\n\nExit status: {STATUSES.get(words, _PLAIN)}"
+        full_name = f"{path} {name}".strip()
+        examples = "\n".join(f"  {line}" for line in EXAMPLES[full_name])
+        title = "Examples" if len(EXAMPLES[full_name]) > 1 else "Example"
+        command.epilog = f"\b\n{title}:\n{examples}\n\nExit status: {STATUSES.get(full_name, _PLAIN)}"
         if isinstance(command, click.Group):
-            complete(command, words)
+            complete(command, full_name)

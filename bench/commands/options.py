@@ -1,7 +1,7 @@
-"""Words that commands share: paths checked before any work begins, options that several commands take.
+"""Argument and option types that several commands share; paths are checked before any work begins.
 
-Knows what a folder or file must look like to be what was asked for, and says what to do where it is not. Reads and
-changes nothing inside them; messages end with status 2, as every wrong word does.
+Each path type checks what it was given and, where it is wrong, says what to do. It changes no file. A wrong argument
+ends the command with exit status 2.
 """
 
 from __future__ import annotations
@@ -16,13 +16,23 @@ import click
 
 from bench.base.errors import UsageError
 
-JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object to standard output.")
 SEED = click.IntRange(0, 2**63 - 1)
 _MOST_NAMED = 5
 
 
 class Number(click.ParamType):
-    """A number that is finite, from ``least`` (above it, where ``above``) to ``most``, as far as these are given."""
+    """Finite number between ``least`` and ``most``, as far as these are given.
+
+    Parameters
+    ----------
+    least
+        Smallest number allowed; any where None.
+    above
+        Whether ``least`` itself is refused.
+    most
+        Largest number allowed; any where None.
+    """
 
     name = "number"
 
@@ -30,7 +40,7 @@ class Number(click.ParamType):
         self._least, self._above, self._most = least, above, most
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Give the number. Raises click.BadParameter."""
+        """See `click.ParamType.convert`."""
         try:
             number = float(value)
         except ValueError:
@@ -45,12 +55,12 @@ class Number(click.ParamType):
 
 
 class _Path(click.ParamType, ABC):
-    """A path that must be something before the command begins."""
+    """A path that is checked before the command begins."""
 
     name = "path"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Give the path, once it is found to be what is asked for. Raises UsageError, OSError."""
+        """Return the path after checking it. Raises UsageError, OSError."""
         del param, ctx
         path = Path(value)
         self.check(path)
@@ -58,16 +68,27 @@ class _Path(click.ParamType, ABC):
 
     @abstractmethod
     def check(self, path: Path) -> None:
-        """Raise UsageError where the path is not what is asked for."""
+        """Raise UsageError if the path is not of the kind that is needed."""
 
 
 class ExistingFile(_Path):
-    """A file that is there."""
+    """A file that exists."""
 
     name = "file"
 
     def check(self, path: Path) -> None:
-        """Refuse what is missing, and folders."""
+        """Check that the file exists and is not a folder.
+
+        Parameters
+        ----------
+        path
+            Path to check.
+
+        Raises
+        ------
+        UsageError
+            If there is no such file, or it is a folder.
+        """
         if not path.exists():
             raise UsageError("There is no such file.", where=str(path), remedy="Check the path.")
         if path.is_dir():
@@ -75,50 +96,96 @@ class ExistingFile(_Path):
 
 
 class ExistingFolder(_Path):
-    """A folder that is there."""
+    """A folder that exists."""
 
     name = "folder"
 
     def check(self, path: Path) -> None:
-        """Refuse what is missing, and files."""
+        """Check that the folder exists.
+
+        Parameters
+        ----------
+        path
+            Path to check.
+
+        Raises
+        ------
+        UsageError
+            If there is no such folder, or it is a file.
+        """
         if not path.is_dir():
             what = "This is a file, not a folder." if path.exists() else "There is no such folder."
             raise UsageError(what, where=str(path), remedy="Check the path.")
 
 
 class ExistingPath(_Path):
-    """A file or folder that is there."""
+    """A file or folder that exists."""
 
     def check(self, path: Path) -> None:
-        """Refuse what is missing."""
+        """Check that the file or folder exists.
+
+        Parameters
+        ----------
+        path
+            Path to check.
+
+        Raises
+        ------
+        UsageError
+            If there is no such file or folder.
+        """
         if not path.exists():
             raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
 
 
 class NewFile(_Path):
-    """A file that is not there yet, in a folder that is: seen before an hour's work goes into it."""
+    """A file that does not exist yet, in a folder that exists. Checked before long work begins."""
 
     name = "file"
 
     def check(self, path: Path) -> None:
-        """Refuse a name that is taken, and one in a folder that is not there."""
+        """Check that the name is free and the folder exists.
+
+        Parameters
+        ----------
+        path
+            Path to check.
+
+        Raises
+        ------
+        UsageError
+            If the name is taken, or its folder does not exist.
+        """
         if path.exists() or path.is_symlink():
             raise UsageError(
-                "There is something of this name already.", where=str(path), remedy="Choose another name."
+                "A file or folder of this name exists already.",
+                where=str(path),
+                remedy="Choose another name.",
             )
         if not path.parent.is_dir():
             raise UsageError(
-                f"There is no folder {path.parent} to write it in.", where=str(path), remedy="Make it first."
+                f"There is no folder {path.parent}.", where=str(path), remedy="Create the folder first."
             )
 
 
 class OutputFolder(_Path):
-    """A folder to write into; made where it is missing."""
+    """A folder to write into; the command creates it if it does not exist."""
 
     name = "folder"
 
     def check(self, path: Path) -> None:
-        """Refuse a file, and what would lie inside one."""
+        """Check that neither the path nor a folder above it is a file.
+
+        Parameters
+        ----------
+        path
+            Path to check.
+
+        Raises
+        ------
+        UsageError
+            If the path, or what should be a folder above it, is a file.
+        """
         there = next((p for p in (path, *path.parents) if os.path.lexists(p)), None)
         if there is not None and not there.is_dir():
             raise UsageError(
@@ -129,7 +196,15 @@ class OutputFolder(_Path):
 
 
 class RunFolder(_Path):
-    """The folder of a run; where ``batch`` allows it, that of a batch. With ``journal``, one that has begun."""
+    """The folder of a run.
+
+    Parameters
+    ----------
+    batch
+        Whether the folder of a batch is accepted too.
+    journal
+        Whether the run must have begun: the folder holds a journal, or a process has it locked.
+    """
 
     name = "folder"
 
@@ -137,7 +212,19 @@ class RunFolder(_Path):
         self._batch, self._journal = batch, journal
 
     def check(self, path: Path) -> None:
-        """Refuse what is missing, files, batches where a run is wanted, and folders of something else."""
+        """Check that the folder is a run, or a batch if that is accepted.
+
+        Parameters
+        ----------
+        path
+            Path to check.
+
+        Raises
+        ------
+        UsageError
+            If the path does not exist, is a file, is a batch where a run is needed, or is another kind of
+            folder.
+        """
         from bench.records.folder_lock import is_locked
         from bench.records.run_folder import JOURNAL
         from bench.records.run_index import is_batch
@@ -149,7 +236,7 @@ class RunFolder(_Path):
         if not path.is_dir():
             inside = f" Did you mean {path.parent}?" if (path.parent / JOURNAL).is_file() else ""
             raise UsageError(
-                "This is a file; a run is a folder.", where=where, remedy=f"Check the path.{inside}"
+                "This is a file, not the folder of a run.", where=where, remedy=f"Check the path.{inside}"
             )
         if is_batch(path):
             if not self._batch:
@@ -161,21 +248,21 @@ class RunFolder(_Path):
 
 
 def _batch_remedy(path: Path) -> str:
-    """Tell how a batch goes on, and that its runs are inside."""
+    """Return how to continue a batch, and where its runs are."""
     return (
-        f"The batch goes on with `starbench batch QUEUE.yaml --output {path}`, QUEUE.yaml being the file it was begun"
-        f" with ({path / 'queue.yaml'} is a copy). `starbench status {path}` shows its runs;"
-        f" each can be named itself: {path / 'runs'}/..."
+        f"To continue the batch: `starbench batch QUEUE.yaml --output {path}`, where QUEUE.yaml is the file it was"
+        f" begun with ({path / 'queue.yaml'} is a copy). `starbench status {path}` shows its runs;"
+        f" name one of them: {path / 'runs'}/..."
     )
 
 
 def _inside(path: Path) -> str:
-    """Name the runs inside a folder that is none itself."""
+    """Return which runs lie inside a folder that is not a run itself."""
     from bench.records.run_index import run_folders
 
     found = [str(folder) for folder in run_folders(path)]
     if not found:
-        return "Name the folder a run was written to; `starbench runs` lists the runs of this bench."
+        return "Name the folder of a run; `starbench runs` lists the runs of this bench."
     more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
     return f"Name one of the runs in it: {', '.join(found[:_MOST_NAMED])}{more}."
 

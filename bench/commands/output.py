@@ -1,6 +1,6 @@
 """Print one JSON object, or an error in plain words.
 
-Results and errors come from the modules that make them; this module decides how they are shown.
+Results and errors come from the modules that make them; this module decides how they are printed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sequences.errors import DocumentFaults
 STOPPED = 3
 """Exit status of a command that was stopped on request."""
 DEFECT = "defect"
-"""Kind of an error that was not foreseen."""
+"""Kind of an unexpected error."""
 _DISK_REMEDIES = {
     errno.ENOSPC: "Make room on the disk.",
     errno.EACCES: "Check the permissions.",
@@ -50,7 +50,7 @@ def print_json(value: Mapping[str, Any]) -> None:
     click.echo(json.dumps(value, indent=1, allow_nan=False))
 
 
-def tell_error(error: Exception, *, as_json: bool, debug: bool) -> int:
+def print_error(error: Exception, *, as_json: bool, debug: bool) -> int:
     """Print an error in plain words; with ``--json``, also as an object on standard output.
 
     Parameters
@@ -60,7 +60,7 @@ def tell_error(error: Exception, *, as_json: bool, debug: bool) -> int:
     as_json
         Whether programs read the output.
     debug
-        Whether to show where in the program the error arose; a defect always shows it.
+        Whether to print the traceback; it is always printed for a defect.
 
     Returns
     -------
@@ -105,14 +105,14 @@ def _failure_of(error: Exception) -> Failure:
         return Failure(type(error).__name__, f"{error.strerror or error}.", where, remedy)
     if isinstance(error, sqlite3.Error):
         remedy = "Make room, check the permissions, or name another folder in STARBENCH_HOME."
-        what = f"The bench's files are not usable: {error}."
+        what = f"The bench's own files cannot be used: {error}."
         return Failure(type(error).__name__, what, str(home_folder()), remedy)
-    what = f"This is a defect in Starbench, not in what you did: {type(error).__name__}: {error}."
+    what = f"This is a defect in Starbench, not an error of yours: {type(error).__name__}: {error}."
     return Failure(DEFECT, what, "", "Please report it with the lines below.")
 
 
 def _home_hint(error: BaseException) -> str:
-    """Say how another folder for the bench's own files is chosen, if these could not be written."""
+    """Return how to choose another folder for the bench's own files, if these cannot be written."""
     if not isinstance(error, StorageError) or not error.where:
         return ""
     home, where = home_folder().absolute(), Path(error.where).absolute()

@@ -1,4 +1,4 @@
-"""Print a plan: steps, times, sizes, and the uncertainty that its poses will reach; in words or as JSON."""
+"""Print a plan: steps, times, sizes and the expected uncertainty; text for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -16,31 +16,50 @@ if TYPE_CHECKING:
 
 
 def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
-    """Show a plan, what its poses will be worth, and further poses where asked for; return the exit status."""
-    worth = None if planned.faults else expected_uncertainty(planned)
-    further = suggest_poses(planned, suggest) if suggest and not planned.faults else []
+    """Print a plan, its expected uncertainty, and suggested additional poses.
+
+    Parameters
+    ----------
+    planned
+        The plan.
+    suggest
+        How many additional poses to suggest.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 2 if the files have faults.
+    """
+    forecast = None if planned.faults else expected_uncertainty(planned)
+    suggested = suggest_poses(planned, suggest) if suggest and not planned.faults else []
     if as_json:
-        print_json({**planned.to_dict(), "expected": _worth_dict(worth), "suggested": further})
+        print_json({**planned.to_dict(), "expected": _forecast_dict(forecast), "suggested": suggested})
     else:
         click.echo(render_plan(planned))
-        if worth is not None:
-            click.echo(_worth_text(worth))
-        for pose in further:
+        if forecast is not None:
+            click.echo(_forecast_text(forecast))
+        for pose in suggested:
             angles = ", ".join(f"{name}: {angle:g}" for name, angle in pose.items())
             click.echo(f"Suggested: {{{angles}}}")
     return 2 if planned.faults else 0
 
 
-def _worth_dict(worth: Forecast | None) -> dict[str, Any] | None:
-    if worth is None:
+def _forecast_dict(forecast: Forecast | None) -> dict[str, Any] | None:
+    if forecast is None:
         return None
-    return {"sigma": dict(worth.sigma), "worst_px": worth.projection_map.worst_px, "stars": list(worth.stars)}
+    return {
+        "sigma": dict(forecast.sigma),
+        "worst_px": forecast.projection_map.worst_px,
+        "stars": list(forecast.stars),
+    }
 
 
-def _worth_text(worth: Forecast) -> str:
+def _forecast_text(forecast: Forecast) -> str:
     shown = ("fx", "cx", "cy", "r")
-    sigmas = ", ".join(f"{name} {worth.sigma[name]:.2g}" for name in shown if name in worth.sigma)
+    sigmas = ", ".join(f"{name} {forecast.sigma[name]:.2g}" for name in shown if name in forecast.sigma)
     return (
-        f"Expected, 1 sigma: {sigmas}; a direction anywhere on the sensor to {worth.projection_map.worst_px:.2g} px"
-        f" ({worth.projection_map.worst_arcsec:.2g} arcsec)."
+        f"Expected, 1 sigma: {sigmas}; a direction at any place on the sensor {forecast.projection_map.worst_px:.2g} px"
+        f" ({forecast.projection_map.worst_arcsec:.2g} arcsec)."
     )

@@ -1,6 +1,6 @@
-"""Commands about runs, from another terminal: how one stands, hold and go on, abort, skip; and all there were.
+"""Commands about runs, used from another terminal: status, hold, release, abort, skip, answer, runs, messages.
 
-Knows words and exits, like `bench.commands.cli`; the work stands in the modules it calls.
+Arguments, options and exit statuses only, like `bench.commands.cli`; other modules do the work.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import click
 
 from bench.commands.options import JSON, RUN, ExistingFolder, RunFolder
 
-_BY = click.option("--operator", "by", metavar="NAME", help="Who you are; by default user@machine.")
+_BY = click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
 _MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
 _MOMENT_FORM = "DATE[THH:MM]"
-_TAKE_OVER = click.option("--take-over", is_flag=True, help="Even where somebody else holds the run.")
+_TAKE_OVER = click.option("--take-over", is_flag=True, help="Do it even if another person holds the run.")
 
 
 @click.command()
 @click.argument("run_folder", metavar="RUN", type=RunFolder(batch=True))
-@click.option("--follow", is_flag=True, help="Go on until the run ends; exit as the run does.")
+@click.option("--follow", is_flag=True, help="Follow the run until it ends, and return its exit status.")
 @JSON
 def status(run_folder: Path, follow: bool, as_json: bool) -> int:
-    """Say how a RUN stands, or a batch; read-only, also while it runs."""
+    """Show the status of a RUN or a batch. Reads only; can be used at any time, also during the run."""
     from bench.commands.run_output import show_status
 
     return show_status(run_folder, follow=follow, as_json=as_json)
@@ -35,7 +35,7 @@ def status(run_folder: Path, follow: bool, as_json: bool) -> int:
 @_TAKE_OVER
 @JSON
 def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
-    """Hold a RUN at its next safe point, light off; you own it until `release`."""
+    """Hold a RUN at its next safe point, with the light off. You hold it until `starbench release`."""
     from bench.commands.run_output import give_command
 
     return give_command(run_folder, "hold", by=by, take_over=take_over, as_json=as_json)
@@ -47,7 +47,7 @@ def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> in
 @_TAKE_OVER
 @JSON
 def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
-    """Let a held RUN go on."""
+    """Let a held RUN continue."""
     from bench.commands.run_output import give_command
 
     return give_command(run_folder, "release", by=by, take_over=take_over, as_json=as_json)
@@ -58,7 +58,7 @@ def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) ->
 @_BY
 @JSON
 def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
-    """End a RUN now, safely; nobody is refused. It can be resumed."""
+    """End a RUN now, safely. Anyone may do this. The run can be resumed."""
     from bench.commands.run_output import give_command
 
     return give_command(run_folder, "abort", by=by, as_json=as_json)
@@ -67,13 +67,13 @@ def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
 @click.command()
 @RUN
 @click.option(
-    "--pose", type=click.IntRange(1), metavar="N", help="Number of the pose; by default the one at work."
+    "--pose", type=click.IntRange(1), metavar="N", help="Number of the pose.  [default: the current one]"
 )
 @_BY
 @_TAKE_OVER
 @JSON
 def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as_json: bool) -> int:
-    """Skip a pose of a RUN; what was recorded there stays, and the report says so."""
+    """Skip a pose of a RUN. Its recordings are kept, and the report states that the pose was skipped."""
     from bench.commands.run_output import give_command
 
     return give_command(run_folder, "skip", by=by, pose=pose, take_over=take_over, as_json=as_json)
@@ -85,25 +85,27 @@ def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as
 @_BY
 @JSON
 def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
-    """Answer the question a RUN asks: yes (continue) or no (abort)."""
+    """Answer a question that a RUN asks: yes (continue) or no (abort)."""
     from bench.commands.run_output import give_command
 
-    said = {"yes": "continue", "no": "abort"}.get(word, word)
-    return give_command(run_folder, "answer", by=by, answer=said, as_json=as_json)
+    choice = {"yes": "continue", "no": "abort"}.get(word, word)
+    return give_command(run_folder, "answer", by=by, answer=choice, as_json=as_json)
 
 
 @click.command()
 @click.argument("folder", required=False, type=ExistingFolder())
 @click.option("--serial", metavar="NUMBER", help="Only runs of the camera with this serial number.")
 @click.option(
-    "--since", type=_MOMENT, metavar=_MOMENT_FORM, help="Only runs begun at or after this time (UTC)."
+    "--since", type=_MOMENT, metavar=_MOMENT_FORM, help="Only runs that began at or after this time (UTC)."
 )
-@click.option("--until", type=_MOMENT, metavar=_MOMENT_FORM, help="Only runs begun before this time (UTC).")
-@click.option("--sequence", help="Only runs of sequences with these words in their name.")
+@click.option(
+    "--until", type=_MOMENT, metavar=_MOMENT_FORM, help="Only runs that began before this time (UTC)."
+)
+@click.option("--sequence", help="Only runs whose sequence name contains this text.")
 @click.option(
     "--how",
     type=click.Choice(["finished", "aborted", "failed", "running", "cut off"]),
-    help="Only runs that ended so, or stand so.",
+    help="Only runs with this outcome or status.",
 )
 @click.option("--compare", is_flag=True, help="Compare the parameters of the runs that have a result.")
 @JSON
@@ -117,7 +119,7 @@ def runs(
     compare: bool,
     as_json: bool,
 ) -> int:
-    """List, filter and compare runs: those in FOLDER, else all in the laboratory's ledger."""
+    """List, filter and compare the runs in FOLDER; without FOLDER, all runs in the ledger of this bench."""
     from bench.commands.run_output import show_runs
 
     begun = {
@@ -130,10 +132,10 @@ def runs(
 
 
 @click.command()
-@click.option("--send", "send_now", is_flag=True, help="Try now to send what is waiting.")
+@click.option("--send", "send_now", is_flag=True, help="Try to send the waiting messages now.")
 @JSON
 def messages(send_now: bool, as_json: bool) -> int:
-    """List the messages of this bench, sent and waiting."""
+    """List the messages of this bench: sent ones and waiting ones."""
     from bench.commands.run_output import show_messages
 
     return show_messages(send_now=send_now, as_json=as_json)

@@ -1,4 +1,4 @@
-"""What commands about runs print: in words for people, or as JSON for programs (`bench.commands.run_commands`)."""
+"""Output of the commands about runs: text for people, JSON for programs (`bench.commands.run_commands`)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,20 @@ from bench.results.agreement import Agreement, compare_runs
 
 
 def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
-    """Say what resuming a run would do."""
+    """Print what resuming a run would do.
+
+    Parameters
+    ----------
+    lines
+        Sentences, one action each.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+    """
     if as_json:
         print_json({"schema": "starbench/intentions/1", "intentions": list(lines)})
     else:
@@ -33,16 +46,31 @@ def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
 
 
 def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
-    """Say how a run stands; with ``follow`` again after every change, and with the run's own exit status."""
+    """Print the status of a run or a batch.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run or batch.
+    follow
+        Whether to print it again after every change, until the run ends.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status; with ``follow`` that of the run.
+    """
     from bench.records.run_index import is_batch
-    from bench.run.status import follow as look_again
+    from bench.run.status import follow as follow_status
     from bench.run.status import read_status, status_text
 
     if is_batch(folder):
         from bench.commands.batch_output import show_batch_status
 
         return show_batch_status(folder, follow=follow, as_json=as_json)
-    for status in look_again(folder) if follow else [read_status(folder)]:
+    for status in follow_status(folder) if follow else [read_status(folder)]:
         if as_json:
             click.echo(json.dumps(status.to_dict(), allow_nan=False, indent=None if follow else 1))
         else:
@@ -50,16 +78,40 @@ def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
     return {"finished": 0, "aborted": STOPPED}.get(status.ended, 1) if follow else 0
 
 
-def give_command(folder: Path, word: str, *, by: str | None, as_json: bool, **words: Any) -> int:
-    """Give a command to a run under way, and say what became of it."""
+def give_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fields: Any) -> int:
+    """Send a command to a run and print the answer.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    word
+        Name of the command.
+    by
+        Name of the operator; user@host where None.
+    as_json
+        Whether to print JSON.
+    **fields
+        Other fields of `bench.run.control.Command`.
+
+    Returns
+    -------
+    int
+        Exit status: 0 accepted, 1 refused.
+
+    Raises
+    ------
+    UsageError
+        If the operator's name is not valid.
+    """
     from bench.run.control import Command, command_text, send, who_is_there
 
     try:
-        command = Command.model_validate({"word": word, "by": by or who_is_there(), **words})
+        command = Command.model_validate({"word": word, "by": by or who_is_there(), **fields})
     except ValidationError as error:
         raise UsageError(
             f"--operator: {error.errors()[0]['msg']}.",
-            remedy="Give a name of at most 200 characters, in one line.",
+            remedy="Give a name of one line and at most 200 characters.",
         ) from error
     answer = send(folder, command)
     if as_json:
@@ -83,7 +135,32 @@ def show_runs(
     compare: bool,
     as_json: bool,
 ) -> int:
-    """List runs, or compare their parameters; status 1 where the ledger and the folders do not agree."""
+    """Print a list of runs, or compare their parameters.
+
+    Parameters
+    ----------
+    folder
+        Folder whose runs to list; all runs of the ledger where None.
+    camera
+        Serial number of the camera.
+    since
+        Only runs that began at or after this time, UTC.
+    until
+        Only runs that began before this time, UTC.
+    sequence
+        Text that the name of the sequence must contain.
+    how
+        Outcome or status of the runs.
+    compare
+        Whether to compare the parameters.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status: 1 if the ledger and the folders do not agree, else 0.
+    """
     folders, missing = (run_folders(folder), []) if folder else _ledger_folders()
     found, faults = RunIndex(home_folder()).runs(
         folders, camera=camera, since=since, until=until, sequence=sequence, how=how
@@ -92,10 +169,10 @@ def show_runs(
     solved = [run for run in found if run.parameters]
     compared = compare_runs(solved) if compare else None
     if as_json:
-        told: dict[str, Any] = {"schema": "starbench/runs/1", "runs": [run.to_dict() for run in found]}
+        facts: dict[str, Any] = {"schema": "starbench/runs/1", "runs": [run.to_dict() for run in found]}
         if compared is not None:
-            told |= {"compared": [a.to_dict() for a in compared], "of": [run.folder for run in solved]}
-        print_json({**told, "faults": faults})
+            facts |= {"compared": [a.to_dict() for a in compared], "of": [run.folder for run in solved]}
+        print_json({**facts, "faults": faults})
         return 1 if faults else 0
     click.echo(_agreement_text(solved, compared) if compared is not None else _runs_text(found))
     for fault in faults:
@@ -104,17 +181,17 @@ def show_runs(
 
 
 def _ledger_folders() -> tuple[list[Path], list[str]]:
-    """Folders of all runs in the ledger that are still where they were, and what is wrong with the others."""
+    """Return the folders of all runs in the ledger that still exist, and a fault for each of the others."""
     clock = BenchClock()
     ledger = Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
-    entered = ledger.runs()
-    there = [Path(run.folder) for run in entered if (Path(run.folder) / JOURNAL).is_file()]
-    gone = [
-        f"run {run.number} ({run.run_id}, {run.how}): its folder is gone from {run.folder}"
-        for run in entered
+    entries = ledger.runs()
+    present = [Path(run.folder) for run in entries if (Path(run.folder) / JOURNAL).is_file()]
+    missing = [
+        f"run {run.number} ({run.run_id}, {run.how}): its folder {run.folder} is missing"
+        for run in entries
         if run.seal is None and not (Path(run.folder) / JOURNAL).is_file()
     ]
-    return there, [*ledger.faults(), *gone]
+    return present, [*ledger.faults(), *missing]
 
 
 def _runs_text(runs: Sequence[IndexedRun]) -> str:
@@ -147,7 +224,20 @@ def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -
 
 
 def show_messages(*, send_now: bool, as_json: bool) -> int:
-    """List messages, after trying to send what is waiting where asked for; status 1 where some still wait then."""
+    """Print the messages of this bench, after trying to send the waiting ones if asked to.
+
+    Parameters
+    ----------
+    send_now
+        Whether to try to send waiting messages now.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status: 1 if messages are still waiting after ``send_now``, else 0.
+    """
     from bench.messaging.messages import send
     from bench.messaging.outbox import Outbox
 

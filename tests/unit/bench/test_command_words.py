@@ -17,7 +17,7 @@ from bench.base.errors import StorageError
 from bench.batch.batch_plan import plan_batch
 from bench.commands.cli import cli, main
 from bench.commands.help_text import EXAMPLES
-from bench.commands.output import tell_error
+from bench.commands.output import print_error
 from sequences.queue import Queue
 from sequences.reader import check_document
 
@@ -320,7 +320,7 @@ def test_a_message_goes_out_where_only_latin_letters_do():
 
 def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
     error = sqlite3.OperationalError("database or disk is full")
-    assert tell_error(error, as_json=False, debug=False) == 1
+    assert print_error(error, as_json=False, debug=False) == 1
     said = capsys.readouterr().err
     assert str(tmp_path / "home") in said
     assert "STARBENCH_HOME" in said
@@ -332,5 +332,5 @@ def test_a_home_that_cannot_be_written_is_told_how_to_name_another(capsys, tmp_p
         (tmp_path / "home" / "ledger.jsonl", True),
         (tmp_path / "run" / "journal.jsonl", False),
     ):
-        tell_error(StorageError("No permission.", where=str(where)), as_json=False, debug=False)
+        print_error(StorageError("No permission.", where=str(where)), as_json=False, debug=False)
         assert ("STARBENCH_HOME" in capsys.readouterr().err) is told

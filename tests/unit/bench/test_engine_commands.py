@@ -58,7 +58,7 @@ def test_a_method_without_an_answer_has_a_row_that_says_why(capsys, points, tmp_
     assert "camera" in published
     assert opencv.keys() == {"name", "failed"}
     assert "same pose" in opencv["failed"]
-    assert f"no answer: {opencv['failed']}" in say(capsys, *words)
+    assert f"no result: {opencv['failed']}" in say(capsys, *words)
 
 
 def test_two_cameras_on_a_rig_get_the_turn_between_them_and_no_translation(capsys, points, tmp_path):
