@@ -231,14 +231,16 @@ def _camera(found: Mapping[str, Any]) -> CameraModel:
     width, height = found["image_size"]
     values = found["camera"]
     distortion = {name: value for name, value in values.items() if name not in PINHOLE}
-    return CameraModel(*(values[name] for name in PINHOLE), (width, height), distortion)
+    return CameraModel(
+        values["fx"], values["fy"], values["cx"], values["cy"], (width, height), distortion=distortion
+    )
 
 
 def _collimator(values: Mapping[str, float] | None) -> Collimator | None:
     if values is None:
         return None
     aberrations = {name: value for name, value in values.items() if name not in CENTRE}
-    return Collimator(*(values[name] for name in CENTRE), aberrations)
+    return Collimator(values["x"], values["y"], values["r"], aberrations=aberrations)
 
 
 def _poses(
