@@ -192,7 +192,7 @@ def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
 
 
 @njit(cache=True, nogil=True)
-def radius_fractions(points_mm: NDArray, disc: Disc) -> NDArray:
+def radius_fractions(points_mm: FloatArray, disc: Disc) -> FloatArray:
     """Return ``radius_fraction`` for several points.
 
     Parameters
@@ -363,7 +363,7 @@ def is_ideal(e: Aberrations) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _apparent_points(points: NDArray, e: Aberrations) -> NDArray:
+def _apparent_points(points: FloatArray, e: Aberrations) -> FloatArray:
     """Loop of ``apparent_points``."""
     out = np.empty_like(points)
     for i in range(points.shape[0]):

@@ -44,7 +44,7 @@ def empty_picture(width: int, height: int, cells: int, margin: int) -> NDArray[n
 
 
 @njit(cache=True, nogil=True)
-def add_edge(steps: NDArray, x0: float, y0: float, x1: float, y1: float, weight: float) -> None:
+def add_edge(steps: NDArray[np.float32], x0: float, y0: float, x1: float, y1: float, weight: float) -> None:
     """Add an edge from (x0, y0) to (x1, y1), in cells from the upper left corner of the grid.
 
     Parameters
@@ -74,7 +74,7 @@ def add_edge(steps: NDArray, x0: float, y0: float, x1: float, y1: float, weight:
 
 
 @njit(cache=True, nogil=True)
-def _add_span(steps: NDArray, left: float, right: float, height: float) -> None:
+def _add_span(steps: NDArray[np.float32], left: float, right: float, height: float) -> None:
     """Add the part of an edge that lies in one row, between two abscissae."""
     last = steps.shape[0] - 1
     cell = int(min(max(left, 0.0), float(last)))
@@ -127,8 +127,13 @@ def _normal(z: float) -> float:
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def join_cells(
-    steps: NDArray, light: NDArray, shades: tuple[float, float], kernel: NDArray, cells: int, margin: int
-) -> NDArray:
+    steps: NDArray[np.float32],
+    light: NDArray[np.float32],
+    shades: tuple[float, float],
+    kernel: FloatArray,
+    cells: int,
+    margin: int,
+) -> NDArray[np.float32]:
     """Join cells to pixels: light times covered area, after the point spread.
 
     Parameters
@@ -172,7 +177,12 @@ def join_cells(
 
 @njit(cache=True, nogil=True)
 def _lit_row(
-    steps: NDArray, above: NDArray, below: NDArray, v: float, shades: tuple[float, float], row: NDArray
+    steps: NDArray[np.float32],
+    above: NDArray[np.float32],
+    below: NDArray[np.float32],
+    v: float,
+    shades: tuple[float, float],
+    row: NDArray[np.float32],
 ) -> None:
     """Compute the brightness of the cells of a row at fraction v between two rows of pixel corners."""
     pixels = above.size - 1

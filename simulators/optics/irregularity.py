@@ -146,7 +146,7 @@ def _turning(m: int, power: int) -> list[tuple[int, int, float]]:
 
 
 @njit(cache=True, nogil=True)
-def displacement_field(u: float, v: float, coefficients: NDArray) -> tuple[float, float]:
+def displacement_field(u: float, v: float, coefficients: FloatArray) -> tuple[float, float]:
     """Return the displacement at a point of the disc.
 
     Parameters
@@ -185,7 +185,7 @@ def displacement_field(u: float, v: float, coefficients: NDArray) -> tuple[float
 
 
 @njit(cache=True, nogil=True)
-def _rim_field(cosine: float, sine: float, coefficients: NDArray) -> tuple[float, float]:
+def _rim_field(cosine: float, sine: float, coefficients: FloatArray) -> tuple[float, float]:
     """Return the rim's field at the disc's edge, in the direction of that cosine and sine."""
     x, y = coefficients[0]
     c, s = 1.0, 0.0

@@ -184,7 +184,7 @@ def distort_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArr
 
 
 @njit(cache=True, nogil=True)
-def _distort(points: NDArray, lens: Lens) -> NDArray:
+def _distort(points: FloatArray, lens: Lens) -> FloatArray:
     """Loop of ``distort_arrays``."""
     out = np.empty_like(points)
     for i in range(points.shape[0]):

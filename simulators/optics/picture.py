@@ -208,7 +208,9 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
 
 
 @njit(cache=True, nogil=True)
-def _light(plane: NDArray, light: Light, height: int, width: int) -> tuple[NDArray, NDArray]:
+def _light(
+    plane: FloatArray, light: Light, height: int, width: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the disc's brightness, and the distance from its centre in radii, at the corners of all pixels.
 
     ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly.

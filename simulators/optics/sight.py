@@ -90,7 +90,7 @@ def plane_to_image(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float
 
 
 @njit(cache=True, nogil=True)
-def image_points(points_mm: NDArray, sight: Sight) -> NDArray:
+def image_points(points_mm: FloatArray, sight: Sight) -> FloatArray:
     """Return the image points of points of the plane.
 
     Parameters
@@ -112,7 +112,7 @@ def image_points(points_mm: NDArray, sight: Sight) -> NDArray:
 
 
 @njit(cache=True, nogil=True)
-def plane_points(rays: NDArray, sight: Sight) -> NDArray:
+def plane_points(rays: FloatArray, sight: Sight) -> FloatArray:
     """Return the points of the plane that rays meet.
 
     Parameters
@@ -167,7 +167,7 @@ def draw(
 
 
 @njit(cache=True, nogil=True)
-def _draw(polygons: NDArray, sight: Sight, reach: float, cells: Cells, steps: NDArray) -> None:
+def _draw(polygons: FloatArray, sight: Sight, reach: float, cells: Cells, steps: NDArray[np.float32]) -> None:
     """Loop of ``draw``."""
     corners = polygons.shape[1]
     for n in range(polygons.shape[0]):
@@ -192,7 +192,7 @@ def _within(x_mm: float, y_mm: float, sight: Sight, reach: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _draw_edge(a: NDArray, b: NDArray, sight: Sight, cells: Cells, steps: NDArray) -> None:
+def _draw_edge(a: FloatArray, b: FloatArray, sight: Sight, cells: Cells, steps: NDArray[np.float32]) -> None:
     """Add an edge from a to b, as chords of its curve in the image."""
     u0, v0 = plane_to_image(a[0], a[1], sight)
     u1, v1 = plane_to_image(b[0], b[1], sight)

@@ -68,7 +68,7 @@ def smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
 
 
 @njit(inline="always", **JIT)
-def between(table: NDArray, j: Any, f: Any) -> Any:
+def between(table: NDArray[np.float32], j: Any, f: Any) -> Any:
     """Interpolate between the entries j and j + 1 of a table.
 
     Parameters

@@ -201,7 +201,13 @@ def _bent_grid(period: float, high_share: float) -> NDArray[np.float64]:
 
 
 @njit(**JIT)
-def fill_curves(curves: NDArray, lights: NDArray, wave: NDArray, ambient: float, bin_q: NDArray) -> None:
+def fill_curves(
+    curves: NDArray[np.float64],
+    lights: NDArray[np.float64],
+    wave: NDArray[np.float64],
+    ambient: float,
+    bin_q: NDArray[np.float64],
+) -> None:
     """Tabulate the periodic steady state of ln u for each light.
 
     It solves du/dt = (1 - I u) / q; see ``photoreceptor``. Within a step, the time constant is that of the step's
@@ -246,7 +252,7 @@ def fill_curves(curves: NDArray, lights: NDArray, wave: NDArray, ambient: float,
 
 
 @njit(**JIT)
-def low_pass(curves: NDArray, bin_tau: NDArray) -> None:
+def low_pass(curves: NDArray[np.float64], bin_tau: NDArray[np.float64]) -> None:
     """Apply a first-order low-pass to each curve, in place, in its periodic steady state.
 
     Exact for a curve that is linear within a bin (first-order hold).
@@ -278,7 +284,12 @@ def low_pass(curves: NDArray, bin_tau: NDArray) -> None:
 
 
 @njit(**JIT)
-def fill_when(curves: NDArray, turns: NDArray, when: NDArray, grid: NDArray) -> None:
+def fill_when(
+    curves: NDArray[np.float64],
+    turns: NDArray[np.float32],
+    when: NDArray[np.float32],
+    grid: NDArray[np.float64],
+) -> None:
     """Find the extremes of each curve, and the phases at which it crosses heights between them; see ``Drive``.
 
     Parameters
@@ -321,7 +332,7 @@ def fill_when(curves: NDArray, turns: NDArray, when: NDArray, grid: NDArray) -> 
 
 
 @njit(**JIT)
-def crossing_bin(curve: NDArray, first: int, last: int, target: float, off: bool) -> float:
+def crossing_bin(curve: NDArray[np.float64], first: int, last: int, target: float, off: bool) -> float:
     """Return where a curve crosses a target, found by bisection on the branch between two bins.
 
     Parameters

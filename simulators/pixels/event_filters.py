@@ -103,7 +103,13 @@ class EventFilters:
 
 
 @njit(cache=True, nogil=True)
-def _burst_number(t: NDArray, x: NDArray, y: NDArray, p: NDArray, bursts: tuple) -> NDArray:
+def _burst_number(
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    bursts: tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]],
+) -> NDArray[np.int32]:
     """Return the number of each event in its pixel's burst, from 1."""
     last_t, last_p, count = bursts
     number = np.empty(t.size, np.int32)
@@ -117,7 +123,13 @@ def _burst_number(t: NDArray, x: NDArray, y: NDArray, p: NDArray, bursts: tuple)
 
 
 @njit(cache=True, nogil=True)
-def _not_flickering(t: NDArray, x: NDArray, y: NDArray, p: NDArray, afk: tuple) -> NDArray:
+def _not_flickering(
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    afk: tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]],
+) -> NDArray[np.bool_]:
     """Return, for each event, whether its region does not flicker within the band."""
     last_rise, was_on, periods = afk
     keep = np.empty(t.size, np.bool_)
@@ -136,7 +148,7 @@ def _not_flickering(t: NDArray, x: NDArray, y: NDArray, p: NDArray, afk: tuple) 
 
 
 @njit(cache=True, nogil=True)
-def _within_quota(t: NDArray, erc: NDArray) -> NDArray:
+def _within_quota(t: NDArray[np.int64], erc: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return, for each event, whether it is within its window's quota."""
     keep = np.empty(t.size, np.bool_)
     for i in range(t.size):

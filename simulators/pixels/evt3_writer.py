@@ -153,7 +153,13 @@ class Evt3Writer:
 
 @njit(cache=True, nogil=True)
 def _write(
-    words: NDArray, state: NDArray, events: tuple, edges: tuple, entered_t: NDArray, until: int, width: int
+    words: NDArray[np.uint16],
+    state: NDArray[np.int64],
+    events: tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]],
+    edges: tuple[NDArray[np.int64], NDArray[np.uint8]],
+    entered_t: NDArray[np.int64],
+    until: int,
+    width: int,
 ) -> int:
     """Merge ticks, edges and row reads by time; return the number of words."""
     t, x, y, p = events
@@ -185,7 +191,13 @@ def _write(
 
 @njit(cache=True, nogil=True)
 def _write_ticks(
-    words: NDArray, n: int, state: NDArray, entered_t: NDArray, entered: int, first: np.int64, end: np.int64
+    words: NDArray[np.uint16],
+    n: int,
+    state: NDArray[np.int64],
+    entered_t: NDArray[np.int64],
+    entered: int,
+    first: np.int64,
+    end: np.int64,
 ) -> tuple[int, int]:
     """Write each TIME_HIGH not after ``first`` and before ``end``, with the counters that are due.
 
@@ -208,7 +220,9 @@ def _write_ticks(
 
 
 @njit(cache=True, nogil=True)
-def _run_end(t: NDArray, x: NDArray, y: NDArray, p: NDArray, first: int) -> int:
+def _run_end(
+    t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], first: int
+) -> int:
     """Return the end of the run that begins at ``first``: one time, row and polarity, from left to right."""
     last = first + 1
     while (
@@ -223,7 +237,7 @@ def _run_end(t: NDArray, x: NDArray, y: NDArray, p: NDArray, first: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _write_time_low(words: NDArray, n: int, state: NDArray, t: int) -> int:
+def _write_time_low(words: NDArray[np.uint16], n: int, state: NDArray[np.int64], t: int) -> int:
     """Write a TIME_LOW, unless the same one is in force; return the number of words."""
     if state[_LOW] != t:
         words[n] = TIME_LOW | (t & 0xFFF)
@@ -233,7 +247,7 @@ def _write_time_low(words: NDArray, n: int, state: NDArray, t: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _write_counters(words: NDArray, n: int, state: NDArray) -> int:
+def _write_counters(words: NDArray[np.uint16], n: int, state: NDArray[np.int64]) -> int:
     """Write the events into and out of the rate controller in the window that ends; begin the next window."""
     for k in range(2):
         count = state[_COUNT_IN] if k == 0 else state[_COUNT_OUT]
@@ -249,12 +263,12 @@ def _write_counters(words: NDArray, n: int, state: NDArray) -> int:
 
 @njit(cache=True, nogil=True)
 def _write_run(
-    words: NDArray,
+    words: NDArray[np.uint16],
     n: int,
-    state: NDArray,
-    x: NDArray,
-    y: NDArray,
-    p: NDArray,
+    state: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
     first: int,
     last: int,
     width: int,

@@ -171,7 +171,7 @@ def _most_events(drive: Drive, steps: NDArray[np.float32]) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _levels(drive: Drive, picture: NDArray) -> NDArray:
+def _levels(drive: Drive, picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the level of each pixel on the atlas."""
     levels = np.empty(picture.shape, np.float32)
     for r in range(picture.shape[0]):
@@ -182,7 +182,7 @@ def _levels(drive: Drive, picture: NDArray) -> NDArray:
 
 @njit(forceinline=True, **KERNEL)
 def _branch_times(
-    drive: Drive, level: Any, off: bool, first: Any, step: Any, offset: float, times: NDArray
+    drive: Drive, level: Any, off: bool, first: Any, step: Any, offset: float, times: NDArray[np.int32]
 ) -> None:
     """Compute when a pixel crosses AT_ONCE targets, a step apart; whole microseconds of the phase plus ``offset``."""
     for k in range(AT_ONCE):
@@ -191,9 +191,16 @@ def _branch_times(
 
 @njit(**JIT)
 def _cycle_events(
-    d: Drive, levels: NDArray, steps: NDArray, reference: NDArray, start_us: float, begin: int, found: NDArray,
-    n: int, counts: NDArray,
-) -> int:  # fmt: skip
+    d: Drive,
+    levels: NDArray[np.float32],
+    steps: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    start_us: float,
+    begin: int,
+    found: NDArray[np.uint64],
+    n: int,
+    counts: NDArray[np.int32],
+) -> int:
     """Add the events of one cycle of all pixels, from dark to bright and back; return the number of events so far."""
     height, width = levels.shape
     offset = start_us - begin
@@ -233,7 +240,7 @@ def _cycle_events(
 
 
 @njit(**JIT)
-def _count(found: NDArray, n: int, counts: NDArray) -> None:
+def _count(found: NDArray[np.uint64], n: int, counts: NDArray[np.int32]) -> None:
     """Count events by bucket."""
     for i in range(n):
         counts[found[i] >> (_T + np.uint64(_BUCKET))] += 1
@@ -241,7 +248,13 @@ def _count(found: NDArray, n: int, counts: NDArray) -> None:
 
 @njit(**JIT)
 def _sort(
-    found: NDArray, n: int, counts: NDArray, begin: int, end: int, ordered: NDArray, events: NDArray
+    found: NDArray[np.uint64],
+    n: int,
+    counts: NDArray[np.int32],
+    begin: int,
+    end: int,
+    ordered: NDArray[np.uint64],
+    events: NDArray[np.uint64],
 ) -> int:
     """Sort events before ``end`` by time; move the others to the start of ``found`` and return their number.
 
@@ -281,9 +294,15 @@ def _sort(
 
 @njit(**JIT)
 def _sort_bucket(
-    bucket: NDArray, counts: NDArray, start: int, begin: int, end: int, place: int, rest: NDArray,
-    events: NDArray,
-) -> tuple[int, int]:  # fmt: skip
+    bucket: NDArray[np.uint64],
+    counts: NDArray[np.int32],
+    start: int,
+    begin: int,
+    end: int,
+    place: int,
+    rest: NDArray[np.uint64],
+    events: NDArray[np.uint64],
+) -> tuple[int, int]:
     """Sort a bucket's events into ``events`` from ``place`` on, and those not before ``end`` into ``rest``.
 
     Return the next place in either.

@@ -119,7 +119,7 @@ def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
 
 
 @njit(**KERNEL)
-def fill_steady_states(drive: Drive, batch: NDArray, n: int) -> None:
+def fill_steady_states(drive: Drive, batch: NDArray[np.float32], n: int) -> None:
     """Fill in U_RISE and U_FALL of each pixel from its stored light.
 
     Parameters
@@ -192,7 +192,7 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
 
 
 @njit(**KERNEL)
-def fill_levels(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
     """Fill in U of each pixel at a phase.
 
     Parameters
@@ -218,7 +218,7 @@ def fill_levels(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
 
 
 @njit(**KERNEL)
-def fill_crossings(drive: Drive, batch: NDArray, n: int, phase: float) -> None:
+def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
     """Fill in T and IS_ON of each pixel: the first crossing of ON_AT or OFF_AT at or after a phase.
 
     Parameters

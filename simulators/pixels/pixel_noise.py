@@ -38,14 +38,14 @@ def _bits(key: Any, count: Any) -> Any:
 
 
 @njit(inline="always", **JIT)
-def _next_bits(random: NDArray) -> Any:
+def _next_bits(random: NDArray[np.uint64]) -> Any:
     """Return the next 64 random bits."""
     random[COUNTER] += np.uint64(1)
     return _bits(random[KEY], random[COUNTER])
 
 
 @njit(inline="always", **JIT)
-def uniform(random: NDArray) -> float:
+def uniform(random: NDArray[np.uint64]) -> float:
     """Return the next random number, uniform in (0, 1).
 
     Parameters
@@ -62,7 +62,7 @@ def uniform(random: NDArray) -> float:
 
 
 @njit(inline="always", **JIT)
-def reset_error(normals: NDArray, spread: float, random: NDArray) -> Any:
+def reset_error(normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64]) -> Any:
     """Return the next random factor on u of a new reference: the noise of a reset in log intensity, to first order.
 
     Parameters
@@ -85,7 +85,13 @@ def reset_error(normals: NDArray, spread: float, random: NDArray) -> Any:
 
 
 @njit(**KERNEL)
-def reset_errors(normals: NDArray, spread: float, random: NDArray, values: NDArray, n: int) -> None:
+def reset_errors(
+    normals: NDArray[np.float32],
+    spread: float,
+    random: NDArray[np.uint64],
+    values: NDArray[np.float32],
+    n: int,
+) -> None:
     """Multiply n values by the next factors of ``reset_error``.
 
     Parameters
@@ -112,7 +118,9 @@ def reset_errors(normals: NDArray, spread: float, random: NDArray, values: NDArr
 
 
 @njit(inline="always", **JIT)
-def earlier_reset_error(normals: NDArray, spread: float, random: NDArray, back: int) -> Any:
+def earlier_reset_error(
+    normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64], back: int
+) -> Any:
     """Return a factor that ``reset_error`` or ``reset_errors`` drew before.
 
     Parameters
@@ -139,7 +147,12 @@ def earlier_reset_error(normals: NDArray, spread: float, random: NDArray, back: 
 
 @njit(**KERNEL)
 def draw_arrivals(
-    alias: NDArray, rate_us: float, after: float, random: NDArray, times: NDArray, where: NDArray
+    alias: NDArray[np.uint64],
+    rate_us: float,
+    after: float,
+    random: NDArray[np.uint64],
+    times: NDArray[np.float64],
+    where: NDArray[np.int64],
 ) -> None:
     """Draw the next background and hot-pixel events of all pixels together: a Poisson process.
 
@@ -181,7 +194,7 @@ def draw_arrivals(
 
 
 @njit(cache=True, nogil=True)
-def fill_alias(scaled: NDArray, alias: NDArray) -> None:
+def fill_alias(scaled: NDArray[np.float64], alias: NDArray[np.uint64]) -> None:
     """Fill Walker's alias table (Walker 1977), by Vose's algorithm (Vose 1991).
 
     Parameters

@@ -57,21 +57,28 @@ def _gains_of(gains: Any) -> tuple[float, float]:
 
 
 @njit(**KERNEL)
-def _load(cell: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
+def _load(cell: NDArray[np.float32], column: NDArray[np.uint32], batch: NDArray[np.float32], n: int) -> None:
     """Load the stored light of the listed pixels of a row into the batch."""
     for k in range(n):
         batch[pr.LIGHT, k] = cell[column[k], STORED_LIGHT]
 
 
 @njit(**KERNEL)
-def _aim(gains: NDArray, column: NDArray, batch: NDArray, n: int) -> None:
+def _aim(gains: NDArray[np.uint32], column: NDArray[np.uint32], batch: NDArray[np.float32], n: int) -> None:
     """Fill in the levels at which the pixels of the batch fire."""
     for k in range(n):
         batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = firing_levels(batch[pr.U, k], gains[column[k], GAINS])
 
 
 @njit(**KERNEL)
-def _store(px_row: tuple, column: NDArray, batch: NDArray, n: int, start: float, live: float) -> None:
+def _store(
+    px_row: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
+    column: NDArray[np.uint32],
+    batch: NDArray[np.float32],
+    n: int,
+    start: float,
+    live: float,
+) -> None:
     """Store the references and the next crossings of the batch in the listed pixels of a row."""
     cell, t_next, is_on = px_row
     start32, live32 = np.float32(start), np.float32(live)
@@ -111,7 +118,14 @@ def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: flo
 
 @njit(forceinline=True, **JIT)
 def reset_pixel(
-    px: Pixels, drive: Drive, ro: Readout, r: int, c: int, phase: float, start: float, random: NDArray
+    px: Pixels,
+    drive: Drive,
+    ro: Readout,
+    r: int,
+    c: int,
+    phase: float,
+    start: float,
+    random: NDArray[np.uint64],
 ) -> None:
     """Set one pixel's new reference at a phase, and its next crossing: ``reset_row`` for a single pixel.
 
@@ -149,7 +163,7 @@ def reset_pixel(
 
 @njit(**JIT)
 def reset_at_once(
-    px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
+    px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:
     """Reset the listed pixels of a row that are read at the moment of their request, under a square light: in double.
 
@@ -190,7 +204,7 @@ def reset_at_once(
 
 @njit(forceinline=True, **JIT)
 def reset_row(
-    px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray
+    px: Pixels, drive: Drive, ro: Readout, r: int, n: int, t: float, start: float, random: NDArray[np.uint64]
 ) -> None:
     """Set the new references of the listed pixels of a row, at the end of the dead time, and their next crossings.
 

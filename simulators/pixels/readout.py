@@ -59,9 +59,12 @@ LONE_WORDS: Final = 3
 LONGEST_ROW_WORDS: Final = 512
 """Free words that the link must have before a row is read."""
 
+EventArrays = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+"""t in us, x, y and p of events."""
+
 
 @njit(**JIT)
-def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray) -> Any:
+def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray[np.uint64]) -> Any:
     """Draw the next background and hot-pixel events.
 
     Many are drawn at a time, and their pixels are read from memory at once: this is faster than one after the other,
@@ -135,7 +138,7 @@ def _gather_row(px: Pixels, r: int, t: float) -> tuple[int, int, int]:
 
 
 @njit(forceinline=True, **JIT)
-def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: tuple, first: int) -> None:
+def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: EventArrays, first: int) -> None:
     """Write a row's events: ON first, then OFF, each from left to right."""
     ts, xs, ys, ps = out
     i_on, i_off = first, first + n_on
@@ -164,7 +167,9 @@ def _update_blocks(px: Pixels, r: int, t: float) -> None:
 
 
 @njit(forceinline=True, **JIT)
-def _next_noise(px: Pixels, ro: Readout, width: int, state: NDArray, random: NDArray) -> None:
+def _next_noise(
+    px: Pixels, ro: Readout, width: int, state: NDArray[np.float64], random: NDArray[np.uint64]
+) -> None:
     """Advance to the next background or hot-pixel event."""
     queue = int(state[QUEUE])
     if queue + 1 == AHEAD:
@@ -176,9 +181,17 @@ def _next_noise(px: Pixels, ro: Readout, width: int, state: NDArray, random: NDA
 
 @njit(forceinline=True, **JIT)
 def _read_alone(
-    px: Pixels, drive: Drive, ro: Readout, at: int, width: int, state: NDArray, start: float, random: NDArray,
-    out: tuple, n: int,
-) -> int:  # fmt: skip
+    px: Pixels,
+    drive: Drive,
+    ro: Readout,
+    at: int,
+    width: int,
+    state: NDArray[np.float64],
+    start: float,
+    random: NDArray[np.uint64],
+    out: EventArrays,
+    n: int,
+) -> int:
     """Read the one pixel that a noise event makes request while nothing else waits; return the events written."""
     r, c = (at >> 1) // width, (at >> 1) % width
     t = state[NOISE]
@@ -196,7 +209,7 @@ def _read_alone(
 
 
 @njit(forceinline=True, **JIT)
-def _account(state: NDArray, ro: Readout, t: float, n: int, words: int) -> None:
+def _account(state: NDArray[np.float64], ro: Readout, t: float, n: int, words: int) -> None:
     """Keep the arbiter and the link busy for a row read at t."""
     state[FREE] = t + ro.row_us + n * ro.event_us
     state[FIFO] = max(0.0, state[FIFO] - (t - state[FIFO_T]) * ro.link_words_us) + words
@@ -208,11 +221,11 @@ def read_rows(
     px: Pixels,
     drive: Drive,
     ro: Readout,
-    state: NDArray,
-    random: NDArray,
+    state: NDArray[np.float64],
+    random: NDArray[np.uint64],
     until: float,
     width: int,
-    out: tuple,
+    out: EventArrays,
 ) -> int:
     """Run the sensor's loop up to a time, or until the output is nearly full.
 
@@ -283,7 +296,7 @@ def read_rows(
 
 
 @njit(**JIT)
-def set_picture(px: Pixels, drive: Drive, picture: NDArray) -> None:
+def set_picture(px: Pixels, drive: Drive, picture: NDArray[np.float32]) -> None:
     """Store a picture as the light of the pixels.
 
     Parameters
@@ -301,7 +314,9 @@ def set_picture(px: Pixels, drive: Drive, picture: NDArray) -> None:
 
 
 @njit(**JIT)
-def start_pixels(px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArray, random: NDArray) -> None:
+def start_pixels(
+    px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArray[np.float64], random: NDArray[np.uint64]
+) -> None:
     """Reset every pixel as if its dead time ended now, at ``state[FREE]``.
 
     Parameters
@@ -330,7 +345,13 @@ def start_pixels(px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArr
 
 @njit(**JIT)
 def apply_change(
-    px: Pixels, drive: Drive, width: int, t: float, step_us: float, state: NDArray, random: NDArray
+    px: Pixels,
+    drive: Drive,
+    width: int,
+    t: float,
+    step_us: float,
+    state: NDArray[np.float64],
+    random: NDArray[np.uint64],
 ) -> None:
     """Apply a new light or a new picture at t: references stay, and next crossings are computed again.
 

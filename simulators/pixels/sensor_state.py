@@ -122,7 +122,7 @@ class Readout(NamedTuple):
 
 
 @njit(forceinline=True, **JIT)
-def smallest(values: NDArray) -> float:
+def smallest(values: NDArray[np.float32]) -> float:
     """Return the smallest of some numbers; a plain loop, which the compiler vectorises.
 
     Parameters
@@ -202,7 +202,7 @@ def update_minima(px: Pixels) -> None:
 
 
 @njit(forceinline=True, **JIT)
-def _first_equal(values: NDArray, wanted: float) -> int:
+def _first_equal(values: NDArray[np.float32], wanted: float) -> int:
     """Return the index of the first number that equals the wanted one."""
     for i in range(values.size):
         if values[i] == wanted:
@@ -231,7 +231,7 @@ def row_at(px: Pixels, oldest: float) -> int:
 
 
 @njit(**JIT)
-def move_epoch(px: Pixels, state: NDArray, by_us: float) -> None:
+def move_epoch(px: Pixels, state: NDArray[np.float64], by_us: float) -> None:
     """Move the epoch to a later time, so that float32 keeps resolving the times.
 
     Parameters
@@ -263,7 +263,7 @@ def move_epoch(px: Pixels, state: NDArray, by_us: float) -> None:
 
 
 @njit(forceinline=True, **JIT)
-def waiting(t_next: NDArray, is_on: NDArray, t32: Any) -> tuple[Any, Any]:
+def waiting(t_next: NDArray[np.float32], is_on: NDArray[np.uint8], t32: Any) -> tuple[Any, Any]:
     """Return which pixels of a block wait, a bit each, and which of them are ON.
 
     Parameters

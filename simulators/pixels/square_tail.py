@@ -67,7 +67,7 @@ def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
 
 
 @njit(**KERNEL)
-def fill_limit_distance(drive: Drive, batch: NDArray, n: int) -> Any:
+def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any:
     """Fill in ``LIMIT_DISTANCE`` of each pixel under a square light.
 
     Parameters
