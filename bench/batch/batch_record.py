@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from bench.base.errors import JournalBroken
 from bench.batch.schedule import Bounds, Item, bounds_of, items_of
-from bench.records.journal import Entry
+from bench.records.journal_entry import Entry
 from sequences.queue import JobConfig, Queue
 
 

@@ -1,1 +1,1 @@
-"""What a run leaves on the disk, and how it gets there whole: journal, folder, captures, index, ledger."""
+"""The records of runs on the disk: journal, run folder, captures, index of runs, ledger, inbox."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.base.errors import RunFolderError
-from bench.records.journal import Entry
+from bench.records.journal_entry import Entry
 
 CAPTURES = "captures"
 CAPTURE_STORED = "capture_stored"

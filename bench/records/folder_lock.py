@@ -1,6 +1,7 @@
-"""Who works in a folder: one process at a time, by a lock of the kernel on the folder itself.
+"""A lock on a folder, so that one process at a time works in it.
 
-It dies with its process, so a dead one leaves none behind. Whoever only asks leaves no trace.
+The lock is held by the kernel (flock(2), `drivers.file_lock`) and ends with its process: a process that died leaves no
+lock behind. To ask whether a folder is locked writes nothing.
 """
 
 from __future__ import annotations
@@ -19,12 +20,22 @@ _LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
 
 
 def lock_folder(path: Path) -> int:
-    """Hold a folder against other processes, for as long as the descriptor returned is open.
+    """Lock a folder against other processes.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Returns
+    -------
+    int
+        File descriptor; the folder is locked until it is closed.
 
     Raises
     ------
     RunFolderError
-        When another process holds it.
+        When another process has locked it.
     StorageError
         When it cannot be locked.
     """
@@ -35,17 +46,27 @@ def lock_folder(path: Path) -> int:
     except OSError as error:
         os.close(lock)
         if error.errno not in {errno.EWOULDBLOCK, errno.EACCES}:
-            raise StorageError(f"It cannot be locked: {error.strerror}.", where=str(path)) from error
+            raise StorageError(f"The folder cannot be locked: {error.strerror}.", where=str(path)) from error
         raise RunFolderError(
             "Another process is working on this run.",
             where=str(path),
-            remedy="Wait for it to end, or stop it.",
+            remedy="Wait until that process ends, or stop it.",
         ) from error
     return lock
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds a run folder at this moment. Leaves no trace there.
+    """Return whether a process has locked a folder at this moment. Writes nothing.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Returns
+    -------
+    bool
+        True if a process works in the folder.
 
     Raises
     ------
@@ -64,7 +85,7 @@ def is_locked(path: Path) -> bool:
 
 
 def _lock_exclusively(descriptor: int) -> None:
-    """Take the lock; tried again for a moment, since whoever asks whether it is held touches it (is_worked_on)."""
+    """Take the lock. Try again for a moment, because `is_locked` of another process takes it for an instant."""
     for _ in range(_LOCK_TRIES - 1):
         with suppress(BlockingIOError):
             file_lock.lock(descriptor)

@@ -24,7 +24,7 @@ from bench.records.events import (
     RunStarted,
     Solved,
 )
-from bench.records.journal import Entry
+from bench.records.journal_entry import Entry
 
 _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
 """States in which a pose is at work."""

@@ -1,73 +1,48 @@
-r"""The journal of a run: one JSON object a line, synced and chained to the one before.
+"""The journal of a run: it is written line by line, and verified when it is read.
 
-A line is ``{"seq", "utc", "mono_s", "event", ..., "prev", "hash"}`` in this order, ASCII, without spaces;
-what an event carries stands between ``event`` and ``prev``. ``hash`` is the SHA-256 of the line as it
-stands without its hash, so that no canonical form has to be agreed upon and a shell can check it::
-
-    sed 's/,"hash":"[0-9a-f]*"}$/}/' | head -n 1 | tr -d '\n' | sha256sum
-
-``prev`` is the hash of the line before, 64 zeros in the first. A line is written once the thing it tells
-has happened and lasts; what is not in the journal has not happened. Lines that only tell of the way there
-(``append_unsynced``) are synced with the next one that counts. The journal knows nothing of what events mean.
+`bench.records.journal_entry` describes the form of a line, `bench.records.events` the meaning of the events. A line is
+written when what it states has happened and is on the disk. What is not in the journal has not happened. A line of
+lesser importance (`Journal.append_unsynced`) is synced together with the next line that counts.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Self
 
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
+from bench.records.journal_entry import FIRST_PREV, OWN_KEYS, Entry, decode_line, encode_line
 from bench.records.storage import O_BINARY, storage_errors, sync_folder, write_all
 
-FIRST_PREV = "0" * 64
 CLOCK_JUMP_S = 2.0
-"""The system's time may differ this much from the monotonic clock before it is called a jump."""
+"""The system time is said to have jumped if it moved by more than this against the monotonic clock."""
 CLOCK_JUMPED = "clock_jumped"
 _BLOCK_BYTES = 512
 _MOST_UNSYNCED_BYTES = 64 * 1024
-"""Zeros further from the end than that are no cut of power: lines are synced far more often."""
-
-_OWN_KEYS = ("seq", "utc", "mono_s", "event", "prev", "hash")
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One line of a journal.
-
-    Attributes
-    ----------
-    seq
-        Number of the line, from 0.
-    utc
-        System time, ISO 8601 with microseconds and ``Z``.
-    mono_s
-        Monotonic clock of the process that wrote it, s; comparable within one process only.
-    event
-        What happened, as a short name.
-    data
-        What the event carries, as JSON gives it back.
-    prev, hash
-        Hash of the line before, and of this one.
-    """
-
-    seq: int
-    utc: str
-    mono_s: float
-    event: str
-    data: Mapping[str, Any]
-    prev: str
-    hash: str
+"""A power cut leaves zeros only nearer to the end than this: lines are synced far more often."""
 
 
 class Journal:
-    """A journal open for appending; made by ``create`` or ``open``. Safe to use from several threads."""
+    """A journal that is open for appending, from ``create`` or ``open``. Several threads may use it.
+
+    Parameters
+    ----------
+    path
+        The file.
+    entries
+        Its lines so far.
+    torn
+        Bytes of an incomplete last line that were removed.
+    utc_now
+        Returns the system's time, with its time zone.
+    monotonic
+        Returns the time of a monotonic clock, s.
+    """
 
     def __init__(
         self,
@@ -80,7 +55,7 @@ class Journal:
     ) -> None:
         self.path = path
         self.torn = torn
-        """Bytes of a half-written last line that ``open`` dropped; empty when there was none."""
+        """Bytes of an incomplete last line that ``open`` has removed; empty when there was none."""
         self._entries = entries
         self._utc_now = utc_now
         self._monotonic = monotonic
@@ -91,21 +66,26 @@ class Journal:
 
     @classmethod
     def create(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
-        """Begin a journal.
+        """Make a new journal.
 
         Parameters
         ----------
         path
             The new file.
         utc_now
-            Gives the system's time, aware of its zone.
+            Returns the system's time, with its time zone.
         monotonic
-            Gives a clock that is never set, s.
+            Returns the time of a monotonic clock, s.
+
+        Returns
+        -------
+        Journal
+            The journal, without lines.
 
         Raises
         ------
         RunFolderError
-            When the file exists.
+            When the file exists already.
         StorageError
             When it cannot be made.
         """
@@ -121,12 +101,26 @@ class Journal:
 
     @classmethod
     def open(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
-        """Go on with a journal: verify its chain and drop a half-written last line (see ``torn``).
+        """Open a journal to continue it: verify its chain and remove an incomplete last line (see ``torn``).
+
+        Parameters
+        ----------
+        path
+            The file.
+        utc_now
+            Returns the system's time, with its time zone.
+        monotonic
+            Returns the time of a monotonic clock, s.
+
+        Returns
+        -------
+        Journal
+            The journal, with its lines.
 
         Raises
         ------
         JournalBroken
-            When a whole line does not hold; the message names it. Nothing is changed then.
+            When a complete line is not valid; the message names it. The file is then not changed.
         StorageError
             When the file cannot be read or written.
         """
@@ -143,41 +137,62 @@ class Journal:
 
     @property
     def head(self) -> str:
-        """Hash of the last line: it stands for the whole journal. 64 zeros when there is none."""
+        """Hash of the last line, which identifies the whole journal; 64 zeros when there is no line."""
         return self._entries[-1].hash if self._entries else FIRST_PREV
 
     def append(self, event: str, **data: Any) -> Entry:
-        """Write one line and sync it; when this returns, it lasts.
+        """Write one line and sync it. The line is on the disk when this returns.
 
-        Where the system's time has moved against the monotonic clock by more than ``CLOCK_JUMP_S``
-        since the last line, a line ``clock_jumped`` with ``jump_s`` stands before it.
+        If the system time has moved by more than ``CLOCK_JUMP_S`` against the monotonic clock since the last line, a
+        line ``clock_jumped`` with ``jump_s`` is written before it.
 
         Parameters
         ----------
         event
-            What happened.
+            Name of the event.
         **data
-            What JSON can hold; NumPy scalars and arrays, paths and dates too. Numbers must be finite.
+            Data of the event, which JSON can represent; also NumPy scalars and arrays, paths and dates. Numbers must be
+            finite.
+
+        Returns
+        -------
+        Entry
+            The line.
 
         Raises
         ------
         ValueError
-            When ``data`` cannot be written as JSON, or uses a key of the journal's own.
+            When ``data`` cannot be written as JSON, or uses one of the journal's own keys.
         StorageError
-            When the disk did not take it. The line is then not there; after a failed sync the journal
-            takes no more lines, for nobody can say what the disk holds.
+            When the line cannot be written; it is then not in the journal. After a failed sync the journal accepts no
+            more lines, because the contents of the disk are unknown.
         """
         return self._put(event, data, synced=True)
 
     def append_unsynced(self, event: str, **data: Any) -> Entry:
-        """Write one line that need not last before the next one appended does: both are synced together then.
+        """Write one line without syncing it; the next ``append`` syncs both.
 
-        A process that dies loses nothing of it; a cut of power may take the lines noted last. As ``append`` otherwise.
+        If the process dies, the line remains; a power cut may remove the last unsynced lines.
+
+        Parameters
+        ----------
+        event, **data
+            As for ``append``.
+
+        Returns
+        -------
+        Entry
+            The line.
+
+        Raises
+        ------
+        ValueError, StorageError
+            As ``append``.
         """
         return self._put(event, data, synced=False)
 
     def close(self) -> None:
-        """Close the file; further lines are refused."""
+        """Close the file. Further lines are refused."""
         with self._lock:
             if self._descriptor >= 0:
                 os.close(self._descriptor)
@@ -190,9 +205,11 @@ class Journal:
         self.close()
 
     def _clock_jump_s(self, now: datetime, mono_s: float) -> float:
-        """How far the system's time moved against the monotonic clock since the last line, s."""
+        """Return by how much the system time has moved against the monotonic clock since the last line, s."""
         offset_s = now.timestamp() - mono_s
-        if self._clock_offset_s is None:  # first line of this process: time can only be seen to run back
+        if (
+            self._clock_offset_s is None
+        ):  # first line of this process: only a step backwards can be recognised
             last = datetime.fromisoformat(self._entries[-1].utc) if self._entries else now
             jump_s = min(0.0, (now - last).total_seconds())
         else:
@@ -215,16 +232,16 @@ class Journal:
             raise StorageError(
                 "The journal is closed, or a write to it failed.",
                 where=str(self.path),
-                remedy="Check the disk, then go on with `starbench resume`.",
+                remedy="Check the disk. Then continue with `starbench resume`.",
             )
-        line = _line(len(self._entries), now, mono_s, event, data, self.head)
-        entry = _read_line(line, len(self._entries), self.head)
+        line = encode_line(len(self._entries), now, mono_s, event, data, self.head)
+        entry = decode_line(line, len(self._entries), self.head)
         try:
             self._write(line + b"\n", synced=synced)
             self._entries.append(entry)
         except StorageError:
             raise
-        except BaseException:  # stopped in the midst of a line: what follows would not be chained to it
+        except BaseException:  # interrupted within a line: a further line could not be chained to it
             self.close()
             raise
         return entry
@@ -241,14 +258,14 @@ class Journal:
                 self._sync()
 
     def _take_back(self, size: int) -> None:
-        """Cut off what was written of a line; where that fails, the journal takes no more, and it stays the last."""
+        """Remove what was written of a line. If that fails, the journal accepts no more lines after it."""
         try:
             os.ftruncate(self._descriptor, size)
         except OSError:
             self.close()
 
     def _sync(self) -> None:
-        """Make all lines so far last. Raises OSError; the journal then takes no more."""
+        """Sync all lines so far. On an OSError, which is raised again, the journal accepts no more lines."""
         try:
             os.fsync(self._descriptor)
         except OSError:
@@ -257,19 +274,20 @@ class Journal:
 
 
 def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Look at the whole lines after so many bytes of a journal, unverified: for whoever waits for one of them.
+    """Read the complete lines after a position in a journal, without verification.
 
     Parameters
     ----------
     path
         The journal.
     offset
-        Its size at some moment, bytes; it may lie within a line, which is passed over then.
+        The position, bytes: usually the size of the file at an earlier moment. If it lies within a line, that line is
+        left out.
 
     Yields
     ------
     event, data
-        As an ``Entry`` has them.
+        As in an `Entry`.
 
     Raises
     ------
@@ -281,28 +299,33 @@ def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
         for line in stream:
             try:
                 record = json.loads(line) if line.endswith(b"\n") else None
-            except ValueError:  # the rest of a line
+            except ValueError:  # the second part of a line
                 continue
             if isinstance(record, dict):
-                yield str(record.get("event")), {k: v for k, v in record.items() if k not in _OWN_KEYS}
+                yield str(record.get("event")), {k: v for k, v in record.items() if k not in OWN_KEYS}
 
 
 def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     """Read and verify a journal without changing it.
 
+    Parameters
+    ----------
+    path
+        The journal.
+
     Returns
     -------
     entries
-        Every whole line.
+        Every complete line.
     torn
-        What a cut of power left at the end: a line without its line feed, or, from the first zero byte on, blocks that
-        the file system had made room for and had not written, with what had come to the disk behind them. Lines that
-        were synced are never among it. Empty if none.
+        What a power cut has left at the end: a line without its line feed; or zeros in blocks that the file system had
+        allocated and not written, with everything behind the first of them. It never contains a synced line. Empty if
+        there is nothing of that kind.
 
     Raises
     ------
     JournalBroken
-        When a whole line is not JSON, out of order, changed, or not chained to the one before.
+        When a complete line is not JSON, not in order, changed, or not chained to the line before.
     StorageError
         When the file cannot be read.
     """
@@ -314,24 +337,24 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
                 return entries, line
             prev = entries[-1].hash if entries else FIRST_PREV
             try:
-                entries.append(_read_line(line[:-1], len(entries), prev))
+                entries.append(decode_line(line[:-1], len(entries), prev))
             except ValueError as error:
                 rest = line + stream.read(_MOST_UNSYNCED_BYTES)
                 if _was_cut_off(rest, begin):
                     return entries, rest
                 raise JournalBroken(
-                    f"The journal does not hold: {error}.",
+                    f"The journal is not valid: {error}.",
                     where=f"{path}:{len(entries) + 1}",
-                    remedy="It was changed after it was written; restore it from a copy.",
+                    remedy="The file was changed after it was written: restore it from a copy.",
                 ) from error
             begin += len(line)
     return entries, b""
 
 
 def _was_cut_off(rest: bytes, begin: int) -> bool:
-    """Whether the end of a journal, from a bad line on, lacks blocks that were never written: zeros of their extent.
+    """Whether the end of a journal, from an invalid line on, has zeros in place of blocks that were never written.
 
-    They begin where lines had been synced, or with a block, and end with a block or the file.
+    Such zeros begin after the last synced line or with a block, and end with a block or with the file.
     """
     first = rest.find(b"\0")
     if first < 0 or len(rest) >= _MOST_UNSYNCED_BYTES:
@@ -339,49 +362,3 @@ def _was_cut_off(rest: bytes, begin: int) -> bool:
     last = len(rest) - len(rest[first:].lstrip(b"\0"))
     from_block = first == 0 or (begin + first) % _BLOCK_BYTES == 0
     return from_block and (last == len(rest) or (begin + last) % _BLOCK_BYTES == 0)
-
-
-def _line(seq: int, now: datetime, mono_s: float, event: str, data: Mapping[str, Any], prev: str) -> bytes:
-    clash = sorted(set(data) & set(_OWN_KEYS))
-    if clash:
-        raise ValueError(f"event {event!r} uses the journal's own keys {clash}")
-    utc = now.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
-    head = {"seq": seq, "utc": utc, "mono_s": round(mono_s, 6), "event": event}
-    try:
-        text = json.dumps(
-            {**head, **data, "prev": prev}, separators=(",", ":"), allow_nan=False, default=_plain
-        )
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"event {event!r} cannot be written as JSON: {error}") from error
-    own_hash = hashlib.sha256(text.encode()).hexdigest()
-    return f'{text[:-1]},"hash":"{own_hash}"}}'.encode()
-
-
-def _plain(value: Any) -> Any:
-    """Give what JSON can hold in place of a NumPy value, a path or a date."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if isinstance(value, datetime):
-        return value.isoformat()
-    raise TypeError(f"{type(value).__name__} is not JSON")
-
-
-def _read_line(line: bytes, seq: int, prev: str) -> Entry:
-    """Check a line against its place and its own hash. Raises ValueError saying what is wrong."""
-    try:
-        record = json.loads(line.decode("ascii"))
-        own = {key: record.pop(key) for key in _OWN_KEYS}
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError("this line is not an entry") from error
-    tail = f',"hash":"{own["hash"]}"}}'.encode()
-    if not line.endswith(tail) or hashlib.sha256(line[: -len(tail)] + b"}").hexdigest() != own["hash"]:
-        raise ValueError("this line differs from its hash")
-    if not (isinstance(own["utc"], str) and isinstance(own["event"], str)):
-        raise ValueError("this line is not an entry")  # noqa: TRY004 - of a file, not of an argument
-    if own["prev"] != prev:
-        raise ValueError("this line is not chained to the one before it")
-    if own["seq"] != seq:
-        raise ValueError(f"entry {own['seq']} stands where entry {seq} should")
-    return Entry(data=record, **own)

@@ -18,7 +18,8 @@ from typing import Any
 
 from bench.base.errors import JournalBroken
 from bench.records.events import LedgerPlace
-from bench.records.journal import Entry, Journal, read_journal
+from bench.records.journal import Journal, read_journal
+from bench.records.journal_entry import Entry
 from bench.records.run_folder import MANIFEST, is_sealed
 from bench.records.storage import make_folder, open_to_lock, sha256_of, storage_errors
 from drivers import file_lock

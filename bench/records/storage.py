@@ -1,7 +1,8 @@
-"""Writing so that it lasts: whole files or none, synced with their folder, failures in plain words.
+"""Durable writing: files are written as a whole or not at all, and synced together with their folder.
 
-Knows the file system and nothing of runs. Every file of ours goes to disk through here or through the
-journal; whoever writes elsewhere (a camera, HDF5) has its file put in place by ``move_into_place``.
+All files of Starbench are written here or by the journal. A file that other code writes (a camera, HDF5) receives its
+final name from `move_into_place`. The steps are: a temporary file, fsync(2), rename(2), and fsync of the folder, which
+makes the new name durable.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ TEMPORARY = ".tmp"
 
 _FOLDERS_OPEN = hasattr(os, "O_DIRECTORY")
 O_BINARY = getattr(os, "O_BINARY", 0)
-"""Flag of ``os.open``: without it Windows writes two bytes for each line feed."""
+"""Flag of ``os.open``; without it, Windows writes two bytes for each line feed."""
 _TO_SYNC = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
-"""Windows syncs no file that is open for reading alone."""
+"""Windows does not sync a file that is open for reading only."""
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -32,36 +33,52 @@ _NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno
 
 @contextmanager
 def storage_errors(where: Path) -> Iterator[None]:
-    """Turn an OSError of the block into a StorageError that says what to do.
+    """Turn an OSError of the block into a StorageError with a remedy.
 
     Parameters
     ----------
     where
-        The file or folder being written; named in the message unless the error names another.
+        The file or folder in use; the message names it unless the error names another one.
+
+    Yields
+    ------
+    None
+        For the block.
 
     Raises
     ------
     StorageError
-        For any OSError raised inside.
+        For any OSError in the block.
     """
     try:
         yield
     except OSError as error:
         place = str(error.filename or where)
         if error.errno in _FULL:
-            what, remedy = "The disk is full.", "Make room; a run then goes on with `starbench resume`."
+            what, remedy = "The disk is full.", "Make room. Then continue a run with `starbench resume`."
         elif error.errno in _DENIED:
             what, remedy = "No permission.", "Change its mode or owner, or use another folder."
         elif error.errno in _NOWHERE:
-            what, remedy = f"It cannot lie there: {error.strerror or error}.", "Check the path."
+            what, remedy = f"This path cannot be used: {error.strerror or error}.", "Check the path."
         else:
-            what = f"The file system refused: {error.strerror or error}."
-            remedy = "Check the disk (dmesg, SMART) before going on."
+            what = f"The file system reports an error: {error.strerror or error}."
+            remedy = "Check the disk (dmesg, SMART) before you continue."
         raise StorageError(what, where=place, remedy=remedy) from error
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder last through a power cut, where folders can be synced: not on Windows."""
+    """Sync a folder, so that the names in it survive a power cut. Does nothing on Windows, which cannot sync folders.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Raises
+    ------
+    OSError
+        When it cannot be synced.
+    """
     if not _FOLDERS_OPEN:
         return
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -72,7 +89,18 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Make what a file holds last through a power cut. Raises OSError."""
+    """Sync a file, so that its contents survive a power cut.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    OSError
+        When it cannot be synced.
+    """
     descriptor = os.open(path, _TO_SYNC)
     try:
         os.fsync(descriptor)
@@ -81,7 +109,17 @@ def sync_file(path: Path) -> None:
 
 
 def open_to_lock(folder: Path) -> int:
-    """Open a folder itself to lock it (see `drivers.file_lock`); a hidden file beside it where folders cannot be.
+    """Open a folder in order to lock it (see `drivers.file_lock`). On Windows, open a hidden file beside it instead.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Returns
+    -------
+    int
+        File descriptor; the caller closes it.
 
     Raises
     ------
@@ -94,7 +132,12 @@ def open_to_lock(folder: Path) -> int:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and its parents, each name synced.
+    """Make a folder and its parents, and sync the name of each.
+
+    Parameters
+    ----------
+    folder
+        The folder; it may exist already.
 
     Raises
     ------
@@ -106,26 +149,50 @@ def make_folder(folder: Path) -> None:
         for path in reversed(missing):
             path.mkdir(exist_ok=True)
             sync_folder(path.parent)
-        if not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
+        _require_folder(folder)
+
+
+def _require_folder(path: Path) -> None:
+    if not path.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
 
 
 def write_all(descriptor: int, data: bytes) -> None:
-    """Write every byte; ``os.write`` alone may stop short. Raises OSError."""
+    """Write every byte. ``os.write`` alone may write fewer.
+
+    Parameters
+    ----------
+    descriptor
+        File descriptor, open for writing.
+    data
+        The bytes.
+
+    Raises
+    ------
+    OSError
+        When they cannot be written; some may have been.
+    """
     view = memoryview(data)
     while view:
         view = view[os.write(descriptor, view) :]
 
 
 def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
-    """Write a file so that its name holds either all of ``data`` or what it held before.
+    """Write a file so that at any moment it has either its new contents or its old ones.
 
-    Temporary file beside it, fsync, rename, fsync of the folder.
+    Parameters
+    ----------
+    path
+        The file; its folder must exist.
+    data
+        Its new contents.
+    mode
+        Permissions of a new file.
 
     Raises
     ------
     StorageError
-        Disk full, no permission, or any other failure; ``path`` is as before.
+        When the disk is full, permission is missing, or anything else fails; the file then has its old contents.
     """
     part = path.with_name(f".{path.name}{TEMPORARY}")
     with storage_errors(path):
@@ -134,14 +201,25 @@ def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
             _write_new(part, data, mode)
             part.replace(path)
         except OSError:
-            with suppress(OSError):  # the first error is the one to tell
+            with suppress(OSError):  # the first error is the one to report
                 part.unlink()
             raise
         sync_folder(path.parent)
 
 
 def remove(path: Path) -> None:
-    """Remove whatever lies there, a folder with all in it too; of a link, the link alone. Raises OSError."""
+    """Remove a file, a link, or a folder with its contents.
+
+    Parameters
+    ----------
+    path
+        What to remove; the target of a link remains.
+
+    Raises
+    ------
+    OSError
+        When it cannot be removed.
+    """
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -149,12 +227,30 @@ def remove(path: Path) -> None:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a file is one that ``write_atomic`` was writing when its process died."""
+    """Return whether a file is one that `write_atomic` left behind when its process died, or is writing now.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    bool
+        By its name only.
+    """
     return path.name.startswith(".") and path.name.endswith(TEMPORARY)
 
 
 def move_into_place(part: Path, path: Path) -> None:
-    """Give a file written by somebody else its final name: fsync, rename, fsync of the folder.
+    """Give a file that other code has written its final name: fsync, rename, fsync of the folder.
+
+    Parameters
+    ----------
+    part
+        The complete file.
+    path
+        Its final path, in the same folder.
 
     Raises
     ------
@@ -168,7 +264,23 @@ def move_into_place(part: Path, path: Path) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal; memory stays bounded. Raises OSError."""
+    """Return the SHA-256 of a file (FIPS 180-4). The file may be larger than the memory.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+
+    Raises
+    ------
+    OSError
+        When it cannot be read.
+    """
     digest = hashlib.sha256()
     with path.open("rb") as stream:
         while chunk := stream.read(HASH_CHUNK_BYTES):

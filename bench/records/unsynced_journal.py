@@ -1,4 +1,4 @@
-"""A journal that is not synced line by line: for rehearsals, which may be lost with the power and are done again."""
+"""A journal that is not synced line by line, for rehearsals: one that is lost in a power cut can be repeated."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from bench.records.journal import Journal
 
 
 class UnsyncedJournal(Journal):
-    """A journal as any other, but that the system chooses when its lines reach the disk."""
+    """A journal whose lines are written to the disk when the operating system chooses."""
 
     def _sync(self) -> None:
-        """Leave it to the system."""
+        """Do nothing."""

@@ -27,7 +27,8 @@ from bench.plan.job import Job
 from bench.plan.plan import Plan
 from bench.records.events import Event, LedgerPlace
 from bench.records.history import History, replay
-from bench.records.journal import Entry, Journal, read_journal
+from bench.records.journal import Journal, read_journal
+from bench.records.journal_entry import Entry
 from bench.records.ledger import Ledger
 from bench.records.run_folder import (
     JOURNAL,
@@ -97,7 +98,8 @@ def start_run(
     operator
         Who runs it.
     settings
-        What is set otherwise than the files say (`bench.plan.plan.load_documents`); the run folder keeps both files with that in them.
+        Settings that replace those of the files (`bench.plan.plan.load_documents`); the run folder keeps both files
+        with these settings.
 
     Raises
     ------

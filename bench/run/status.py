@@ -18,7 +18,8 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.records.events import Event
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
-from bench.records.journal import Entry, read_journal
+from bench.records.journal import read_journal
+from bench.records.journal_entry import Entry
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storage_errors
 from bench.run.interlock_text import interlock_text

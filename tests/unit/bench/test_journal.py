@@ -14,7 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
-from bench.records.journal import CLOCK_JUMPED, FIRST_PREV, Journal, lines_after, read_journal
+from bench.records.journal import CLOCK_JUMPED, Journal, lines_after, read_journal
+from bench.records.journal_entry import FIRST_PREV
 
 START = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=UTC)
 
@@ -163,7 +164,7 @@ def test_a_line_numbered_out_of_order_is_found(three_lines):
     lines = three_lines.read_bytes().splitlines()
     lines[2] = rehashed(lines[2].replace(b'{"seq":2', b'{"seq":3'))
     three_lines.write_bytes(b"\n".join(lines) + b"\n")
-    with pytest.raises(JournalBroken, match=r":3: .*entry 3 stands where entry 2 should"):
+    with pytest.raises(JournalBroken, match=r":3: .*line 3 in place of line 2"):
         read_journal(three_lines)
 
 
@@ -252,7 +253,7 @@ def test_after_a_failed_sync_nothing_more_is_written(three_lines, clocks, monkey
     with Journal.open(three_lines, **clocks.kwargs()) as journal:
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", fail)
-            with pytest.raises(StorageError, match="file system refused"):
+            with pytest.raises(StorageError, match="file system reports an error"):
                 journal.append("x")
         with pytest.raises(StorageError, match="a write to it failed"):
             journal.append("y")
