@@ -242,7 +242,7 @@ class Solved(TypedDict):
 
 
 class Recovered(TypedDict):
-    """Payload of ``recovered``: files by what recovery found or did (`bench.records.run_folder.RecoveryNotes`)."""
+    """Payload of ``recovered``: files by what recovery found or did (`bench.records.recovery.RecoveryNotes`)."""
 
     intact: Sequence[str]
     missing: Sequence[str]

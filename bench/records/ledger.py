@@ -1,9 +1,9 @@
-"""The laboratory's ledger: every run that was begun on this bench and how it ended, so that none is left out unseen.
+"""The laboratory's ledger: every run that was started on this bench, and how it ended. No run can be left out unseen.
 
-One file for all runs, ``ledger.jsonl`` beside the signing key, in the journal's form: chained, synced line by line.
-A run is entered before it does anything and again whenever it ends; a run that nobody ended stays open, and shows.
-Reports name the ledger's head and the count of runs of their camera, so that a line cut off the end is missed too.
-Knows folders of runs by name only.
+It is one file for all runs, ``ledger.jsonl`` beside the signing key, in the form of a journal: chained, and synced line
+by line. A run is entered before it does anything, and again whenever it ends; a run without an end remains open. A
+report states the hash of the ledger's last line and the number of runs of its camera, so that lines removed from the
+end of the ledger are noticed, too.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ LEDGER = "ledger.jsonl"
 BEGUN = "run_begun"
 ENDED = "run_ended"
 OPEN = "open"
-"""How a run stands that has not ended: under way, killed, or cut off."""
+"""State of a run without an end: it is running, was killed, or was cut off by a loss of power."""
 
 
 @dataclass(frozen=True)
 class LedgerRun:
-    """One run as the ledger knows it.
+    """One run in the ledger.
 
     Attributes
     ----------
     number
-        Its number in the ledger, from 1.
+        Number of the run in the ledger, from 1.
     run_id, folder
-        Its name, and where it was written.
+        Name and folder of the run.
     camera
         Serial number of the camera.
     simulated
         Whether any device was simulated.
     begun_utc
-        When it was begun.
+        Time of the start, ISO 8601.
     how
-        How it stands: ``finished``, ``aborted``, ``failed`` or ``open``.
+        State of the run: ``finished``, ``aborted``, ``failed`` or ``open``.
     seal
         SHA-256 of its list of files; None when it was not sealed.
     """
@@ -64,14 +64,14 @@ class LedgerRun:
 
 
 class Ledger:
-    """The ledger of a bench; every method reads it anew, for other processes write it too.
+    """The ledger of a bench. Every method reads the file anew, because other processes write to it too.
 
     Parameters
     ----------
     home
-        The configuration folder, as ``home_folder`` gives it.
+        The configuration folder, from `bench.base.home.home_folder`.
     utc_now, monotonic
-        As for a journal.
+        As for `bench.records.journal.Journal`.
     """
 
     def __init__(
@@ -83,21 +83,31 @@ class Ledger:
     def begin(self, *, run_id: str, folder: Path, camera: str, simulated: bool) -> LedgerPlace:
         """Enter a run before it does anything.
 
+        Parameters
+        ----------
+        run_id
+            Name of the run.
+        folder
+            Its folder.
+        camera
+            Serial number of the camera.
+        simulated
+            Whether any device is simulated.
+
         Returns
         -------
         dict
-            ``number`` of the run in the ledger, ``head`` of the ledger with it, and of the runs of this camera begun
-            so far, this one included, how many there are by how they stand: ``of_camera``. For the run's own journal
-            and its report.
+            For the journal and the report of the run: its ``number`` in the ledger; the ``head``, which is the hash of
+            the ledger's last line; and ``of_camera``, the number of runs of this camera by state, with this run.
 
         Raises
         ------
         JournalBroken
-            When the ledger does not hold.
+            When the ledger is not valid.
         StorageError
             When it cannot be written.
         """
-        with self._held() as journal:
+        with self._locked() as journal:
             number = 1 + sum(entry.event == BEGUN for entry in journal.entries)
             journal.append(
                 BEGUN, number=number, run=run_id, folder=str(folder), camera=camera, simulated=simulated
@@ -109,16 +119,16 @@ class Ledger:
             return {"number": number, "head": journal.head, "of_camera": of_camera}
 
     def end(self, number: int, *, how: str, folder: Path) -> None:
-        """Enter how a run ended; once more when it was resumed and ended again.
+        """Enter how a run ended; again after it was resumed and has ended again.
 
         Parameters
         ----------
         number
-            As ``begin`` gave it.
+            Number of the run, from ``begin``.
         how
             ``finished``, ``aborted`` or ``failed``.
         folder
-            Its folder; when that is sealed the seal is entered.
+            Its folder; if it is sealed, the hash of the seal is entered.
 
         Raises
         ------
@@ -127,25 +137,45 @@ class Ledger:
         """
         with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
-        with self._held() as journal:
+        with self._locked() as journal:
             journal.append(ENDED, number=number, how=how, seal=seal)
 
     def contains(self, place: Mapping[str, Any]) -> bool:
-        """Whether a run stands in this ledger where ``begin`` put it; another bench's may have its number and name.
+        """Return whether a run was entered in this ledger. The ledger of another bench may have a run of its number.
 
-        Raises JournalBroken, StorageError.
+        Parameters
+        ----------
+        place
+            What ``begin`` returned for the run.
+
+        Returns
+        -------
+        bool
+            Whether the line with that hash enters a run.
+
+        Raises
+        ------
+        JournalBroken
+            When the ledger is not valid.
+        StorageError
+            When it cannot be read.
         """
         if not self.path.exists():
             return False
         return any(e.event == BEGUN and e.hash == place.get("head") for e in read_journal(self.path)[0])
 
     def runs(self) -> list[LedgerRun]:
-        """List all runs, first to last; none when there is no ledger yet.
+        """List all runs in the order of their numbers.
+
+        Returns
+        -------
+        list of LedgerRun
+            Empty while there is no ledger.
 
         Raises
         ------
         JournalBroken
-            When the ledger does not hold.
+            When the ledger is not valid.
         StorageError
             When it cannot be read.
         """
@@ -154,7 +184,20 @@ class Ledger:
         return _runs(read_journal(self.path)[0])
 
     def faults(self) -> list[str]:
-        """Say of which sealed runs the folder is gone, or is not what was sealed."""
+        """Check that the folder of every sealed run still exists and still has its seal.
+
+        Returns
+        -------
+        list of str
+            One sentence for each run whose folder is missing or has another seal.
+
+        Raises
+        ------
+        JournalBroken
+            When the ledger is not valid.
+        StorageError
+            When the ledger or a seal cannot be read.
+        """
         found = []
         for run in self.runs():
             manifest = Path(run.folder) / MANIFEST
@@ -162,14 +205,14 @@ class Ledger:
                 continue
             with storage_errors(manifest):
                 if not manifest.is_file():
-                    found.append(f"run {run.number} ({run.run_id}): its folder is gone from {run.folder}")
+                    found.append(f"run {run.number} ({run.run_id}): its folder {run.folder} is missing")
                 elif sha256_of(manifest) != run.seal:
-                    found.append(f"run {run.number} ({run.run_id}): {manifest} is not what was sealed")
+                    found.append(f"run {run.number} ({run.run_id}): {manifest} was changed after sealing")
         return found
 
     @contextmanager
-    def _held(self) -> Iterator[Journal]:
-        """Hold the ledger against other processes, and open it for a line."""
+    def _locked(self) -> Iterator[Journal]:
+        """Lock the ledger against other processes, and open it for writing."""
         make_folder(self.path.parent)
         with storage_errors(self.path):
             lock = open_to_lock(self.path.parent)
@@ -195,8 +238,8 @@ def _runs(entries: Iterable[Entry]) -> list[LedgerRun]:
                 runs[at] = replace(runs[at], how=data["how"], seal=data["seal"])
         except (LookupError, TypeError) as error:
             raise JournalBroken(
-                f"Line {entry.seq + 1} of the ledger is not an entry of a run.",
-                remedy="Another program wrote it; move the ledger away to begin a new one.",
+                f"Line {entry.seq + 1} of the ledger is not a line about a run.",
+                remedy="Another program wrote it. Move the ledger away to start a new one.",
             ) from error
     return runs
 

@@ -1,9 +1,9 @@
-"""The folder of one run: who may write in it, how files get their names, and what a crash left behind.
+"""The folder of one run: its lock, and how its files get their names.
 
-It is the record and the bundle in one. Captures and other files get their names only when they are whole
-and synced (``write_atomic``, ``commit``), and are told to the journal after that: a name in the journal is
-a file on the disk. One process at a time holds the folder: the lock is the kernel's, on the folder itself,
-so that a dead process leaves none behind. A sealed folder is never opened for writing again.
+The folder is the complete record of the run. A recording or other file receives its name only when it is complete and
+synced (``write_atomic``, ``commit``). The journal names it after that, so that a name in the journal is a file on the
+disk. One process at a time works in the folder (`bench.records.folder_lock`). A sealed folder is never opened for
+writing again.
 """
 
 from __future__ import annotations
@@ -12,14 +12,12 @@ import os
 import re
 import shutil
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, Self
+from typing import Self
 
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.captures import CAPTURES, Capture, capture_name, stored_captures
+from bench.records.captures import CAPTURES, Capture, capture_name
 from bench.records.folder_lock import lock_folder
-from bench.records.journal import Journal
 from bench.records.storage import (
     is_temporary,
     make_folder,
@@ -33,7 +31,7 @@ from bench.records.storage import (
 JOURNAL = "journal.jsonl"
 SEQUENCE_COPY = "sequence.yaml"
 STATION_COPY = "station.yaml"
-"""The files a run was begun with, byte for byte."""
+"""Byte-exact copies of the files that the run was started with."""
 PLAN = "plan.json"
 RESULTS = "results.json"
 REPORT = "report.html"
@@ -42,53 +40,38 @@ MANIFEST = "SHA256SUMS"
 SIGNATURE = "SHA256SUMS.sig"
 _RESERVE = ".reserve"
 _RESERVE_BYTES = 256 * 1024
-_PART = ".part"
+PART = ".part"
+"""Ending of a file that is not complete yet."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _DEVICE_NAMES = {"con", "prn", "aux", "nul"} | {f"{d}{n}" for d in ("com", "lpt") for n in range(1, 10)}
 
 
-@dataclass(frozen=True)
-class RecoveryNotes:
-    """What a restart found in a run folder.
-
-    Attributes
-    ----------
-    intact
-        Captures the journal tells of that are as they were when stored.
-    missing
-        Captures the journal tells of that are gone.
-    changed
-        Captures that differ from what was stored; now in ``quarantine/``.
-    interrupted
-        Half-written recordings; now in ``quarantine/``.
-    unnamed
-        Whole recordings the journal does not tell of (the power went between both); in ``quarantine/``.
-    """
-
-    intact: tuple[Capture, ...] = ()
-    missing: tuple[str, ...] = ()
-    changed: tuple[str, ...] = ()
-    interrupted: tuple[str, ...] = ()
-    unnamed: tuple[str, ...] = ()
-
-    def as_data(self) -> dict[str, Any]:
-        """Give the notes as a journal can carry them."""
-        return {
-            "intact": [capture.name for capture in self.intact],
-            "missing": list(self.missing),
-            "changed": list(self.changed),
-            "interrupted": list(self.interrupted),
-            "unnamed": list(self.unnamed),
-        }
-
-
 def is_sealed(path: Path) -> bool:
-    """Whether a run folder carries a signature."""
+    """Return whether a run folder is sealed.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Returns
+    -------
+    bool
+        Whether it has a signature; this does not verify it.
+    """
     return (path / SIGNATURE).exists()
 
 
 class RunFolder:
-    """A run folder held by this process; made by ``create`` or ``open``, given back by ``close``."""
+    """A run folder that this process has locked, from ``create`` or ``open`` until ``close``.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    lock
+        File descriptor of the lock.
+    """
 
     def __init__(self, path: Path, lock: int) -> None:
         self.path = path
@@ -96,21 +79,26 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: Path, *, bytes_needed: int = 0) -> Self:
-        """Make a new run folder, its parents included, and hold it.
+        """Make a new run folder, with its parents, and lock it.
 
         Parameters
         ----------
         path
-            Must not exist, or hold no file.
+            The folder; it must not exist, or must be empty.
         bytes_needed
-            Disk space the run is expected to take; refused when there is less.
+            Disk space that the run is expected to need, bytes.
+
+        Returns
+        -------
+        RunFolder
+            The folder.
 
         Raises
         ------
         RunFolderError
-            When it holds something already, or another process holds it.
+            When the folder is not empty, or another process has locked it.
         StorageError
-            No permission, not enough space, or a file in the way.
+            When permission is missing, there is less disk space than needed, or a file is in the way.
         """
         path = path.absolute()
         make_folder(path)
@@ -127,20 +115,30 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Hold an existing run folder, to go on with its run.
+        """Lock an existing run folder, to continue its run.
+
+        Parameters
+        ----------
+        path
+            The folder.
+
+        Returns
+        -------
+        RunFolder
+            The folder.
 
         Raises
         ------
         RunFolderError
-            When there is none, it is no run, it is sealed, or another process holds it.
+            When it does not exist, is not a run folder, is sealed, or another process has locked it.
         StorageError
-            No permission, or no space.
+            When permission or disk space is missing.
         """
         path = path.absolute()
         require_resumable(path)
         lock = lock_folder(path)
         try:
-            if not (path / _RESERVE).exists():  # given back when the disk was full
+            if not (path / _RESERVE).exists():  # it was released when the disk was full
                 _keep_reserve(path)
         except BaseException:
             os.close(lock)
@@ -149,23 +147,30 @@ class RunFolder:
 
     @property
     def journal_path(self) -> Path:
-        """Where the journal lies."""
+        """Path of the journal."""
         return self.path / JOURNAL
 
     def write_atomic(self, name: str, data: bytes) -> Path:
-        """Write a whole file, or leave what was there; synced when this returns.
+        """Write a file as a whole, or leave its old contents. The file is synced when this returns.
 
         Parameters
         ----------
         name
-            Path within the folder, with ``/``; folders are made.
+            Path within the folder, with ``/``; subfolders are made.
+        data
+            Contents of the file.
+
+        Returns
+        -------
+        Path
+            The file.
 
         Raises
         ------
         RunFolderError
             When the name is not allowed.
         StorageError
-            Disk full, no permission, or any other failure.
+            When the disk is full, permission is missing, or anything else fails.
         """
         path = self._place(name)
         make_folder(path.parent)
@@ -173,31 +178,58 @@ class RunFolder:
         return path
 
     def part_path(self, name: str) -> Path:
-        """Where somebody else writes a file (a camera, HDF5) that ``commit`` then puts in place.
+        """Return where other code (a camera, HDF5) writes a file, to which ``commit`` then gives its name.
 
-        What an earlier try left there is removed.
+        A file of an earlier attempt is removed.
+
+        Parameters
+        ----------
+        name
+            Path of the final file within the folder, with ``/``.
+
+        Returns
+        -------
+        Path
+            The temporary file, which does not exist yet.
+
+        Raises
+        ------
+        RunFolderError
+            When the name is not allowed.
+        StorageError
+            When a subfolder cannot be made, or the earlier file cannot be removed.
         """
-        part = self._place(name).with_name(PurePosixPath(name).name + _PART)
+        part = self._place(name).with_name(PurePosixPath(name).name + PART)
         make_folder(part.parent)
         with storage_errors(part), suppress(FileNotFoundError):
             part.unlink()
         return part
 
     def commit(self, name: str) -> Capture:
-        """Sync the file written at ``part_path(name)``, hash it and give it its name.
+        """Sync the file at ``part_path(name)``, compute its hash and give it its name.
+
+        Parameters
+        ----------
+        name
+            Path of the final file within the folder, with ``/``.
+
+        Returns
+        -------
+        Capture
+            Name, size and hash of the file.
 
         Raises
         ------
         RunFolderError
-            When a file of that name stands already: nothing recorded is ever written over.
+            When a file of that name exists: a recording is never overwritten.
         StorageError
-            When it is not there, or cannot be synced or renamed.
+            When the file does not exist, or cannot be synced or renamed.
         """
         path = self._place(name)
-        part = path.with_name(path.name + _PART)
+        part = path.with_name(path.name + PART)
         if path.exists():
             raise RunFolderError(
-                "This file stands already; a recording is never written over.",
+                "This file exists already; a recording is never overwritten.",
                 where=str(path),
                 remedy="Record the pose again as a further attempt.",
             )
@@ -207,20 +239,58 @@ class RunFolder:
         return capture
 
     def capture_part_path(self, pose_index: int, attempt: int, ending: str = ".raw") -> Path:
-        """Where the camera writes a recording until it is whole. Both numbers from 1."""
+        """Return where the camera writes a recording until it is complete.
+
+        Parameters
+        ----------
+        pose_index, attempt
+            Numbers of the pose and of the attempt, from 1.
+        ending
+            Ending of the file's name.
+
+        Returns
+        -------
+        Path
+            The temporary file, see ``part_path``.
+        """
         return self.part_path(capture_name(pose_index, attempt, ending))
 
     def commit_capture(self, pose_index: int, attempt: int, ending: str = ".raw") -> Capture:
-        """Give a whole recording its name; then it can be told to the journal. As ``commit``."""
+        """Give a complete recording its name. After that the journal may name it.
+
+        Parameters
+        ----------
+        pose_index, attempt
+            Numbers of the pose and of the attempt, from 1.
+        ending
+            Ending of the file's name.
+
+        Returns
+        -------
+        Capture
+            Name, size and hash of the recording.
+
+        Raises
+        ------
+        RunFolderError, StorageError
+            As ``commit``.
+        """
         return self.commit(capture_name(pose_index, attempt, ending))
 
     def quarantine_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
-        """Keep what there is of a recording that could not be completed, in ``quarantine/``.
+        """Move an incomplete recording to ``quarantine/``.
+
+        Parameters
+        ----------
+        pose_index, attempt
+            Numbers of the pose and of the attempt, from 1.
+        ending
+            Ending of the file's name.
 
         Returns
         -------
         str or None
-            Its name there within the run folder; None when nothing had been written.
+            Its new path within the run folder; None if nothing had been written.
 
         Raises
         ------
@@ -228,51 +298,26 @@ class RunFolder:
             When it cannot be moved.
         """
         path = self._place(capture_name(pose_index, attempt, ending))
-        part = path.with_name(path.name + _PART)
+        part = path.with_name(path.name + PART)
         if not part.exists():
             return None
         with storage_errors(part):
             return str(self.quarantine(part).relative_to(self.path))
 
-    def recover(self, journal: Journal) -> RecoveryNotes:
-        """Put a folder in order after a crash: what is whole and told stays, all else is set aside.
-
-        Nothing recorded is deleted. Recordings that are half-written, changed, or not told to the journal
-        move to ``quarantine/``; temporary files of reports and the like, which can be written again, go.
+    def release_reserve(self) -> None:
+        """Release the reserved disk space, so that the journal can still state that the disk is full.
 
         Raises
         ------
         StorageError
-            When a file cannot be read or moved.
+            When the reserve cannot be removed.
         """
-        told = stored_captures(journal.entries)
-        found: dict[str, list[str]] = {"intact": [], "changed": [], "interrupted": [], "unnamed": []}
-        make_folder(self.path / CAPTURES)
-        with storage_errors(self.path):
-            for path in [p for p in self.path.rglob("*") if is_temporary(p)]:
-                path.unlink()
-            for path in sorted((self.path / CAPTURES).iterdir()):
-                name = f"{CAPTURES}/{path.name}"
-                state = _state_of(path, told.get(name))
-                found[state].append(name)
-                if state != "intact":
-                    self.quarantine(path)
-        return RecoveryNotes(
-            intact=tuple(told[name] for name in found["intact"]),
-            missing=tuple(sorted(set(told) - set(found["intact"]) - set(found["changed"]))),
-            changed=tuple(found["changed"]),
-            interrupted=tuple(found["interrupted"]),
-            unnamed=tuple(found["unnamed"]),
-        )
-
-    def release_reserve(self) -> None:
-        """Give back the space kept for telling the journal that the disk is full."""
         with storage_errors(self.path), suppress(FileNotFoundError):
             (self.path / _RESERVE).unlink()
             sync_folder(self.path)
 
     def close(self) -> None:
-        """Let another process hold the folder."""
+        """Release the lock."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
@@ -288,14 +333,30 @@ class RunFolder:
         for part in parts:
             if not _NAME.fullmatch(part) or ".." in part or part.split(".")[0].lower() in _DEVICE_NAMES:
                 raise RunFolderError(
-                    f"{name!r} is not a name for a file of a run.",
+                    f"{name!r} is not a valid name of a file in a run folder.",
                     where=str(self.path),
                     remedy="Use letters, digits, dots, dashes and underscores.",
                 )
         return self.path.joinpath(*parts)
 
     def quarantine(self, path: Path) -> Path:
-        """Move what cannot be vouched for to ``quarantine/``, never over another; return its place. Raises OSError."""
+        """Move a file that the journal does not confirm to ``quarantine/``. Nothing there is overwritten.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        Path
+            Its new path.
+
+        Raises
+        ------
+        OSError
+            When it cannot be moved.
+        """
         aside = self.path / QUARANTINE
         make_folder(aside)
         number = 1
@@ -307,45 +368,46 @@ class RunFolder:
         return target
 
 
-def _state_of(path: Path, capture: Capture | None) -> str:
-    """Tell what a crash left of a recording, as a field of RecoveryNotes."""
-    if path.name.endswith(_PART):
-        return "interrupted"
-    if capture is None:
-        return "unnamed"
-    whole = path.is_file() and not path.is_symlink() and path.stat().st_size == capture.size
-    return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
-
-
 def require_resumable(path: Path) -> None:
-    """Refuse a folder with no run in it that could go on. Raises RunFolderError."""
+    """Check that the run in a folder can be continued.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Raises
+    ------
+    RunFolderError
+        When there is no such folder, it is not a run folder, or it is sealed.
+    """
     if not path.is_dir():
         raise RunFolderError("There is no such run folder.", where=str(path), remedy="Check the path.")
     if not (path / JOURNAL).is_file():
         raise RunFolderError(
             f"This is not a run folder: it has no {JOURNAL}.",
             where=str(path),
-            remedy="Name the folder a run was written to.",
+            remedy="Name the folder that a run was written to.",
         )
     if is_sealed(path):
         raise RunFolderError(
             "This run is finished and sealed.",
             where=str(path),
-            remedy="A sealed run is never changed; start a new one, or check it with `starbench verify`.",
+            remedy="A sealed run is never changed. Start a new run, or check this one with `starbench verify`.",
         )
 
 
 def _refuse_occupied(path: Path) -> None:
-    """Refuse a folder that holds a file, unless it is one that making this folder left when it was cut short."""
+    """Refuse a folder with a file in it, unless an interrupted ``create`` of this folder left that file."""
     files = (p for p in path.rglob("*") if not p.is_dir() and p.name != _RESERVE and not is_temporary(p))
     found = next(files, None)
     if found is not None:
         begun = (path / JOURNAL).exists()
         raise RunFolderError(
-            f"The folder is not empty: it holds {found.relative_to(path)}.",
+            f"The folder is not empty: it contains {found.relative_to(path)}.",
             where=str(path),
             remedy="Choose another --output"
-            + (", or go on with its run by `starbench resume`." if begun else "."),
+            + (", or continue its run with `starbench resume`." if begun else "."),
         )
 
 
@@ -354,12 +416,12 @@ def _refuse_full(path: Path, bytes_needed: int) -> None:
         free = shutil.disk_usage(path).free
     if free < bytes_needed:
         raise StorageError(
-            f"The run needs {bytes_needed / 1e6:.0f} MB and the disk has {free / 1e6:.0f} MB left.",
+            f"The run needs {bytes_needed / 1e6:.0f} MB, but the disk has only {free / 1e6:.0f} MB left.",
             where=str(path),
             remedy="Make room, or choose --output on another disk.",
         )
 
 
 def _keep_reserve(path: Path) -> None:
-    # Zeros would do on most file systems, but not on those that compress or leave holes.
+    # Random bytes: a file system that compresses, or stores holes, would not reserve space for zeros.
     write_atomic(path / _RESERVE, os.urandom(_RESERVE_BYTES))

@@ -1,7 +1,8 @@
-"""The runs of a bench in one table, to list, filter and compare: an index made from their journals.
+"""An index of the runs of a bench, made from their journals, to list, filter and compare them.
 
-One SQLite file beside the signing key. It holds nothing that the journals do not: a row is made anew when its
-journal has changed, the whole table when its form has (``user_version``) or the file does not hold.
+It is one SQLite file beside the signing key. It contains nothing that is not in the journals. A row is made anew when
+its journal has changed; the whole index is made anew when its schema has changed (``user_version``) or the file is
+damaged.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from bench.records.storage import make_folder, storage_errors
 
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
-"""What a batch's folder has, and no run's."""
+"""A file that the folder of a batch has and a run folder has not."""
 VERSION = 3
 _COLUMNS = (
     "id", "sequence", "station", "camera", "operator", "simulated", "rehearsal", "begun_utc", "ended", "accepted",
@@ -44,24 +45,24 @@ class IndexedRun:
     Attributes
     ----------
     folder, id
-        Where it is, and its name.
+        Folder and name of the run.
     sequence, station, camera, operator, simulated, rehearsal
-        What it was; ``camera`` is the serial number, empty while no camera has answered.
+        What was run; ``camera`` is the serial number, empty while no camera has answered.
     begun_utc
-        When it was begun, ISO 8601.
+        Time of the start, ISO 8601.
     how
         ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``.
     sealed
-        Whether it carries a seal.
+        Whether it is sealed.
     accepted, recordings, deviations
-        How many poses are recorded, how many recordings that took, those that were lost included, and how often it
-        went otherwise than the sequence says.
+        Number of recorded poses, of recordings made for them (also lost ones), and of deviations from the sequence.
     temperature_c
-        Of the camera, mean of the accepted recordings; None where it tells none.
+        Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not report
+        it.
     model, rms_px
-        Of its calibration; None without one.
+        Model and root mean square of the residuals of its calibration, px; None without a calibration.
     parameters
-        Value and 1 sigma of each parameter, by name.
+        Value and standard uncertainty of each parameter, by name.
     """
 
     folder: str
@@ -84,7 +85,13 @@ class IndexedRun:
     parameters: Mapping[str, tuple[float, float]]
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as JSON carries it."""
+        """Return the run as JSON carries it.
+
+        Returns
+        -------
+        dict
+            All attributes.
+        """
         parameters = {name: {"value": v, "sigma": s} for name, (v, s) in self.parameters.items()}
         return {**asdict(self), "parameters": parameters}
 
@@ -106,27 +113,39 @@ def is_batch(folder: Path) -> bool:
 
 
 def run_folders(root: Path) -> list[Path]:
-    """Find the run folders in a folder: itself, those in it, and those one level deeper; a batch's own is none.
+    """Find the run folders in a folder: the folder itself, its subfolders, and theirs.
+
+    Parameters
+    ----------
+    root
+        The folder.
+
+    Returns
+    -------
+    list of Path
+        The run folders, sorted; the folder of a batch is not one.
 
     Raises
     ------
     StorageError
-        When it is not there or cannot be read.
+        When it does not exist or cannot be read.
     """
     if not root.is_dir():
-        raise StorageError("There is no such folder.", where=str(root), remedy="Name one that holds runs.")
+        raise StorageError(
+            "There is no such folder.", where=str(root), remedy="Name a folder that contains runs."
+        )
     with storage_errors(root):
         found = [path for pattern in ("", "*/", "*/*/") for path in root.glob(pattern + JOURNAL)]
     return sorted(path.parent for path in found if not (path.parent / QUEUE_COPY).exists())
 
 
 class RunIndex:
-    """The index; every method opens the file anew, for other processes use it too.
+    """The index. Every method opens the file anew, because other processes use it too.
 
     Parameters
     ----------
     home
-        The configuration folder, as ``home_folder`` gives it.
+        The configuration folder, from `bench.base.home.home_folder`.
     """
 
     def __init__(self, home: Path) -> None:
@@ -149,13 +168,13 @@ class RunIndex:
         folders
             Run folders to consider.
         camera, since, until, sequence, how
-            Only runs of this camera, begun at or after this moment, before that one, whose sequence's name holds these
-            words, that stand like this.
+            Only runs of the camera with this serial number, started at or after ``since`` and before ``until``, with
+            this text in the name of the sequence, and with this state; None for any.
 
         Returns
         -------
         runs, faults
-            The runs, and of which folders nothing can be told, and why.
+            The runs; and one sentence for each folder that cannot be read.
 
         Raises
         ------
@@ -189,15 +208,15 @@ class RunIndex:
             raise StorageError(
                 f"The index of runs cannot be used: {error}.",
                 where=str(self.path),
-                remedy="Delete it; it is made anew from the journals.",
+                remedy="Delete it. It is made anew from the journals.",
             ) from error
 
     def _connected(self) -> sqlite3.Connection:
         try:
             return _connect(self.path)
-        except sqlite3.OperationalError:  # locked, or the disk is full: it may well hold
+        except sqlite3.OperationalError:  # locked, or the disk is full: the file may be valid
             raise
-        except sqlite3.DatabaseError:  # it is an index: what does not hold is made anew
+        except sqlite3.DatabaseError:  # the file is damaged: the index is made anew
             for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
                 with storage_errors(self.path):
                     (self.path.parent / name).unlink(missing_ok=True)
@@ -205,7 +224,7 @@ class RunIndex:
 
 
 def _is_between(begun_utc: str, since: datetime | None, until: datetime | None) -> bool:
-    if not begun_utc:  # cut off before its first line
+    if not begun_utc:  # the run was cut off before its first line
         return since is None and until is None
     begun = datetime.fromisoformat(begun_utc)
     return (since is None or begun >= since) and (until is None or begun < until)
@@ -227,7 +246,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
-    """Give the row of a run, made anew where its journal has changed."""
+    """Return the row of a run; it is made anew if the journal has changed."""
     with storage_errors(folder):
         found = (folder / JOURNAL).stat()
     stamp = (found.st_size, found.st_mtime_ns)
@@ -264,12 +283,22 @@ def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int]) -> N
 
 
 def read_run(folder: Path) -> IndexedRun:
-    """Look at one run's own journal, without any index.
+    """Read one run from its journal, without an index.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+
+    Returns
+    -------
+    IndexedRun
+        The run.
 
     Raises
     ------
     JournalBroken, StorageError
-        When it does not hold, or cannot be read.
+        When the journal is not valid, or cannot be read.
     """
     history = replay(read_journal(folder / JOURNAL)[0])
     facts = _facts(history, folder)
@@ -284,7 +313,7 @@ def read_run(folder: Path) -> IndexedRun:
 
 
 def _facts(history: History, folder: Path) -> dict[str, Any]:
-    """Give what the index keeps of a run in a column each."""
+    """Return the values of the columns for a run."""
     solved, started = history.solved, history.started
     return {
         "id": started.get("id", folder.name),
@@ -306,7 +335,7 @@ def _facts(history: History, folder: Path) -> dict[str, Any]:
 
 
 def _parameters(history: History) -> dict[str, tuple[float, float]]:
-    """Give value and 1 sigma of each parameter that was estimated."""
+    """Return value and standard uncertainty of each parameter that was estimated."""
     sigma = history.solved.get("sigma", {})
     return {n: (v, sigma[n]) for n, v in history.solved.get("values", {}).items() if n in sigma}
 

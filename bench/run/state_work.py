@@ -13,15 +13,16 @@ from typing import Any
 from bench.base.clock import BenchClock
 from bench.plan.job import Job, ScriptStep
 from bench.records.events import Event
+from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
 from bench.results.result import ResultWriter
 from bench.run.holding import Holding
 from bench.run.interlocks import Trip
-from bench.run.preflight import preflight, refuse, stage_faults
+from bench.run.preflight import preflight, require_no_faults, stage_faults
 from bench.run.run_devices import RunDevices
-from bench.views.expected_grid import by_earlier_poses
-from bench.views.gates import failures
+from bench.views.expected_grid import grid_from_earlier_poses
+from bench.views.gates import failed_gate_texts
 from bench.views.measure import Measurement
 from sequences.script import (
     LightStep,
@@ -92,7 +93,7 @@ class StateWork:
 
     def recover(self, *_: Any, **__: Any) -> None:
         """Put the run folder in order after a process died in it."""
-        notes = self._folder.recover(self._log.journal)
+        notes = recover(self._folder, self._log.journal)
         self._log.write(Event.RECOVERED, **notes.as_data())
         for name in notes.missing:
             self._log.write(Event.DEVIATION, what=f"{name} was missing when the run was resumed.")
@@ -110,7 +111,7 @@ class StateWork:
         devices = self._devices.opened
         if not devices.stage.is_homed():
             devices.stage.home()
-        refuse(stage_faults(devices))
+        require_no_faults(stage_faults(devices))
 
     def set_light(self, step: LightStep, **_: Any) -> None:
         """Switch the light as the step says."""
@@ -158,13 +159,13 @@ class StateWork:
         pose, job, history = step.pose, self._job, self._log.history
         stored = next(a for a in history.attempts_at(pose.index) if a.attempt == attempt).stored
         frequency_hz = job.frequency_hz(step)
-        expect = by_earlier_poses(history, stored, job.target)
+        expect = grid_from_earlier_poses(history, stored, job.target)
         path = self._folder.path / stored["capture"]
         found = job.camera_kind.measure(path, step, frequency_hz, job.target, expect)
         judged, against = job.camera_kind.judge(stored["facts"], step, frequency_hz, found)
         judged += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
         reasons = [found.fault] if found.fault else []
-        reasons += failures(judged) + against
+        reasons += failed_gate_texts(judged) + against
         if not reasons:
             self._measured[pose.index] = found
         self._log.write(

@@ -12,6 +12,7 @@ import pytest
 from bench.base.errors import StorageError
 from bench.records.captures import CAPTURE_STORED, stored_captures
 from bench.records.journal import Journal, read_journal
+from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
 
 CLOCKS = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
@@ -77,7 +78,7 @@ def test_a_run_goes_on_once_there_is_room(small_disk):
         journal.append("disk_full")
     filler.unlink()
     with RunFolder.open(path) as folder, Journal.open(folder.journal_path, **CLOCKS) as journal:
-        notes = folder.recover(journal)
+        notes = recover(folder, journal)
         assert [c.name for c in notes.intact] == [
             f"captures/pose-{n:03d}-attempt-1.raw" for n in range(1, failed)
         ]

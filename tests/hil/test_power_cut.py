@@ -20,6 +20,7 @@ from own_disk import Disk
 from bench.base.errors import BenchError
 from bench.records.captures import stored_captures
 from bench.records.journal import Journal, read_journal
+from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
 
 WRITER = """
@@ -30,6 +31,7 @@ if sys.argv[2] == "careless":
     os.fsync = lambda descriptor: None
 from bench.records.journal import Journal
 from bench.records.captures import CAPTURE_STORED
+from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
 clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 path = Path(sys.argv[1])
@@ -38,7 +40,7 @@ begun = (path / "journal.jsonl").exists()
 folder = RunFolder.open(path) if begun else RunFolder.create(path)
 journal = (Journal.open if begun else Journal.create)(folder.journal_path, **clocks)
 if begun:
-    folder.recover(journal)
+    recover(folder, journal)
 pose = sum(e.event == CAPTURE_STORED for e in journal.entries)
 print("ready", flush=True)
 while True:
@@ -95,7 +97,7 @@ def poses_on_disk(path):
         RunFolder.open(path) as folder,
         Journal.open(folder.journal_path, utc_now=lambda: None, monotonic=lambda: 0.0) as journal,
     ):
-        notes = folder.recover(journal)
+        notes = recover(folder, journal)
     assert (notes.missing, notes.changed) == ((), ())
     assert len(notes.intact) == len(captures)
     assert sorted(p.name for p in (path / "captures").iterdir()) == sorted(

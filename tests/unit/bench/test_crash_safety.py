@@ -17,6 +17,7 @@ from bench.evidence.seal import seal
 from bench.evidence.verify import verify_run
 from bench.records.captures import CAPTURE_STORED, stored_captures
 from bench.records.journal import Journal, read_journal
+from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
 
 POSES = 3
@@ -96,7 +97,7 @@ def run_once(path, acknowledged, key=None):
         opened = Journal.open if exists else Journal.create
         with opened(folder.journal_path, **CLOCKS) as journal:
             if exists:
-                folder.recover(journal)
+                recover(folder, journal)
             done = {e.data["pose"] for e in journal.entries if e.event == CAPTURE_STORED}
             for pose in range(1, POSES + 1):
                 if pose not in done:

@@ -14,6 +14,7 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.records import run_folder as run_folder_module
 from bench.records.captures import CAPTURE_STORED, capture_name, stored_captures
 from bench.records.journal import Journal
+from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
 
 HOLD = "import sys; from pathlib import Path; from bench.records.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"
@@ -58,7 +59,7 @@ def test_a_new_run_makes_the_folders_above_it(run, tmp_path):
 
 def test_a_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(RunFolderError, match=r"not empty: it holds notes.txt.*another --output"):
+    with pytest.raises(RunFolderError, match=r"not empty: it contains notes.txt.*another --output"):
         RunFolder.create(tmp_path)
     assert visible(tmp_path) == ["notes.txt"]
     assert not (tmp_path / "captures").exists()
@@ -89,7 +90,7 @@ def test_no_permission_is_told(tmp_path, monkeypatch):
 
 def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(10**9, 10**9, 5_000_000))
-    with pytest.raises(StorageError, match=r"needs 80 MB and the disk has 5 MB left"):
+    with pytest.raises(StorageError, match=r"needs 80 MB, but the disk has only 5 MB left"):
         RunFolder.create(tmp_path / "run", bytes_needed=80_000_000)
 
 
@@ -172,7 +173,7 @@ BAD_NAMES = [
 
 @pytest.mark.parametrize("name", BAD_NAMES)
 def test_names_that_lead_elsewhere_are_refused(run, name):
-    with pytest.raises(RunFolderError, match="not a name"):
+    with pytest.raises(RunFolderError, match="not a valid name"):
         run.write_atomic(name, b"")
 
 
@@ -251,7 +252,7 @@ def test_a_capture_is_synced_before_and_after_it_gets_its_name(run, monkeypatch)
 def test_a_capture_is_never_written_over(run):
     record(run, 1, 1, b"first")
     run.capture_part_path(1, 1).write_bytes(b"second")
-    with pytest.raises(RunFolderError, match="never written over"):
+    with pytest.raises(RunFolderError, match="never overwritten"):
         run.commit_capture(1, 1)
     assert (run.path / capture_name(1, 1)).read_bytes() == b"first"
 
@@ -272,7 +273,7 @@ def test_committing_what_was_not_recorded_is_an_error(run):
 def test_a_whole_told_capture_stays(run, journal):
     capture = record(run, 1, 1, b"abc")
     journal.append(CAPTURE_STORED, pose=1, attempt=1, **capture.as_data())
-    notes = run.recover(journal)
+    notes = recover(run, journal)
     assert notes.intact == (capture,)
     assert notes == type(notes)(intact=(capture,))
     assert stored_captures(journal.entries) == {capture.name: capture}
@@ -280,21 +281,21 @@ def test_a_whole_told_capture_stays(run, journal):
 
 def test_a_half_written_recording_is_set_aside(run, journal):
     run.capture_part_path(2, 1).write_bytes(b"half")
-    assert run.recover(journal).interrupted == ("captures/pose-002-attempt-1.raw.part",)
+    assert recover(run, journal).interrupted == ("captures/pose-002-attempt-1.raw.part",)
     assert (run.path / "quarantine/pose-002-attempt-1.raw.part.1").read_bytes() == b"half"
     assert not list((run.path / "captures").iterdir())
 
 
 def test_a_capture_not_yet_told_to_the_journal_is_set_aside(run, journal):
     record(run, 2, 1, b"whole")
-    assert run.recover(journal).unnamed == ("captures/pose-002-attempt-1.raw",)
+    assert recover(run, journal).unnamed == ("captures/pose-002-attempt-1.raw",)
     assert (run.path / "quarantine/pose-002-attempt-1.raw.1").read_bytes() == b"whole"
 
 
 def test_what_is_set_aside_twice_is_kept_twice(run, journal):
     for data in (b"one", b"two"):
         record(run, 1, 1, data)
-        run.recover(journal)
+        recover(run, journal)
     kept = sorted(p.read_bytes() for p in (run.path / "quarantine").iterdir())
     assert kept == [b"one", b"two"]
 
@@ -304,7 +305,7 @@ def test_a_changed_capture_is_named_and_set_aside(run, journal, data):
     capture = record(run, 1, 1, b"abc")
     journal.append(CAPTURE_STORED, **capture.as_data())
     (run.path / capture.name).write_bytes(data)
-    notes = run.recover(journal)
+    notes = recover(run, journal)
     assert (notes.changed, notes.missing, notes.intact) == ((capture.name,), (), ())
     assert not (run.path / capture.name).exists()
 
@@ -313,7 +314,7 @@ def test_a_lost_capture_is_named(run, journal):
     capture = record(run, 1, 1, b"abc")
     journal.append(CAPTURE_STORED, **capture.as_data())
     (run.path / capture.name).unlink()
-    assert run.recover(journal).missing == (capture.name,)
+    assert recover(run, journal).missing == (capture.name,)
 
 
 def test_a_link_in_place_of_a_capture_is_not_taken_for_it(run, journal, tmp_path):
@@ -321,27 +322,27 @@ def test_a_link_in_place_of_a_capture_is_not_taken_for_it(run, journal, tmp_path
     journal.append(CAPTURE_STORED, **capture.as_data())
     (run.path / capture.name).rename(tmp_path / "elsewhere.raw")
     (run.path / capture.name).symlink_to(tmp_path / "elsewhere.raw")
-    assert run.recover(journal).changed == (capture.name,)
+    assert recover(run, journal).changed == (capture.name,)
 
 
 def test_temporary_files_of_reports_go(run, journal):
     (run.path / ".results.json.tmp").write_bytes(b"half")
-    run.recover(journal)
+    recover(run, journal)
     assert visible(run.path) == ["journal.jsonl"]
     assert not (run.path / ".results.json.tmp").exists()
 
 
 def test_recovering_again_finds_nothing_left_to_do(run, journal):
     record(run, 1, 1, b"untold")
-    run.recover(journal)
-    again = run.recover(journal)
+    recover(run, journal)
+    again = recover(run, journal)
     assert again == type(again)()
 
 
 def test_capture_entries_without_a_hash_are_refused(run, journal):
     journal.append(CAPTURE_STORED, capture="captures/x.raw")
     with pytest.raises(RunFolderError, match="without its name, size or hash"):
-        run.recover(journal)
+        recover(run, journal)
 
 
 def test_the_reserve_s_size_counts_as_needed(tmp_path, monkeypatch):
