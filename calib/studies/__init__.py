@@ -1,1 +1,1 @@
-"""Questions beyond one calibration: planning, Monte Carlo, reference methods, hand-eye checks, rigs, split halves."""
+"""Studies beyond one calibration: planning, Monte Carlo, reference methods, hand-eye checks, rigs, split halves."""

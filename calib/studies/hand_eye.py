@@ -1,9 +1,10 @@
-"""The gimbal as a witness: its readings held against the rotations the camera saw.
+"""Hand-eye check: the gimbal's readings compared with the rotations that the camera saw.
 
-Knows rotations with their covariance and readings of the axes. The camera sits on the gimbal by an unknown turn A and
-the gimbal stands before the target by another one, B: R = A Rz(roll) Rx(tilt) Ry(pan) B. A scale of each axis that
-moved is estimated too, where the views are enough for it. The readings are never used to calibrate: a scale error of
-the gimbal would become one of the focal length.
+The camera is mounted on the gimbal's head with an unknown rotation A, and the gimbal's base stands before the target
+with an unknown rotation B: R = A Rz(roll) Rx(tilt) Ry(pan) B. This is the rotation part of the robot-world and hand-eye
+problem (Tsai and Lenz, 1989; Zhuang, Roth and Sudhakar, 1994). A scale of each axis that moved is estimated too if
+there are enough views. The readings never enter the calibration, because a scale error of the gimbal would become one
+of the focal length.
 """
 
 from __future__ import annotations
@@ -29,22 +30,25 @@ _STEPS = 50
 
 @dataclass(frozen=True)
 class HandEyeCheck:
-    """What rotations and readings say of each other.
+    """Result of the comparison of rotations and readings.
 
     Attributes
     ----------
     scale
-        For each axis whose scale could be rank: true angle over reading.
+        True angle over reading, for each axis whose scale was estimated.
     scale_sigma
-        1-sigma of those.
-    mounting, standing
-        (3, 3) rotations A and B: camera <- gimbal's head, gimbal's foot <- target.
-    disagreement_arcsec
-        (n, 3) rotation seen less rotation read, as a turn about the camera's axes.
+        1-sigma of the scales.
+    camera_from_head
+        (3, 3) float64 rotation A, camera <- gimbal's head.
+    base_from_target
+        (3, 3) float64 rotation B, gimbal's base <- target.
+    residuals_arcsec
+        (n, 3) float64 rotation seen minus rotation read, as rotation vectors about the camera's axes, arc seconds.
     sigma_arcsec
-        (n, 3) 1-sigma of the rotations seen.
+        (n, 3) float64 1-sigma of the rotations seen, arc seconds.
     chi_square, degrees_of_freedom
-        Of the disagreement; large when the gimbal repeats worse than the camera sees.
+        Chi-square of the residuals and its degrees of freedom; large if the gimbal repeats worse than the camera
+        measures.
     """
 
     scale: Mapping[str, float]
@@ -58,35 +62,42 @@ class HandEyeCheck:
 
     @property
     def rms_arcsec(self) -> float:
-        """Root mean square turn by which rotations and readings disagree."""
+        """Root mean square angle between rotations and readings, arc seconds."""
         return float(np.sqrt((self.residuals_arcsec**2).sum(axis=1).mean()))
 
     @property
     def consistent(self) -> bool:
-        """Whether the disagreement is within what chance allows in 999 of 1000 cases."""
+        """Whether the chi-square is below its 99.9 % quantile."""
         return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
 
 
 def check_hand_eye(
     rotations: Array, covariance: Array, readings_deg: Sequence[Mapping[str, float]]
 ) -> HandEyeCheck:
-    """Hold a gimbal's readings against the rotations of a calibration.
+    """Compare the readings of a gimbal with the rotations of a calibration.
+
+    The unknown rotations and scales are estimated by generalised least squares (Gauss-Newton).
 
     Parameters
     ----------
     rotations
-        (n, 3, 3) of the views, camera <- target.
+        (n, 3, 3) rotations of the views, camera <- target.
     covariance
-        (3 n, 3 n) their joint covariance (`Calibration.rotation_covariance`).
+        (3 n, 3 n) joint covariance of their rotation vectors, rad^2 (`Calibration.rotation_covariance`).
     readings_deg
-        For each view its axes' readings: any of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
+        For each view the readings of its axes, degrees: any of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
+
+    Returns
+    -------
+    HandEyeCheck
+        Estimates, residuals and chi-square.
 
     Raises
     ------
     InputMismatch
-        When numbers of views differ, or an axis is unknown.
+        If the numbers of views differ, or an axis is unknown.
     DegenerateViews
-        With fewer than 3 views, or when no axis moved.
+        If there are fewer than 3 views, or no axis moved.
     """
     angles = _angles(readings_deg)
     if not len(angles) == len(rotations) == len(covariance) // 3:
@@ -132,7 +143,7 @@ def check_hand_eye(
 
 
 def _angles(readings_deg: Sequence[Mapping[str, float]]) -> Array:
-    """Return (n, 3) pan, tilt, roll; axes not read are zero."""
+    """Return (n, 3) pan, tilt, roll, degrees; axes without a reading are zero."""
     unknown = sorted({axis for reading in readings_deg for axis in reading} - set(AXES))
     if unknown:
         raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
@@ -140,7 +151,7 @@ def _angles(readings_deg: Sequence[Mapping[str, float]]) -> Array:
 
 
 def _heads(angles: Array, scales: Array) -> Array:
-    """Return (n, 3, 3) rotations gimbal's head <- foot."""
+    """Return (n, 3, 3) rotations, gimbal's head <- base."""
     return np.array([euler_zxy(*(scales * row)) for row in angles])
 
 
@@ -152,7 +163,7 @@ def _linearised(
     base_from_target: Array,
     free: Sequence[int],
 ) -> tuple[Array, Array]:
-    """Return (3 n,) seen less read, and its (3 n, 6 + s) jacobian by mounting, standing and scales."""
+    """Return (3 n,) seen minus read, rad, and the (3 n, 6 + s) derivatives by A, B and the scales."""
     heads = _heads(angles, scales)
     read = camera_from_head @ heads @ base_from_target
     off = log_map(rotations @ np.swapaxes(read, 1, 2)).reshape(-1)

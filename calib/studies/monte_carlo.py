@@ -1,7 +1,6 @@
-"""Monte Carlo studies: a calibration repeated many times on imagined views, to see whether its sigmas are true.
+"""Monte Carlo studies: a calibration repeated on predicted views with noise, to test the stated uncertainties.
 
-Knows an imagined bench, noise, and how often an interval should cover. The random generator comes from outside: one
-seed a run, so any run can be had again alone.
+The principle is that of JCGM 101:2008. Each run has its own random seed, so that a single run can be repeated.
 """
 
 from __future__ import annotations
@@ -30,22 +29,22 @@ _OUTLIER_SIGMA_PX = 2.0
 
 @dataclass(frozen=True)
 class MonteCarloStudy:
-    """What repeated calibrations showed.
+    """Results of repeated calibrations.
 
     Attributes
     ----------
     names
-        The parameters.
+        Names of the G parameters.
     truth
-        (G,) their true values.
+        (G,) float64 true values.
     values, sigmas
-        (runs, G) estimates, and the uncertainties stated with them.
+        (runs, G) float64 estimates and their stated standard uncertainties.
     factors
-        (runs,) the coverage factors k stated with them: 2, or more where views disagree.
+        (runs,) float64 stated coverage factors k: 2, or more if the views are inconsistent.
     chi_squares
-        (runs,) squared error by the covariance stated: G in the mean when it is true, correlations and all.
+        (runs,) float64 squared error, weighted by the stated covariance; its mean is G if the covariance is right.
     failed
-        For each run that gave no calibration, why.
+        Reason for each run without a calibration.
     """
 
     names: tuple[str, ...]
@@ -64,24 +63,24 @@ class MonteCarloStudy:
 
     @property
     def z_rms(self) -> Mapping[str, float]:
-        """Root mean square of error over stated sigma: 1 when the sigmas are true."""
+        """Root mean square of error over stated sigma; 1 if the sigmas are right."""
         z = (self.values - self.truth) / self.sigmas
         return dict(zip(self.names, np.sqrt((z**2).mean(axis=0)).tolist(), strict=True))
 
     @property
     def z_joint(self) -> float:
-        """Root mean square of all errors together by the stated covariance: the sharpest test a study has of it."""
+        """Root mean square of all errors, weighted by the stated covariance: the sharpest test of it in this study."""
         return float(np.sqrt(self.chi_squares.mean() / len(self.names)))
 
     @property
     def coverage(self) -> Mapping[str, float]:
-        """Share of runs in which value +- k sigma covered the truth."""
+        """Share of runs in which value +- k sigma covers the truth."""
         covered = np.abs(self.values - self.truth) <= self.factors[:, None] * self.sigmas
         return dict(zip(self.names, covered.mean(axis=0).tolist(), strict=True))
 
     @property
     def coverage_band(self) -> tuple[float, float]:
-        """Band that the coverage of true sigmas keeps in 999 of 1000 studies (binomial)."""
+        """Band in which the coverage of right sigmas lies in 999 of 1000 studies (binomial distribution)."""
         from scipy import stats
 
         low, high = stats.binom.interval(_BAND, len(self.values), COVERAGE)
@@ -99,22 +98,31 @@ def run_monte_carlo(
     outliers: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> MonteCarloStudy:
-    """Calibrate imagined views again and again, with new noise each time.
+    """Calibrate predicted views many times, each time with new noise.
 
     Parameters
     ----------
-    bench, poses_deg
-        The world: camera, collimator, beam, star noise; and the poses.
+    bench
+        True camera, collimator, beam and star noise.
+    poses_deg
+        For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
     options
         How to calibrate.
-    runs, seed
-        How many times, and the seed that with a run's number makes its noise.
+    runs
+        Number of calibrations.
+    seed
+        Random seed of the study; with the number of a run it gives the seed of that run.
     drift_mm
-        1-sigma, per axis, by which each view's centre lies off the shared one.
+        1-sigma per axis of each view's centre about the shared one, mm.
     outliers
-        Share of the stars that are grossly wrong: by 2 px, 1 sigma per axis.
+        Share of the stars that are outliers, with an error of 2 px (1 sigma per axis).
     progress
-        Told after each run its number, and of how many.
+        Called after each run with the number of finished runs and the number of all runs.
+
+    Returns
+    -------
+    MonteCarloStudy
+        Estimates of the successful runs, and the reasons of the failed ones.
     """
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     values: list[Array] = []
@@ -150,7 +158,7 @@ def _noisy(
     drift_mm: float,
     outliers: float,
 ) -> list[View]:
-    """Return views with noise, each about a centre of its own."""
+    """Return views with noise, each with its own centre."""
     views = []
     for i, pose in enumerate(poses_deg, start=1):
         x, y, r = bench.collimator.values[:3] + drift_mm * rng.standard_normal(3)

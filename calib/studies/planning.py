@@ -1,8 +1,8 @@
-"""What a set of poses will be worth before anything moves, and which pose to add next.
+"""Planning: the uncertainty that a set of poses will give, and the best pose to add next.
 
-Knows an expected camera, collimator, beam and star noise; images nothing. Information adds up over views, so a pose is
-judged by the projection uncertainty that is left at the worst point of the sensor once its stars
-are counted in. The plan is for noise: what views will disagree on, only the views can tell.
+The information of the views adds up. A pose is judged by the projection uncertainty that remains at the worst point of
+the sensor (the G-optimality of experimental design; Kiefer and Wolfowitz, 1960). The forecast contains star noise only,
+not the inconsistency of real views.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Forecast:
-    """What poses will be worth.
+    """Expected uncertainty of a calibration from a set of poses.
 
     Attributes
     ----------
     sigma
         Expected 1-sigma of each parameter.
     covariance
-        Of the parameters, in the order of `sigma`.
+        (G, G) float64 expected covariance of the parameters, in the order of `sigma`.
     projection_map
         Expected projection uncertainty over the sensor, at infinity.
     stars
-        Number of stars each pose will show.
+        Number of stars that each pose will show.
     """
 
     sigma: Mapping[str, float]
@@ -50,21 +50,26 @@ class Forecast:
 
 
 def forecast(bench: ExpectedBench, poses_deg: Sequence[Mapping[str, float]]) -> Forecast:
-    """Return what a set of poses will be worth.
+    """Return the expected uncertainty of a calibration from a set of poses.
 
     Parameters
     ----------
     bench
-        The bench as expected.
+        The expected bench.
     poses_deg
-        For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``; those missing are zero.
+        For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
+
+    Returns
+    -------
+    Forecast
+        Expected uncertainties, and the number of stars of each pose.
 
     Raises
     ------
     TooFewStars
-        When a pose shows too few stars, or not the tag where it is needed; names it.
+        If a pose shows too few stars, or not the tag if it is needed; names the pose.
     DegenerateViews
-        When the poses will not constrain the camera.
+        If the poses do not constrain the camera.
     """
     views = [predicted_view(bench, pose, f"pose {i}") for i, pose in enumerate(poses_deg, start=1)]
     information = sum((_information(bench, *view) for view in views), start=_no_information(bench))
@@ -80,23 +85,30 @@ def next_poses(
     candidates_deg: Sequence[Mapping[str, float]],
     count: int = 1,
 ) -> tuple[Mapping[str, float], ...]:
-    """Return the poses, one after the other, that lower the worst projection uncertainty most.
+    """Return the poses that lower the worst projection uncertainty most, chosen one after the other (greedy).
 
     Parameters
     ----------
     bench
-        The bench as expected.
+        The expected bench.
     taken_deg
-        Poses already decided on; may be empty.
+        Poses already planned, degrees; may be empty.
     candidates_deg
-        Poses to choose from, inside the station's limits; those that show too little are passed over.
+        Poses to choose from, degrees, within the station's limits; those that show too little are skipped.
     count
-        How many to choose; each may be chosen once.
+        Number of poses to choose; each candidate is chosen at most once.
+
+    Returns
+    -------
+    tuple of Mapping
+        The chosen poses, the best first.
 
     Raises
     ------
+    TooFewStars
+        If a planned pose shows too few stars, or not the tag if it is needed.
     DegenerateViews
-        When the candidates show too little to choose from.
+        If too few candidates show the target.
     """
     known = _no_information(bench)
     for pose in taken_deg:
@@ -121,12 +133,12 @@ def next_poses(
 
 
 def _names(bench: ExpectedBench) -> tuple[str, ...]:
-    """Return the parameters that the views share."""
+    """Return the names of the parameters that the views share."""
     return (*bench.camera.parameter_names, *CENTRE)
 
 
 def _information(bench: ExpectedBench, view: View, rotation: Array) -> Array:
-    """Return what a view tells of the shared parameters, its own rotation unknown."""
+    """Return (G, G) information of a view on the shared parameters, with its rotation unknown."""
     ideal = Collimator(bench.collimator.x, bench.collimator.y, bench.collimator.r)
     bundle = Bundle(Observations.from_views([view]), _names(bench))
     parameters = AdjustmentParameters(bench.camera, ideal, rotation[None], np.zeros((1, 3)))
@@ -135,25 +147,25 @@ def _information(bench: ExpectedBench, view: View, rotation: Array) -> Array:
 
 
 def _no_information(bench: ExpectedBench) -> Array:
-    """Return the information before any view."""
+    """Return (G, G) zeros: the information before any view."""
     return np.zeros((len(_names(bench)), len(_names(bench))))
 
 
 def _covariance(bench: ExpectedBench, information: Array) -> Array:
-    """Return the covariance of the shared parameters that information leaves, a passport's held."""
+    """Return (G, G) covariance of the shared parameters for this information, with a passport held."""
     if bench.passport is None:
         return inverse_information(information, _names(bench))
     return consider_covariance(information, _names(bench), bench.passport.subset(CENTRE))
 
 
 def _map(bench: ExpectedBench, covariance: Array) -> ProjectionMap:
-    """Return the projection uncertainty of a covariance of the shared parameters."""
+    """Return the projection uncertainty for a (G, G) covariance of the shared parameters."""
     size = len(bench.camera.parameter_names)
     return projection_uncertainty(bench.camera, covariance[:size, :size], 9)
 
 
 def _worst(bench: ExpectedBench, information: Array) -> float:
-    """Return the worst projection uncertainty left; with too little told, how much is missing."""
+    """Return the worst projection uncertainty, px; with too little information, a large number that falls with it."""
     try:
         return _map(bench, _covariance(bench, information)).worst_px
     except DegenerateViews:

@@ -1,7 +1,4 @@
-"""Views as the model predicts them, before anything moves.
-
-Knows an expected camera, collimator, beam and target; images nothing and adds no noise.
-"""
+"""Predicted views: the stars that a pose will show according to the model, without noise."""
 
 from __future__ import annotations
 
@@ -28,24 +25,24 @@ _MIN_STARS = 20
 
 @dataclass(frozen=True)
 class ExpectedBench:
-    """The bench as expected.
+    """The expected bench.
 
     Parameters
     ----------
     camera
-        Its intrinsics, roughly, with the distortion coefficients to be estimated.
+        Approximate intrinsics, with the distortion coefficients to be estimated.
     collimator
-        Its centre, mm, roughly.
+        Approximate centre of the collimator.
     half_angle_deg
-        Half angle of the beam's disc.
+        Half angle of the beam's disc, degrees.
     star_sigma_px
-        1-sigma of a star, per axis.
+        1-sigma of a star per axis, px.
     target
         The printed target.
     passport
-        The collimator's passport, if it will be used.
+        Passport of the collimator, if one will be used.
     needs_tag
-        Whether a pose is only good with the whole tag in the frame and the disc.
+        Whether a pose must show the whole tag.
     """
 
     camera: CameraModel
@@ -58,12 +55,26 @@ class ExpectedBench:
 
 
 def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -> tuple[View, Array]:
-    """Return the stars a pose will show, without noise, and its rotation (camera <- target).
+    """Return the stars that a pose will show, without noise, and its rotation.
+
+    Parameters
+    ----------
+    bench
+        The expected bench.
+    pose
+        ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
+    name
+        Name of the view.
+
+    Returns
+    -------
+    tuple of View and Array
+        The view, and the (3, 3) rotation, camera <- target.
 
     Raises
     ------
     TooFewStars
-        When the pose shows too few stars, or not the tag where it is needed.
+        If the pose shows fewer than 20 stars, or not the whole tag if it is needed.
     """
     rotation = euler_zxy(pose.get("pan_deg", 0.0), pose.get("tilt_deg", 0.0), pose.get("roll_deg", 0.0))
     ids = bench.target.ids
@@ -85,7 +96,7 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
 
 
 def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return image points of points of the target, and which of them lie in the disc and the frame."""
+    """Return the image points of target points, (N, 2) px, and which are visible, (N,) bool."""
     centre = bench.collimator.centre
     pixels = bench.camera.project(
         (np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre) @ rotation.T

@@ -1,7 +1,7 @@
-"""What others would answer on the same points: OpenCV's planar calibration, and the published recipe.
+"""Reference methods on the same points: OpenCV's planar calibration, and the published recipe of the paper.
 
-Knows how each is run, to stand beside our own result. None of them says how sure it is of more than noise, and
-neither has a better answer for being closer to its points: see the column of views left out.
+The uncertainties that they state contain star noise only. A smaller reprojection error is not a better calibration:
+compare the residuals of left-out views.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _PUBLISHED = "published recipe, spherical"
 
 @dataclass(frozen=True)
 class MethodResult:
-    """One method's answer.
+    """Result of one method.
 
     Attributes
     ----------
@@ -43,11 +43,12 @@ class MethodResult:
     camera
         Its camera.
     sigma
-        The uncertainties it states, by name of the parameter.
+        The standard uncertainties that it states, by name of the parameter.
     rms_px, mean_px
-        Length of its residuals over all stars.
+        Root mean square and mean length of its residuals, px.
     left_out_rms_px
-        Residual of views it has not seen, only their rotation solved; None with fewer than 3 views.
+        Root mean square residual of left-out views, of which only the rotation was adjusted, px; None with fewer than 3
+        views.
     """
 
     name: str
@@ -60,7 +61,15 @@ class MethodResult:
 
 @dataclass(frozen=True)
 class MethodFailure:
-    """A method that has no answer on these points, and why."""
+    """A method without a result.
+
+    Attributes
+    ----------
+    name
+        The method.
+    why
+        The reason.
+    """
 
     name: str
     why: str
@@ -69,7 +78,20 @@ class MethodFailure:
 def reference_results(
     views: Sequence[View], options: CalibrationOptions
 ) -> list[MethodResult | MethodFailure]:
-    """Ask every other method on the same points; one that has no answer says why, and the next is asked."""
+    """Calibrate the same points by every reference method; a method that fails gives its reason.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    options
+        The distortion coefficients are used; the model and the loss are those of each method.
+
+    Returns
+    -------
+    list of MethodResult or MethodFailure
+        The published recipe, then OpenCV.
+    """
     rows: list[MethodResult | MethodFailure] = []
     methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
     for name, method in methods:
@@ -81,7 +103,18 @@ def reference_results(
 
 
 def starbench_result(calibration: Calibration) -> MethodResult:
-    """Put our own calibration into the same row."""
+    """Return a calibration of Starbench in the form of a method's result.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+
+    Returns
+    -------
+    MethodResult
+        Its camera, uncertainties and residuals.
+    """
     name = f"Starbench, {calibration.model} model"
     return MethodResult(
         name,
@@ -94,14 +127,27 @@ def starbench_result(calibration: Calibration) -> MethodResult:
 
 
 def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
-    """Calibrate by OpenCV's ``calibrateCamera`` (Zhang's method), with the same distortion coefficients.
+    """Calibrate by OpenCV's ``calibrateCamera`` (the method of Zhang, 2000), with the same distortion coefficients.
 
-    A fisheye lens by its ``fisheye.calibrate``, which states no uncertainties.
+    A fisheye lens is calibrated by OpenCV's ``fisheye.calibrate``, which states no uncertainties.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    options
+        Distortion coefficients.
+
+    Returns
+    -------
+    MethodResult
+        OpenCV's result. The mean residual and that of left-out views are those of Starbench's planar model,
+        which has the same optimum.
 
     Raises
     ------
     DegenerateViews
-        When OpenCV finds no calibration.
+        If OpenCV fails, or its result is not finite.
     """
     names = tuple(options.distortion)
     fisheye = _fisheye(options)
@@ -130,12 +176,28 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
 
 
 def published_recipe(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
-    """Calibrate as the paper says: linear spherical solution, then Huber, no more; sigmas from J^T J alone.
+    """Calibrate by the published recipe of arXiv:2512.16092: closed form (eq. 5), then Huber loss (eqs. 6 and 7).
+
+    The uncertainties come from J^T J alone.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    options
+        Distortion coefficients.
+
+    Returns
+    -------
+    MethodResult
+        The result of the recipe.
 
     Raises
     ------
-    DegenerateViews, NotConverged
-        When the views leave a parameter free, or there is no optimum.
+    DegenerateViews
+        If the views do not constrain a parameter.
+    NotConverged
+        If the adjustment did not reach an optimum.
     """
     bundle, start = initialize(views, options, "spherical")
     loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.sigmas_per_px)
@@ -160,17 +222,17 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
 
 
 def _fisheye(options: CalibrationOptions) -> bool:
-    """Tell whether a fisheye lens is asked for."""
+    """Tell whether the options ask for a fisheye lens."""
     return is_fisheye(dict.fromkeys(tuple(options.distortion), 0.0))
 
 
 def _opencv_name(options: CalibrationOptions) -> str:
-    """Return the name of the method that OpenCV is asked for."""
+    """Return the name of the OpenCV method for this lens."""
     return "OpenCV, planar (fisheye)" if _fisheye(options) else "OpenCV, planar (Zhang)"
 
 
 def _opencv_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
-    """Return OpenCV's rms, camera matrix, coefficients and their spreads, for Brown's model."""
+    """Return OpenCV's rms, camera matrix, coefficients and their uncertainties, for Brown's model."""
     objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
     images = [v.points_px.astype(np.float32)[:, None] for v in views]
     rms, matrix, found, _, _, spread, _, _ = cv2.calibrateCameraExtended(
@@ -186,10 +248,10 @@ def _opencv_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, A
 
 
 def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
-    """Return OpenCV's rms, camera matrix and coefficients for a fisheye lens; spreads it has none.
+    """Return OpenCV's rms, camera matrix and coefficients for a fisheye lens, and no uncertainties.
 
-    OpenCV starts such a lens from half a circle across the image, far from any that looks into a collimator; what wins
-    the race of our own closed forms starts it here.
+    OpenCV starts with a field of view of 180 degrees, far from lenses that look into a collimator. The best of our
+    closed forms is used as start instead.
     """
     start = initialize(views, CalibrationOptions("planar", names, "l2"), "planar")[1].camera
     held = [f"FIX_K{name[-1]}" for name in FISHEYE if name not in names]
@@ -206,12 +268,12 @@ def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float,
 
 
 def _fisheye_flag(name: str) -> int:
-    """Return a flag of OpenCV's fisheye calibration; OpenCV 5 has them with the others."""
+    """Return a flag of OpenCV's fisheye calibration, which OpenCV 5 keeps in its main module."""
     return int(getattr(cv2.fisheye if hasattr(cv2.fisheye, f"CALIB_{name}") else cv2, f"CALIB_{name}"))
 
 
 def _brown_flags(names: Sequence[str]) -> int:
-    """Return OpenCV's flags that free the named coefficients and hold all others at zero."""
+    """Return OpenCV's flags that estimate the named coefficients and hold all others at zero."""
     flags = 0 if {"p1", "p2"} & set(names) else cv2.CALIB_ZERO_TANGENT_DIST
     if {"k4", "k5", "k6"} & set(names):
         flags |= cv2.CALIB_RATIONAL_MODEL

@@ -1,7 +1,7 @@
-"""Two cameras on one rig: their relative rotation, from poses both saw through one collimator.
+"""Two cameras on one rig: their relative rotation, from poses that both saw through one collimator.
 
-Knows two calibrations with views of the same names. Behind a collimator every camera stands at infinity from the
-target, so how far apart the two are cannot be seen: the translation is not observable, and none is given.
+Behind a collimator every camera is at infinity from the target. The translation between two cameras is therefore not
+observable, and none is given.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ class RelativeRotation:
     Attributes
     ----------
     rotation
-        (3, 3) second camera <- first camera.
+        (3, 3) float64 rotation, second camera <- first camera.
     covariance
-        (3, 3) of a turn on the second camera's side, rad^2.
+        (3, 3) float64 covariance of the rotation vector on the second camera's side, rad^2.
     views
-        Names of the poses both saw.
-    disagreement_arcsec
-        (n, 3) each pose's covariance_of_mean relative rotation less the common one, about the second camera's axes.
+        Names of the n poses that both cameras saw.
+    residuals_arcsec
+        (n, 3) float64 relative rotation of each pose minus the common one, about the second camera's axes, arc seconds.
     chi_square, degrees_of_freedom
-        Of that disagreement: large when the rig flexed.
+        Chi-square of the residuals and its degrees of freedom; large if the rig flexed.
     """
 
     rotation: Array
@@ -48,21 +48,27 @@ class RelativeRotation:
 
     @property
     def sigma_arcsec(self) -> Array:
-        """(3,) 1-sigma about the second camera's axes."""
+        """(3,) float64 1-sigma about the second camera's axes, arc seconds."""
         return np.asarray(ARCSEC * np.sqrt(np.diag(self.covariance)))
 
     @property
     def vector_deg(self) -> Array:
-        """(3,) the rotation as a vector along its axis, degrees."""
+        """(3,) float64 rotation vector, degrees."""
         return np.asarray(np.rad2deg(log_map(self.rotation[None])[0]))
 
     @property
     def rigid(self) -> bool:
-        """Whether the poses agree within what chance allows in 999 of 1000 cases."""
+        """Whether the chi-square is below its 99.9 % quantile."""
         return bool(self.chi_square <= special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, lists and names only, ready for JSON; the translation is none."""
+        """Return the result as plain numbers, lists and names, ready for JSON; the translation is None.
+
+        Returns
+        -------
+        dict of str to Any
+            Key ``disagreement_arcsec`` holds the residuals.
+        """
         return {
             "rotation": self.rotation.tolist(),
             "vector_deg": self.vector_deg.tolist(),
@@ -79,12 +85,22 @@ class RelativeRotation:
 
 
 def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotation:
-    """Return the rotation second <- first, the best for all poses both saw (least squares, generalised).
+    """Estimate the rotation second <- first from all poses that both cameras saw, by generalised least squares.
+
+    Parameters
+    ----------
+    first, second
+        Calibrations of the two cameras; poses are matched by the names of the views.
+
+    Returns
+    -------
+    RelativeRotation
+        Rotation with covariance and residuals.
 
     Raises
     ------
     DegenerateViews
-        When no view of the two has the same name.
+        If the calibrations have no view with the same name.
     """
     names = [view.name for view in first.views]
     second_names = [view.name for view in second.views]
@@ -118,13 +134,13 @@ def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotati
 
 
 def _joint(covariance: Array, views: list[int]) -> Array:
-    """Return the rows and columns of some views."""
+    """Return the rows and columns of some views of a (3 n, 3 n) covariance."""
     rows = np.concatenate([np.arange(3 * i, 3 * i + 3) for i in views])
     return covariance[np.ix_(rows, rows)]
 
 
 def _rotated(covariance: Array, turns: Array) -> Array:
-    """Carry turns on the first camera's side to the second one's."""
+    """Transform a (3 n, 3 n) covariance from the first camera's side to the second one's."""
     carrier = np.zeros_like(covariance)
     for i, turn in enumerate(turns):
         carrier[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = turn

@@ -1,6 +1,6 @@
-"""Two halves of the views calibrated apart, to see whether they differ as much as their uncertainties say.
+"""Split-half test: two halves of the views are calibrated separately and compared.
 
-Knows only calibrations; the halves share no view, so what they disagree on is what uncertainty ought to be.
+The halves share no view, so their difference shows whether the stated uncertainties are right.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ _MIN_VIEWS = 4
 
 @dataclass(frozen=True)
 class SplitHalf:
-    """Two calibrations of one camera, and how they differ at infinity.
+    """Two calibrations of one camera, and their difference at infinity.
 
     Attributes
     ----------
     halves
-        The calibrations from every other view.
+        The calibrations from every other view, and from the rest.
     difference
         Their difference over the sensor.
     expected_px
-        Root mean square over the sensor of what their uncertainties let one expect.
+        Root mean square difference over the sensor that their uncertainties let expect, px.
     """
 
     halves: tuple[Calibration, Calibration]
@@ -44,17 +44,29 @@ class SplitHalf:
 
     @property
     def ratio(self) -> float:
-        """Difference found over difference expected: about 1 when the uncertainties are honest."""
+        """Difference found over difference expected; about 1 if the uncertainties are right."""
         return self.difference.rms_px / self.expected_px
 
 
 def split_half(views: Sequence[View], options: CalibrationOptions | None = None) -> SplitHalf:
     """Calibrate every other view, and the rest, and compare.
 
+    Parameters
+    ----------
+    views
+        Views of one camera, at least 4.
+    options
+        How to calibrate; None for the defaults.
+
+    Returns
+    -------
+    SplitHalf
+        Both calibrations and their difference.
+
     Raises
     ------
     DegenerateViews
-        With fewer than 4 views, or when a half does not constrain the camera.
+        If there are fewer than 4 views, or a half does not constrain the camera.
     """
     if len(views) < _MIN_VIEWS:
         raise DegenerateViews(f"{len(views)} views; two halves need at least {_MIN_VIEWS}.")

@@ -136,8 +136,8 @@ def leftout(views: Sequence[View]) -> None:
 def times(views: Sequence[View]) -> None:
     """CPU seconds of calibrations of all views."""
     jobs: dict[str, Callable[[], Any]] = {
-        "coma, with uncertainty": partial(fit, views, COMA, "coma"),
-        "coma, every view left out too": partial(fit, views, COMA, "coma", leave_out=True),
+        "coma, with uncertainty": partial(fit_model, views, COMA, "coma"),
+        "coma, every view left out too": partial(fit_model, views, COMA, "coma", leave_out=True),
         "model chosen": partial(calibrate, views, CalibrationOptions(model="auto")),
         "three views, spherical": partial(calibrate, views[:3], CalibrationOptions()),
         "three views, field": partial(calibrate, views[:3], FIELD),
