@@ -191,7 +191,13 @@ def _run_facts(run: IndexedRun | None, planned_poses: int | None) -> dict[str, A
     """Return what a run's own journal says about it; default values if it has none."""
     if run is None:
         counts = {"accepted": 0, "recordings": 0, "deviations": 0}
-        result = {"temperature_c": None, "model": None, "rms_px": None, "sealed": False, "parameters": {}}
+        result: dict[str, Any] = {
+            "temperature_c": None,
+            "model": None,
+            "rms_px": None,
+            "sealed": False,
+            "parameters": {},
+        }
         return {"camera": "", "poses": planned_poses, **counts, **result}
     return {
         "camera": run.camera,
