@@ -78,6 +78,14 @@ def results(views, *, simulated=True):
         "gimbal": {"rms_arcsec": 1.83, "scale": {"pan_deg": 1.000021}, "scale_sigma": {"pan_deg": 1.7e-05}},
         "gates": _gates(),
         "deviations": ["Pose second was recorded twice: the first recording had 31 stars."],
+        "failures": [
+            {
+                "kind": "link",
+                "what": "The stage does not answer.",
+                "where": "/dev/ttyUSB0",
+                "remedy": "Check its cable.",
+            }
+        ],
         "states": _states(),
         "truth": {"camera": TRUE, "collimator": COLLIMATOR} if simulated else None,
         "comparison": _comparison(values) if simulated else [],
