@@ -22,8 +22,8 @@ from bench.base.clock import Aborted, BenchClock
 from bench.base.linux_process import out_of_memory_kills, waits_for_disk
 from bench.records.folder_lock import is_locked
 from bench.records.run_folder import STATION_COPY
-from bench.run.crash_log import note_crash
-from bench.run.heartbeat import SUPERVISOR, Sign, open_process, read_sign
+from bench.run.crash_log import write_crash_log
+from bench.run.heartbeat import SUPERVISOR, Heartbeat, open_process, read_heartbeat
 from bench.stations.devices import make_orphans_safe
 from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
@@ -120,7 +120,7 @@ def supervise(
         why = f"by {signal.Signals(-status).name}"
         if status == -signal.SIGKILL and out_of_memory_kills() > killed_for_memory:
             why = OUT_OF_MEMORY
-            note_crash(folder, OUT_OF_MEMORY)
+            write_crash_log(folder, OUT_OF_MEMORY)
         return WorkerEnd("died", why, 0.0, unsafe)
     how = _ENDS.get(status, "failed")
     return WorkerEnd(how, "" if how == "finished" else _last_message(log))
@@ -230,7 +230,7 @@ class _Orphan:
         return not is_locked(self.folder)
 
     def send(self, number: signal.Signals) -> None:
-        sign = read_sign(self.folder)
+        sign = read_heartbeat(self.folder)
         process = open_process(sign) if sign is not None else None
         if process is None:
             return
@@ -275,13 +275,13 @@ def _supervise_worker(
 
 def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
     """Wait for the worker's end; return how long it has been silent if it hangs, otherwise 0."""
-    left_over = last = read_sign(folder)
+    left_over = last = read_heartbeat(folder)
     if isinstance(worker, _Orphan):
         left_over = None
     since_s = clock.monotonic()
     while not worker.gone():
         clock.sleep(POLL_S)
-        sign, now_s = read_sign(folder), clock.monotonic()
+        sign, now_s = read_heartbeat(folder), clock.monotonic()
         silent_s = now_s - since_s
         if sign != last:
             last, since_s = sign, now_s
@@ -290,7 +290,7 @@ def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
     return 0.0
 
 
-def _is_due(sign: Sign | None, left_over: Sign | None) -> bool:
+def _is_due(sign: Heartbeat | None, left_over: Heartbeat | None) -> bool:
     """Whether another sign of life is due: not while a thread waits for the disk, which may delay the sign itself."""
     return sign is not None and sign != left_over and not waits_for_disk(sign.pid)
 

@@ -190,9 +190,9 @@ def ask_batch(folder: Path, *, job: Path | None, name: str | None, by: str | Non
         Exit status.
     """
     from bench.batch.batch_requests import Request, answer_text, send_request
-    from bench.run.control import who_is_there
+    from bench.run.control import operator_at_terminal
 
-    who = by or who_is_there()
+    who = by or operator_at_terminal()
     if job is not None:
         request = Request(word="add", by=who, job=read_job(job))
     else:

@@ -36,9 +36,9 @@ def status(run_folder: Path, follow: bool, as_json: bool) -> int:
 @JSON
 def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
     """Hold a RUN at its next safe point, with the light off. You hold it until `starbench release`."""
-    from bench.commands.run_output import give_command
+    from bench.commands.run_output import send_command
 
-    return give_command(run_folder, "hold", by=by, take_over=take_over, as_json=as_json)
+    return send_command(run_folder, "hold", by=by, take_over=take_over, as_json=as_json)
 
 
 @click.command()
@@ -48,9 +48,9 @@ def hold(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> in
 @JSON
 def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) -> int:
     """Let a held RUN continue."""
-    from bench.commands.run_output import give_command
+    from bench.commands.run_output import send_command
 
-    return give_command(run_folder, "release", by=by, take_over=take_over, as_json=as_json)
+    return send_command(run_folder, "release", by=by, take_over=take_over, as_json=as_json)
 
 
 @click.command()
@@ -59,9 +59,9 @@ def release(run_folder: Path, by: str | None, take_over: bool, as_json: bool) ->
 @JSON
 def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
     """End a RUN now, safely. Anyone may do this. The run can be resumed."""
-    from bench.commands.run_output import give_command
+    from bench.commands.run_output import send_command
 
-    return give_command(run_folder, "abort", by=by, as_json=as_json)
+    return send_command(run_folder, "abort", by=by, as_json=as_json)
 
 
 @click.command()
@@ -74,9 +74,9 @@ def abort(run_folder: Path, by: str | None, as_json: bool) -> int:
 @JSON
 def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as_json: bool) -> int:
     """Skip a pose of a RUN. Its recordings are kept, and the report states that the pose was skipped."""
-    from bench.commands.run_output import give_command
+    from bench.commands.run_output import send_command
 
-    return give_command(run_folder, "skip", by=by, pose=pose, take_over=take_over, as_json=as_json)
+    return send_command(run_folder, "skip", by=by, pose=pose, take_over=take_over, as_json=as_json)
 
 
 @click.command()
@@ -86,10 +86,10 @@ def skip(run_folder: Path, pose: int | None, by: str | None, take_over: bool, as
 @JSON
 def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
     """Answer a question that a RUN asks: yes (continue) or no (abort)."""
-    from bench.commands.run_output import give_command
+    from bench.commands.run_output import send_command
 
     choice = {"yes": "continue", "no": "abort"}.get(word, word)
-    return give_command(run_folder, "answer", by=by, answer=choice, as_json=as_json)
+    return send_command(run_folder, "answer", by=by, answer=choice, as_json=as_json)
 
 
 @click.command()

@@ -78,7 +78,7 @@ def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
     return {"finished": 0, "aborted": STOPPED}.get(status.ended, 1) if follow else 0
 
 
-def give_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fields: Any) -> int:
+def send_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fields: Any) -> int:
     """Send a command to a run and print the answer.
 
     Parameters
@@ -104,10 +104,10 @@ def give_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fi
     UsageError
         If the operator's name is not valid.
     """
-    from bench.run.control import Command, command_text, send, who_is_there
+    from bench.run.control import Command, command_text, operator_at_terminal, send
 
     try:
-        command = Command.model_validate({"word": word, "by": by or who_is_there(), **fields})
+        command = Command.model_validate({"word": word, "by": by or operator_at_terminal(), **fields})
     except ValidationError as error:
         raise UsageError(
             f"--operator: {error.errors()[0]['msg']}.",

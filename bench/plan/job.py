@@ -21,7 +21,7 @@ from calib.target import StarTarget
 from drivers.light import LightSettings
 from sequences.script import Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
 
-STILL_DEG = 0.0005
+MAX_MOTION_DEG = 0.0005
 """More motion than this between the begin and the end of a recording is motion: 0.03 px at f = 3345 px."""
 
 
@@ -131,7 +131,7 @@ class Job:
 
     def light_settings(self, flicker: Flicker) -> LightSettings:
         """Turn a sequence's flicker into the station's light settings, as its camera needs them."""
-        return self.station.light.settings(self.camera_kind.lit_by(flicker))
+        return self.station.light.settings(self.camera_kind.light_for(flicker))
 
     def light_before(self, step: ScriptStep | None) -> LightStep | None:
         """Find the light step that holds when a step begins; None before the first."""
@@ -173,7 +173,7 @@ class Job:
     def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
         """Judge whether the stage stood still while a recording was made."""
         return [
-            at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), STILL_DEG, "deg")
+            at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
             for axis in before_deg
         ]
 

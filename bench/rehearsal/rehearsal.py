@@ -31,7 +31,7 @@ from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
 from bench.views.camera_kinds import CameraKind, EventKind
-from bench.views.measure import Expect, Measurement
+from bench.views.measure import ExpectedGrid, Measurement
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
 from calib.target import StarTarget
@@ -61,7 +61,7 @@ class RehearsedKind(EventKind):
         step: RecordStep,
         frequency_hz: float,
         target: StarTarget,
-        expect: Expect | None,  # noqa: ARG002 - the file states the stars' ids
+        expect: ExpectedGrid | None,  # noqa: ARG002 - the file states the stars' ids
     ) -> Measurement:
         """Read the stars of a rehearsed recording. Otherwise as `CameraKind.measure`."""
         self._clock.sleep(CHECK_S)
@@ -182,7 +182,7 @@ def rehearse_run(
     RunFolderError, StorageError
         When the folder cannot be used.
     """
-    planned = _without_this_room(make_plan(*load_documents(sequence, station, settings)))
+    planned = _without_room_interlocks(make_plan(*load_documents(sequence, station, settings)))
     task = Job.from_plan(planned, seed=seed, operator=operator)
     job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, clock)
 
@@ -193,7 +193,7 @@ def rehearse_run(
     return rehearse_job(job, folder, open_devices)
 
 
-def _without_this_room(planned: Plan) -> Plan:
+def _without_room_interlocks(planned: Plan) -> Plan:
     """Leave out interlocks that look at this room and this machine's disk, and not at the bench."""
     said = planned.station.value
     kept = said.interlocks.model_copy(update={"door": None, "disk_space": None})
@@ -218,7 +218,7 @@ def rehearse_job(
         with opened(held.journal_path, **clocks) as journal:
             if begun and replay(journal.entries).ended == "finished":
                 return RunEnd("finished", "", held.path, None)
-            _tell_begin(journal, job, held, again=begun)
+            _journal_begin(journal, job, held, again=begun)
             progress = Progress(
                 clock.monotonic, job.plan.duration_s, len(job.plan.poses), stream=io.StringIO()
             )
@@ -236,7 +236,7 @@ def _write_documents(folder: RunFolder, plan: Plan) -> None:
     folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
 
 
-def _tell_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, again: bool) -> None:
+def _journal_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, again: bool) -> None:
     if again:
         journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), rehearsal=True)
         return

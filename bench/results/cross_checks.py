@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.views.expected_grid import best_readings
+from bench.views.expected_grid import best_angles_deg
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
 from calib.studies.hand_eye import check_hand_eye
@@ -63,7 +63,7 @@ def gimbal_check(
     dict or None
         ``rms_arcsec scale scale_sigma agrees``; None with too few poses, or if an axis did not move.
     """
-    readings = [{f"{axis}_deg": deg for axis, deg in best_readings(pose).items()} for pose in readings_deg]
+    readings = [{f"{axis}_deg": deg for axis, deg in best_angles_deg(pose).items()} for pose in readings_deg]
     try:
         check = check_hand_eye(calibration.rotations, calibration.rotation_covariance, readings)
     except CalibrationError:  # too few poses, or axes that did not move

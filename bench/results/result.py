@@ -28,7 +28,7 @@ from bench.results.comparison import compare_with_truth, planar_calibration
 from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.exports import exports
 from bench.views.camera_kinds import CameraKind
-from bench.views.expected_grid import as_before
+from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import Gate, solution_gates
 from bench.views.measure import Measurement, aligned_poses
 from bench.views.views_file import VIEWS, views_file
@@ -153,7 +153,9 @@ class ResultWriter:
     def _measure_again(self, attempt: Attempt) -> Measurement:
         path = self._folder.path / str(attempt.stored["capture"])
         job, step = self._job, self._job.record_step(attempt.pose_index)
-        found = job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, as_before(attempt))
+        found = job.camera_kind.measure(
+            path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt)
+        )
         if found.view is None:
             raise BenchError(
                 f"{attempt.stored['capture']} was accepted, and now no stars are found in it: {found.fault}",
@@ -250,13 +252,13 @@ def _shown(results: Mapping[str, Any], solution: Solution) -> list[ViewPicture]:
     return [
         ViewPicture(
             m.view.name,
-            m.picture.unpacked() if m.view.name in pictured else None,
+            m.image.decoded() if m.view.name in pictured else None,
             m.view.points_px,
             m.view.points_px - r,
             m.view.ids,
         )
         for m, r in zip(solution.measurements, solution.calibration.residuals_px, strict=True)
-        if m.view is not None and m.picture is not None
+        if m.view is not None and m.image is not None
     ]
 
 

@@ -312,11 +312,11 @@ def _solve_again(folder: Path) -> tuple[dict[str, Any], list[StoredView], list[R
 
 def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:
     """Make the image of an accepted recording again; raise RunFolderError if this is not possible."""
-    from bench.views.expected_grid import as_before
+    from bench.views.expected_grid import grid_from_journal
 
     step = job.record_step(attempt.pose_index)
     path = folder / str(attempt.stored["capture"])
-    found = job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, as_before(attempt))
-    if found.picture is None:
+    found = job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt))
+    if found.image is None:
         raise RunFolderError(f"No image can be made of it: {found.fault}", where=str(path))
-    return found.picture.unpacked()
+    return found.image.decoded()

@@ -20,8 +20,8 @@ from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
 from bench.results.offline_options import OfflineOptions
 from bench.results.point_files import read_point_file
-from bench.views.expected_grid import as_before
-from bench.views.measure import Expect, Measurement, measure
+from bench.views.expected_grid import grid_from_journal
+from bench.views.measure import ExpectedGrid, Measurement, measure
 from calib.errors import TooFewStars
 from calib.stars.detect import detect_view
 from calib.stars.vignetting import downweight_vignetted
@@ -114,7 +114,7 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
         step = job.record_step(index)
         step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
         path = folder / str(attempt.stored["capture"])
-        yield ViewSource(path, partial(_view_of_run, job, path, step, as_before(attempt)))
+        yield ViewSource(path, partial(_view_of_run, job, path, step, grid_from_journal(attempt)))
 
 
 def _refuse_truncated(path: Path) -> None:
@@ -140,7 +140,7 @@ def _refuse_truncated(path: Path) -> None:
         )
 
 
-def _view_of_run(job: Job, path: Path, step: RecordStep, expect: Expect | None) -> View:
+def _view_of_run(job: Job, path: Path, step: RecordStep, expect: ExpectedGrid | None) -> View:
     _refuse_truncated(path)
     return _view(job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expect), path)
 

@@ -62,7 +62,7 @@ class Attempts:
         Aborted
             When an operator who was asked, or the default, does not want to try again.
         """
-        while (reasons := self._round(step)) is not None:
+        while (reasons := self._try_attempts(step)) is not None:
             pose = step.pose
             what = f"Pose {pose.index} ({pose.name}) failed {step.attempts} attempts: {'; '.join(reasons)}."
             if step.on_failure == "fail":
@@ -80,7 +80,7 @@ class Attempts:
                 "hold", PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s)
             )
 
-    def lose(self, step: RecordStep, why: str) -> None:
+    def keep_lost_recording(self, step: RecordStep, why: str) -> None:
         """Keep, aside, what there is of a recording at work that was not completed, and tell of it."""
         pose, attempt = step.pose, self._log.history.next_attempt(step.pose.index)
         kept = self._folder.quarantine_part(pose.index, attempt, self._ending)
@@ -88,7 +88,7 @@ class Attempts:
             Event.ATTEMPT_LOST, pose=pose.index, pose_name=pose.name, attempt=attempt, why=why, kept=kept
         )
 
-    def _round(self, step: RecordStep) -> list[str] | None:
+    def _try_attempts(self, step: RecordStep) -> list[str] | None:
         """Record up to so many times; return why the last one did not count; None when one did, or none is wanted."""
         history, pose = self._log.history, step.pose
         reasons: list[str] = []
@@ -106,7 +106,7 @@ class Attempts:
                 self._steps.fire_at("check", step, attempt=attempt)
             except RecordingFailed as error:
                 reasons = [str(error)]
-                self.lose(step, str(error))
+                self.keep_lost_recording(step, str(error))
                 continue
             if pose.index in history.accepted():
                 return None

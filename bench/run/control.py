@@ -77,7 +77,7 @@ class Command(BaseModel):
         return self
 
 
-def who_is_there() -> str:
+def operator_at_terminal() -> str:
     """Name the person at this terminal: ``user@machine``."""
     try:
         user = getpass.getuser()

@@ -39,7 +39,7 @@ def crash_log(folder: Path) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-def note_crash(folder: Path, what: str) -> None:
+def write_crash_log(folder: Path, what: str) -> None:
     """Write down for a process why it died, where it could not itself but whoever watched it knows.
 
     Raises
@@ -65,7 +65,7 @@ def read_crash(folder: Path) -> str | None:
     return lines[0] if lines else None
 
 
-def put_away(folder: RunFolder) -> None:
+def archive_crash(folder: RunFolder) -> None:
     """Move what a crash wrote to ``quarantine/``, for those who look into it; remove what is empty.
 
     Raises

@@ -21,18 +21,18 @@ CONTROL = "control"
 HEARTBEAT = ".heartbeat"
 SUPERVISOR = "STARBENCH_SUPERVISOR"
 """Variable of the environment: the number of the process that watches this one."""
-WORKING_S = 0.5
+STALL_LIMIT_S = 0.5
 """No sign is given for work that has neither waited nor checked for so long; drivers do that 20 times a second."""
-UNHURRIED_S = 600.0
+SLOW_STALL_LIMIT_S = 600.0
 """As long in a state in which nothing moves, or while the disk takes its time."""
-UNHURRIED = frozenset(
+SLOW_STATES = frozenset(
     {"idle", "preflight", "holding", "checking", "solving", "reporting", "recovering", "finished"}
 )
 """States in which nothing moves: what computes does not pass the clock, and devices take their time to start up."""
 
 
 @dataclass(frozen=True)
-class Sign:
+class Heartbeat:
     """The last sign of life.
 
     Attributes
@@ -48,7 +48,7 @@ class Sign:
     moment_ns: int
 
 
-class Pulse:
+class HeartbeatWriter:
     """Gives signs of life of this process's work on a run.
 
     Parameters
@@ -73,17 +73,17 @@ class Pulse:
 
     def beat(self) -> None:
         """Give a sign, unless the work stands still. Raises StorageError."""
-        if self.standing_s() > (UNHURRIED_S if self._may_take_long() else WORKING_S):
+        if self.stalled_s() > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
             return
         sign = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
         with storage_errors(self._path), suppress(FileNotFoundError):
             self._path.write_bytes(sign.encode())
 
-    def standing_s(self) -> float:
+    def stalled_s(self) -> float:
         """How long the work has not been seen to go on, s."""
         return min(self._clock.inactive_s(), time.monotonic() - self._since_s)
 
-    def lost_supervisor(self) -> bool:
+    def supervisor_is_gone(self) -> bool:
         """Whether the process that watched this one is gone; told once."""
         gone = self._watched_by is not None and os.getppid() != self._watched_by
         if gone:
@@ -93,19 +93,19 @@ class Pulse:
     def _may_take_long(self) -> bool:
         """Whether nothing moves, or the kernel has it wait for the disk (state D), which no driver's wait does."""
         pid = self._own[0]
-        return self._state in UNHURRIED or thread_waits_for_disk(pid, pid)
+        return self._state in SLOW_STATES or thread_waits_for_disk(pid, pid)
 
 
-def read_sign(folder: Path) -> Sign | None:
+def read_heartbeat(folder: Path) -> Heartbeat | None:
     """Give the last sign of life of the process that works on a run; None while it takes no commands."""
     try:
         pid, started, moment_ns = map(int, (folder / CONTROL / HEARTBEAT).read_bytes().split())
     except (OSError, ValueError):
         return None
-    return Sign(pid, started, moment_ns)
+    return Heartbeat(pid, started, moment_ns)
 
 
-def open_process(sign: Sign) -> int | None:
+def open_process(sign: Heartbeat) -> int | None:
     """Open the very process that gave a sign, as a descriptor to wait for and to signal; None when it is gone."""
     try:
         process = os.pidfd_open(sign.pid)

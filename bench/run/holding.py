@@ -16,10 +16,10 @@ from bench.run.run_devices import RunDevices
 from bench.terminal.prompt import Reply, ask
 from sequences.script import PromptStep
 
-MOST_HOLD_S = 8 * 3600.0
+MAX_HOLD_S = 8 * 3600.0
 """A run that an operator holds for longer is aborted safely."""
 HOLD_POLL_S = 0.1
-HOLD_TOLD_AGAIN_S = 600.0
+HOLD_NOTIFY_INTERVAL_S = 600.0
 """Holds by the same interlock are not told to those away more often than that."""
 
 
@@ -82,12 +82,12 @@ class Holding:
             self._until_answered(question)
 
     def _until_released(self) -> None:
-        """Until the owner releases the run; not longer than ``MOST_HOLD_S``."""
+        """Until the owner releases the run; not longer than ``MAX_HOLD_S``."""
         self._devices.switch_off_light()
         history, begin_s = self._log.history, self._clock.monotonic()
         while history.holder:
-            if self._clock.monotonic() - begin_s > MOST_HOLD_S:
-                raise Aborted(f"held by {history.holder} for more than {MOST_HOLD_S / 3600:g} h")
+            if self._clock.monotonic() - begin_s > MAX_HOLD_S:
+                raise Aborted(f"held by {history.holder} for more than {MAX_HOLD_S / 3600:g} h")
             self._clock.sleep(HOLD_POLL_S)
 
     def _until_clear(self, trip: Trip) -> None:
@@ -126,7 +126,7 @@ class Holding:
         return Reply(*given) if given is not None else None
 
 
-class HoldNews:
+class HoldNotifier:
     """Tells those away that a run holds; of the same interlock not again for a while.
 
     Parameters
@@ -140,14 +140,14 @@ class HoldNews:
     def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:
         self._clock = clock
         self._notify = notify
-        self._told_s: dict[str, float] = {}
+        self._notified_s: dict[str, float] = {}
 
     def entering(self, facts: Entering, line: str) -> None:
         """Tell of a hold, as the journal does: a door that goes on and off wakes nobody a hundred times."""
         rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
-        if rule and now_s - self._told_s.get(rule, -HOLD_TOLD_AGAIN_S) < HOLD_TOLD_AGAIN_S:
+        if rule and now_s - self._notified_s.get(rule, -HOLD_NOTIFY_INTERVAL_S) < HOLD_NOTIFY_INTERVAL_S:
             return
-        self._told_s[rule] = now_s
+        self._notified_s[rule] = now_s
         self._notify("hold", _waits_for(facts), line)
 
 

@@ -272,7 +272,7 @@ class Interlocks:
         """Let nothing interrupt what is between two states."""
         self.entering("")
 
-    def heed(self) -> None:
+    def require_clear(self) -> None:
         """See that none holds at this moment, before work goes on.
 
         Raises

@@ -42,7 +42,7 @@ from bench.records.run_folder import (
 )
 from bench.results.result import Outcome, software
 from bench.run.control import remove_inbox
-from bench.run.crash_log import crash_log, put_away, read_crash
+from bench.run.crash_log import archive_crash, crash_log, read_crash
 from bench.run.resumption import intentions
 from bench.run.run_messages import RunMessages
 from bench.run.runner import RunEnd, Runner
@@ -123,7 +123,7 @@ def start_run(
         ledger = _ledger(launch)
         place = _begin(ledger, job, folder.path)
         with (
-            _ending(ledger, place, folder.path) as ending,
+            _ledger_entry(ledger, place, folder.path) as ending,
             Journal.create(
                 folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
             ) as journal,
@@ -169,16 +169,18 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         place = history.ledger
         if not ledger.contains(place):  # begun on another bench, or without a ledger
             place = _begin(ledger, job, folder.path)
-        with _ending(ledger, place, folder.path) as ending:
+        with _ledger_entry(ledger, place, folder.path) as ending:
             if history.ended == "finished":
-                put_away(folder)
+                archive_crash(folder)
                 return ending(_seal_finished(folder, journal, launch))
             said: dict[str, Any] = {"crash": crash} if crash else {}
             said |= {"ledger": place} if place is not history.ledger else {}
             journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **said)
-            put_away(folder)  # counted first: whoever dies in between counts no crash twice, and loses none
+            archive_crash(
+                folder
+            )  # counted first: whoever dies in between counts no crash twice, and loses none
             words = intentions(job, history, crash)
-            return ending(_run_and_seal(job, folder, journal, launch, say_first=words))
+            return ending(_run_and_seal(job, folder, journal, launch, first_lines=words))
 
 
 def read_intentions(folder_path: Path) -> list[str]:
@@ -227,7 +229,7 @@ def _begin(ledger: Ledger, job: Job, folder: Path) -> LedgerPlace:
 
 
 @contextmanager
-def _ending(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
+def _ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
     """Enter into the ledger how the run of the block ended: as it tells by what it is given; else it failed."""
     how = "failed"
 
@@ -250,7 +252,7 @@ def default_folder(plan: Plan, now: datetime) -> Path:
 
 
 def _run_and_seal(
-    job: Job, folder: RunFolder, journal: Journal, launch: Launch, *, say_first: Iterable[str] = ()
+    job: Job, folder: RunFolder, journal: Journal, launch: Launch, *, first_lines: Iterable[str] = ()
 ) -> RunEnd:
     clock = launch.clock
     key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
@@ -263,7 +265,7 @@ def _run_and_seal(
     with progress, stop_on_signals(clock.request_stop):
         if key.created:
             progress.say(f"A signing key for this bench was made: {key.fingerprint}; see `starbench keys`.")
-        for line in say_first:
+        for line in first_lines:
             progress.say(line)
         courier = Courier(job.station.messages, Outbox(home_folder()), clock, progress.say)
         messages = RunMessages(courier, folder.path, progress.say)

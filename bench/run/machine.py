@@ -103,7 +103,7 @@ class RunMachine:
 
     def __init__(self, work: Mapping[str, Work], listener: Listener) -> None:
         self.state = "idle"
-        self._news = listener
+        self._listener = listener
         self._work = work
         unknown = set(work) - set(STATES)
         if unknown:
@@ -159,7 +159,7 @@ class RunMachine:
         assert event.transition is not None
         step: Numbered | None = next(iter(event.args), None)
         number = {} if step is None else {"step": step.number}
-        self._news.entering(
+        self._listener.entering(
             cast("Entering", {"state": event.transition.dest, "from": self.state, **number, **event.kwargs})
         )
 
@@ -175,6 +175,6 @@ class RunMachine:
         if event.error is not None:
             facts["error"] = f"{type(event.error).__name__}: {event.error}"
         try:
-            self._news.left_off(facts)
+            self._listener.left_off(facts)
         except Exception as error:  # noqa: BLE001 - `transitions` would only log it; `fire` raises it
             self._unwritten = error

@@ -60,7 +60,7 @@ def stage_faults(devices: Devices) -> list[str]:
     return [f"stage: {fault}" for fault in devices.stage.faults()]
 
 
-def refuse(reasons: list[str]) -> None:
+def require_no_faults(reasons: list[str]) -> None:
     """Raise PreflightFailed with every reason, if there is one."""
     if reasons:
         raise PreflightFailed(

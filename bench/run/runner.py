@@ -23,8 +23,8 @@ from bench.records.run_log import RunLog
 from bench.results.result import Outcome, ResultWriter
 from bench.run.attempts import Attempts
 from bench.run.control import CommandInbox
-from bench.run.heartbeat import Pulse
-from bench.run.holding import Holding, HoldNews
+from bench.run.heartbeat import HeartbeatWriter
+from bench.run.holding import Holding, HoldNotifier
 from bench.run.interlocks import Interlocks, Trip, interlocks_of
 from bench.run.machine import RunMachine
 from bench.run.resumption import crash_looped, remaining
@@ -37,7 +37,7 @@ from bench.terminal.progress import Progress
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
 from sequences.script import RecordStep, WaitStep
 
-LOST = (PortLost, CameraLost, ReplyTimeout)
+LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
 """A device is gone, or no longer answers."""
 
 End = Literal["finished", "aborted", "failed"]
@@ -107,7 +107,7 @@ class Runner:
         self._clock = clock
         self._progress = progress
         self._notify = notify
-        self._hold_news = HoldNews(clock, notify)
+        self._hold_notifier = HoldNotifier(clock, notify)
         self._results = results or ResultWriter(job, folder)
         self._log = log = RunLog(journal)
         self._devices = RunDevices(job, folder, log, open_devices, progress.say)
@@ -124,9 +124,9 @@ class Runner:
         self._attempts = Attempts(
             self._machine, self._steps, self._safe_points, folder, log, job.camera_kind.ending, progress.say
         )
-        self._pulse = Pulse(folder.path, clock)
+        self._heartbeat = HeartbeatWriter(folder.path, clock)
         names = {pose.index: pose.name for pose in job.plan.poses}
-        looks = (self._pulse.beat, self._see_supervisor, self._interlocks.look)
+        looks = (self._heartbeat.beat, self._report_lost_supervisor, self._interlocks.look)
         self._inbox = CommandInbox(folder.path, log, names, clock, looks)
 
     def run(self) -> RunEnd:
@@ -144,7 +144,7 @@ class Runner:
         """
         try:
             with self._inbox:
-                self._work_through()
+                self._do_remaining_steps()
             self._log.write(Event.RUN_ENDED, how="finished", why="")
         except Aborted as stop:
             return self._end_early("aborted", stop.reason)
@@ -160,7 +160,7 @@ class Runner:
                 self._devices.close()
         return RunEnd("finished", "", self._folder.path, self._results.outcome, self._devices.unsafe)
 
-    def _work_through(self) -> None:
+    def _do_remaining_steps(self) -> None:
         history = self._log.history
         if history.resumed:
             self._machine.fire("recover")
@@ -169,13 +169,13 @@ class Runner:
                 self._safe_points.skip(pose_index, why)
         steps = remaining(self._job.steps, history.done_steps)
         if any(isinstance(step, DEVICE_STEPS) for step in steps):
-            self._guarded(None, partial(self._machine.fire, "preflight"))
-            self._guarded(None, partial(self._make_ready, steps))
+            self._with_interlocks(None, partial(self._machine.fire, "preflight"))
+            self._with_interlocks(None, partial(self._prepare_bench, steps))
         for step in steps:
             if isinstance(step, (*DEVICE_STEPS, WaitStep)):
-                self._guarded(step, partial(self._next, step))
+                self._with_interlocks(step, partial(self._do_step, step))
             else:
-                self._next(step)
+                self._do_step(step)
         self._machine.fire("finish")
 
     def _end_early(
@@ -214,9 +214,9 @@ class Runner:
 
     # ------------------------------------------------------------------ which steps
 
-    def _make_ready(self, steps: list[ScriptStep]) -> None:
+    def _prepare_bench(self, steps: list[ScriptStep]) -> None:
         """Find the stage's reference, and set the light as the script last set it."""
-        self._interlocks.heed()
+        self._interlocks.require_clear()
         if self._machine.state != "preflight":  # an interlock held meanwhile
             self._machine.fire("preflight")
         self._machine.fire("home")
@@ -239,7 +239,7 @@ class Runner:
                 if step.pose.index in history.accepted():
                     self._log.write(Event.STEP_DONE, step=step.number)
 
-    def _next(self, step: ScriptStep) -> None:
+    def _do_step(self, step: ScriptStep) -> None:
         """Do a step, unless its pose is skipped."""
         self._safe_points.reach(step)
         done = self._log.history.done_steps
@@ -259,31 +259,31 @@ class Runner:
 
     # ------------------------------------------------------------------ interlocks
 
-    def _guarded(self, step: ScriptStep | None, work: Callable[[], None]) -> None:
+    def _with_interlocks(self, step: ScriptStep | None, work: Callable[[], None]) -> None:
         """Do work with devices. Where an interlock holds before or during the work, wait, and do the work again."""
         again = False
         while True:
             try:
                 if again and step is not None:
-                    self._interlocks.heed()
+                    self._interlocks.require_clear()
                     self._steps.prepare_again(step)
                 work()
             except Interrupted:
                 self._hold_for(self._interlocks.take(), step)
-            except LOST as error:
+            except LOST_DEVICE_ERRORS as error:
                 trip = self._interlocks.lost(str(error))
                 if trip is None:
                     raise
                 self._hold_for(trip, step)
                 if step is not None:
-                    self._guarded(None, partial(self._make_ready, []))
+                    self._with_interlocks(None, partial(self._prepare_bench, []))
             else:
                 return
             again = True
 
     def _hold_for(self, trip: Trip, step: ScriptStep | None) -> None:
         if self._machine.state == "recording" and isinstance(step, RecordStep):
-            self._attempts.lose(step, trip.text)
+            self._attempts.keep_lost_recording(step, trip.text)
         self._progress.say(f"Held by {trip.text}; the run goes on by itself once that is over.")
         self._machine.fire("hold", step, trip, rule=trip.interlock.name, why=trip.why)
 
@@ -299,11 +299,11 @@ class Runner:
         """
         self._log.write_entering(data)
         state = data["state"]
-        self._pulse.entering(state)
+        self._heartbeat.entering(state)
         self._interlocks.entering(state)
         self._progress.show(state, pose=data.get("pose"), detail=data.get("pose_name", ""))
         if state == "holding":
-            self._hold_news.entering(data, self._log.journal.head)
+            self._hold_notifier.entering(data, self._log.journal.head)
 
     def left_off(self, data: LeftOff) -> None:
         """Journal that the work of a state has ended; nothing interrupts what is between two states.
@@ -316,9 +316,9 @@ class Runner:
         self._log.write_left_off(data)
         self._interlocks.left_off()
 
-    def _see_supervisor(self) -> None:
+    def _report_lost_supervisor(self) -> None:
         """Journal that no process watches this one any more, and go on: the run is as good as before."""
-        if self._pulse.lost_supervisor():
+        if self._heartbeat.supervisor_is_gone():
             self._log.write(Event.SUPERVISOR_LOST)
             self._notify(
                 "failure", "goes on, but what watched it is gone: nothing follows it", self._log.journal.head

@@ -71,7 +71,7 @@ class SafePoints:
             When an interlock holds.
         """
         self._clock.check()
-        self._interlocks.heed()
+        self._interlocks.require_clear()
         history = self._log.history
         holder = history.holder
         if holder and self._machine.can("hold"):

@@ -14,9 +14,9 @@ from typing import Any, Protocol, cast
 from bench.stations.devices import Camera
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraConfig
-from bench.views.gates import FILTERS_TO_DISABLE, Gate, recording_gates, refusals
-from bench.views.measure import Expect, Measurement, measure
-from bench.views.pictures import measure_pictures, picture_gates, picture_refusals
+from bench.views.frames import frame_gates, frame_rejection_reasons, measure_frames
+from bench.views.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
+from bench.views.measure import ExpectedGrid, Measurement, measure
 from bench.views.recording_window import periods_in_window, recording_duration_s
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
@@ -36,7 +36,7 @@ class CameraKind(Protocol):
     ending: str
     """How the names of its recordings end."""
 
-    def lit_by(self, flicker: Flicker) -> Flicker:
+    def light_for(self, flicker: Flicker) -> Flicker:
         """What the light does where a sequence asks for a flicker."""
         ...
 
@@ -51,7 +51,12 @@ class CameraKind(Protocol):
         ...
 
     def measure(
-        self, path: Path, step: RecordStep, frequency_hz: float, target: StarTarget, expect: Expect | None
+        self,
+        path: Path,
+        step: RecordStep,
+        frequency_hz: float,
+        target: StarTarget,
+        expect: ExpectedGrid | None,
     ) -> Measurement:
         """Find the stars in a recording; where ``expect`` says, if the tag does not tell which they are."""
         ...
@@ -88,7 +93,7 @@ class EventKind:
     def __init__(self, biases: Mapping[str, int], roi: tuple[int, int, int, int] | None = None) -> None:
         self._settings = CameraSettings(biases, trigger_in=True, roi=roi)
 
-    def lit_by(self, flicker: Flicker) -> Flicker:
+    def light_for(self, flicker: Flicker) -> Flicker:
         """The flicker itself."""
         return flicker
 
@@ -113,7 +118,12 @@ class EventKind:
         return cast("EventCamera", camera).record(path, duration_s)
 
     def measure(
-        self, path: Path, step: RecordStep, frequency_hz: float, target: StarTarget, expect: Expect | None
+        self,
+        path: Path,
+        step: RecordStep,
+        frequency_hz: float,
+        target: StarTarget,
+        expect: ExpectedGrid | None,
     ) -> Measurement:
         """Find the stars in the event image of whole flicker periods."""
         return measure(
@@ -133,7 +143,7 @@ class EventKind:
         recorded = RecordingFacts(**facts)
         return (
             recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars),
-            refusals(recorded, step.gates, ()),
+            rejection_reasons(recorded, step.gates, ()),
         )
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
@@ -179,7 +189,7 @@ class FrameKind:
         self._pictures = pictures
         self._settings = settings
 
-    def lit_by(self, flicker: Flicker) -> Flicker:
+    def light_for(self, flicker: Flicker) -> Flicker:
         """Let the light burn steadily at the flicker's brighter level: no picture depends on when it was taken."""
         return replace(flicker, waveform="steady")
 
@@ -197,10 +207,10 @@ class FrameKind:
         step: RecordStep,
         frequency_hz: float,  # noqa: ARG002
         target: StarTarget,
-        expect: Expect | None,
+        expect: ExpectedGrid | None,
     ) -> Measurement:
         """Find the stars in the mean of the pictures."""
-        return measure_pictures(path, name=step.pose.name, target=target, expect=expect)
+        return measure_frames(path, name=step.pose.name, target=target, expect=expect)
 
     def judge(
         self,
@@ -211,7 +221,7 @@ class FrameKind:
     ) -> tuple[list[Gate], list[str]]:
         """Judge stars, saturation and motion."""
         recorded = FrameFacts(**facts)
-        return picture_gates(recorded, step.gates, found), picture_refusals(recorded)
+        return frame_gates(recorded, step.gates, found), frame_rejection_reasons(recorded)
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
         """Pictures, and how many of their pixels are saturated."""

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from bench.records.events import CaptureStored
 from bench.records.history import Attempt, History
-from bench.views.measure import Expect
+from bench.views.measure import ExpectedGrid
 from calib.stars.pointing import LabelledView, predict_grid
 from calib.target import StarTarget
 
 
-def by_earlier_poses(history: History, stored: CaptureStored, target: StarTarget) -> Expect:
+def grid_from_earlier_poses(history: History, stored: CaptureStored, target: StarTarget) -> ExpectedGrid:
     """Expect the stars of a recording by the accepted ones of which the tag named the stars.
 
     Parameters
@@ -30,11 +30,11 @@ def by_earlier_poses(history: History, stored: CaptureStored, target: StarTarget
     target
         The printed target.
     """
-    here = best_readings(stored["measured_deg"])
+    here = best_angles_deg(stored["measured_deg"])
 
     def expect(image_size: tuple[int, int]) -> NDArray[np.float64]:
         seen = [
-            LabelledView(np.array(measured["grid"]), best_readings(attempt.stored["measured_deg"]))
+            LabelledView(np.array(measured["grid"]), best_angles_deg(attempt.stored["measured_deg"]))
             for attempt in history.accepted().values()
             if (measured := attempt.measured).get("named_by") in ("tag", "part of the tag")
         ]
@@ -43,13 +43,13 @@ def by_earlier_poses(history: History, stored: CaptureStored, target: StarTarget
     return expect
 
 
-def as_before(attempt: Attempt) -> Expect | None:
+def grid_from_journal(attempt: Attempt) -> ExpectedGrid | None:
     """Expect of a recording what was expected when it was accepted; None where the tag named its stars."""
     grid = attempt.measured.get("expected_grid")
     return None if grid is None else lambda _image_size: np.array(grid)
 
 
-def best_readings(measured_deg: Mapping[str, float]) -> dict[str, float]:
+def best_angles_deg(measured_deg: Mapping[str, float]) -> dict[str, float]:
     """Where a stage stood, by axis: what its encoders read, where it has some (``pan_encoder``)."""
     axes = ("pan", "tilt", "roll")
     return {a: measured_deg.get(f"{a}_encoder", measured_deg[a]) for a in axes if a in measured_deg}

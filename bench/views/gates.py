@@ -91,7 +91,7 @@ def recording_gates(
         at_least("stars", stars, gates.min_stars, ""),
         at_most("event rate", rate_mev_s, gates.max_event_rate_mev_s, "Mev/s"),
     ]
-    numbers = numbers_of(facts, gates, frequency_hz, measured)
+    numbers = gate_values(facts, gates, frequency_hz, measured)
     limits = dict(gates.limits)
     if measured.get("flicker_source") in FREQUENCY_TOLERANCE:
         limits.setdefault("max_flicker_off_percent", 100 * FREQUENCY_TOLERANCE[measured["flicker_source"]])
@@ -105,7 +105,7 @@ def recording_gates(
     return judged
 
 
-def numbers_of(
+def gate_values(
     facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: MeasuredFacts
 ) -> dict[str, Any]:
     """All numbers of a recording that a sequence may limit, by name; parameters as for `recording_gates`."""
@@ -165,7 +165,7 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
     return judged
 
 
-def failures(judged: Sequence[Gate]) -> list[str]:
+def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
     """Say which gates failed, what was found and what was wanted."""
     return [
         f"{g.name} {g.value:.6g}{' ' + g.unit if g.unit else ''}, wanted {g.limit}"
@@ -174,9 +174,9 @@ def failures(judged: Sequence[Gate]) -> list[str]:
     ]
 
 
-def refusals(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
+def rejection_reasons(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
     """Say why a recording does not count; empty when it does."""
-    reasons = failures(judged)
+    reasons = failed_gate_texts(judged)
     reasons += [f"data lost: {gap}" for gap in facts.gaps]
     eaten = [f for f in FILTERS_TO_DISABLE if facts.filters.get(f)]
     if eaten:

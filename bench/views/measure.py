@@ -39,7 +39,7 @@ from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 
-Expect = Callable[[tuple[int, int]], NDArray[np.float64]]
+ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
 """Gives, for an image of a width and height, where the target's grid of nodes is expected in it: (3, 3), from
 [column row 1] to [u v 1] px. Raises DegenerateViews where that cannot be told."""
 
@@ -49,19 +49,19 @@ _ALIGNED_DEG = 3.0
 
 
 @dataclass(frozen=True)
-class Picture:
+class StoredImage:
     """An image as people see it, 8 bits a pixel, packed without loss: a run keeps one of each of its poses."""
 
-    packed: bytes
+    png: bytes
 
     @classmethod
-    def of(cls, image: NDArray[Any]) -> Picture:
+    def from_image(cls, image: NDArray[Any]) -> StoredImage:
         """Stretch (`calib.events.grey_image.to_uint8`) and pack an image (H, W)."""
         return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
 
-    def unpacked(self) -> NDArray[np.uint8]:
+    def decoded(self) -> NDArray[np.uint8]:
         """Give it as (H, W) uint8."""
-        shown = cv2.imdecode(np.frombuffer(self.packed, np.uint8), cv2.IMREAD_GRAYSCALE)
+        shown = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
         assert shown is not None
         return np.asarray(shown, np.uint8)
 
@@ -74,7 +74,7 @@ class Measurement:
     ----------
     view
         The stars; None where none were found, ``fault`` then says why.
-    picture
+    image
         The event image the stars were looked for in; None where it could not be made.
     facts
         Plain numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
@@ -85,7 +85,7 @@ class Measurement:
     """
 
     view: View | None
-    picture: Picture | None
+    image: StoredImage | None
     facts: MeasuredFacts = field(default_factory=MeasuredFacts)
     fault: str = ""
 
@@ -103,7 +103,7 @@ def measure(
     image: str,
     periods: int | None,
     expected_hz: float | None,
-    expect: Expect | None = None,
+    expect: ExpectedGrid | None = None,
 ) -> Measurement:
     """Read a recording and find the stars in it.
 
@@ -130,30 +130,30 @@ def measure(
         Also when the file cannot be read or no stars are found: the fault then says why.
     """
     facts: MeasuredFacts = {}
-    picture: Picture | None = None
+    picture: StoredImage | None = None
     try:
         raw = RawFile.open(path)
         size = raw.width, raw.height
         events, triggers = raw.read()
-        origin_us = _count_from_the_begin(events.t, triggers)
+        origin_us = _subtract_origin(events.t, triggers)
         flicker = _flicker(triggers, (events.t, events.p), expected_hz)
         span_us = _span_us(events.t, triggers)
         facts.update(_flicker_facts(flicker, triggers, span_us))
-        facts.update(_agreement(flicker, events))
-        images = make_images(*_arrays(events), size, flicker, window_us=span_us, periods=periods)
+        facts.update(_compare_flicker(flicker, events))
+        images = make_images(*_event_arrays(events), size, flicker, window_us=span_us, periods=periods)
         chosen = _choose(images, image)
-        picture = Picture.of(chosen.image)
+        picture = StoredImage.from_image(chosen.image)
         facts.update(_image_facts(images, chosen, origin_us))
-        view = downweight_vignetted(named(chosen.image, target, name, expect, facts), target)
-        halves = _halves(events, size, flicker, images.facts, chosen.name)
+        view = downweight_vignetted(find_stars(chosen.image, target, name, expect, facts), target)
+        halves = _half_images(events, size, flicker, images.facts, chosen.name)
         facts["motion_px"] = motion_px(halves, target, facts)
     except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, picture, _plain(facts), str(error))
-    return Measurement(view, picture, _plain(facts))
+        return Measurement(None, picture, _without_nan(facts), str(error))
+    return Measurement(view, picture, _without_nan(facts))
 
 
-def named(
-    image: NDArray[Any], target: StarTarget, name: str, expect: Expect | None, facts: MeasuredFacts
+def find_stars(
+    image: NDArray[Any], target: StarTarget, name: str, expect: ExpectedGrid | None, facts: MeasuredFacts
 ) -> View:
     """Find the stars of an image, by the expected pose where the tag does not name them.
 
@@ -221,7 +221,7 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
 
 
-def _agreement(flicker: Flicker, events: Events) -> MeasuredFacts:
+def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
     """Hold the flicker by the triggers against the one that the events tell; nothing where there is only one."""
     if flicker.source != "triggers":
         return {}
@@ -236,19 +236,19 @@ def _agreement(flicker: Flicker, events: Events) -> MeasuredFacts:
     }
 
 
-def _arrays(
+def _event_arrays(
     events: Events,
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
     """Times, columns, rows and polarities, as images are made of them."""
     return events.t, events.x, events.y, events.p
 
 
-def _halves(
+def _half_images(
     events: Events, size: tuple[int, int], flicker: Flicker, whole: SliceFacts, kind: str
 ) -> Iterator[NDArray[np.float32]]:
     """Images of the first and the second half; raises TooFewEvents where there are none."""
     for half in half_windows(whole):
-        yield make_images(*_arrays(events), size, flicker, window_us=half).named(kind)
+        yield make_images(*_event_arrays(events), size, flicker, window_us=half).named(kind)
 
 
 def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
@@ -271,12 +271,12 @@ def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Measure
         return None
 
 
-def _plain(facts: Any) -> Any:
+def _without_nan(facts: Any) -> Any:
     """Put None where a number could not be told: what was not measured is not a number, in JSON either."""
     if isinstance(facts, dict):
-        return {name: _plain(fact) for name, fact in facts.items()}
+        return {name: _without_nan(fact) for name, fact in facts.items()}
     if isinstance(facts, list):
-        return [_plain(fact) for fact in facts]
+        return [_without_nan(fact) for fact in facts]
     return None if isinstance(facts, float) and not math.isfinite(facts) else facts
 
 
@@ -294,7 +294,7 @@ def _flicker(
         return flicker_from_events(*events)
 
 
-def _count_from_the_begin(t: NDArray[np.int64], triggers: Triggers) -> int:
+def _subtract_origin(t: NDArray[np.int64], triggers: Triggers) -> int:
     """Count times, in place, from the first event or edge; return its own.
 
     The sensor's clock goes on from recording to recording: what stands in one is not to depend, by the last digits

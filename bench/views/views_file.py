@@ -69,7 +69,7 @@ def views_file(
         for number, (found, residuals) in enumerate(zip(measurements, residuals_px, strict=True), 1):
             view = found.view
             assert view is not None
-            assert found.picture is not None
+            assert found.image is not None
             group = file.create_group(_group_name(number))
             group.attrs["name"] = view.name
             group.attrs["image_size"] = view.image_size
@@ -77,7 +77,7 @@ def views_file(
                 group.create_dataset(name, data=getattr(view, name))
             group.create_dataset("residuals_px", data=residuals)
             group.create_dataset(
-                "picture", data=found.picture.unpacked(), compression="gzip", compression_opts=4
+                "picture", data=found.image.decoded(), compression="gzip", compression_opts=4
             )
     return memory.getvalue()
 

@@ -14,7 +14,7 @@ from running import PATIENCE_S, journal, numbers, starbench, start
 
 from bench.records.journal import read_journal
 from bench.records.storage import sha256_of
-from bench.run.heartbeat import read_sign
+from bench.run.heartbeat import read_heartbeat
 
 KILLS = int(os.environ.get("STARBENCH_KILLS", "300"))
 RUNS, POSES = 10, 12
@@ -43,7 +43,7 @@ class Night:
     def kill(self, kind):
         """Kill; tell whether anything that was still at work was hit."""
         self.workers |= {
-            sign.pid for run in self.runs() if (sign := read_sign(run)) is not None and is_ours(sign.pid)
+            sign.pid for run in self.runs() if (sign := read_heartbeat(run)) is not None and is_ours(sign.pid)
         }
         self.workers |= set(children(self.process.pid))
         hit = False

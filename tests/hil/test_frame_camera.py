@@ -16,7 +16,7 @@ from running import end_when, entering, journal, numbers, results, starbench, st
 from bench.batch.batch_plan import read_queue
 from bench.batch.rehearsed_night import rehearse_batch
 from bench.stations.station import SHIPPED_STATIONS
-from bench.views.pictures import measure_pictures, picture_gates
+from bench.views.frames import frame_gates, measure_frames
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import SILENCE_S, OpenCvFrameCamera
@@ -181,7 +181,7 @@ def test_pictures_differ_by_their_noise_alone_and_their_stars_stand_still(camera
     frames = read_frames(tmp_path / "pose.tif").astype(float)
     noise = (frames[1] - frames[0]).std()
     assert 0.5 < noise < 5.0
-    found = measure_pictures(tmp_path / "pose.tif", name="pose", target=StarTarget())
+    found = measure_frames(tmp_path / "pose.tif", name="pose", target=StarTarget())
     assert found.stars > 100
     assert found.facts["motion_px"] < 0.02
 
@@ -192,8 +192,8 @@ def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars
     camera.capture(tmp_path / "turned.tif", 2)
     frames = [*read_frames(tmp_path / "still.tif"), *read_frames(tmp_path / "turned.tif")]
     write_frames(tmp_path / "both.tif", frames)
-    found = measure_pictures(tmp_path / "both.tif", name="pose", target=StarTarget())
-    gates = picture_gates({"saturated_share": still.saturated_share}, Gates(40, 200.0, True), found)
+    found = measure_frames(tmp_path / "both.tif", name="pose", target=StarTarget())
+    gates = frame_gates({"saturated_share": still.saturated_share}, Gates(40, 200.0, True), found)
     assert {gate.name: gate.verdict for gate in gates}["stars moved"] == "fail"
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench.views.gates import recording_gates, refusals
+from bench.views.gates import recording_gates, rejection_reasons
 from bench.views.measure import measure
 from drivers.camera import RecordingFacts
 from drivers.camera.raw_file import RawFile
@@ -76,7 +76,9 @@ def judge(path, recording, said=LIMITS):
     )  # fmt: skip
     found = measure(path, name="p", target=TARGET, image="auto", periods=2, expected_hz=60.0)
     gates = Gates.from_command_line(dict(GateConfig(**said)))
-    return found, refusals(facts, gates, recording_gates(facts, gates, 60.0, found.facts, found.stars))
+    return found, rejection_reasons(
+        facts, gates, recording_gates(facts, gates, 60.0, found.facts, found.stars)
+    )
 
 
 def rows_missing(r):

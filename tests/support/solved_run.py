@@ -8,7 +8,7 @@ from rehearsed import Scene
 
 from bench.rehearsal.rehearsal import RehearsedKind
 from bench.results.result import ResultWriter
-from bench.views.measure import Measurement, Picture
+from bench.views.measure import Measurement, StoredImage
 
 POSES = (
     "[{name: left, pan_deg: -5}, {name: right, pan_deg: 5}, {name: above, tilt_deg: 2, pan_deg: 1},"
@@ -39,7 +39,7 @@ def write_solved_run(folder, *, model="spherical", poses=POSES, end=END):
         found = measure(self, *words)
         if found.view is None:
             return found
-        return Measurement(found.view, Picture.of(image_of(found.view)), {**found.facts, "image": IMAGE})
+        return Measurement(found.view, StoredImage.from_image(image_of(found.view)), {**found.facts, "image": IMAGE})
 
     with (
         mock.patch("bench.rehearsal.rehearsal.RehearsedResults", ResultWriter),

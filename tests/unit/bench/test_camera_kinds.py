@@ -13,8 +13,8 @@ from bench.plan.plan import load_documents, make_plan
 from bench.stations import devices
 from bench.stations.station import SHIPPED_STATIONS, Station
 from bench.views.camera_kinds import EventKind, FrameKind, camera_kind
+from bench.views.frames import frame_gates, frame_rejection_reasons, measure_frames
 from bench.views.measure import Measurement
-from bench.views.pictures import measure_pictures, picture_gates, picture_refusals
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
 from drivers.camera.frame_cameras import OpenCvFrameCamera
@@ -126,28 +126,28 @@ def test_what_speaks_against_an_event_camera_is_told_before_a_run():
 
 @pytest.mark.parametrize(("share", "verdict"), [(0.0, "pass"), (0.00095, "marginal"), (0.02, "fail")])
 def test_saturated_pictures_are_refused(share, verdict):
-    gates = picture_gates(
-        replace(TAKEN, saturated_share=share), Gates(0, 200.0, True), Measurement(None, None)
-    )
+    gates = frame_gates(replace(TAKEN, saturated_share=share), Gates(0, 200.0, True), Measurement(None, None))
     assert {gate.name: gate.verdict for gate in gates}["saturated pixels"] == verdict
 
 
 def test_pictures_that_moved_further_than_the_sequence_lets_them_are_refused():
     found = Measurement(None, None, {"motion_px": 0.2})
     for most, verdict in ((0.1, "fail"), (0.5, "pass")):
-        gates = picture_gates(TAKEN, Gates(0, 1.0, True, {"max_motion_px": most}), found)
+        gates = frame_gates(TAKEN, Gates(0, 1.0, True, {"max_motion_px": most}), found)
         assert {gate.name: gate.verdict for gate in gates}["stars moved"] == verdict
 
 
 def test_pictures_that_ended_early_do_not_count():
-    assert picture_refusals(replace(TAKEN, complete=False)) == ["the pictures ended before their number"]
-    assert picture_refusals(TAKEN) == []
+    assert frame_rejection_reasons(replace(TAKEN, complete=False)) == [
+        "the pictures ended before their number"
+    ]
+    assert frame_rejection_reasons(TAKEN) == []
 
 
 def test_pictures_without_a_target_and_files_that_are_none_say_why(tmp_path):
     write_frames(tmp_path / "dark.tif", [np.zeros((240, 320), np.uint8)] * 2)
-    found = measure_pictures(tmp_path / "dark.tif", name="dark", target=StarTarget())
+    found = measure_frames(tmp_path / "dark.tif", name="dark", target=StarTarget())
     assert (found.view, found.facts["image"]["pictures"]) == (None, 2)
     assert found.fault
     (tmp_path / "bad.tif").write_bytes(b"hello")
-    assert "no images" in measure_pictures(tmp_path / "bad.tif", name="bad", target=StarTarget()).fault
+    assert "no images" in measure_frames(tmp_path / "bad.tif", name="bad", target=StarTarget()).fault

@@ -304,7 +304,7 @@ def test_a_batch_says_where_it_cannot_be_done(say, monkeypatch, tmp_path, system
     monkeypatch.setattr("sys.platform", system)
     status, _, said = say("batch", "queue.yaml", "-o", "out")
     assert status == 2
-    assert "only Linux" in said
+    assert "only on Linux" in said
     assert "starbench run" in said
     assert not (tmp_path / "out").exists()
 

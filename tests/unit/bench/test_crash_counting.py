@@ -11,7 +11,7 @@ from bench.records.history import replay
 from bench.records.journal import Journal, read_journal
 from bench.records.run_folder import RunFolder
 from bench.run import launch
-from bench.run.crash_log import CRASH_LOG, note_crash
+from bench.run.crash_log import CRASH_LOG, write_crash_log
 from bench.run.launch import Launch, resume_run
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
@@ -26,7 +26,7 @@ def crashed(tmp_path, monkeypatch):
     ):
         journal.append(Event.RUN_STARTED, id="run", ledger={"number": 1})
         journal.append(Event.ENTERING, state="slewing", pose=1)
-    note_crash(tmp_path / "run", "Fatal Python error: Segmentation fault")
+    write_crash_log(tmp_path / "run", "Fatal Python error: Segmentation fault")
     monkeypatch.setattr(launch, "_job_of", lambda _folder, entries: (None, replay(entries)))
     monkeypatch.setattr(launch, "intentions", lambda *_: [])
     monkeypatch.setattr(
@@ -54,7 +54,7 @@ def test_a_crash_is_counted_and_put_away(crashed):
 
 @pytest.mark.parametrize("after", [False, True])
 def test_dying_while_it_is_put_away_loses_it_not_and_doubles_it_not(crashed, monkeypatch, after):
-    real = launch.put_away
+    real = launch.archive_crash
 
     def died(folder):
         if after:
@@ -62,7 +62,7 @@ def test_dying_while_it_is_put_away_loses_it_not_and_doubles_it_not(crashed, mon
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(launch, "put_away", died)
+        patch.setattr(launch, "archive_crash", died)
         with pytest.raises(KeyboardInterrupt):
             resume(crashed)
     resume(crashed)

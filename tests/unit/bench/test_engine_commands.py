@@ -75,7 +75,7 @@ def test_two_cameras_on_a_rig_get_the_turn_between_them_and_no_translation(capsy
     assert told["translation"] is None
     assert 0 < max(told["sigma_arcsec"]) < 120
     shown = say(capsys, "rig", folder, tmp_path, "--image-size", "1280x720")
-    assert "cannot be seen through a collimator: no translation is given" in shown
+    assert "cannot be measured through a collimator: no translation is given" in shown
 
 
 def test_cameras_that_saw_different_poses_are_no_rig(capsys, points, tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.records.history import Attempt, History
-from bench.views.expected_grid import as_before, best_readings, by_earlier_poses
+from bench.views.expected_grid import best_angles_deg, grid_from_earlier_poses, grid_from_journal
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy
@@ -33,7 +33,7 @@ HERE = {"pan": 11.0, "tilt": 4.0}
 
 def test_poses_of_which_the_tag_named_the_stars_tell_where_those_of_the_next_lie():
     history = History(attempts=[attempt(i, reading) for i, reading in enumerate(SEEN, 1)])
-    grid = by_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
+    grid = grid_from_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
     nodes = np.array([[10.0, 30.0], [15.0, 34.0], [12.0, 28.0]])
     assert np.abs(apply_homography(grid, nodes) - apply_homography(grid_at(HERE), nodes)).max() < 0.1
 
@@ -42,15 +42,15 @@ def test_poses_of_which_the_tag_named_the_stars_tell_where_those_of_the_next_lie
 def test_poses_named_by_the_gimbal_or_refused_tell_nothing(changed):
     history = History(attempts=[attempt(i, reading, **changed) for i, reading in enumerate(SEEN, 1)])
     with pytest.raises(DegenerateViews, match="No earlier view"):
-        by_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
+        grid_from_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
 
 
 def test_what_was_expected_once_is_expected_again():
     named = attempt(4, HERE, named_by="gimbal")
     named.checked["measured"]["expected_grid"] = grid_at(HERE).tolist()
-    assert (as_before(named)(SIZE) == grid_at(HERE)).all()
-    assert as_before(attempt(1, HERE)) is None
+    assert (grid_from_journal(named)(SIZE) == grid_at(HERE)).all()
+    assert grid_from_journal(attempt(1, HERE)) is None
 
 
 def test_encoders_are_believed_before_commands():
-    assert best_readings({"pan": 1.0, "pan_encoder": 1.002, "tilt": 2.0}) == {"pan": 1.002, "tilt": 2.0}
+    assert best_angles_deg({"pan": 1.0, "pan_encoder": 1.002, "tilt": 2.0}) == {"pan": 1.002, "tilt": 2.0}

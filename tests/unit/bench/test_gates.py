@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.views.gates import recording_gates, refusals
+from bench.views.gates import recording_gates, rejection_reasons
 from drivers.camera import RecordingFacts
 from sequences.script import Gates
 
@@ -22,7 +22,7 @@ def facts(**changes):
 
 def reasons(*, stars=300, measured=MEASURED, gates=GATES, frequency_hz=60.0, **changes):
     told = facts(**changes)
-    return refusals(told, gates, recording_gates(told, gates, frequency_hz, measured, stars))
+    return rejection_reasons(told, gates, recording_gates(told, gates, frequency_hz, measured, stars))
 
 
 def test_a_good_recording_is_not_refused():

@@ -11,7 +11,15 @@ import pytest
 from bench.base.clock import BenchClock
 from bench.base.linux_process import start_ticks, thread_waits_for_disk
 from bench.run import heartbeat
-from bench.run.heartbeat import CONTROL, HEARTBEAT, SUPERVISOR, Pulse, Sign, open_process, read_sign
+from bench.run.heartbeat import (
+    CONTROL,
+    HEARTBEAT,
+    SUPERVISOR,
+    Heartbeat,
+    HeartbeatWriter,
+    open_process,
+    read_heartbeat,
+)
 
 
 class StandingClock(BenchClock):
@@ -26,17 +34,17 @@ class StandingClock(BenchClock):
 @pytest.fixture
 def pulse(tmp_path):
     (tmp_path / CONTROL).mkdir()
-    pulse = Pulse(tmp_path, StandingClock())
+    pulse = HeartbeatWriter(tmp_path, StandingClock())
     pulse._since_s -= 10_000.0  # the state was entered long ago
     return pulse
 
 
 def moments(pulse, folder):
     """Beat once; whether a sign was given."""
-    before = read_sign(folder)
+    before = read_heartbeat(folder)
     time.sleep(0.001)
     pulse.beat()
-    return read_sign(folder) != before
+    return read_heartbeat(folder) != before
 
 
 def test_signs_are_given_while_the_work_waits_or_checks(pulse, tmp_path):
@@ -99,31 +107,33 @@ def test_a_wait_that_is_not_to_be_interrupted_asks_the_time_and_is_a_sign_of_lif
 def test_a_sign_cut_short_is_none(tmp_path, text):
     (tmp_path / CONTROL).mkdir()
     (tmp_path / CONTROL / HEARTBEAT).write_bytes(text)
-    assert read_sign(tmp_path) is None
+    assert read_heartbeat(tmp_path) is None
 
 
 def test_only_the_process_that_gave_the_sign_is_opened():
     started = start_ticks(os.getpid())
-    own = open_process(Sign(os.getpid(), started, 0))
+    own = open_process(Heartbeat(os.getpid(), started, 0))
     assert own is not None
     os.close(own)
-    assert open_process(Sign(os.getpid(), started + 1, 0)) is None  # another one, later, of the same number
+    assert (
+        open_process(Heartbeat(os.getpid(), started + 1, 0)) is None
+    )  # another one, later, of the same number
     with subprocess.Popen([sys.executable, "-c", ""]) as process:
         process.wait()
-    assert open_process(Sign(process.pid, 1, 0)) is None
+    assert open_process(Heartbeat(process.pid, 1, 0)) is None
 
 
 def test_a_supervisor_that_is_gone_is_told_once(monkeypatch, tmp_path):
     monkeypatch.setenv(SUPERVISOR, str(os.getppid()))
-    pulse = Pulse(tmp_path, BenchClock())
-    assert not pulse.lost_supervisor()
+    pulse = HeartbeatWriter(tmp_path, BenchClock())
+    assert not pulse.supervisor_is_gone()
     monkeypatch.setattr(os, "getppid", lambda: 1)
-    assert [pulse.lost_supervisor(), pulse.lost_supervisor()] == [True, False]
+    assert [pulse.supervisor_is_gone(), pulse.supervisor_is_gone()] == [True, False]
 
 
 @pytest.mark.parametrize("told", ["", "1x", "999999999"])
 def test_whoever_is_not_watched_loses_no_supervisor(monkeypatch, tmp_path, told):
     monkeypatch.setenv(SUPERVISOR, told)
-    pulse = Pulse(tmp_path, BenchClock())
+    pulse = HeartbeatWriter(tmp_path, BenchClock())
     monkeypatch.setattr(os, "getppid", lambda: 1)
-    assert not pulse.lost_supervisor()
+    assert not pulse.supervisor_is_gone()

@@ -146,7 +146,7 @@ def test_a_door_that_goes_on_and_off_is_told_once_in_ten_minutes(tmp_path, monke
                 sleep(clock, 601)
 
     def hook(name):
-        scene.runner._hold_news._notify = lambda *words: told.append(words)
+        scene.runner._hold_notifier._notify = lambda *words: told.append(words)
         if name == "stage.move_to" and len(scene.told(Event.INTERLOCK_RELEASED)) < 6:
             sensor.write_text("0")
         scene.runner._interlocks.look()

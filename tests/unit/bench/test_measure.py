@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.views.measure import Picture, aligned_poses
+from bench.views.measure import StoredImage, aligned_poses
 from calib.events.grey_image import to_uint8
 
 
@@ -38,6 +38,6 @@ def test_recordings_without_stars_are_left_out():
 def test_a_picture_is_kept_small_and_without_loss():
     image = np.zeros((720, 1280), np.float32)
     image[::9, ::7] = np.random.default_rng(1).uniform(0, 40, image[::9, ::7].shape)
-    picture = Picture.of(image)
-    assert np.array_equal(picture.unpacked(), to_uint8(image))
-    assert len(picture.packed) < image.nbytes / 20
+    picture = StoredImage.from_image(image)
+    assert np.array_equal(picture.decoded(), to_uint8(image))
+    assert len(picture.png) < image.nbytes / 20

@@ -7,7 +7,7 @@ import pytest
 from bench.base.clock import BenchClock, VirtualClock
 from bench.base.linux_process import waits_for_disk
 from bench.batch.supervisor import QUIET_S, SILENCE_S, _watch, supervise
-from bench.run.heartbeat import Sign
+from bench.run.heartbeat import Heartbeat
 
 
 def test_a_worker_that_cannot_be_started_has_failed_and_the_night_may_go_on(tmp_path):
@@ -34,12 +34,12 @@ def test_silence_is_borne_for_longer_where_the_disk_may_be_its_cause(
 ):
     clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
     monkeypatch.setattr("bench.batch.supervisor.waits_for_disk", lambda _pid: on_disk)
-    signs = [Sign(1, 1, 0)]
-    monkeypatch.setattr("bench.batch.supervisor.read_sign", lambda _folder: signs[-1])
+    signs = [Heartbeat(1, 1, 0)]
+    monkeypatch.setattr("bench.batch.supervisor.read_heartbeat", lambda _folder: signs[-1])
 
     class Silent:
         def gone(self):
-            signs.append(Sign(7, 1, 1))
+            signs.append(Heartbeat(7, 1, 1))
             return False
 
     silent_s = _watch(Silent(), tmp_path, clock)

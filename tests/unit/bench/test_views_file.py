@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import RunFolderError
-from bench.views.measure import Measurement, Picture
+from bench.views.measure import Measurement, StoredImage
 from bench.views.views_file import read_picture, read_views, views_file
 from calib.view import View
 
@@ -31,7 +31,7 @@ def view_of(name, stars, size=(64, 48)):
 
 def measurement_of(view):
     width, height = view.image_size
-    return Measurement(view, Picture.of(RNG.integers(0, 256, (height, width), np.uint8)))
+    return Measurement(view, StoredImage.from_image(RNG.integers(0, 256, (height, width), np.uint8)))
 
 
 @given(st.lists(st.integers(4, 20), max_size=12), st.text(min_size=1).filter(lambda text: "\0" not in text))
@@ -52,7 +52,7 @@ def test_views_residuals_and_pictures_come_back_bit_for_bit(tmp_path_factory, st
             assert getattr(found.view, field).dtype == getattr(view, field).dtype
         assert np.array_equal(found.residuals_px, residual)
     for number, measurement in enumerate(measurements, 1):
-        assert np.array_equal(read_picture(path, number), measurement.picture.unpacked())
+        assert np.array_equal(read_picture(path, number), measurement.image.decoded())
 
 
 def test_a_thousand_poses_keep_their_order(tmp_path):

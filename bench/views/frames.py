@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bench.records.events import MeasuredFacts
 from bench.views.gates import Gate, at_least, at_most
-from bench.views.measure import Expect, Measurement, Picture, motion_px, named
+from bench.views.measure import ExpectedGrid, Measurement, StoredImage, find_stars, motion_px
 from calib.errors import CalibrationError
 from calib.events.motion import MOVING_PX
 from calib.stars.vignetting import downweight_vignetted
@@ -27,8 +27,8 @@ MOST_SATURATED: Final = 0.001
 """Share of pixels that may be at the highest grey value: some are hot, but the edge of a star that is clipped moves."""
 
 
-def measure_pictures(
-    path: Path, *, name: str, target: StarTarget, expect: Expect | None = None
+def measure_frames(
+    path: Path, *, name: str, target: StarTarget, expect: ExpectedGrid | None = None
 ) -> Measurement:
     """Read the pictures of a pose and find the stars in them.
 
@@ -47,17 +47,17 @@ def measure_pictures(
     -------
     Measurement
         Also when the file cannot be read or no stars are found: the fault then says why. Its facts are ``image``
-        (``kind``, ``reason``, ``pictures``), ``motion_px``, and what named the stars (`bench.views.measure.named`).
+        (``kind``, ``reason``, ``pictures``), ``motion_px``, and what named the stars (`find_stars`).
     """
     facts: MeasuredFacts = {}
-    picture: Picture | None = None
+    picture: StoredImage | None = None
     try:
         frames = read_frames(path)
         mean = _mean(frames)
-        picture = Picture.of(mean)
+        picture = StoredImage.from_image(mean)
         kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
         facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
-        view = downweight_vignetted(named(mean, target, name, expect, facts), target)
+        view = downweight_vignetted(find_stars(mean, target, name, expect, facts), target)
         half = len(frames) // 2
         halves = (_mean(part) for part in (frames[:half], frames[-half:]))
         facts["motion_px"] = motion_px(halves, target, facts) if half else None
@@ -66,7 +66,7 @@ def measure_pictures(
     return Measurement(view, picture, facts)
 
 
-def picture_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
+def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
     """Judge the pictures of a pose; of the sequence's gates, those that tell of stars apply.
 
     Parameters
@@ -88,7 +88,7 @@ def picture_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[G
     return judged
 
 
-def picture_refusals(facts: FrameFacts) -> list[str]:
+def frame_rejection_reasons(facts: FrameFacts) -> list[str]:
     """Say why pictures do not count, whatever they show; empty when they do."""
     return [] if facts.complete else ["the pictures ended before their number"]
 
