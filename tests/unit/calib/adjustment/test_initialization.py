@@ -16,6 +16,8 @@ from calib.model.spherical import camera_matrix_from_centre, linear_solution, tw
 from tests.unit.calib.conftest import Bench, rotation
 
 SIZE = (1280, 720)
+#: Three poses, pan, tilt and roll in degrees, that determine a camera without any doubt.
+WELL_SPREAD = np.array([[-5.0, 2.0, 0.0], [0.5, -2.5, 10.0], [5.0, 2.5, -20.0]])
 #: Turns of a set of views: anything, the same pose again and again, about one axis, a roll, and all but these.
 ANGLE = st.floats(-12.0, 12.0)
 NEARLY = st.sampled_from([0.0, 1e-12, 1e-9, 1e-6, 1e-3, 1e-1])
@@ -42,15 +44,19 @@ def mappings(turns, focal, centre=(97.0, 140.1, -255.0)):
 
 
 def closed_forms(h):
-    """Camera matrix and centre of all the closed forms give."""
+    """For each closed form that these views suffice for: the camera matrices and centres it gives."""
+    found = {}
     for free in (True, False):
-        yield linear_solution(h, SIZE, free_principal_point=free)
+        if len(h) >= (3 if free else 2):
+            solution = linear_solution(h, SIZE, free_principal_point=free)
+            found["linear", free] = [solution and (solution.matrix, solution.collimator)]
         matrix = zhang_matrix(h, SIZE, free_principal_point=free)
-        yield None if matrix is None else (matrix, None)
+        found["zhang", free] = [None if matrix is None else (matrix, None)]
     if len(h) == 2:
-        yield from two_view_solutions(h, SIZE)
+        found["two views"] = [(one.matrix, one.collimator) for one in two_view_solutions(h, SIZE)]
     matrix = camera_matrix_from_centre(h, Collimator(97.0, 140.1, 255.0))
-    yield None if matrix is None else (matrix, None)
+    found["known centre"] = [None if matrix is None else (matrix, None)]
+    return {name: [one for one in answers if one is not None] for name, answers in found.items()}
 
 
 def assert_real(matrix, collimator=None):
@@ -66,14 +72,23 @@ def assert_real(matrix, collimator=None):
 @example(turns=np.zeros((2, 3)), focal=3345.0, blur=0.0)
 @example(turns=np.zeros((3, 3)), focal=3345.0, blur=0.0)
 @example(turns=np.array([[0.0, 0.0, 1.0]]), focal=200.0, blur=1e-6)  # w11 came out as zero
-def test_every_closed_form_gives_a_real_camera_or_none(turns, focal, blur):
+def test_no_closed_form_gives_a_camera_that_is_not_real(turns, focal, blur):
     h = mappings(turns, focal) * (1 + blur * np.random.default_rng(7).standard_normal((len(turns), 3, 3)))
     h = h / np.cbrt(np.linalg.det(h))[:, None, None]
-    for start in closed_forms(h):
-        if isinstance(start, tuple):
-            assert_real(*start)
-        elif start is not None:
-            assert_real(start.matrix, start.collimator)
+    for answers in closed_forms(h).values():
+        for matrix, collimator in answers:
+            assert_real(matrix, collimator)
+
+
+@settings(max_examples=30, deadline=None)
+@given(count=st.integers(2, 3), focal=st.floats(1000, 20_000))
+def test_every_closed_form_gives_the_camera_of_well_spread_views(count, focal):
+    for name, answers in closed_forms(mappings(WELL_SPREAD[:count], focal)).items():
+        if name == ("zhang", True) and count == 2:
+            continue  # two views without a common centre do not determine the principal point
+        assert answers, name
+        nearest = min(abs(matrix[0, 0] - focal) for matrix, _ in answers)
+        assert nearest < 0.05 * focal, name
 
 
 @settings(max_examples=80, deadline=None)
@@ -101,6 +116,8 @@ def test_there_is_always_somewhere_to_begin(turns, focal, known):
 @settings(max_examples=40, deadline=None)
 @given(turns=poses(most=3), noise=st.sampled_from([0.0, 0.05, 2.0]), known=st.booleans())
 @example(turns=np.zeros((3, 3)), noise=0.0, known=False)
+@example(turns=WELL_SPREAD, noise=0.05, known=False)
+@example(turns=WELL_SPREAD, noise=0.05, known=True)
 def test_a_calibration_ends_in_finite_numbers_or_a_named_reason(turns, noise, known):
     bench = Bench(fx=2000.0, fy=2001.0, half_angle_deg=5.0, poses=tuple(map(tuple, np.clip(turns, -60, 60))))
     views = [view for view in bench.views(np.random.default_rng(3), noise) if len(view) >= 4]
@@ -108,7 +125,9 @@ def test_a_calibration_ends_in_finite_numbers_or_a_named_reason(turns, noise, kn
     try:
         result = calibrate(views, CalibrationOptions(distortion="k1", passport=passport))
     except CalibrationError:
-        return  # every such error says what is wrong; any other one fails here
+        # Every such error says what is wrong; any other one fails here, and so does a refusal of good views.
+        assert not np.array_equal(turns, WELL_SPREAD)
+        return
     numbers = np.concatenate([result.values, result.covariance.ravel(), result.rotations.ravel()])
     assert np.isrealobj(numbers)
     assert np.isfinite(numbers).all()
