@@ -52,7 +52,7 @@ def test_gates_that_did_not_pass_and_deviations_stand_before_the_result(data):
 
 
 def test_a_run_without_either_has_no_warning(data):
-    html = told(data, gates=[], deviations=[])
+    html = told(data, gates=[], failures=[], deviations=[])
     assert "Read this before" not in html
 
 
@@ -64,7 +64,7 @@ def test_an_error_that_ended_the_run_before_it_was_resumed_keeps_its_kind_and_pl
 
 
 def test_many_deviations_are_counted_before_the_result_and_all_told_below(data):
-    html = told(data, gates=[], deviations=[f"Deviation {n}." for n in range(20)])
+    html = told(data, gates=[], failures=[], deviations=[f"Deviation {n}." for n in range(20)])
     before, _, after = html.partition("<h2>Result</h2>")
     assert before.count("<li>Deviation") == 6
     assert "and 14 more" in before
