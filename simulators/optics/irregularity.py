@@ -115,7 +115,7 @@ def _zernike() -> tuple[FloatArray, FloatArray]:
         for m in range(-n, n + 1, 2):
             row = np.zeros(MONOMIALS)
             for power, weight in _radial(n, abs(m)).items():
-                for p, q, share in _turning(m, power):
+                for p, q, share in _angular_terms(m, power):
                     row[place[p, q]] += weight * share
             rows.append(math.sqrt((n + 1) * (2 if m else 1)) * row)
             sigmas.append(math.sqrt(POWER[n - 1] / (2 * (n + 1) * sum(POWER))))
@@ -131,7 +131,7 @@ def _radial(n: int, m: int) -> dict[int, float]:
     }
 
 
-def _turning(m: int, power: int) -> list[tuple[int, int, float]]:
+def _angular_terms(m: int, power: int) -> list[tuple[int, int, float]]:
     """Return rho^power cos(m phi), or sin(|m| phi) if m < 0, as monomials (p, q, weight) of u^p v^q."""
     angular, rest = abs(m), (power - abs(m)) // 2
     terms = []

@@ -30,7 +30,7 @@ from simulators.optics.collimator_errors import (
 from simulators.optics.coverage import empty_picture, join_cells, spread_kernel
 from simulators.optics.lens import lens_of, ray_grid
 from simulators.optics.print_outline import black_polygons
-from simulators.optics.sight import Cells, Sight, draw, image_points, plane_points
+from simulators.optics.projection import Cells, Projection, draw, image_points, plane_points
 from simulators.world.truth import OpticsTruth, Truth
 
 FloatArray = NDArray[np.float64]
@@ -58,10 +58,15 @@ def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> Float
     """
     pan, tilt, roll = (math.radians(angles_deg.get(name, 0.0)) for name in ("pan", "tilt", "roll"))
     mounting = np.radians(np.asarray(optics.mounting_deg, np.float64))
-    return _turn((0, 0, roll)) @ _turn((tilt, 0, 0)) @ _turn((0, pan, 0)) @ _turn(mounting)
+    return (
+        _rotation_matrix((0, 0, roll))
+        @ _rotation_matrix((tilt, 0, 0))
+        @ _rotation_matrix((0, pan, 0))
+        @ _rotation_matrix(mounting)
+    )
 
 
-def _turn(rotation_vector: FloatArray | tuple[float, float, float]) -> FloatArray:
+def _rotation_matrix(rotation_vector: FloatArray | tuple[float, float, float]) -> FloatArray:
     """Return the rotation matrix of a rotation vector in radians (Rodrigues' formula)."""
     x, y, z = (float(v) for v in rotation_vector)
     angle = math.sqrt(x * x + y * y + z * z)
@@ -71,7 +76,7 @@ def _turn(rotation_vector: FloatArray | tuple[float, float, float]) -> FloatArra
     return np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
 
 
-def sight_of(truth: Truth, rotation: FloatArray) -> Sight:
+def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
     """Return the projection of a pose.
 
     Parameters
@@ -83,11 +88,11 @@ def sight_of(truth: Truth, rotation: FloatArray) -> Sight:
 
     Returns
     -------
-    Sight
+    Projection
         Lens, rotation, centre and collimator errors for the compiled functions.
     """
     c = truth.collimator
-    return Sight(
+    return Projection(
         lens_of(truth.camera),
         np.ascontiguousarray(rotation, np.float64),
         np.array([c.x, c.y, -c.r]),
@@ -112,7 +117,9 @@ def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatA
     (N, 2) float64
         Image points, px; NaN behind the camera.
     """
-    return np.asarray(image_points(np.ascontiguousarray(points_mm, np.float64), sight_of(truth, rotation)))
+    return np.asarray(
+        image_points(np.ascontiguousarray(points_mm, np.float64), projection_of(truth, rotation))
+    )
 
 
 def star_centres(
@@ -189,12 +196,12 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     kernel, rim_kernel = (spread_kernel(sigma, subsamples) for sigma in (optics.psf_px, optics.psf_rim_px))
     cells = Cells(subsamples, math.ceil((max(kernel.size, rim_kernel.size) / subsamples - 1) / 2))
     steps = empty_picture(camera.width, camera.height, cells.per_px, cells.margin_px)
-    rays, sight = ray_grid(camera, cells.margin_px), sight_of(truth, rotation)
+    rays, projection = ray_grid(camera, cells.margin_px), projection_of(truth, rotation)
     widest = disc.radius * (1.0 + float(np.abs(disc.edge).sum()))
     lit = np.hypot(*(_BLACK[:, 0] - (disc.x, disc.y)).T) < widest + TARGET.pitch_mm
-    draw(_BLACK[lit], sight, rays, cells, steps)
+    draw(_BLACK[lit], projection, rays, cells, steps)
     light, rho = _light(
-        plane_points(rays, sight),
+        plane_points(rays, projection),
         Light(disc, truth.collimator.rim, optics.gradient_x, optics.gradient_y),
         camera.height + 2 * cells.margin_px,
         camera.width + 2 * cells.margin_px,

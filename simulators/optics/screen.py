@@ -16,7 +16,7 @@ from simulators.errors import SimulationMisuse
 from simulators.optics.collimator_errors import NO_ABERRATIONS
 from simulators.optics.coverage import empty_picture, join_cells, spread_kernel
 from simulators.optics.lens import lens_of, ray_grid
-from simulators.optics.sight import Cells, Sight, draw, image_points
+from simulators.optics.projection import Cells, Projection, draw, image_points
 from simulators.world.truth import CameraTruth
 
 FloatArray = NDArray[np.float64]
@@ -78,17 +78,19 @@ def project_board(
     SimulationMisuse
         If the board is not wholly in front of the camera.
     """
-    return np.asarray(image_points(board.corners_mm, _sight(board, camera, rotation, position)))
+    return np.asarray(image_points(board.corners_mm, _projection(board, camera, rotation, position)))
 
 
-def _sight(board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray) -> Sight:
+def _projection(
+    board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray
+) -> Projection:
     """Return the projection of the screen; raise if the board is not wholly in front of the camera."""
     outline = board.bright_mm.reshape(-1, 2)
     depth = outline @ rotation[2, :2] + position[2]
     if not (depth > 0.0).all():
         raise SimulationMisuse("The board is not wholly in front of the camera.", where="position")
-    turn = np.ascontiguousarray(rotation, np.float64)
-    return Sight(lens_of(camera), turn, -turn.T @ np.asarray(position, np.float64), NO_ABERRATIONS)
+    r = np.ascontiguousarray(rotation, np.float64)
+    return Projection(lens_of(camera), r, -r.T @ np.asarray(position, np.float64), NO_ABERRATIONS)
 
 
 def render_board(
@@ -125,11 +127,11 @@ def render_board(
     SimulationMisuse
         If the board is not wholly in front of the camera.
     """
-    sight = _sight(board, camera, rotation, position)
+    projection = _projection(board, camera, rotation, position)
     kernel = spread_kernel(psf_px, subsamples)
     cells = Cells(subsamples, math.ceil((kernel.size / subsamples - 1) / 2))
     steps = empty_picture(camera.width, camera.height, cells.per_px, cells.margin_px)
-    draw(board.bright_mm, sight, ray_grid(camera, cells.margin_px), cells, steps)
+    draw(board.bright_mm, projection, ray_grid(camera, cells.margin_px), cells, steps)
     light = np.ones(
         (camera.height + 2 * cells.margin_px + 1, camera.width + 2 * cells.margin_px + 1), np.float32
     )

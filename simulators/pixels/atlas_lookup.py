@@ -89,7 +89,7 @@ def between(table: NDArray[np.float32], j: Any, f: Any) -> Any:
 
 
 @njit(inline="always", **JIT)
-def _on_curve(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
+def _atlas_crossing(d: Drive, j: Any, f: Any, target: Any, at: Any) -> Any:
     """Return the phase near ``at`` at which the atlas, as ``smooth_level`` interpolates it, meets the target.
 
     Each event takes its reference where the last one left it. If the two came from curves that differ slightly, the
@@ -112,7 +112,7 @@ def _share(d: Drive, i: Any, j: Any, f: Any, target: Any) -> Any:
 
 
 @njit(**JIT)
-def _sought(d: Drive, j: Any, f: Any, target: Any, first: Any, last: Any, off: Any) -> Any:
+def _bisected_crossing(d: Drive, j: Any, f: Any, target: Any, first: Any, last: Any, off: Any) -> Any:
     """Return the phase at which a curve meets the target on a branch, by bisection.
 
     Newton's method does not serve here: a curve with edges has no slope at them.
@@ -152,7 +152,7 @@ def _bin_at(d: Drive, phase: Any, bent: bool) -> Any:
 
 
 @njit(inline="always", **JIT)
-def _tabled(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark: Any, off: Any) -> Any:
+def _tabulated_crossing(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark: Any, off: Any) -> Any:
     """Return the phase of a crossing from ``Drive.when``, to about a tenth of a microsecond."""
     above, below = max(target - bright, _ZERO), max(dark - target, _ZERO)
     root = np.sqrt(min(above, below) / max(dark - bright, _TINY))
@@ -187,7 +187,7 @@ def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
     j = np.uint32(np.int32(level))
     f = level - np.float32(j)
     bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
-    return _tabled(d, j, f, target, bright, dark, off)
+    return _tabulated_crossing(d, j, f, target, bright, dark, off)
 
 
 @njit(inline="always", **JIT)
@@ -233,11 +233,11 @@ def smooth_crossing(
     never = not (can_on or can_off) or level < _ZERO
     target = off_ln if off else on_ln
     if bent:
-        cross = _sought(
+        cross = _bisected_crossing(
             d, j, f, target, t_bright if off else t_dark, t_dark + period if off else t_bright, off
         )
     else:
-        cross = _on_curve(d, j, f, target, _tabled(d, j, f, target, bright, dark, off))
+        cross = _atlas_crossing(d, j, f, target, _tabulated_crossing(d, j, f, target, bright, dark, off))
     cross = max(cross, now if in_now else _ZERO)
     cross += (period if rising and not in_now else _ZERO) - turn
     return _NEVER if never else cross, _ZERO if off else _ONE

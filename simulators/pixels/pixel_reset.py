@@ -64,7 +64,9 @@ def _load(cell: NDArray[np.float32], column: NDArray[np.uint32], batch: NDArray[
 
 
 @njit(**KERNEL)
-def _aim(gains: NDArray[np.uint32], column: NDArray[np.uint32], batch: NDArray[np.float32], n: int) -> None:
+def _fill_firing_levels(
+    gains: NDArray[np.uint32], column: NDArray[np.uint32], batch: NDArray[np.float32], n: int
+) -> None:
     """Fill in the levels at which the pixels of the batch fire."""
     for k in range(n):
         batch[pr.ON_AT, k], batch[pr.OFF_AT, k] = firing_levels(batch[pr.U, k], gains[column[k], GAINS])
@@ -239,7 +241,7 @@ def reset_row(
     fill_steady_states(drive, px.batch, whole)
     fill_levels(drive, px.batch, whole, phase)
     reset_errors(ro.normals, ro.reset_noise, random, px.batch[pr.U], n)
-    _aim(px.gains[r], px.column, px.batch, whole)
+    _fill_firing_levels(px.gains[r], px.column, px.batch, whole)
     fill_crossings(drive, px.batch, whole, phase)
     _store((px.cell[r], px.t_next[r], px.is_on[r]), px.column, px.batch, n, start, t_live)
     width = tail.tail_width(drive)

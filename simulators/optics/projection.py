@@ -4,7 +4,7 @@ A point goes through the collimator, which may bend its light, and through the l
 nor its illumination.
 
 Frames: the plane is Z = 0, mm; X_cam = R (P - c), c the camera's centre in the plane's frame. A screen at finite
-distance has no collimator; its `Sight` holds ``NO_ABERRATIONS``.
+distance has no collimator; its `Projection` holds ``NO_ABERRATIONS``.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ CHORD_PX: Final = 1e-3
 """Largest distance of an edge, curved by the lens, from the chords that replace it."""
 
 
-class Sight(NamedTuple):
-    """A camera in one pose, as the compiled functions take it.
+class Projection(NamedTuple):
+    """Projection by a camera in one pose, as the compiled functions take it.
 
     Attributes
     ----------
     lens
         Lens model.
-    turn
+    rotation
         (3, 3) float64, rotation R.
     centre
         (3,) float64, camera centre c, mm.
@@ -42,7 +42,7 @@ class Sight(NamedTuple):
     """
 
     lens: Lens
-    turn: FloatArray
+    rotation: FloatArray
     centre: FloatArray
     aberrations: Aberrations
 
@@ -63,14 +63,14 @@ class Cells(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def plane_to_image(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float]:
+def plane_to_image(x_mm: float, y_mm: float, projection: Projection) -> tuple[float, float]:
     """Return the image point of a point of the plane.
 
     Parameters
     ----------
     x_mm, y_mm
         Point of the plane.
-    sight
+    projection
         Camera in the pose.
 
     Returns
@@ -78,26 +78,26 @@ def plane_to_image(x_mm: float, y_mm: float, sight: Sight) -> tuple[float, float
     tuple of float
         u and v, px; NaN if the point does not lie in front of the camera.
     """
-    dx, dy = displacement(x_mm, y_mm, sight.aberrations)
-    x, y, z = x_mm + dx - sight.centre[0], y_mm + dy - sight.centre[1], -sight.centre[2]
-    r = sight.turn
+    dx, dy = displacement(x_mm, y_mm, projection.aberrations)
+    x, y, z = x_mm + dx - projection.centre[0], y_mm + dy - projection.centre[1], -projection.centre[2]
+    r = projection.rotation
     return image_point(
         r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
         r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
         r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
-        sight.lens,
+        projection.lens,
     )
 
 
 @njit(cache=True, nogil=True)
-def image_points(points_mm: FloatArray, sight: Sight) -> FloatArray:
+def image_points(points_mm: FloatArray, projection: Projection) -> FloatArray:
     """Return the image points of points of the plane.
 
     Parameters
     ----------
     points_mm
         (N, 2) float64, points of the plane.
-    sight
+    projection
         Camera in the pose.
 
     Returns
@@ -107,19 +107,19 @@ def image_points(points_mm: FloatArray, sight: Sight) -> FloatArray:
     """
     out = np.empty((points_mm.shape[0], 2))
     for i in range(points_mm.shape[0]):
-        out[i, 0], out[i, 1] = plane_to_image(points_mm[i, 0], points_mm[i, 1], sight)
+        out[i, 0], out[i, 1] = plane_to_image(points_mm[i, 0], points_mm[i, 1], projection)
     return out
 
 
 @njit(cache=True, nogil=True)
-def plane_points(rays: FloatArray, sight: Sight) -> FloatArray:
+def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
     """Return the points of the plane that rays meet.
 
     Parameters
     ----------
     rays
         (rows, columns, 2) undistorted normalised coordinates.
-    sight
+    projection
         Camera in the pose.
 
     Returns
@@ -128,8 +128,8 @@ def plane_points(rays: FloatArray, sight: Sight) -> FloatArray:
         Points of the plane, mm; NaN for a ray that leads away from it.
     """
     out = np.empty_like(rays)
-    r, c = sight.turn, sight.centre
-    ideal = is_ideal(sight.aberrations)
+    r, c = projection.rotation, projection.centre
+    ideal = is_ideal(projection.aberrations)
     for i in range(rays.shape[0]):
         for j in range(rays.shape[1]):
             xn, yn = rays[i, j]
@@ -138,13 +138,17 @@ def plane_points(rays: FloatArray, sight: Sight) -> FloatArray:
             x = c[0] + scale * (r[0, 0] * xn + r[1, 0] * yn + r[2, 0])
             y = c[1] + scale * (r[0, 1] * xn + r[1, 1] * yn + r[2, 1])
             if not ideal:
-                x, y = reticle_point(x, y, sight.aberrations)
+                x, y = reticle_point(x, y, projection.aberrations)
             out[i, j, 0], out[i, j, 1] = x, y
     return out
 
 
 def draw(
-    polygons_mm: FloatArray, sight: Sight, rays: FloatArray, cells: Cells, steps: NDArray[np.float32]
+    polygons_mm: FloatArray,
+    projection: Projection,
+    rays: FloatArray,
+    cells: Cells,
+    steps: NDArray[np.float32],
 ) -> None:
     """Add the areas of polygons to a picture.
 
@@ -152,7 +156,7 @@ def draw(
     ----------
     polygons_mm
         (N, corners, 2), clockwise as seen; corners may repeat. Each is smaller than the image.
-    sight
+    projection
         Camera in the pose.
     rays
         (rows, columns, 2), from ``lens.ray_grid``. A polygon is left out if none of its corners lies within the angle
@@ -163,46 +167,50 @@ def draw(
         (rows of cells, columns of cells + 1) float32, changed in place as by ``coverage.add_edge``.
     """
     reach = float(np.linalg.norm(rays, axis=-1).max())
-    _draw(np.ascontiguousarray(polygons_mm, np.float64), sight, reach, cells, steps)
+    _draw(np.ascontiguousarray(polygons_mm, np.float64), projection, reach, cells, steps)
 
 
 @njit(cache=True, nogil=True)
-def _draw(polygons: FloatArray, sight: Sight, reach: float, cells: Cells, steps: NDArray[np.float32]) -> None:
+def _draw(
+    polygons: FloatArray, projection: Projection, reach: float, cells: Cells, steps: NDArray[np.float32]
+) -> None:
     """Loop of ``draw``."""
     corners = polygons.shape[1]
     for n in range(polygons.shape[0]):
         shown = False
         for k in range(corners):
-            shown = shown or _within(polygons[n, k, 0], polygons[n, k, 1], sight, reach)
+            shown = shown or _within(polygons[n, k, 0], polygons[n, k, 1], projection, reach)
         if not shown:
             continue
         for k in range(corners):
             a, b = polygons[n, k], polygons[n, (k + 1) % corners]
             if a[0] != b[0] or a[1] != b[1]:
-                _draw_edge(a, b, sight, cells, steps)
+                _draw_edge(a, b, projection, cells, steps)
 
 
 @njit(cache=True, nogil=True)
-def _within(x_mm: float, y_mm: float, sight: Sight, reach: float) -> bool:
+def _within(x_mm: float, y_mm: float, projection: Projection, reach: float) -> bool:
     """Return whether a point lies in front of the camera and at most at that tangent from the optical axis."""
-    x, y, z = x_mm - sight.centre[0], y_mm - sight.centre[1], -sight.centre[2]
-    r = sight.turn
+    x, y, z = x_mm - projection.centre[0], y_mm - projection.centre[1], -projection.centre[2]
+    r = projection.rotation
     depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
     return depth > 0.0 and x * x + y * y + z * z < (1.0 + reach * reach) * depth * depth
 
 
 @njit(cache=True, nogil=True)
-def _draw_edge(a: FloatArray, b: FloatArray, sight: Sight, cells: Cells, steps: NDArray[np.float32]) -> None:
+def _draw_edge(
+    a: FloatArray, b: FloatArray, projection: Projection, cells: Cells, steps: NDArray[np.float32]
+) -> None:
     """Add an edge from a to b, as chords of its curve in the image."""
-    u0, v0 = plane_to_image(a[0], a[1], sight)
-    u1, v1 = plane_to_image(b[0], b[1], sight)
-    um, vm = plane_to_image(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), sight)
+    u0, v0 = plane_to_image(a[0], a[1], projection)
+    u1, v1 = plane_to_image(b[0], b[1], projection)
+    um, vm = plane_to_image(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), projection)
     chords = 1 + int(math.sqrt(math.hypot(um - 0.5 * (u0 + u1), vm - 0.5 * (v0 + v1)) / CHORD_PX))
     scale, shift = cells.per_px, (cells.margin_px + 0.5) * cells.per_px
     for k in range(1, chords + 1):
         u, v = u1, v1
         if k < chords:
             s = k / chords
-            u, v = plane_to_image((1 - s) * a[0] + s * b[0], (1 - s) * a[1] + s * b[1], sight)
+            u, v = plane_to_image((1 - s) * a[0] + s * b[0], (1 - s) * a[1] + s * b[1], projection)
         add_edge(steps, u0 * scale + shift, v0 * scale + shift, u * scale + shift, v * scale + shift, 1.0)
         u0, v0 = u, v
