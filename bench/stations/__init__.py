@@ -1,1 +1,1 @@
-"""Station files and the devices they name; the station files that come along."""
+"""Station files, the devices that they name, and the shipped station files."""

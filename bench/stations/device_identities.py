@@ -1,7 +1,7 @@
-"""By which names a station's serial devices are kept to one process, beside their ports: family and serial number.
+"""Locks on the devices of a station by family and serial number, in addition to the locks on their ports.
 
-The same controller may be reached by another port as well (a network, a second cable, another name of the same
-port), which no lock of a port knows.
+The same controller may be reachable through a second port (a network, a second cable, another name of the same port).
+The lock on a port does not cover that.
 """
 
 from __future__ import annotations
@@ -16,9 +16,19 @@ from drivers.device_hold import DeviceHold
 
 
 def serial_devices(station: Station) -> tuple[str, ...]:
-    """Name the devices of stage and light that the station file knows by number; simulated ones need no lock.
+    """Name the stage and light devices whose serial numbers are in the station file, except simulated ones.
 
-    A strobe controller tells no number, and a generator or a board may go without.
+    A strobe controller has no serial number, and that of a generator or a board is optional in the file.
+
+    Parameters
+    ----------
+    station
+        The station file.
+
+    Returns
+    -------
+    tuple of str
+        Family and serial number of each device, such as ``Zaber 100101``, without repetition.
     """
     found: list[tuple[str, str, str | None]] = []
     match station.stage:
@@ -42,12 +52,22 @@ def serial_devices(station: Station) -> tuple[str, ...]:
 
 @contextmanager
 def hold_serial_devices(station: Station) -> Iterator[None]:
-    """Keep the serial devices of a station to this process, for as long as the block lasts.
+    """Lock the serial devices of a station against other processes of this computer, for the duration of the block.
+
+    Parameters
+    ----------
+    station
+        The station file.
+
+    Yields
+    ------
+    None
+        While the devices are locked.
 
     Raises
     ------
     drivers.errors.PortBusy
-        When another process of this computer has one of them, by whatever port.
+        When another process uses one of the devices, through any port.
     """
     with ExitStack() as holds:
         for device in serial_devices(station):

@@ -1,7 +1,7 @@
-"""Opens the devices a station file names, holds them together, and makes them safe together.
+"""Opens the devices that a station file names, makes them safe together, and closes them.
 
-Knows which driver a word of the station file stands for. A port such as ``sim:gimbal`` is one of the simulated
-bench, which is then started first; beyond that nothing differs between a simulated device and a real one.
+This module selects the driver for each section of the station file. A port such as ``sim:gimbal`` belongs to the
+simulated bench, which is then started first. Apart from that, simulated and real devices are treated in the same way.
 """
 
 from __future__ import annotations
@@ -46,18 +46,23 @@ class Devices:
     Parameters
     ----------
     station
-        What the station file says.
+        The station file.
     seed
-        Seed of the simulated bench, where there is one.
+        Random seed of the simulated bench, if the station uses it.
     clock
         The run's clock; every wait of a driver goes through it.
     wire_log
-        Where bytes on serial lines are kept.
+        Records the bytes on serial lines; None to record nothing.
+
+    Attributes
+    ----------
+    stage, light, camera
+        The open devices.
 
     Raises
     ------
     drivers.errors.DriverError
-        When a device cannot be opened, or is another one than named; those opened before are closed again.
+        When a device cannot be opened, or is not the one that the station file names; the others are then closed.
     SimulationError
         When the simulated bench does not start.
     """
@@ -78,16 +83,22 @@ class Devices:
             self._opened = opened.pop_all()
 
     def truth(self) -> dict[str, Any] | None:
-        """What the simulated world is made of, for the final comparison; None on a real bench."""
+        """Read the true parameters of the simulated bench, for the final comparison only.
+
+        Returns
+        -------
+        dict or None
+            Parameters by part; None on a real bench.
+        """
         return self._simulation.truth() if self._simulation is not None else None
 
     def make_safe(self) -> list[str]:
-        """Stop the stage, switch the light off, stop the camera: each, whatever the others do.
+        """Stop the stage, switch the light off and stop the camera: each of them, even if another one fails.
 
         Returns
         -------
         list of str
-            What could not be made safe, and why; empty when all is safe.
+            One sentence for each device that did not confirm; empty when all are safe.
         """
         actions: Mapping[str, Callable[[], None]] = {
             "the stage did not confirm its stop": self.stage.stop,
@@ -95,7 +106,7 @@ class Devices:
             "the camera did not confirm that it stopped": self.camera.stop,
         }
         if self._simulation is not None and not self._simulation.alive:
-            return ["the simulated bench has ended by itself; nothing simulated is left to make safe"]
+            return ["the simulated bench has ended unexpectedly; no simulated device is left to make safe"]
         faults = []
         for fault, action in actions.items():
             try:
@@ -105,11 +116,11 @@ class Devices:
         return faults
 
     def close(self) -> None:
-        """Give all ports back; nothing moves."""
+        """Close all devices. Nothing moves."""
         self._opened.close()
 
     def _port(self, name: str) -> str:
-        """Give the real name of a port: that of the simulated bench's, where it is one of those."""
+        """Return the system's name of a port; a port of the simulated bench is looked up there."""
         if not name.startswith(SIMULATED_PREFIX):
             return name
         assert self._simulation is not None
@@ -121,14 +132,21 @@ class Devices:
 
 
 def make_orphans_safe(station: Station, clock: BenchClock) -> list[str]:
-    """Stop the stage and switch the light off where the process that held them is gone.
+    """Stop the stage and switch the light off after the process that used them has died.
 
-    Each is opened anew, whatever becomes of the other; those of the simulated bench ended with their process.
+    Each device is opened anew, even if the other one fails. Devices of the simulated bench have ended with the process.
+
+    Parameters
+    ----------
+    station
+        The station file of the dead process.
+    clock
+        Every wait of a driver goes through it.
 
     Returns
     -------
     list of str
-        What could not be made safe, and why; empty when all is safe.
+        One sentence for each device that could not be made safe; empty when all are safe.
     """
     faults = []
     for name, ports, make_safe in (

@@ -1,6 +1,6 @@
-"""What is connected to this computer, what a station file would call it, and what is missing to use more.
+"""Lists the serial ports and cameras of this computer, their names for a station file, and what is missing to use them.
 
-Looks at the system's own lists; sends no byte to any device, so that nothing can move or switch.
+It reads the lists of the operating system and sends no byte to a device, so that nothing can move or switch.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ class FoundPort:
     Attributes
     ----------
     name
-        What a station file should call it: its name by id, where the system gives one.
+        Name for a station file: below ``/dev/serial/by-id``, if the system provides it.
     device
-        The system's own name, which may be another device's after a restart.
+        The system's name, which may belong to another device after a restart.
     what
-        What the adapter says it is.
+        Description of the adapter, from the adapter itself.
     serial
         Serial number of the adapter, not of the device behind it.
     note
-        Why it cannot be used as it is; empty when it can.
+        Why the port cannot be used; empty if it can.
     """
 
     name: str
@@ -45,27 +45,54 @@ class FoundPort:
 
 @dataclass(frozen=True)
 class Discovery:
-    """Serial ports, cameras, and in sentences what is missing to see or use more."""
+    """What is connected.
+
+    Attributes
+    ----------
+    ports
+        Serial ports.
+    cameras
+        Cameras.
+    missing
+        Sentences that say what is missing in order to find or use more.
+    """
 
     ports: tuple[FoundPort, ...]
     cameras: tuple[FoundCamera, ...]
     missing: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as ``--json`` prints it."""
+        """Return the discovery as ``--json`` prints it.
+
+        Returns
+        -------
+        dict
+            All attributes.
+        """
         return asdict(self)
 
 
 def discover(by_id: Path = BY_ID) -> Discovery:
-    """List what is connected."""
+    """List the serial ports and cameras of this computer.
+
+    Parameters
+    ----------
+    by_id
+        Folder with links to the serial ports.
+
+    Returns
+    -------
+    Discovery
+        The ports in the order of their system names, and the cameras.
+    """
     names = {os.path.realpath(link): str(link) for link in by_id.iterdir()} if by_id.is_dir() else {}
     ports = tuple(_port(info, names) for info in sorted(list_ports.comports(), key=lambda info: info.device))
     cameras, missing = find_cameras()
     if not ports:
-        missing.append("No serial port was found: plug in the stage's and the light's adapters.")
+        missing.append("No serial port was found: connect the adapters of stage and light.")
     if not cameras:
         missing.append(
-            "No camera was found: plug one in; a network camera is named by its URL (driver: opencv)."
+            "No camera was found: connect one. A network camera is named by its URL (driver: opencv)."
         )
     return Discovery(ports, tuple(cameras), tuple(missing))
 
@@ -77,5 +104,7 @@ def _port(info: Any, names: dict[str, str]) -> FoundPort:
         device=info.device,
         what=info.description if info.description not in {None, "n/a"} else "",
         serial=info.serial_number or "",
-        note="" if allowed else "no permission: add yourself to its group (often dialout) and log in again",
+        note=""
+        if allowed
+        else "no permission: add your user to the group of the port (often dialout) and log in again",
     )

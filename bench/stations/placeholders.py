@@ -1,7 +1,4 @@
-"""What stands in a drafted station file where only a person can know the value, and where it still does.
-
-Knows the words of drafts (`station_draft`) and the places of a document's values; touches no device.
-"""
+"""Placeholders in a drafted station file (`station_draft`) for values that a person must fill in."""
 
 from __future__ import annotations
 
@@ -17,9 +14,20 @@ _ALL = frozenset({ASK, NO_PORT, NO_SOURCE})
 
 
 def find_placeholders(station: Tree) -> list[Fault]:
-    """Find every value of a drafted station file that nobody has filled in yet, each at its line."""
+    """Find the values of a drafted station file that are not filled in yet.
+
+    Parameters
+    ----------
+    station
+        The document, with the positions of its values.
+
+    Returns
+    -------
+    list of Fault
+        One fault for each placeholder, at its line.
+    """
     return [
-        Fault(station.file, *station.spot(path), path_text(path), f"still to be filled in (it says {text}).")
+        Fault(station.file, *station.spot(path), path_text(path), f"fill in this value (it is still {text}).")
         for path, text in _texts(station.value, ())
         if text in _ALL
     ]

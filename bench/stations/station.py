@@ -1,8 +1,8 @@
-"""What a station file says: which devices stand on a bench, where, and what they may be asked for.
+"""The station file: the devices of a bench, their ports, and their limits.
 
-Knows the shape and the sense of the file; the words of each device stand in ``station_stages``, ``station_lights``
-and ``station_cameras``, how it is opened in ``devices``. The station alone differs between a simulated bench and a
-real one; sequences fit both.
+The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`; `devices` opens the
+devices. docs/stations.md describes every key. A simulated bench and a real one differ in the station file only; the
+same sequences run on both.
 """
 
 from __future__ import annotations
@@ -51,7 +51,13 @@ class TargetConfig(StrictModel):
         return self
 
     def pattern(self) -> StarTarget:
-        """Give the pattern as the engine takes it."""
+        """Return the pattern for the calibration engine.
+
+        Returns
+        -------
+        StarTarget
+            The pattern.
+        """
         return StarTarget(
             squares_x=self.squares[0],
             squares_y=self.squares[1],
@@ -64,7 +70,7 @@ class TargetConfig(StrictModel):
 
 
 class CollimatorConfig(StrictModel):
-    """What is known of the collimator beforehand; for the report, no estimator reads it."""
+    """Prior knowledge of the collimator. It is printed in the report; no estimator uses it."""
 
     serial: Serial | None = None
     nominal_r_mm: Positive | None = None
@@ -72,11 +78,11 @@ class CollimatorConfig(StrictModel):
 
 
 class ExpectedConfig(StrictModel):
-    """What is expected of the bench, roughly: for plans and studies alone; no estimator reads it."""
+    """Approximate properties of the bench, for plans and studies only; no estimator uses them."""
 
     focal_px: Positive
     r_mm: Positive
-    half_angle_deg: Annotated[float, Field(gt=0, lt=60, description="Of the beam.")]
+    half_angle_deg: Annotated[float, Field(gt=0, lt=60, description="Half angle of the beam.")]
     image_size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (1280, 720)
     k1: float = 0.0
     k2: float = 0.0
@@ -84,7 +90,7 @@ class ExpectedConfig(StrictModel):
 
 
 class DiskConfig(StrictModel):
-    """What must be free on the disk before a run, besides what the run itself needs."""
+    """Disk space that must be free before a run, in addition to what the run needs."""
 
     min_free_gb: Annotated[float, Field(ge=0, le=1_000_000)] = 1.0
 
@@ -94,7 +100,7 @@ _NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def _plain_values(section: Any) -> Any:
-    """Turn a free section's texts into numbers and truths; serial numbers and 007 stay text."""
+    """Convert the texts of a section without a schema to numbers and booleans. Serial numbers and 007 remain text."""
     if isinstance(section, Mapping):
         return {key: value if "serial" in key else _plain_values(value) for key, value in section.items()}
     if isinstance(section, list):
@@ -127,29 +133,41 @@ class Station(StrictModel):
 
     @property
     def axes(self) -> Mapping[str, AxisConfig]:
-        """Axes of the stage, by name."""
+        """Axes of the stage by name."""
         return {str(name): axis for name, axis in self.stage.axes.items()}
 
     @property
     def needs_simulated_bench(self) -> bool:
-        """Whether any device of it is one of the simulated bench's."""
+        """Whether any device belongs to the simulated bench."""
         ports = (*self.stage.ports, *self.light.ports, *self.camera.ports)
         return any(port.startswith(SIMULATED_PREFIX) for port in ports)
 
     @property
     def is_simulated(self) -> bool:
-        """Whether a run on it measures no camera: a device is simulated, or recordings are played again."""
+        """Whether a run measures no real camera: a device is simulated, or recordings are replayed."""
         return self.needs_simulated_bench or isinstance(
             self.camera, RecordedCameraConfig | PictureFolderConfig
         )
 
 
 def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -> Located[Station]:
-    """Read a station file, or a shipped station by its name (``simulated``), with ``settings`` in it.
+    """Read a station file.
+
+    Parameters
+    ----------
+    name_or_path
+        Path of the file, or name of a shipped station such as ``simulated``.
+    settings
+        Values that replace those of the file: YAML texts by path, such as ``camera.biases.bias_fo``.
+
+    Returns
+    -------
+    Located of Station
+        The station, with the positions of its values.
 
     Raises
     ------
     DocumentFaults
-        With every fault found.
+        When the file is not valid, with all faults.
     """
     return read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)

@@ -1,7 +1,4 @@
-"""What a station file says of cameras: their words, their bounds, their defaults.
-
-One model a driver; `devices` opens what they describe.
-"""
+"""The camera section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens them."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ Pixels = Annotated[int, Field(gt=0, le=8192)]
 
 
 class BiasesConfig(StrictModel):
-    """Offsets from the factory values, within what an IMX636 takes; those not named stay at 0."""
+    """Bias offsets from the factory values, within the ranges of the IMX636. The default is 0."""
 
     bias_diff_on: Annotated[int, Field(ge=-150, le=200)] = 0
     bias_diff_off: Annotated[int, Field(ge=-150, le=200)] = 0
@@ -29,96 +26,104 @@ class BiasesConfig(StrictModel):
 
 
 class EventCameraConfig(StrictModel):
-    """What every camera has."""
+    """Keys of every event camera."""
 
     serial: Serial
     biases: BiasesConfig = BiasesConfig()
     roi: Annotated[
         tuple[NotNegative, NotNegative, Pixels, Pixels] | None,
         Field(
-            description="Only part of the sensor: column, row, width, height, px. `metavision` alone sets it."
+            description="Region of interest: column, row, width, height, px. Only the driver `metavision` sets it."
         ),
     ] = None
     lens: Text | None = None
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Ports it is reached by; cameras on USB have none."""
+        """Ports of the camera; a camera on USB has none."""
         return ()
 
 
 class SimulatedEvk4Config(EventCameraConfig):
-    """A simulated EVK4, reached over a local socket."""
+    """A simulated EVK4, connected through a local socket."""
 
     driver: Literal["simulated_evk4"]
     address: Port
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Its address."""
+        """Address of the camera."""
         return (self.address,)
 
 
 class MetavisionConfig(EventCameraConfig):
-    """A Prophesee camera, reached through Metavision or OpenEB as installed on this computer."""
+    """A Prophesee camera, through the Metavision SDK or OpenEB installed on this computer."""
 
     driver: Literal["metavision"]
 
 
 class NeuromorphicEvk4Config(EventCameraConfig):
-    """An EVK4 reached through `neuromorphic-drivers` (extra ``evk4``), without the vendor's software."""
+    """An EVK4, through `neuromorphic-drivers` (extra ``evk4``), without the maker's software."""
 
     driver: Literal["neuromorphic_evk4"]
 
 
 class RecordedCameraConfig(EventCameraConfig):
-    """RAW recordings played as a camera, one a recording in the order of their names."""
+    """RAW files replayed as a camera: one for each recording, in the order of their names."""
 
     driver: Literal["recorded"]
     path: Path
 
 
 class FrameCameraConfig(StrictModel):
-    """What every frame camera has; its light burns steadily."""
+    """Keys of every frame camera. Its light is steady."""
 
     serial: Annotated[
-        str, Field(max_length=64, description="As USB tells it; without it, any camera will do.")
+        str, Field(max_length=64, description="Serial number on USB. If it is empty, any camera is accepted.")
     ] = ""
     lens: Text | None = None
-    pictures: Annotated[int, Field(ge=1, le=1000, description="Taken at each pose, and averaged.")] = 8
+    pictures: Annotated[
+        int, Field(ge=1, le=1000, description="Number of pictures that are averaged at each pose.")
+    ] = 8
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Ports it is reached by."""
+        """Ports of the camera; most have none."""
         return ()
 
     def settings(self) -> FrameSettings:
-        """Settings as drivers take them."""
+        """Return the settings for the driver.
+
+        Returns
+        -------
+        FrameSettings
+            Exposure and gain in the units of the camera's driver; None leaves them unchanged.
+        """
         return FrameSettings()
 
 
 class OpenCvCameraConfig(FrameCameraConfig):
-    """Whatever OpenCV opens as a video source: a video device, a network camera."""
+    """A video source that OpenCV opens: a video device or a network camera."""
 
     driver: Literal["opencv"]
     source: Annotated[
         Port, Field(description="/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://).")
     ]
-    exposure: Annotated[float | None, Field(description="In the camera driver's own units.")] = None
-    gain: Annotated[float | None, Field(description="In the camera driver's own units.")] = None
+    exposure: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
+    gain: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Its source."""
+        """Source of the pictures."""
         return (self.source,)
 
     def settings(self) -> FrameSettings:
-        """Settings as drivers take them."""
+        """See `FrameCameraConfig.settings`."""
         return FrameSettings(self.exposure, self.gain)
 
 
 class PictureFolderConfig(FrameCameraConfig):
-    """A folder of pictures played as a camera, so many a recording in the order of their names."""
+    """A folder of pictures replayed as a camera, ``pictures`` for each recording, in the order of their names."""
 
     driver: Literal["pictures"]
     path: Path

@@ -1,7 +1,7 @@
-"""A new station file: the words of the chosen families, filled with what is connected, ready to be completed.
+"""Drafts a new station file for the chosen drivers, with the ports and cameras that are connected.
 
-What no computer can know (scales, limits, serial numbers not yet asked for) stands in it as a value to change, with
-the reason beside it. A draft reads without a fault, and runs nothing until all of these are filled in (`placeholders`).
+A value that the computer cannot find out (scales, limits, unknown serial numbers) is an example or a placeholder, with
+a comment. A draft is a valid file, but no run starts until all placeholders are replaced (`placeholders`).
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ STAGES = {
     "zaber_ascii": f"""\
   driver: zaber_ascii
   port: {{stage_port}}
-  axes:   # microsteps_per_deg from the data sheet; never guessed
+  axes:   # microsteps_per_deg from the data sheet; never guess it
     pan: {{{{device: 1, serial: {ASK}, microsteps_per_deg: 6400, {_AXIS_END}}}}}
     tilt: {{{{device: 2, serial: {ASK}, microsteps_per_deg: 6400, {_AXIS_END}}}}}
 """,
     "ximc": f"""\
   driver: ximc
-  axes:   # a controller an axis; full steps a degree from the data sheet
+  axes:   # one controller for each axis; full steps per degree from the data sheet
     pan: {{{{port: {{stage_port}}, serial: {ASK}, steps_per_deg: 80, {_AXIS_END}}}}}
 """,
     "grbl": f"""\
   driver: grbl
   port: {{stage_port}}
-  serial: {ASK}   # the name given to the board with $I=...
-  axes:   # zero_deg: the angle of machine position 0; all limits lie below it
+  serial: {ASK}   # name given to the board with $I=...
+  axes:   # zero_deg: angle at machine position 0; all limits lie below it
     pan: {{{{letter: X, steps_per_deg: 80, zero_deg: 15, {_AXIS_END}}}}}
     tilt: {{{{letter: Y, steps_per_deg: 80, zero_deg: 15, {_AXIS_END}}}}}
 """,
@@ -43,13 +43,13 @@ STAGES = {
 
 
 CAMERAS = {
-    "metavision": "serial: {serial}   # text: the zeros count",
-    "neuromorphic_evk4": "serial: {serial}   # text: the zeros count",
-    "opencv": "source: {source}   # or a network camera's URL\n{known}  pictures: 8   # at each pose, averaged",
-    "recorded": "path: recordings   # *.raw, played in the order of their names\n  serial: {serial}",
-    "pictures": "path: pictures   # played in the order of their names\n  pictures: 8   # at each pose",
+    "metavision": "serial: {serial}   # text, with all zeros",
+    "neuromorphic_evk4": "serial: {serial}   # text, with all zeros",
+    "opencv": "source: {source}   # or the URL of a network camera\n{known}  pictures: 8   # averaged at each pose",
+    "recorded": "path: recordings   # *.raw, replayed in the order of their names\n  serial: {serial}",
+    "pictures": "path: pictures   # replayed in the order of their names\n  pictures: 8   # at each pose",
 }
-"""What each family of cameras needs besides its driver."""
+"""Keys that each camera driver needs."""
 
 
 def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None = None) -> str:
@@ -60,16 +60,16 @@ def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None
     name
         Name of the bench.
     found
-        What is connected: the first port is taken for the stage, the second for the light.
+        What is connected. The first port is used for the stage, the second for the light.
     stage
-        Family of the stage: a key of ``STAGES``.
+        Driver of the stage: a key of ``STAGES``.
     camera
-        Family of the camera: a key of ``CAMERAS``; None for what is connected, event cameras first.
+        Driver of the camera: a key of ``CAMERAS``; None for the first connected camera, event cameras first.
 
     Returns
     -------
     str
-        The file's text.
+        Text of the file.
     """
     ports = [port.name for port in found.ports]
     stage_port, light_port = [*ports, NO_PORT, NO_PORT][:2]
@@ -79,7 +79,7 @@ def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None
         f"{others}"
         f"stage:   {_SERIAL_NOTE}\n{STAGES[stage].format(stage_port=stage_port)}\n"
         f"light:\n  driver: scpi\n  port: {light_port}\n  serial: {ASK}\n"
-        "  low_v: 0\n  high_v: 2.5   # what the lamp's driver takes for full brightness\n\n"
+        "  low_v: 0\n  high_v: 2.5   # voltage at which the lamp has full brightness\n\n"
         f"camera:\n{_camera(found, camera)}"
         "  lens: which, and how it is locked\n\n"
         "target: {squares: [50, 72], pitch_mm: 4.0138889, tag_id: 3, tag_square: [23, 34]}\n"
@@ -88,14 +88,14 @@ def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None
 
 
 def _camera(found: Discovery, family: str | None) -> str:
-    """Fill in the camera's words with the first that is connected and can be used."""
+    """Write the camera section for the first connected camera that can be used."""
     usable = [one for one in found.cameras if not one.trouble and (one.serial or one.source)]
     first = next((one for wanted in CAMERAS for one in usable if one.driver == (family or wanted)), None)
     driver = family or (first.driver if first else "metavision")
     serial = first.serial if first else ""
-    words = CAMERAS[driver].format(
+    keys = CAMERAS[driver].format(
         serial=serial or ASK,
         source=first.source if first else NO_SOURCE,
         known=f"  serial: {serial}\n" if serial else "",
     )
-    return f"  driver: {driver}\n  {words}\n"
+    return f"  driver: {driver}\n  {keys}\n"

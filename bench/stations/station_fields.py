@@ -1,4 +1,4 @@
-"""Words that devices of a station file share: ports, simulated or real, serial numbers, texts, numbers."""
+"""Field types that the sections of a station file share: ports (real or simulated), serial numbers, texts, numbers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIMULATED_PORTS = (
 
 
 def _simulated_or_real(port: str, info: ValidationInfo) -> str:
-    """Let a simulated port pass only where the station has a simulation to give it."""
+    """Accept a simulated port only if the station has a simulation section."""
     if not port.startswith(SIMULATED_PREFIX):
         return port
     if port not in SIMULATED_PORTS:
@@ -31,7 +31,7 @@ def _simulated_or_real(port: str, info: ValidationInfo) -> str:
     document = (info.context or {}).get("document", {})
     if "simulation" not in document:
         raise PydanticCustomError(
-            "no_simulation", "a simulated device needs a simulation section (simulation: {} will do)."
+            "no_simulation", "a simulated device needs a simulation section (simulation: {} is enough)."
         )
     return port
 
@@ -47,10 +47,10 @@ Serial = Annotated[
     Field(
         min_length=1,
         max_length=64,
-        description="As the device says it, zeros included.",
+        description="As the device reports it, with all zeros.",
         json_schema_extra={
             "type": ["string", "integer"]
-        },  # an editor may take it for a number; the reader never
+        },  # an editor may read it as a number; Starbench reads it as text
     ),
 ]
 

@@ -1,6 +1,6 @@
-"""What a station file says about interlocks: what makes a run hold of itself, when it goes on, how long it may hold.
+"""The interlocks section of a station file: what makes a run hold, when the run continues, and the longest hold.
 
-Words and bounds alone; what they do stands in `bench.run.interlocks`.
+This module has the keys and their ranges; `bench.run.interlocks` has the interlocks.
 """
 
 from __future__ import annotations
@@ -13,7 +13,10 @@ from pydantic_core import PydanticCustomError
 from bench.stations.station_fields import Positive, Text
 from sequences.schema import StrictModel
 
-Hold = Annotated[float, Field(gt=0, le=86_400, description="Longest hold in a run, all its holds together.")]
+Hold = Annotated[
+    float,
+    Field(gt=0, le=86_400, description="Longest hold of this interlock in a run, all its holds together, s."),
+]
 
 
 class _InterlockConfig(StrictModel):
@@ -21,15 +24,15 @@ class _InterlockConfig(StrictModel):
 
 
 class DoorConfig(_InterlockConfig):
-    """A sensor of the enclosure: a file that holds one word, as the kernel's GPIO files do; anything else is open."""
+    """A sensor of the enclosure: a file with one word, such as a GPIO file of the kernel. Any other word means open."""
 
     path: Text
-    closed: Annotated[Text, Field(description="What the file holds while the door is closed.")] = "1"
-    max_age_s: Annotated[Positive | None, Field(description="Older, the file tells nothing: open.")] = None
+    closed: Annotated[Text, Field(description="Word in the file while the door is closed.")] = "1"
+    max_age_s: Annotated[Positive | None, Field(description="A file older than this means open, s.")] = None
 
 
 class CameraTemperatureConfig(_InterlockConfig):
-    """The camera's sensor gets too warm."""
+    """The image sensor is too warm."""
 
     max_c: Annotated[float, Field(ge=-50, le=150)]
     release_c: Annotated[float, Field(ge=-50, le=150)]
@@ -38,31 +41,32 @@ class CameraTemperatureConfig(_InterlockConfig):
     def _cooler(self) -> CameraTemperatureConfig:
         if self.release_c >= self.max_c:
             raise PydanticCustomError(
-                "release", "release_c must be below max_c, else it would go on and off."
+                "release", "release_c must be below max_c; otherwise the hold would switch on and off."
             )
         return self
 
 
 class EventRateConfig(_InterlockConfig):
-    """Light from elsewhere: after a recording of too high a rate, the rate in the dark must be low again."""
+    """Ambient light: after a recording with too high an event rate, the rate in the dark must become low again."""
 
     max_mev_s: Positive
     release_mev_s: Positive
-    probe_ms: Annotated[float, Field(ge=1, le=1000, description="Length of the recordings in the dark.")] = (
-        20.0
-    )
+    probe_ms: Annotated[
+        float, Field(ge=1, le=1000, description="Duration of a recording in the dark, ms.")
+    ] = 20.0
 
     @model_validator(mode="after")
     def _lower(self) -> EventRateConfig:
         if self.release_mev_s >= self.max_mev_s:
             raise PydanticCustomError(
-                "release", "release_mev_s must be below max_mev_s, else it would go on and off."
+                "release",
+                "release_mev_s must be below max_mev_s; otherwise the hold would switch on and off.",
             )
         return self
 
 
 class DiskSpaceConfig(_InterlockConfig):
-    """Room on the run's disk."""
+    """Free space on the disk of the run folder."""
 
     min_free_gb: Positive
     release_gb: Positive
@@ -75,13 +79,13 @@ class DiskSpaceConfig(_InterlockConfig):
 
 
 class DeviceLostConfig(_InterlockConfig):
-    """A device that went away is waited for, opened anew, seen to be the same one, and homed where it must be."""
+    """A device was disconnected: the run waits, opens it again, checks its identity, and homes it if needed."""
 
     retry_s: Annotated[float, Field(ge=0.1, le=600)] = 5.0
 
 
 class InterlocksConfig(StrictModel):
-    """Interlocks of a station; none unless named."""
+    """Interlocks of a station; only those that are named are active."""
 
     door: DoorConfig | None = None
     camera_temperature: CameraTemperatureConfig | None = None

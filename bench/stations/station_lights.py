@@ -1,7 +1,4 @@
-"""What a station file says of lights: their words, their bounds, their defaults.
-
-One model a driver; `devices` opens what they describe.
-"""
+"""The light section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens them."""
 
 from __future__ import annotations
 
@@ -20,18 +17,18 @@ Volts = Annotated[float, Field(ge=-20, le=20)]
 
 
 class ScpiLightConfig(StrictModel):
-    """A function generator that drives the lamp; its sync output goes to the camera's trigger input."""
+    """A function generator that drives the lamp. Its sync output is connected to the camera's trigger input."""
 
     driver: Literal["scpi"]
     port: Port
     baudrate: Annotated[int, Field(gt=0)] = 9600
     serial: Serial | None = None
-    dialect: Annotated[DialectName, Field(description="How it wants its commands; see docs/stations.md.")] = (
-        "keysight"
-    )
-    load: Annotated[Load, Field(description="What its levels are stated for.")] = "high-z"
-    low_v: Annotated[Volts, Field(description="The lamp dark.")] = 0.0
-    high_v: Annotated[Volts, Field(description="The lamp at its brightest.")] = 5.0
+    dialect: Annotated[
+        DialectName, Field(description="Command dialect of the generator; see docs/stations.md.")
+    ] = "keysight"
+    load: Annotated[Load, Field(description="Load impedance for which the levels are stated.")] = "high-z"
+    low_v: Annotated[Volts, Field(description="Level at which the lamp is dark, V.")] = 0.0
+    high_v: Annotated[Volts, Field(description="Level at which the lamp is brightest, V.")] = 5.0
     frequency_range_hz: tuple[Positive, Positive] = (0.1, 10_000.0)
     sync_output: bool = True
 
@@ -45,11 +42,22 @@ class ScpiLightConfig(StrictModel):
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Its port."""
+        """Port of the device."""
         return (self.port,)
 
     def settings(self, flicker: Flicker) -> LightSettings:
-        """Turn a sequence's flicker into this light's settings."""
+        """Convert the flicker of a sequence to settings of the driver.
+
+        Parameters
+        ----------
+        flicker
+            Waveform, frequency and level.
+
+        Returns
+        -------
+        LightSettings
+            With the levels of this lamp, V.
+        """
         return LightSettings(
             waveform=flicker.waveform,
             frequency_hz=flicker.frequency_hz,
@@ -61,34 +69,46 @@ class ScpiLightConfig(StrictModel):
 
 
 class GardasoftLightConfig(StrictModel):
-    """A Gardasoft RT strobe controller; one of its channels is the lamp, another the sync to the camera."""
+    """A Gardasoft RT strobe controller. One channel drives the lamp, another one the camera's trigger input."""
 
     driver: Literal["gardasoft"]
     port: Port
     baudrate: Annotated[int, Field(gt=0)] = 115_200
     model: Annotated[
-        Text | None, Field(description="As it says itself (RT420F-20); without it, any will do.")
+        Text | None,
+        Field(description="Model that the controller reports (RT420F-20). Without it, any is accepted."),
     ] = None
     channel: Annotated[int, Field(ge=1, le=8)] = 1
     sync_channel: Annotated[int, Field(ge=1, le=8)] | None = 2
     full_percent: Annotated[
-        float, Field(gt=0, le=1000, description="Brightness of the lamp at its fullest.")
+        float, Field(gt=0, le=1000, description="Brightness of the lamp at level 100 %.")
     ] = 100.0
     sync_percent: Annotated[float, Field(gt=0, le=1000)] = 100.0
     frequency_range_hz: tuple[Positive, Positive] = (1.0, 1_000.0)
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Its port."""
+        """Port of the device."""
         return (self.port,)
 
     @property
     def sync_output(self) -> bool:
-        """Whether one of its channels gives the camera its sync."""
+        """Whether a channel drives the camera's trigger input."""
         return self.sync_channel is not None
 
     def settings(self, flicker: Flicker) -> LightSettings:
-        """Turn a sequence's flicker into this light's settings: its brightest is 5 V's worth."""
+        """Convert the flicker of a sequence to settings of the driver, which takes 5 V as full brightness.
+
+        Parameters
+        ----------
+        flicker
+            Waveform, frequency and level.
+
+        Returns
+        -------
+        LightSettings
+            The level is in ``high_v``, V.
+        """
         return LightSettings(
             waveform=flicker.waveform,
             frequency_hz=flicker.frequency_hz,

@@ -1,7 +1,7 @@
-"""What a station file says about messages: when, and to whom, by mail, webhook or another service.
+"""The messages section of a station file: on which occasions messages are sent, and by mail, webhook or other services.
 
-No secret stands in a station file, for it is copied into every run folder: passwords and secret addresses are named by
-the environment variable that holds them.
+A station file has no secrets, because it is copied into every run folder. It names the environment variables that hold
+passwords and secret addresses.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Url = Annotated[str, Field(max_length=2000, pattern=r"^https?://[^\s]+$")]
 
 
 class MailConfig(StrictModel):
-    """Mail by SMTP."""
+    """Mail, sent by SMTP."""
 
     host: Text
     port: Annotated[int, Field(ge=1, le=65535)] = 587
@@ -34,14 +34,14 @@ class MailConfig(StrictModel):
     @model_validator(mode="after")
     def _never_in_the_clear(self) -> MailConfig:
         if (self.user is None) != (self.password_env is None):
-            raise PydanticCustomError("half_login", "user and password_env belong together.")
+            raise PydanticCustomError("half_login", "user and password_env must be given together.")
         if self.user is not None and self.security == "none":
-            raise PydanticCustomError("in_the_clear", "a password is not sent without starttls or tls.")
+            raise PydanticCustomError("in_the_clear", "a password is sent only with starttls or tls.")
         return self
 
 
 class WebhookConfig(StrictModel):
-    """A JSON object posted to an address: ``id occasion subject text run folder utc``."""
+    """A JSON object, sent to an address by POST: ``id occasion subject text run folder utc``."""
 
     url: Url | None = None
     url_env: Variable | None = None
@@ -54,13 +54,13 @@ class WebhookConfig(StrictModel):
 
 
 class AppriseConfig(StrictModel):
-    """Any service that the library apprise knows (chat, telephone, ...), by its address, which is a secret."""
+    """A service that the library apprise supports (chat, telephone, ...). Its address is a secret."""
 
     url_env: Variable
 
 
 class MessagesConfig(StrictModel):
-    """Who hears what of a run."""
+    """Occasions of messages, and their channels."""
 
     occasions: tuple[Occasion, ...] = ("failure", "hold", "end")
     mail: MailConfig | None = None

@@ -1,7 +1,6 @@
-"""What a station file says of stages: their words, their bounds, their defaults.
+"""The stage section of a station file: keys, ranges and defaults. One model for each driver; `devices` opens them.
 
-One model a driver; `devices` opens what they describe. The words of an axis are those of the driver's own
-description of it, so that what a station says can be handed on as it stands.
+The keys of an axis are the parameter names of the driver's axis, so that the values are passed on unchanged.
 """
 
 from __future__ import annotations
@@ -26,15 +25,17 @@ Scale = Annotated[float, AfterValidator(_not_zero)]
 
 
 class AxisConfig(StrictModel):
-    """What every rotary axis has. Its scale is stated in each family's own counts, never guessed from a name."""
+    """Keys of every rotary axis. Each driver has a scale in its own counts; it is never guessed from a name."""
 
-    zero_deg: Annotated[Angle, Field(description="Angle at which the controller's counter is 0.")] = 0.0
-    limits_deg: Annotated[tuple[Angle, Angle], Field(description="Lowest and highest angle of the bench.")]
+    zero_deg: Annotated[Angle, Field(description="Angle at which the counter of the controller is 0.")] = 0.0
+    limits_deg: Annotated[
+        tuple[Angle, Angle], Field(description="Lowest and highest angle allowed on the bench.")
+    ]
     speed_deg_s: Annotated[float, Field(gt=0, le=1000)]
     acceleration_deg_s2: Annotated[float, Field(gt=0, le=100_000)]
-    tolerance_deg: Annotated[float, Field(gt=0, le=1, description="How near its target a move must end.")] = (
-        0.002
-    )
+    tolerance_deg: Annotated[
+        float, Field(gt=0, le=1, description="Largest distance from the target at the end of a move.")
+    ] = 0.002
 
     @field_validator("limits_deg")
     @classmethod
@@ -43,22 +44,28 @@ class AxisConfig(StrictModel):
             raise PydanticCustomError("limits_order", "the lower limit must be below the upper one.")
         if not limits[0] <= 0 <= limits[1]:
             raise PydanticCustomError(
-                "no_zero", "0 degrees must be within the limits: there the stage is parked."
+                "no_zero", "0 degrees must be within the limits: the stage is parked there."
             )
         return limits
 
     @property
     def limits(self) -> AxisLimits:
-        """Limits as drivers take them."""
+        """Limits, speed and acceleration for the driver."""
         return AxisLimits(*self.limits_deg, self.speed_deg_s, self.acceleration_deg_s2)
 
     def driver_options(self) -> dict[str, Any]:
-        """Give what is said beside the limits, in the driver's own words."""
+        """Return the values besides the limits, as parameters of the driver's axis.
+
+        Returns
+        -------
+        dict
+            Values by parameter name.
+        """
         return self.model_dump(exclude={"limits_deg", "speed_deg_s", "acceleration_deg_s2"})
 
 
 def _differing(*keys: str) -> AfterValidator:
-    """Let no two axes share what tells them apart."""
+    """Return a check that no two axes have the same values of these keys."""
 
     def check(axes: dict[Axis, Any]) -> dict[Axis, Any]:
         if len({tuple(getattr(axis, key) for key in keys) for axis in axes.values()}) < len(axes):
@@ -76,13 +83,13 @@ class ZaberAxisConfig(AxisConfig):
     axis: Annotated[int, Field(ge=1, le=9)] = 1
     serial: Serial
     microsteps_per_deg: Annotated[
-        Scale, Field(description="Negative where the counter falls as the angle grows.")
+        Scale, Field(description="Negative if the counter decreases while the angle increases.")
     ]
     encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
 
 
 class ZaberStageConfig(StrictModel):
-    """One to three rotary axes that speak Zaber's ASCII protocol on one line."""
+    """One to three rotary axes with Zaber's ASCII protocol on one serial line."""
 
     driver: Literal["zaber_ascii"]
     port: Port
@@ -91,29 +98,29 @@ class ZaberStageConfig(StrictModel):
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Its port."""
+        """Port of the device."""
         return (self.port,)
 
 
 class XimcAxisConfig(AxisConfig):
-    """One axis on a Standa 8SMC4 or 8SMC5 controller of its own."""
+    """One axis, on its own Standa 8SMC4 or 8SMC5 controller."""
 
     port: Port
     serial: Serial
-    steps_per_deg: Annotated[Scale, Field(description="Full steps; negative where the counter falls.")]
+    steps_per_deg: Annotated[Scale, Field(description="Full steps; negative if the counter decreases.")]
     encoder_counts_per_deg: Scale | None = None
     encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
 
 
 class XimcStageConfig(StrictModel):
-    """One to three rotary axes on Standa controllers that speak XIMC, each on its own port."""
+    """One to three rotary axes on Standa controllers with the XIMC protocol, each on its own port."""
 
     driver: Literal["ximc"]
     axes: Annotated[dict[Axis, XimcAxisConfig], Field(min_length=1), _differing("port")]
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """The ports of its controllers."""
+        """Ports of the controllers."""
         return tuple(axis.port for axis in self.axes.values())
 
 
@@ -121,9 +128,12 @@ class GrblAxisConfig(AxisConfig):
     """One axis of a home-built gimbal."""
 
     letter: Annotated[
-        Literal["X", "Y", "Z", "A", "B", "C"], Field(description="The board's name of the axis.")
+        Literal["X", "Y", "Z", "A", "B", "C"], Field(description="Letter of the axis on the board.")
     ]
-    steps_per_deg: Annotated[float, Field(gt=0, description="As the board's $100 ... must say.")]
+    steps_per_deg: Annotated[
+        float,
+        Field(gt=0, description="Must equal the setting of the board: $100 for X, $101 for Y, and so on."),
+    ]
 
 
 class GrblStageConfig(StrictModel):
@@ -134,23 +144,26 @@ class GrblStageConfig(StrictModel):
     baudrate: Annotated[int, Field(gt=0)] = 115_200
     serial: Annotated[
         Serial | None,
-        Field(description="The name given to the board with $I=...; without it, any board will do."),
+        Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
     ] = None
     axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), _differing("letter")]
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Its port."""
+        """Port of the device."""
         return (self.port,)
 
 
 class EspAxisConfig(AxisConfig):
-    """One axis of a Newport ESP controller, which counts in degrees itself."""
+    """One axis of a Newport ESP controller, which works in degrees."""
 
     number: Annotated[int, Field(ge=1, le=3)]
-    serial: Annotated[Serial, Field(description="Of the stage, as the controller's 1ID? says it.")]
+    serial: Annotated[
+        Serial, Field(description="Serial number of the stage, from the controller's answer to 1ID?.")
+    ]
     home_mode: Annotated[
-        Literal[1, 2, 3, 4, 5, 6], Field(description="How it searches its reference: the number behind OR.")
+        Literal[1, 2, 3, 4, 5, 6],
+        Field(description="Method of the reference search: the number of the command OR."),
     ] = 1
     direction: Literal[1, -1] = 1
 
@@ -170,7 +183,7 @@ class EspStageConfig(StrictModel):
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Its port."""
+        """Port of the device."""
         return (self.port,)
 
 

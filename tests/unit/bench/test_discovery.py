@@ -43,8 +43,8 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
     found = discover(tmp_path / "none")
     assert found.missing == (
         "OpenEB is not installed.",
-        "No serial port was found: plug in the stage's and the light's adapters.",
-        "No camera was found: plug one in; a network camera is named by its URL (driver: opencv).",
+        "No serial port was found: connect the adapters of stage and light.",
+        "No camera was found: connect one. A network camera is named by its URL (driver: opencv).",
     )
 
 
@@ -110,7 +110,7 @@ def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path):
     told = [str(fault) for fault in make_plan(*load_documents("three_pose", str(path))).faults]
     assert len(told) == 6  # two ports, four serial numbers
     column = path.read_text().splitlines()[8].index(ASK) + 1
-    assert f"{path}:9:{column}: stage.axes.pan.serial: still to be filled in (it says {ASK})." in told
+    assert f"{path}:9:{column}: stage.axes.pan.serial: fill in this value (it is still {ASK})." in told
     filled = path.read_text().replace(ASK, "00051").replace("CHOOSE-A-PORT", "usb-0")
     path.write_text(filled)
     assert make_plan(*load_documents("three_pose", str(path))).faults == ()

@@ -79,7 +79,7 @@ def test_serial_numbers_stay_text_zeros_included():
         (
             "[-15, 15]",
             "[5, 15]",
-            "stage.axes.pan.limits_deg: 0 degrees must be within the limits: there the stage is parked.",
+            "stage.axes.pan.limits_deg: 0 degrees must be within the limits: the stage is parked there.",
         ),
         ("[-15, 15]", "[-15]", "stage.axes.pan.limits_deg[1]: this key is required, but it is missing."),
         ("device: 2", "device: 1", "stage.axes: two axes have the same device and axis."),
@@ -121,7 +121,7 @@ def test_what_makes_no_sense_is_refused_with_what_would(old, new, fault):
 def test_simulated_ports_are_refused_where_nothing_is_simulated():
     said = faults(changed("simulation: {}\n", ""))
     assert [line.split(": ")[1] for line in said] == ["stage.port", "light.port", "camera.address"]
-    assert all("needs a simulation section (simulation: {} will do)" in line for line in said)
+    assert all("needs a simulation section (simulation: {} is enough)" in line for line in said)
 
 
 @pytest.mark.parametrize(
