@@ -1,17 +1,17 @@
-"""The calibration engine: arrays in, dataclasses out. No file, no device, no clock, no random source of its own.
+"""The calibration engine: arrays in, dataclasses out.
 
-The engine imports nothing of bench, drivers, sequences or simulators. A notebook needs these names only; each is
-loaded when it is first used, so that ``import calib`` costs nothing.
+The engine uses no file, device, clock or random source of its own. It imports nothing of bench, drivers, sequences or
+simulators. A notebook needs only the names below. Each is loaded at its first use, so ``import calib`` costs nothing.
 
 =====================================================  =============================================================
-`flicker_from_triggers`, `flicker_from_events`         the flicker of the light in a recording
+`flicker_from_triggers`, `flicker_from_events`         flicker of the light in a recording
 `make_images`                                          event images from whole flicker periods
 `StarTarget`, `detect_view`, `View`                    the printed target; the stars of an image as a view
-`calibrate`, `CalibrationOptions`, `Calibration`       the joint adjustment of all views and its result
-`CameraModel`, `Collimator`, `Passport`                the parts of a result; a collimator calibrated before
-`projection_uncertainty`                               how sure the camera is of directions, over the sensor
-`ExpectedBench`, `predicted_view`, `forecast`          what poses will show, and what they will be worth
-`CalibrationError`                                     every error of the engine
+`calibrate`, `CalibrationOptions`, `Calibration`       joint adjustment of all views, and its result
+`CameraModel`, `Collimator`, `Passport`                the parts of a result; a calibrated collimator
+`projection_uncertainty`                               uncertainty of directions over the sensor
+`ExpectedBench`, `predicted_view`, `forecast`          the stars that poses will show; the expected uncertainty
+`CalibrationError`                                     base class of all errors of the engine
 =====================================================  =============================================================
 
 Examples
@@ -96,7 +96,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name of the front door when it is first used (PEP 562)."""
+    """Load a name at its first use (PEP 562)."""
     if name not in _MODULES:
         raise AttributeError(f"module 'calib' has no attribute {name!r}")
     value = getattr(importlib.import_module(_MODULES[name]), name)
