@@ -316,7 +316,9 @@ def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:
 
     step = job.record_step(attempt.pose_index)
     path = folder / str(attempt.stored["capture"])
-    found = job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt))
+    found = job.camera_kind.measure(
+        path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt)
+    )
     if found.image is None:
         raise RunFolderError(f"No image can be made of it: {found.fault}", where=str(path))
     return found.image.decoded()

@@ -39,7 +39,9 @@ def write_solved_run(folder, *, model="spherical", poses=POSES, end=END):
         found = measure(self, *words)
         if found.view is None:
             return found
-        return Measurement(found.view, StoredImage.from_image(image_of(found.view)), {**found.facts, "image": IMAGE})
+        return Measurement(
+            found.view, StoredImage.from_image(image_of(found.view)), {**found.facts, "image": IMAGE}
+        )
 
     with (
         mock.patch("bench.rehearsal.rehearsal.RehearsedResults", ResultWriter),
