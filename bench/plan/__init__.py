@@ -1,1 +1,1 @@
-"""Plans and jobs: a sequence and a station checked against each other, with times, sizes and limits."""
+"""Plans and jobs: a sequence and a station, checked against each other, with times, sizes and limits."""

@@ -1,7 +1,7 @@
-"""A run before it is run: its poses, moves, time and disk, and everything wrong with its files at once.
+"""The plan of a run: its poses, moves, duration and disk space, and all faults of its files.
 
-Compares a script with a station; touches no device and writes nothing. Estimates come from the station's
-speeds and from the allowances below; what a step really took stands in the journal.
+A plan compares a sequence with a station. It uses no device and writes nothing. Durations follow from the speeds in the
+station file and from the allowances below; the journal of a run has the real ones.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from sequences.tree import Fault
 SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
 SEQUENCE_DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep)
 
-# Allowances, as measured on the simulated bench; a real one adds to them what its devices take.
+# Allowances, measured on the simulated bench. The devices of a real bench need more.
 PREFLIGHT_S = 1.1
 HOMING_EXTRA_S = 0.5
 LIGHT_ON_S = 0.7
@@ -52,18 +52,32 @@ CHECK_S = 0.5
 SOLVE_S = 0.3
 REPORT_S = 0.5
 RECORDING_BYTES_PER_S = 35e6
-"""A lit target under a square flicker; a camera's link carries some five times as much."""
+"""Recording of a lit target with square flicker. The link of a camera carries about five times as much."""
 MOST_BYTES_PER_EVENT = 4
 PICTURE_S = 0.04
 PICTURE_SIZE = (1280, 720)
-"""Of a frame camera, where the station's ``expected`` section does not say."""
+"""Size of a frame camera's picture if the station has no ``expected`` section, px."""
 POSE_BYTES = 200_000
-"""A pose's share of pictures, stars and logs."""
+"""Images, stars and logs of one pose."""
 REPORT_BYTES = 1_000_000
 
 
 def travel_s(distance_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> float:
-    """Return the time of a move with a trapezoid of speed: up, along, down.
+    """Return the duration of a move with a trapezoidal speed profile.
+
+    Parameters
+    ----------
+    distance_deg
+        Distance, deg; the sign does not matter.
+    speed_deg_s
+        Highest speed, deg/s.
+    acceleration_deg_s2
+        Acceleration and deceleration, deg/s^2.
+
+    Returns
+    -------
+    float
+        Duration, s.
 
     Examples
     --------
@@ -81,14 +95,14 @@ def travel_s(distance_deg: float, speed_deg_s: float, acceleration_deg_s2: float
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """A step with what it is expected to take.
+    """A step with its expected duration.
 
     Attributes
     ----------
     step
-        The step of the script.
+        The step of the sequence.
     duration_s, done_after_s
-        Its own time, and the time from the start of the run to its end.
+        Expected duration of the step, and expected time from the start of the run to the end of the step, s.
     """
 
     step: Step
@@ -98,22 +112,22 @@ class PlannedStep:
 
 @dataclass(frozen=True)
 class Plan:
-    """A run before it is run.
+    """The plan of a run.
 
     Attributes
     ----------
     sequence, station
-        The files, checked.
+        The files, with the positions of their values.
     steps
-        The script with its times.
+        The steps of the sequence, with their durations.
     faults
-        Why it cannot be run; empty when it can.
+        Why the plan cannot be run; empty if it can.
     remarks
-        What somebody should know before it is run.
+        What the operator should know before the run.
     duration_s
-        Expected time of the whole run, homing and parking included.
+        Expected duration of the whole run with homing and parking, s.
     size_bytes, most_bytes
-        Disk expected; and at most, with every attempt used at the highest event rate the gates let pass.
+        Expected disk space; and the largest one, with all attempts at the highest event rate that the gates accept.
     """
 
     sequence: Located[Sequence]
@@ -127,16 +141,22 @@ class Plan:
 
     @property
     def script(self) -> tuple[Step, ...]:
-        """The steps without their times."""
+        """The steps without their durations."""
         return tuple(planned.step for planned in self.steps)
 
     @property
     def poses(self) -> tuple[Pose, ...]:
-        """The poses to record, in their order."""
+        """The poses to record, in the order of recording."""
         return tuple(step.pose for step in self.script if isinstance(step, RecordStep))
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the plan as JSON carries it."""
+        """Return the plan as JSON carries it.
+
+        Returns
+        -------
+        dict
+            With the schema ``starbench/plan/1``.
+        """
         return {
             "schema": "starbench/plan/1",
             "sequence": self.sequence.value.name,
@@ -157,7 +177,7 @@ class Plan:
 
     def _step_dict(self, planned: PlannedStep) -> dict[str, Any]:
         step = planned.step
-        said: dict[str, Any] = {
+        described: dict[str, Any] = {
             "number": step.number,
             "what": type(step).__name__.removesuffix("Step").lower(),
             "line": self.sequence.position(step.path).line,
@@ -165,27 +185,32 @@ class Plan:
             "done_after_s": round(planned.done_after_s, 3),
         }
         if isinstance(step, MoveStep | RecordStep):
-            said["pose"] = step.pose.index
-        return said
+            described["pose"] = step.pose.index
+        return described
 
 
 def load_documents(
     sequence: str, station: str, settings: Mapping[str, str] | None = None
 ) -> tuple[Located[Sequence], Located[Station]]:
-    """Read a sequence and a station, each a path or the name of a shipped one.
+    """Read a sequence file and a station file.
 
     Parameters
     ----------
     sequence, station
-        The files.
+        Paths of the files, or names of shipped ones.
     settings
-        What is set otherwise than they say, as YAML texts by path: ``sequence.defaults.record.window_ms``,
+        Values that replace those of the files: YAML texts by path, such as ``sequence.defaults.record.window_ms`` or
         ``station.camera.biases.bias_diff_on``.
+
+    Returns
+    -------
+    tuple of Located
+        Sequence and station, with the positions of their values.
 
     Raises
     ------
     ScriptError
-        With every fault of both files, where one of them cannot be used.
+        When one of the files is not valid, with the faults of both.
     """
     of_sequence, of_station = _by_document(settings or {})
     faults: list[Fault] = []
@@ -206,18 +231,29 @@ def load_documents(
 
 
 def _by_document(settings: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Tell the settings of the sequence from those of the station."""
+    """Separate the settings of the sequence from those of the station."""
     found: dict[str, dict[str, str]] = {"sequence": {}, "station": {}}
     for path, text in settings.items():
         document, _, rest = path.partition(".")
         if document not in found or not rest:
-            raise ScriptError([f"setting {path}: it must begin with sequence. or station."])
+            raise ScriptError([f"setting {path}: the path must begin with sequence. or station."])
         found[document][rest] = text
     return found["sequence"], found["station"]
 
 
 def make_plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
-    """Plan a run: never raises for what is wrong with it, that stands in the plan's faults."""
+    """Plan a run. Faults of the files do not raise an error; the plan lists them.
+
+    Parameters
+    ----------
+    sequence, station
+        The files, from `load_documents`.
+
+    Returns
+    -------
+    Plan
+        The plan.
+    """
     script, faults = unfold(sequence)
     findings = check_script(sequence, script, station.value)
     estimate = _Estimate(station.value)
@@ -243,12 +279,12 @@ def make_plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
 
 
 class _Estimate:
-    """Time and disk of one step after another, following where the stage stands and what the light does.
+    """Estimates duration and disk space step by step; keeps the position of the stage and the state of the light.
 
     Attributes
     ----------
     size_bytes, most_bytes
-        Disk expected so far; and at most, every attempt used at the highest event rate the gates let pass.
+        Disk space so far, as in a `Plan`.
     """
 
     def __init__(self, station: Station) -> None:
@@ -261,16 +297,16 @@ class _Estimate:
         self._frequency_hz: float | None = None
 
     def preparation_s(self) -> float:
-        """Time before the first step: devices opened and asked, references found over the whole range."""
+        """Return the time before the first step, s: open and identify the devices, home over the whole range."""
         ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
         return PREFLIGHT_S + self._travel_s(ranges) + HOMING_EXTRA_S
 
     def parking_s(self) -> float:
-        """Time after the last step that needs devices: light off, stage to zero."""
+        """Return the time after the last step that needs devices, s: light off, stage to 0 deg."""
         return LIGHT_OFF_S + self._travel_s(self._at_deg) + MOVE_EXTRA_S
 
     def add(self, step: Step) -> float:
-        """Return the time the next step takes, s, and count its bytes."""
+        """Return the duration of the next step, s, and add its disk space."""
         match step:
             case LightStep():
                 self._frequency_hz = step.flicker.frequency_hz if step.flicker else None
@@ -291,11 +327,11 @@ class _Estimate:
 
     def _record(self, step: RecordStep) -> float:
         if self._pictures:
-            taken = self._pictures * self._picture_bytes
-            self.size_bytes += taken + POSE_BYTES
-            self.most_bytes += 2 * taken * step.attempts + POSE_BYTES  # 16 bit
+            pixel_bytes = self._pictures * self._picture_bytes
+            self.size_bytes += pixel_bytes + POSE_BYTES
+            self.most_bytes += 2 * pixel_bytes * step.attempts + POSE_BYTES  # 16 bit
             return self._pictures * PICTURE_S
-        if self._frequency_hz is None:  # in the dark, which the check of the script forbids
+        if self._frequency_hz is None:  # in the dark, which `check_script` forbids
             recorded_s = step.window_ms * 1e-3
         else:
             recorded_s = recording_duration_s(step.window_ms, self._frequency_hz)
@@ -310,7 +346,7 @@ class _Estimate:
         return self._travel_s(distances) + MOVE_EXTRA_S
 
     def _travel_s(self, distances_deg: Mapping[str, float]) -> float:
-        """Time until the slowest axis has gone its way; axes the station has not are a fault elsewhere."""
+        """Return the time of the slowest axis, s. An axis that the station does not have is a fault of the script."""
         return max(
             (
                 travel_s(distance, self._axes[name].speed_deg_s, self._axes[name].acceleration_deg_s2)
@@ -322,5 +358,5 @@ class _Estimate:
 
 
 def _fault_dict(fault: Fault) -> dict[str, Any]:
-    """Give a fault without its file's whole path, which is of this machine only."""
+    """Return a fault without the folder of its file, which belongs to this computer only."""
     return dataclasses.asdict(fault) | {"file": Path(fault.file).name}

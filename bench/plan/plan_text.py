@@ -1,7 +1,4 @@
-"""A plan as the terminal shows it: plain text, narrow enough for 80 columns where names are short.
-
-Knows the wording and the columns; computes nothing.
-"""
+"""A plan as text for the terminal, narrow enough for 80 columns if names are short."""
 
 from __future__ import annotations
 
@@ -19,23 +16,48 @@ from sequences.script import (
 )
 
 MOST_LINES = 120
-"""Longer scripts are shown with their middle left out."""
+"""In a longer plan the steps in the middle are left out."""
 
 
 def render_plan(plan: Plan) -> str:
-    """Write a plan for people: what is wrong first, then what will happen."""
+    """Write a plan as text: faults and remarks first, then the steps.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+
+    Returns
+    -------
+    str
+        Several lines.
+    """
     simulated = " (SIMULATED)" if plan.station.value.is_simulated else ""
     lines = [f"{plan.sequence.value.name} on {plan.station.value.name}{simulated}", ""]
     if plan.faults:
-        lines += [f"It cannot be run: {_count(len(plan.faults), 'fault')}.", *map(str, plan.faults), ""]
+        lines += [
+            f"This plan cannot be run: {_count(len(plan.faults), 'fault')}.",
+            *map(str, plan.faults),
+            "",
+        ]
     if plan.remarks:
-        lines += ["To know beforehand:", *map(str, plan.remarks), ""]
-    lines += [_steps(plan), "", _sums(plan)]
+        lines += ["Remarks:", *map(str, plan.remarks), ""]
+    lines += [_steps(plan), "", _totals(plan)]
     return "\n".join(lines)
 
 
 def duration_text(seconds: float) -> str:
-    """Write a duration as people say it.
+    """Write a duration with the units that suit its size.
+
+    Parameters
+    ----------
+    seconds
+        Duration, s.
+
+    Returns
+    -------
+    str
+        In seconds, minutes and seconds, or hours and minutes.
 
     Examples
     --------
@@ -51,7 +73,17 @@ def duration_text(seconds: float) -> str:
 
 
 def size_text(size_bytes: float) -> str:
-    """Write a size as people say it.
+    """Write a size in MB or GB (powers of 10).
+
+    Parameters
+    ----------
+    size_bytes
+        Size, bytes.
+
+    Returns
+    -------
+    str
+        Number and unit.
 
     Examples
     --------
@@ -101,7 +133,7 @@ def _angles(angles_deg: Mapping[str, float]) -> str:
     return ", ".join(f"{axis} {angle:g}" for axis, angle in angles_deg.items()) + " deg"
 
 
-def _sums(plan: Plan) -> str:
+def _totals(plan: Plan) -> str:
     poses = _count(len(plan.poses), "pose")
     size, most = size_text(plan.size_bytes), size_text(plan.most_bytes)
     return f"{poses}, about {duration_text(plan.duration_s)}, about {size} on disk ({most} at most)."

@@ -1,7 +1,6 @@
-"""Whether a script makes sense on a station: every fault at its place in the sequence, all of them at once.
+"""Checks a sequence against a station: axes, limits, light, windows, order of steps. Finds all faults at once.
 
-Knows what goes together - axes, limits, light, windows, the order of steps - and nothing of time or disk. A
-fault means the run cannot succeed; a remark means it can, and somebody should know.
+A fault means that the run cannot succeed. A remark means that it can, but that the operator should know something.
 """
 
 from __future__ import annotations
@@ -28,29 +27,42 @@ from sequences.script import (
 from sequences.tree import DocumentPath, Fault, Tree
 
 FEWEST_POSES = 2
-"""Directions without which no model's focal length is determined."""
+"""Fewest directions from which a focal length can be determined."""
 WHOLE_PERIOD_SLACK = 0.02
-"""A window this share shorter than a period still means a whole one (16.6 ms at 60 Hz)."""
+"""A window may be shorter than a period by this fraction and still mean a whole period (16.6 ms at 60 Hz)."""
 
 
 class Findings(NamedTuple):
-    """What was found: faults forbid the run, remarks do not."""
+    """What was found.
+
+    Attributes
+    ----------
+    faults
+        Why the run cannot succeed.
+    remarks
+        What the operator should know.
+    """
 
     faults: tuple[Fault, ...]
     remarks: tuple[Fault, ...]
 
 
 def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Findings:
-    """Compare a script with a station.
+    """Check the steps of a sequence against a station.
 
     Parameters
     ----------
     document
-        The sequence, for the places of what is found.
+        The sequence, with the positions of its values.
     steps
-        Its steps, flattened.
+        Its steps, with all repetitions written out.
     station
         The station.
+
+    Returns
+    -------
+    Findings
+        Faults and remarks, each with its position in the sequence file.
     """
     faults = [
         *angle_faults(document.tree, station),
@@ -66,9 +78,22 @@ def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: 
 
 
 def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
-    """Compare every angle a sequence says anywhere with the station; also one that is not a sequence yet.
+    """Check every angle in a sequence file against the limits of the station; the sequence may have other faults.
 
-    A grid's angles lie between those written, and an angle not written is 0, which every station reaches.
+    The angles of a grid lie between those in the file. An angle that is not in the file is 0, which every station
+    reaches.
+
+    Parameters
+    ----------
+    sequence
+        The document, with the positions of its values.
+    station
+        The station.
+
+    Returns
+    -------
+    list of Fault
+        Angles outside the limits, and axes that the station does not have.
     """
     axes = station.axes
     faults = Tree(sequence.file)
@@ -78,18 +103,22 @@ def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
             continue
         spot = sequence.values[path]
         if axis not in axes:
-            faults.add_fault(spot, path, f"the station's stage has no {axis} axis; it has {', '.join(axes)}.")
+            faults.add_fault(
+                spot, path, f"the stage of the station has no {axis} axis; it has {', '.join(axes)}."
+            )
         elif (angle := _number(text)) is not None and not axes[axis].limits_deg[0] <= angle <= axes[
             axis
         ].limits_deg[1]:
             lowest, highest = axes[axis].limits_deg
-            message = f"{axis} {angle:g} deg lies outside the station's {lowest:g} to {highest:g} deg."
+            message = (
+                f"{axis} {angle:g} deg is outside the limits of the station, {lowest:g} to {highest:g} deg."
+            )
             faults.add_fault(spot, path, message)
     return faults.faults
 
 
 def _texts(value: Any, path: DocumentPath) -> Iterator[tuple[DocumentPath, str]]:
-    """Go through all texts of a document, with their paths."""
+    """Yield all texts of a document with their paths."""
     if isinstance(value, str):
         yield path, value
     elif isinstance(value, Mapping):
@@ -101,7 +130,7 @@ def _texts(value: Any, path: DocumentPath) -> Iterator[tuple[DocumentPath, str]]
 
 
 def _number(text: str) -> float | None:
-    """Read a finite number; what is none is a fault of the sequence alone."""
+    """Read a finite number; None for another text, which is reported as a fault of the sequence itself."""
     try:
         number = float(text)
     except ValueError:
@@ -115,15 +144,13 @@ def _light_faults(document: Located[Sequence], steps: tuple[Step, ...], station:
         if isinstance(step, LightStep) and step.flicker is not None and _flickers(step.flicker, station):
             frequency = step.flicker.frequency_hz
             if not lowest <= frequency <= highest:
-                path = _said(document, step.path, "frequency_hz", "light")
-                message = (
-                    f"{frequency:g} Hz lies outside the {lowest:g} to {highest:g} Hz of the station's light."
-                )
+                path = _setting_path(document, step.path, "frequency_hz", "light")
+                message = f"{frequency:g} Hz is outside the range of the station's light, {lowest:g} to {highest:g} Hz."
                 yield document.fault(path, message)
 
 
 def _flickers(flicker: Flicker, station: Station) -> bool:
-    """Whether a flicker remains one: a frame camera's light burns steadily."""
+    """Whether the light will flicker: for a frame camera it is always steady."""
     return flicker.waveform != "steady" and not isinstance(station.camera, FrameCameraConfig)
 
 
@@ -138,24 +165,28 @@ def _recording_faults(
         if not isinstance(step, RecordStep):
             continue
         if flicker is None:
-            yield document.fault(step.path, "a recording in the dark: switch the light on first (light:).")
+            yield document.fault(
+                step.path, "this recording is in the dark: switch the light on first (light:)."
+            )
             continue
         if takes_pictures:
-            continue  # in steady light: periods and triggers mean nothing
+            continue  # the light is steady: there are no periods and no triggers
         if flicker.waveform == "steady":
             yield document.fault(
                 step.path,
-                "an event camera sees nothing of a steady light: let it flicker (waveform: square).",
+                "an event camera does not see a steady light: let it flicker (waveform: square).",
             )
             continue
         periods = step.window_ms * 1e-3 * flicker.frequency_hz
         if periods < 1 - WHOLE_PERIOD_SLACK:
-            path = _said(document, step.path, "window_ms", "record")
-            message = f"{step.window_ms:g} ms hold no whole period of {flicker.frequency_hz:g} Hz"
-            yield document.fault(path, f"{message}: {1e3 / flicker.frequency_hz:.4g} ms at least.")
+            path = _setting_path(document, step.path, "window_ms", "record")
+            message = f"{step.window_ms:g} ms is shorter than a period of {flicker.frequency_hz:g} Hz"
+            yield document.fault(path, f"{message}: use at least {1e3 / flicker.frequency_hz:.4g} ms.")
         if step.gates.require_triggers and not station.light.sync_output:
-            path = _said(document, step.path, "gates", "record")
-            message = "sync triggers are required, and the station's light gives none (sync_output: false)."
+            path = _setting_path(document, step.path, "gates", "record")
+            message = (
+                "sync triggers are required, but the station's light has no sync output (sync_output: false)."
+            )
             yield document.fault(path, message)
 
 
@@ -164,25 +195,27 @@ def _order_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Itera
     solved = reported = False
     for step in steps:
         if reported:
-            yield document.fault(step.path, "a step after the report, which has sealed the run.")
+            yield document.fault(step.path, "no step may follow the report, which seals the run.")
         if isinstance(step, RecordStep):
             directions.add(tuple(step.pose.angles_deg.items()))
         elif isinstance(step, SolveStep):
             solved = True
             if not directions:
-                yield document.fault(step.path, "nothing is recorded before this solve.")
+                yield document.fault(step.path, "no pose is recorded before this solve.")
             elif len(directions) < FEWEST_POSES:
                 yield document.fault(
-                    step.path, f"one direction is recorded; it takes {FEWEST_POSES} or more."
+                    step.path, f"only one direction is recorded; at least {FEWEST_POSES} are needed."
                 )
         elif isinstance(step, ReportStep):
             reported = True
             if not solved:
-                yield document.fault(step.path, "a report before any solve has no result to show.")
+                yield document.fault(
+                    step.path, "no solve precedes this report, so there is no result to report."
+                )
 
 
 def _limit_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
-    """Find limits on parameters that the solve does not estimate."""
+    """Yield limits on parameters that the solve does not estimate."""
     for step in steps:
         if isinstance(step, SolveStep):
             estimated = {"fx", "fy", "cx", "cy", *step.distortion}
@@ -190,8 +223,10 @@ def _limit_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Itera
             for name in step.limits:
                 _, sigma, parameter = name.partition("sigma_")
                 if sigma and parameter.removesuffix("_px").removesuffix("_mm") not in estimated:
-                    path = (*_said(document, step.path, "limits", "solve"), name)
-                    yield document.fault(path, "this solve does not estimate it, so it has no uncertainty.")
+                    path = (*_setting_path(document, step.path, "limits", "solve"), name)
+                    yield document.fault(
+                        path, "this solve does not estimate the parameter, so it has no uncertainty."
+                    )
 
 
 def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
@@ -202,31 +237,29 @@ def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[F
             unsolved = step
             if isinstance(last, MoveStep):
                 yield document.fault(
-                    step.path, "recorded right after a move: nothing waits for it to settle."
+                    step.path, "recorded directly after a move: no step waits until the stage has settled."
                 )
         elif isinstance(step, SolveStep):
             unsolved = None
         if isinstance(step, MoveStep | SettleStep | WaitStep | RecordStep):
             last = step
     if unsolved is not None:
-        yield document.fault(unsolved.path, "recorded after the last solve: no result will use it.")
+        yield document.fault(unsolved.path, "recorded after the last solve: no result uses this recording.")
     if not any(isinstance(step, ReportStep) for step in steps):
-        yield document.fault(("steps",), "no report step: the run ends without a report.")
+        yield document.fault(("steps",), "there is no report step: the run ends without a report.")
 
 
 def _steady_remarks(
     document: Located[Sequence], steps: tuple[Step, ...], station: Station
 ) -> Iterator[Fault]:
-    """Say where a flicker will be none, because the camera takes pictures."""
+    """Yield a remark for each flicker that is replaced by steady light, because the camera is a frame camera."""
     for step in steps:
         flicker = step.flicker if isinstance(step, LightStep) else None
         if flicker is not None and flicker.waveform != "steady" and not _flickers(flicker, station):
-            yield document.fault(
-                step.path, "the station's camera takes pictures: the light burns steadily instead."
-            )
+            yield document.fault(step.path, "the station has a frame camera: the light is steady instead.")
 
 
-def _said(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
-    """Find where a step's setting is written: at the step, above it in the defaults, or nowhere."""
+def _setting_path(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
+    """Return the path of a step's setting in the file: at the step, in the defaults, or else the step itself."""
     places = ((*path, key), ("defaults", word, key))
     return next((place for place in places if place in document.tree.values), path)

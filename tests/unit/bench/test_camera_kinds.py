@@ -71,7 +71,7 @@ def test_a_plan_says_that_a_flicker_will_be_none():
     planned = make_plan(*load_documents("three_pose", "simulated_frames"))
     assert not planned.faults
     assert [r.message for r in planned.remarks] == [
-        "the station's camera takes pictures: the light burns steadily instead."
+        "the station has a frame camera: the light is steady instead."
     ]
     assert planned.size_bytes > 3 * 8 * 1280 * 720
 
@@ -81,7 +81,7 @@ def test_a_sequence_of_steady_light_is_for_frame_cameras_alone(steady):
     assert (for_frames.faults, for_frames.remarks) == ((), ())
     for_events = make_plan(*load_documents(steady, "simulated"))
     assert {f.message for f in for_events.faults} == {
-        "an event camera sees nothing of a steady light: let it flicker (waveform: square)."
+        "an event camera does not see a steady light: let it flicker (waveform: square)."
     }
 
 

@@ -118,31 +118,31 @@ def test_disk_is_counted_for_every_pose_and_every_attempt():
 @pytest.mark.parametrize(
     ("before", "after", "fault"),
     [
-        ("", "{move: {pan_deg: 16}}", ".move.pan_deg: pan 16 deg lies outside the station's -15 to 15 deg."),
+        ("", "{move: {pan_deg: 16}}", ".move.pan_deg: pan 16 deg is outside the limits of the station, -15 to 15 deg."),
         (
             "",
             "{move: {tilt_deg: -10.1}}",
-            ".move.tilt_deg: tilt -10.1 deg lies outside the station's -10 to 10",
+            ".move.tilt_deg: tilt -10.1 deg is outside the limits of the station, -10 to 10",
         ),
         (
             "",
             "{move: {roll_deg: 1}}",
-            ".move.roll_deg: the station's stage has no roll axis; it has pan, tilt.",
+            ".move.roll_deg: the stage of the station has no roll axis; it has pan, tilt.",
         ),
         (
             "",
             "{light: {frequency_hz: 20000}}",
-            ".light.frequency_hz: 20000 Hz lies outside the 0.1 to 10000 Hz",
+            ".light.frequency_hz: 20000 Hz is outside the range of the station's light, 0.1 to 10000 Hz",
         ),
         (
             "",
             "{record: {window_ms: 10}}",
-            ".window_ms: 10 ms hold no whole period of 60 Hz: 16.67 ms at least.",
+            ".window_ms: 10 ms is shorter than a period of 60 Hz: use at least 16.67 ms.",
         ),
-        ("{light: off}", "", "steps[6].record: a recording in the dark: switch the light on first (light:)."),
-        ("solve", "", "steps[1].solve: nothing is recorded before this solve."),
-        ("report", "", "steps[1].report: a report before any solve has no result to show."),
-        ("report", "", "steps[2].move: a step after the report, which has sealed the run."),
+        ("{light: off}", "", "steps[6].record: this recording is in the dark: switch the light on first (light:)."),
+        ("solve", "", "steps[1].solve: no pose is recorded before this solve."),
+        ("report", "", "steps[1].report: no solve precedes this report, so there is no result to report."),
+        ("report", "", "steps[2].move: no step may follow the report, which seals the run."),
     ],
 )
 def test_a_step_that_cannot_be_done_on_the_station_is_a_fault_at_its_place(before, after, fault):
@@ -163,13 +163,13 @@ def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
     text = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: PAN}}, settle, record, solve, report]\n"
     assert faults(text.replace("PAN", "2")) == []
     (fault,) = faults(text.replace("PAN", "1"))
-    assert fault == "s.yaml:3:92: steps[7].solve: one direction is recorded; it takes 2 or more."
+    assert fault == "s.yaml:3:92: steps[7].solve: only one direction is recorded; at least 2 are needed."
 
 
 def test_a_setting_of_the_defaults_is_blamed_where_it_is_written():
     assert faults("defaults:\n  light: {frequency_hz: 20000}\n  record: {window_ms: 0.01}\n" + GOOD) == [
-        "s.yaml:4:25: defaults.light.frequency_hz: 20000 Hz lies outside the 0.1 to 10000 Hz of the station's light.",
-        "s.yaml:5:23: defaults.record.window_ms: 0.01 ms hold no whole period of 20000 Hz: 0.05 ms at least.",
+        "s.yaml:4:25: defaults.light.frequency_hz: 20000 Hz is outside the range of the station's light, 0.1 to 10000 Hz.",
+        "s.yaml:5:23: defaults.record.window_ms: 0.01 ms is shorter than a period of 20000 Hz: use at least 0.05 ms.",
     ]
 
 
@@ -179,8 +179,8 @@ def test_every_pose_of_a_set_outside_the_limits_is_blamed_in_the_set_once():
         "steps: [light, {repeat: {times: 3, steps: [{repeat: {poses: a, steps: [move, settle, record]}}]}}, solve, report]\n"
     )
     assert said == [
-        "s.yaml:5:17: poses.a[0].pan_deg: pan 20 deg lies outside the station's -15 to 15 deg.",
-        "s.yaml:6:30: poses.a[1].tilt_deg: tilt 30 deg lies outside the station's -10 to 10 deg.",
+        "s.yaml:5:17: poses.a[0].pan_deg: pan 20 deg is outside the limits of the station, -15 to 15 deg.",
+        "s.yaml:6:30: poses.a[1].tilt_deg: tilt 30 deg is outside the limits of the station, -10 to 10 deg.",
     ]
 
 
@@ -192,7 +192,7 @@ def test_the_limits_themselves_are_within_and_a_hair_short_of_a_period_still_cou
 def test_an_axis_the_stage_has_not_is_blamed_only_where_it_is_named():
     said = faults(GOOD.replace("{pan_deg: 2}", "{pan_deg: 2, roll_deg: 0}"))
     assert said == [
-        "s.yaml:3:84: steps[4].move.roll_deg: the station's stage has no roll axis; it has pan, tilt."
+        "s.yaml:3:84: steps[4].move.roll_deg: the stage of the station has no roll axis; it has pan, tilt."
     ]
 
 
@@ -203,7 +203,7 @@ def test_how_many_angles_a_span_has_is_no_angle():
 
 def test_a_frequency_the_lamp_is_too_fast_for_is_a_fault_too():
     (fault,) = faults("defaults: {light: {frequency_hz: 0.05}, record: {window_ms: 20000}}\n" + GOOD)
-    assert "0.05 Hz lies outside the 0.1 to 10000 Hz of the station's light." in fault
+    assert "0.05 Hz is outside the range of the station's light, 0.1 to 10000 Hz." in fault
 
 
 def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
@@ -222,8 +222,8 @@ def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():
         "steps: [light, {repeat: {poses: {pan_deg: {first: -16, last: 3, count: 9}, tilt_deg: [0, 11]},"
         " steps: [move, settle, record]}}, solve, report]\n"
     ) == [
-        "s.yaml:3:51: steps[1].repeat.poses.pan_deg.first: pan -16 deg lies outside the station's -15 to 15 deg.",
-        "s.yaml:3:90: steps[1].repeat.poses.tilt_deg[1]: tilt 11 deg lies outside the station's -10 to 10 deg.",
+        "s.yaml:3:51: steps[1].repeat.poses.pan_deg.first: pan -16 deg is outside the limits of the station, -15 to 15 deg.",
+        "s.yaml:3:90: steps[1].repeat.poses.tilt_deg[1]: tilt 11 deg is outside the limits of the station, -10 to 10 deg.",
     ]
 
 
@@ -250,9 +250,9 @@ def test_what_somebody_should_know_is_said_and_forbids_nothing():
     made = planned("steps: [light, {move: {pan_deg: 1}}, record, {move: {pan_deg: 2}}, settle, record, solve, {move: {pan_deg: 3}}, settle, record]\n")  # fmt: skip
     assert made.faults == ()
     assert [remark.message for remark in made.remarks] == [
-        "no report step: the run ends without a report.",
-        "recorded right after a move: nothing waits for it to settle.",
-        "recorded after the last solve: no result will use it.",
+        "there is no report step: the run ends without a report.",
+        "recorded directly after a move: no step waits until the stage has settled.",
+        "recorded after the last solve: no result uses this recording.",
     ]
 
 
@@ -308,8 +308,8 @@ def test_angles_are_compared_with_the_station_even_in_a_sequence_that_has_other_
         "poses.a[1].pan_deg: must be a number (got 'x').",
         "poses.a[3].pan_deg: must be a finite number (got '1e999').",
         "steps[0].mvoe: unknown key. Did you mean 'move'?",
-        "poses.a[0].pan_deg: pan 99 deg lies outside the station's -15 to 15 deg.",
-        "poses.a[2].roll_deg: the station's stage has no roll axis; it has pan, tilt.",
+        "poses.a[0].pan_deg: pan 99 deg is outside the limits of the station, -15 to 15 deg.",
+        "poses.a[2].roll_deg: the stage of the station has no roll axis; it has pan, tilt.",
     ]
 
 
@@ -355,7 +355,7 @@ def test_a_long_plan_for_people_leaves_its_middle_out():
 
 def test_a_plan_that_cannot_be_run_says_so_first():
     text = render_plan(planned("steps: [solve, report]\n"))
-    assert text.splitlines()[2] == "It cannot be run: 1 fault."
+    assert text.splitlines()[2] == "This plan cannot be run: 1 fault."
 
 
 numbers = st.sampled_from(["0", "-6", "6.5", "60", "1e-3", "99999", "100"])
@@ -376,7 +376,7 @@ def test_a_sequence_with_other_numbers_is_planned_or_refused_never_anything_else
         return
     assert made.duration_s > 0
     assert json.dumps(made.to_dict(), allow_nan=False)
-    assert ("It cannot be run" in render_plan(made)) == bool(made.faults)
+    assert ("This plan cannot be run" in render_plan(made)) == bool(made.faults)
 
 
 @pytest.mark.parametrize(
