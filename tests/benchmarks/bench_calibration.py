@@ -1,11 +1,12 @@
-"""How far focal lengths scatter and agree, on published recordings of a collimator and in simulation, and how fast.
+"""Measure how focal lengths scatter and agree, on published recordings and in simulation, and how long calibrations take.
 
     python tests/benchmarks/bench_calibration.py [LINE ...] [--data FOLDER]
 
-Lines: ``sigmas`` stated over found, in random sets of views; ``crops`` and ``halves`` of the views against all;
-``passports`` from ten views for one and for three others; ``triples`` of views; ``leftout`` views predicted by the
-others; ``times`` of CPU; ``simulated``, the paper's camera. All but the last need the recordings published with "Camera
-Calibration using a Collimator System" (ECCV 2024), set data1; FOLDER holds their folder ``collimator_real``.
+Lines: ``sigmas``: stated over observed uncertainty, in random sets of views; ``crops`` and ``halves``: parts of the
+data against all; ``passports``: from ten views, for one and for three others; ``triples`` of views; ``leftout``:
+prediction of left-out views; ``times``: CPU time; ``simulated``: the paper's camera. All but the last need the
+recordings published with "Camera Calibration using a Collimator System" (ECCV 2024), set data1; FOLDER contains their
+folder ``collimator_real``.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from calib.studies.monte_carlo import run_monte_carlo
 from calib.view import View
 
 sys.path.append(str(Path(__file__).parents[1] / "support"))
-from paper_camera import NARROW, POSES  # it stands in a folder that only pytest knows
+from paper_camera import NARROW, POSES  # in a folder that only pytest adds to the path
 
 SIZE, COUNT = (2448, 2048), 20
 FIELD, COMA = CalibrationOptions(model="field"), CalibrationOptions(model="coma")
@@ -46,21 +47,21 @@ Line = Callable[[Sequence[View]], None]
 
 
 def read(path: Path) -> View:
-    """A view of the published recordings, whose pixels count from a corner."""
+    """Return a view of the published recordings, whose pixel coordinates start at a corner."""
     rows = np.loadtxt(path)
     covariances = np.tile(np.eye(2), (len(rows), 1, 1))
     return View(path.stem, SIZE, rows[:, 4].astype(np.int64), rows[:, :2] - 0.5, rows[:, 2:4], covariances)
 
 
 def random_sets(views: Sequence[View], size: int, sets: int = 100) -> list[Calibration]:
-    """Calibrations of random sets of views."""
+    """Return calibrations of random sets of views."""
     rng = np.random.default_rng(202600 + size)
     chosen = [sorted(rng.choice(COUNT, size, replace=False)) for _ in range(sets)]
     return [calibrate([views[i] for i in one], FIELD) for one in chosen]
 
 
 def sigmas(views: Sequence[View]) -> None:
-    """Sigmas stated over the scatter found, drawing without replacement corrected for."""
+    """Print stated sigmas over observed scatter, corrected for drawing without replacement."""
     for size in (3, 4, 5, 7, 10):
         found = random_sets(views, size)
         values, stated = (
@@ -79,18 +80,18 @@ def sigmas(views: Sequence[View]) -> None:
 
 
 def crops(views: Sequence[View]) -> None:
-    """The focal length by the inner part of the beam, against that by all of it."""
+    """Print the focal length from the inner part of the beam, and from all of it."""
     for model in ("field", "coma"):
         whole = calibrate(views, CalibrationOptions(model=model))
-        print(f"crops, {model}: all {told(whole)}", end="")
+        print(f"crops, {model}: all {focal_text(whole)}", end="")
         for share in (0.9, 0.8, 0.7, 0.6):
             inner = calibrate(views, CalibrationOptions(model=model, guard_band=share))
-            print(f"; inner {share:.0%} {told(inner)}", end="")
+            print(f"; inner {share:.0%} {focal_text(inner)}", end="")
         print()
 
 
 def halves(views: Sequence[View]) -> None:
-    """The focal lengths by two halves of the views, in their common sigma."""
+    """Print the focal lengths from two halves of the views, and their difference in common sigmas."""
     rng = np.random.default_rng(9)
     shuffled = [rng.permutation(COUNT) for _ in range(10)]
     every = np.arange(COUNT)
@@ -100,12 +101,14 @@ def halves(views: Sequence[View]) -> None:
     for name, both in splits.items():
         one, other = (calibrate([views[i] for i in half], COMA) for half in both)
         apart.append((one.camera.fx - other.camera.fx) / np.hypot(one.sigma["fx"], other.sigma["fx"]))
-        print(f"halves, coma, {name}: {told(one)} and {told(other)}, apart {apart[-1]:+.2f} sigma")
+        print(
+            f"halves, coma, {name}: {focal_text(one)} and {focal_text(other)}, apart {apart[-1]:+.2f} sigma"
+        )
     print(f"halves: rms {np.sqrt(np.mean(np.square(apart))):.2f} sigma, most {np.abs(apart).max():.2f}")
 
 
 def passports(views: Sequence[View]) -> None:
-    """Focal lengths of other views about that of a passport's ten."""
+    """Print focal lengths of other views with a passport from ten views."""
     for model in ("field", "coma"):
         rng, single, triple = np.random.default_rng(11), [], []
         for _ in range(10):
@@ -121,20 +124,22 @@ def passports(views: Sequence[View]) -> None:
 
 
 def triples(views: Sequence[View]) -> None:
-    """The focal length by three views."""
+    """Print the focal length from three views."""
     fx = np.array([c.camera.fx for c in random_sets(views, 3)])
     robust = 1.4826 * np.median(np.abs(fx - np.median(fx)))
     print(f"triples, field: std of fx {fx.std(ddof=1):.1f} px, robust {robust:.1f} px")
 
 
 def leftout(views: Sequence[View]) -> None:
-    """Views predicted by the others, only their rotation solved."""
+    """Print the residuals of left-out views, of which only the rotation was adjusted."""
     found = calibrate(views, CalibrationOptions(model="auto"))
-    print(f"leftout: {found.left_out_rms_px:.3f} px rms by the model chosen, {found.model}; fx {told(found)}")
+    print(
+        f"leftout: {found.left_out_rms_px:.3f} px rms by the model chosen, {found.model}; fx {focal_text(found)}"
+    )
 
 
 def times(views: Sequence[View]) -> None:
-    """CPU seconds of calibrations of all views."""
+    """Print CPU seconds of calibrations of all views."""
     jobs: dict[str, Callable[[], Any]] = {
         "coma, with uncertainty": partial(fit_model, views, COMA, "coma"),
         "coma, every view left out too": partial(fit_model, views, COMA, "coma", leave_out=True),
@@ -153,7 +158,7 @@ def times(views: Sequence[View]) -> None:
 
 
 def simulated(_: Sequence[View]) -> None:
-    """The paper's camera: errors of fx over repeated calibrations, 0.05 px of noise."""
+    """Print errors of fx over repeated calibrations of the paper's camera, with 0.05 px of noise."""
     exact = Passport(("x", "y", "r"), NARROW.collimator.values, np.eye(3) * 1e-8)
     plain = CalibrationOptions(loss="l2")
     wandering = replace(plain, model="drift", drift_mm=0.1)
@@ -172,8 +177,8 @@ def simulated(_: Sequence[View]) -> None:
         )
 
 
-def told(found: Calibration) -> str:
-    """The focal length with its sigma."""
+def focal_text(found: Calibration) -> str:
+    """Return the focal length with its sigma, as text."""
     return f"{found.camera.fx:.1f} +- {found.sigma['fx']:.1f} px"
 
 

@@ -81,17 +81,17 @@ def test_the_sigmas_are_a_little_below_the_jackknife_of_the_prototype(views, mod
     fitted = fit_model(views, replace(L2, model=model), model, leave_out=True)
     at = fitted.bundle.names.index("fx")
     assert np.sqrt(fitted.cross_validation.jackknife[at, at]) == pytest.approx(jackknife, abs=0.02)
-    # What the jackknife overstates: it leaves out a view of twenty, and scales as if all views told alike.
+    # The jackknife overestimates: it scales as if every view had the same information.
     assert 0.9 < np.sqrt(fitted.uncertainty.covariance[at, at]) / jackknife < 1
 
 
-def test_imperfections_of_the_collimator_predict_views_left_out_twice_as_well(views):
+def test_aberrations_of_the_collimator_predict_left_out_views_twice_as_well(views):
     result = calibrate(views, CalibrationOptions(model="field"))
     assert result.left_out_rms_px < 0.25
     assert result.rms_px < 0.22
 
 
-def test_the_baselines_are_opencvs_and_the_published_ones(views):
+def test_the_reference_methods_are_opencvs_and_the_published_one(views):
     opencv_s, published = opencv_planar(views, L2), published_recipe(views, L2)
     rms, matrix, *_ = opencv(views, cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST)
     assert opencv_s.rms_px == pytest.approx(rms, abs=1e-6)

@@ -1,7 +1,8 @@
-"""Few of the published views say truly how sure they are: their stated sigmas against the scatter over random sets.
+"""Few of the published views state their uncertainty correctly: stated sigmas against the scatter over random sets.
 
-A hundred sets of three to ten of the twenty views. Drawn without replacement, n of 20 scatter less than n
-of infinitely many by sqrt(1 - n / 20): what the sigmas state is the scatter over that.
+A hundred sets of three to ten of the twenty views are drawn. Without replacement, sets of n of 20 views scatter less
+than sets of n of infinitely many, by the factor sqrt(1 - n / 20). The sigmas must match the scatter divided by this
+factor.
 """
 
 import numpy as np
@@ -30,7 +31,7 @@ def random_sets(views, size):
 
 
 def over_scatter(values, sigmas, size):
-    """Root mean square of the sigmas stated over the scatter, for each parameter."""
+    """Root mean square of the stated sigmas over the scatter, for each parameter."""
     scatter = values.std(axis=0, ddof=1) / np.sqrt(1 - size / 20)
     return np.sqrt((sigmas**2).mean(axis=0)) / scatter
 

@@ -1,12 +1,12 @@
-"""Any two or three of the published views end in one minimum, wherever the refinement starts.
+"""Any two or three of the published views end in one minimum, from every start.
 
-A thousand sets: all 190 pairs, and 810 of the 1140 triples.
+A thousand sets are tested: all 190 pairs, and 810 of the 1140 triples.
 
-Measure: of a set's refinements - from the closed forms, from the calibration of all twenty views, and from three
-starts thrown far off (focal length and radius by up to a quarter, principal point by 150 px, each rotation by
-some 5 degrees about all axes, no distortion) - the calibration returned has the least cost found. Sets that do not
-determine a camera are refused or named weak, and their stated uncertainty covers the range of all published
-calibrations of this camera, 2369 to 2428 px.
+Each set is refined from the closed forms, from the calibration of all twenty views, and from three distant starts
+(focal length and radius off by up to a quarter, principal point by 150 px, each rotation by some 5 degrees about all
+axes, no distortion). The calibration returned must have the least cost found. Sets that do not determine a camera are
+refused or named weak, and their stated uncertainty covers the range of all published calibrations of this camera, 2369
+to 2428 px.
 """
 
 from dataclasses import replace
@@ -37,7 +37,7 @@ def views(collimator_recordings):
 
 
 def far_starts(whole, homographies, rng):
-    """The calibration of all views, and three states far from it."""
+    """The calibration of all views, and three starts far from it."""
     for far in (False, True, True, True):
         camera, collimator, turns = whole.camera, whole.collimator, np.zeros((len(homographies), 3))
         if far:
@@ -58,7 +58,7 @@ def far_starts(whole, homographies, rng):
 
 
 def least_cost(views, whole, rng):
-    """The least cost that refinements from far starts end with, among those that are cameras."""
+    """The least cost of refinements from far starts, among those that are real cameras."""
     bundle, _ = initialize(views, L2, "spherical")
     homographies = np.array([view_homography(view) for view in views])
     ends = [refine(bundle, start, Loss("l2"), 300) for start in far_starts(whole, homographies, rng)]

@@ -121,7 +121,7 @@ def test_an_option_without_meaning_is_refused(option):
         CalibrationOptions(**option)
 
 
-def test_views_that_hardly_tell_the_focal_length_are_named_weak(make_bench):
+def test_views_that_hardly_determine_the_focal_length_are_named_weak(make_bench):
     narrow = make_bench(half_angle_deg=4.0, poses=((-4, 0), (4, 0.3, 20)))
     result = calibrate(narrow.views(np.random.default_rng(27), 0.05))
     assert result.sigma["fx"] > 0.01 * result.camera.fx
@@ -133,20 +133,20 @@ def test_views_that_hardly_tell_the_focal_length_are_named_weak(make_bench):
 
 
 def test_stars_count_by_their_covariances(bench):
-    def scattered(view, rng, *, told):
+    def scattered(view, rng, *, stated):
         """Every second star is off by 2 px, and says so or not."""
         poor = np.arange(len(view)) % 2 == 0
         shift = 2.0 * poor[:, None] * rng.standard_normal((len(view), 2))
-        covariances = view.covariances_px2 + np.eye(2) * np.where(poor & told, 4.0, 0.0)[:, None, None]
+        covariances = view.covariances_px2 + np.eye(2) * np.where(poor & stated, 4.0, 0.0)[:, None, None]
         return replace(view, points_px=view.points_px + shift, covariances_px2=covariances)
 
     views = bench.views(np.random.default_rng(29), 0.05)
     honest, silent = (
         calibrate(
-            [scattered(view, np.random.default_rng(i), told=told) for i, view in enumerate(views)],
+            [scattered(view, np.random.default_rng(i), stated=stated) for i, view in enumerate(views)],
             CalibrationOptions(loss="l2"),
         )
-        for told in (True, False)
+        for stated in (True, False)
     )
     assert honest.camera.fx == pytest.approx(bench.fx, abs=4 * honest.sigma["fx"])
     assert honest.variance_factor == pytest.approx(1.0, abs=0.15)

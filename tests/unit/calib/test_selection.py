@@ -37,7 +37,7 @@ def test_a_collimator_out_of_focus_is_recognised_and_its_camera_found(defocused)
     assert abs(spherical.camera.fx - bench.fx) > 100
 
 
-def test_a_wandering_centre_is_worse_for_the_spherical_model(bench):
+def test_a_moving_centre_is_worse_for_the_spherical_model(bench):
     rng = np.random.default_rng(42)
     centres = np.array(bench.centre) + rng.normal(scale=[4.0, 4.0, 8.0], size=(6, 3))
     result = calibrate(bench.views(rng, 0.05, poses=POSES, centres=centres), AUTO)
@@ -54,7 +54,7 @@ def test_few_views_of_an_ideal_collimator_are_spherical_by_their_information_cri
     assert "information criterion" in result.notes[-1]
 
 
-def test_few_views_of_a_collimator_out_of_focus_tell_it_too(defocused):
+def test_few_views_show_a_collimator_out_of_focus_too(defocused):
     bench, views = defocused
     result = calibrate(views[:4], AUTO)
     assert result.model == "pupil"

@@ -1,4 +1,4 @@
-"""The wander of the centre is measured, and warned of."""
+"""The drift of the centre is measured, and a note warns of it."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ def wandering(bench, sigma_mm, seed):
     return bench.views(rng, 0.02, poses=POSES, centres=centres)
 
 
-def test_the_wander_is_measured_in_shares_of_the_radius(bench):
+def test_centre_drift_is_measured_in_shares_of_the_radius(bench):
     found = [
         centre_drift(one.bundle, one.parameters, one.loss)
         for one in (fit_model(wandering(bench, 0.5, seed), L2, "spherical") for seed in range(5))
@@ -37,7 +37,7 @@ def test_it_does_not_matter_in_which_unit_the_stars_covariances_are(bench):
     assert found[1] == pytest.approx(found[0], rel=1e-3)
 
 
-def test_a_wander_that_biases_is_warned_of(bench):
+def test_a_note_warns_of_a_drift_that_biases(bench):
     warned = calibrate(wandering(bench, 0.5, 1), L2)
     assert any("The centre moves by" in note and "% of r" in note for note in warned.notes)
     assert warned.coverage_factor > 2.1

@@ -1,4 +1,4 @@
-"""Every closed form, on any views whatever: a real and finite camera, or none; and one that can be refined from."""
+"""Closed forms, on any views: each camera is real and finite, and one of them can be refined."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Departures of real collimators, as displacements."""
+"""Aberrations of real collimators, as displacements."""
 
 import itertools
 
@@ -56,6 +56,6 @@ def test_what_is_expected_of_a_coefficient_is_zero_give_or_take_its_scale():
     assert aberration_prior([]) is None
 
 
-def test_an_unknown_imperfection_is_refused():
+def test_an_unknown_aberration_is_refused():
     with pytest.raises(InputMismatch, match="Known: "):
         displacements(POINTS, DISC, REFERENCE, ["ghost"])

@@ -35,7 +35,7 @@ def test_stars_missing_inside_hardly_move_it(make_bench):
     assert np.abs(visible_disc(thinned).centre_mm - visible_disc(view).centre_mm).max() < 1.0
 
 
-def test_a_rim_out_of_sight_leaves_the_centre_unknown(make_bench):
+def test_a_rim_out_of_view_leaves_the_centre_unknown(make_bench):
     bench = make_bench(half_angle_deg=20.0)
     assert visible_disc(bench.view("full", bench.turn(0.0, 0.0))).sigma_mm > 10.0
 
@@ -81,7 +81,7 @@ def partly_seen(make_bench):
     return views, discs
 
 
-def test_other_views_tell_where_a_disc_out_of_sight_lies(partly_seen):
+def test_other_views_locate_a_disc_whose_rim_is_out_of_view(partly_seen):
     views, truth = partly_seen
     alone = np.array([visible_disc(view).centre_mm for view in views])
     discs = visible_discs(views)

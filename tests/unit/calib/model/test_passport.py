@@ -54,7 +54,7 @@ def test_a_passport_made_from_views_calibrates_another_camera(make_bench, bench)
     assert result.collimator.r == first.collimator.r
 
 
-def test_a_passport_with_imperfections_corrects_them(defocused):
+def test_a_passport_with_aberrations_corrects_them(defocused):
     bench, views = defocused
     passport = calibrate(views, CalibrationOptions(model="pupil")).passport()
     assert passport.terms == ("pupil_shift",)

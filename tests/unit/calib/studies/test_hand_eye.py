@@ -1,4 +1,4 @@
-"""The gimbal's readings against the rotations seen."""
+"""Hand-eye check: the readings of the gimbal against the rotations seen."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def seen(rng, scale_pan=1.0, sigma=SIGMA):
     return exp_map(sigma * rng.standard_normal((6, 3))) @ np.array(turns)
 
 
-def test_a_true_gimbal_agrees_within_the_cameras_own_noise():
+def test_a_true_gimbal_is_consistent_within_the_cameras_own_noise():
     chi = [check_hand_eye(seen(np.random.default_rng(i)), COVARIANCE, READINGS) for i in range(30)]
     assert chi[0].degrees_of_freedom == 18 - 8
     assert np.mean([one.chi_square for one in chi]) == pytest.approx(10, abs=3.5)

@@ -12,12 +12,12 @@ EXACT = Passport(("x", "y", "r"), NARROW.collimator.values, np.eye(3) * 1e-8)
 L2 = CalibrationOptions(loss="l2")
 
 
-def test_one_seed_gives_one_result_and_runs_are_told_as_they_end():
-    told = []
-    study = run_monte_carlo(NARROW, POSES, L2, 3, 5, progress=lambda run, runs: told.append((run, runs)))
+def test_one_seed_gives_one_result_and_progress_is_reported_after_each_run():
+    reported = []
+    study = run_monte_carlo(NARROW, POSES, L2, 3, 5, progress=lambda run, runs: reported.append((run, runs)))
     again = run_monte_carlo(NARROW, POSES, L2, 3, 5)
     assert np.array_equal(study.values, again.values)
-    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert reported == [(1, 3), (2, 3), (3, 3)]
     assert not np.array_equal(study.values, run_monte_carlo(NARROW, POSES, L2, 3, 6).values)
     assert 0.3 < study.z_joint < 3
 
@@ -68,7 +68,7 @@ def test_errors_are_as_large_as_their_sigmas_for_every_parameter(loss, outliers)
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("count", [5, 8])
-def test_of_views_that_disagree_sigmas_and_intervals_hold(count):
+def test_sigmas_and_intervals_of_inconsistent_views_hold(count):
     rng = np.random.default_rng(99)
     poses = [
         {"pan_deg": rng.uniform(-6, 6), "tilt_deg": rng.uniform(-3, 3), "roll_deg": rng.uniform(-60, 60)}
@@ -103,7 +103,7 @@ def test_a_passport_makes_the_focal_length_a_hundred_times_surer(count, limit):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_a_drift_prior_keeps_what_a_wandering_centre_would_spoil():
+def test_a_drift_prior_prevents_errors_from_a_moving_centre():
     free = CalibrationOptions(model="drift", drift_mm=0.1, loss="l2")
     assert run_monte_carlo(NARROW, POSES, free, 150, 20, drift_mm=0.1).scatter["fx"] < 12.5
     assert run_monte_carlo(NARROW, POSES, L2, 150, 20, drift_mm=0.1).scatter["fx"] > 16

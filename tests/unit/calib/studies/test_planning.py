@@ -1,4 +1,4 @@
-"""What poses will be worth, before anything moves."""
+"""The expected uncertainty of planned poses."""
 
 from dataclasses import replace
 

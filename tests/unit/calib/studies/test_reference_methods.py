@@ -1,4 +1,4 @@
-"""Other methods' answers on the same points."""
+"""Reference methods on the same points."""
 
 from dataclasses import replace
 
@@ -69,7 +69,7 @@ def test_on_ideal_data_the_published_recipe_is_our_spherical_model(bench):
     assert own.name == "Starbench, spherical model"
 
 
-def test_a_method_without_an_answer_says_why_and_the_others_stand(bench):
+def test_a_method_that_fails_says_why_and_the_others_have_results(bench):
     known = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), 1e-4 * np.eye(3))
     published, opencv = reference_results(bench.views()[:1], CalibrationOptions(passport=known))
     assert isinstance(published, MethodResult)

@@ -29,7 +29,7 @@ def test_the_relative_rotation_is_found_within_its_uncertainty(bench):
     assert runs[0].sigma_arcsec.max() < 60
 
 
-def test_a_rig_that_flexed_is_told(bench):
+def test_a_rig_that_flexed_is_recognised(bench):
     first, second = two_cameras(bench, 3)
     bent = second.rotations.copy()
     bent[1] = exp_map(np.deg2rad([0.0, 0.0, 0.05])) @ bent[1]

@@ -1,4 +1,4 @@
-"""The sandwich over views: unbiased where it should be, whatever rests on one view, and little biased elsewhere."""
+"""The cluster-robust covariance: unbiased if the working covariance is right, nearly unbiased otherwise."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ NOTHING = np.zeros((3, 3))
 
 
 def experiment(rng, views=5, shared=3):
-    """Views of very unequal worth: the information each brings, and the covariance of its pull."""
+    """Views with very unequal information, and the covariance of the score of each."""
     columns = rng.standard_normal((views, 12, shared)) * rng.uniform(0.2, 2.0, (views, 1, shared))
     informations = columns.transpose(0, 2, 1) @ columns
     field = columns.transpose(0, 2, 1) @ rng.standard_normal((views, 12, 2)) * 3.0
@@ -17,7 +17,7 @@ def experiment(rng, views=5, shared=3):
 
 
 def repeated(rng, informations, truth, working, prior=NOTHING, prior_score_covariance=NOTHING, runs=600):
-    """Mean over runs of the variances stated, of the plain sandwich's, and the true variances."""
+    """Mean over runs of the stated variances, of those of the plain sandwich, and the true variances."""
     roots, prior_root = (
         np.linalg.cholesky(truth),
         np.linalg.cholesky(prior_score_covariance + 1e-12 * np.eye(3)),
@@ -67,13 +67,13 @@ def test_what_is_known_beforehand_is_part_of_it():
     assert stated / true == pytest.approx(np.ones(3), rel=0.12)
 
 
-def test_what_one_view_alone_tells_is_taken_from_the_working_covariance():
+def test_what_one_view_alone_determines_comes_from_the_working_covariance():
     informations = np.array([np.diag([1.0, 4.0]), np.diag([1.0, 0.0]), np.diag([1.0, 0.0])])
     scores = np.array([[0.5, 0.0], [-0.25, 0.0], [-0.25, 0.0]])
     found = cluster_robust_covariance(
         scores, informations, 2.0 * informations, np.zeros((2, 2)), np.zeros((2, 2))
     )
-    # The first: the sample's variance over 3. The second: 2 * 4 / 4^2, as no pull shows it.
+    # The first: the sample's variance over 3. The second: 2 * 4 / 4^2, as no score shows it.
     assert found.variances == pytest.approx([0.1875 / 3, 0.5])
     assert found.degrees_of_freedom == pytest.approx([2.0, 0.0])
 

@@ -1,4 +1,4 @@
-"""The covariance says how far repeated calibrations really scatter."""
+"""The covariance is the scatter of repeated calibrations."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_sigmas_hold_when_some_stars_are_bad(bench):
     assert in_the_band(z).all()
 
 
-def test_the_variance_factor_tells_when_star_covariances_are_too_small(bench):
+def test_the_variance_factor_shows_star_covariances_that_are_too_small(bench):
     rng = np.random.default_rng(15)
     views = [replace(v, covariances_px2=v.covariances_px2 / 4) for v in bench.views(rng, 0.05)]
     honest = calibrate(bench.views(np.random.default_rng(15), 0.05))

@@ -1,4 +1,4 @@
-"""What views disagree on, measured from how neighbouring stars miss alike."""
+"""Variance components of inconsistent views, from residuals that neighbouring stars share."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_a_bent_target_is_found_with_its_degree_and_size(make_bench):
     assert all(1 < one.effective_degrees_of_freedom < 40 for one in found)
 
 
-def test_centres_that_wander_along_one_axis_are_told_from_the_other(make_bench):
+def test_centres_that_move_along_one_axis_are_separated_from_the_other(make_bench):
     found = []
     for i in range(8):
         bench, rng = make_bench(half_angle_deg=HALF_DEG), np.random.default_rng([115, i])
@@ -84,7 +84,7 @@ def test_sigmas_of_three_views_of_a_bent_target_are_those_of_repeated_calibratio
 
 
 @pytest.mark.parametrize("count", [5, 16])
-def test_from_five_views_on_their_own_pulls_say_how_sure_they_are(bench, count):
+def test_from_five_views_on_sigmas_come_from_the_scores(bench, count):
     rng = np.random.default_rng(114)
     poses = [(*rng.uniform([-5, -2.5], [5, 2.5]), rng.uniform(0, 180)) for _ in range(count)]
     centres = np.array(bench.centre) + rng.normal(scale=1.0, size=(count, 3))
@@ -96,6 +96,6 @@ def test_from_five_views_on_their_own_pulls_say_how_sure_they_are(bench, count):
     # The jackknife is larger, the more so the fewer the views.
     ratio = np.sqrt(np.diag(known.covariance) / np.diag(fitted.cross_validation.jackknife))
     assert 0.3 < np.exp(np.log(ratio).mean()) < 1
-    # Correlations are those of what is without the views' pulls.
+    # Correlations are those from before the scores set the sigmas.
     correlation = known.covariance / np.sqrt(np.outer(*[np.diag(known.covariance)] * 2))
     assert (np.linalg.eigvalsh(correlation) > 0).all()
