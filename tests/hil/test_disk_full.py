@@ -87,6 +87,6 @@ def test_a_run_goes_on_once_there_is_room(small_disk):
 
 
 def test_a_disk_too_small_is_told_before_anything_is_written(small_disk):
-    with pytest.raises(StorageError, match=r"needs 9 MB and the disk has 4 MB left"):
+    with pytest.raises(StorageError, match=r"needs 9 MB, but the disk has only 4 MB left"):
         RunFolder.create(small_disk / "run", bytes_needed=9_000_000)
     assert not (small_disk / "run" / ".reserve").exists()
