@@ -1,1 +1,11 @@
-"""The joint least-squares adjustment of all views: parameters, residuals, normal equations, Levenberg-Marquardt."""
+"""The joint least-squares adjustment of all views: parameters, residuals, normal equations, Levenberg-Marquardt.
+
+References
+----------
+- arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
+- Brown (1976), The bundle adjustment - progress and prospects, International Archives of Photogrammetry 21.
+- Huber (1964), Robust estimation of a location parameter, Annals of Mathematical Statistics 35, 73.
+- Marquardt (1963), An algorithm for least-squares estimation of nonlinear parameters, Journal of SIAM 11, 431.
+- Nielsen (1999), Damping parameter in Marquardt's method, report IMM-REP-1999-05, Technical University of Denmark.
+- Triggs, McLauchlan, Hartley and Fitzgibbon (2000), Bundle adjustment - a modern synthesis, LNCS 1883, 298.
+"""

@@ -1,1 +1,16 @@
-"""The camera, the collimator and what connects them: projection, aberrations, closed-form solutions, passports."""
+"""The camera, the collimator and what connects them: projection, aberrations, closed-form solutions, passports.
+
+References
+----------
+- arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
+- Born and Wolf, Principles of Optics, chapter 5: geometrical theory of aberrations.
+- Brown (1971), Close-range camera calibration, Photogrammetric Engineering 37, 855.
+- Hartley (1997), In defense of the eight-point algorithm, IEEE Trans. PAMI 19, 580.
+- Hartley and Zisserman (2004), Multiple View Geometry in Computer Vision, second edition.
+- Kabsch (1976), A solution for the best rotation to relate two sets of vectors, Acta Crystallographica A 32, 922.
+- Kannala and Brandt (2006), A generic camera model and calibration method for conventional, wide-angle, and fish-eye
+  lenses, IEEE Trans. PAMI 28, 1335.
+- Liang et al. (2024), Camera calibration using a collimator system, ECCV.
+- Schoenemann (1966), A generalized solution of the orthogonal Procrustes problem, Psychometrika 31, 1.
+- Zhang (2000), A flexible new technique for camera calibration, IEEE Trans. PAMI 22, 1330.
+"""

@@ -1,1 +1,19 @@
-"""Uncertainty of an adjustment: covariance, variance components, cross-validation, consistency, projection."""
+"""Uncertainty of an adjustment: covariance, variance components, cross-validation, consistency, projection.
+
+References
+----------
+- Bell and McCaffrey (2002), Bias reduction in standard errors for linear regression with multi-stage samples, Survey
+  Methodology 28, 169.
+- Birge (1932), The calculation of errors by the method of least squares, Physical Review 40, 207.
+- Efron (1982), The Jackknife, the Bootstrap and Other Resampling Plans, SIAM.
+- Huber (1981), Robust Statistics, Wiley.
+- JCGM 100:2008, Guide to the expression of uncertainty in measurement (GUM).
+- Kogan, mrcal: the documentation's pages on projection uncertainty and on differences between calibrations.
+- Liang and Zeger (1986), Longitudinal data analysis using generalized linear models, Biometrika 73, 13.
+- Patterson and Thompson (1971), Recovery of inter-block information when block sizes are unequal, Biometrika 58, 545.
+- Pregibon (1981), Logistic regression diagnostics, Annals of Statistics 9, 705.
+- Satterthwaite (1946), An approximate distribution of estimates of variance components, Biometrics Bulletin 2, 110.
+- Tapley, Schutz and Born (2004), Statistical Orbit Determination, chapter 6: consider covariance analysis.
+- Zhou, Hu, Zhou and Lange (2019), MM algorithms for variance components models, Journal of Computational and Graphical
+  Statistics 28, 350.
+"""
