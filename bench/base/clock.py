@@ -50,7 +50,7 @@ class Interrupted(Exception):
 class _SignalSafeEvent:
     """A ``threading.Event`` that a signal handler may set during any of its other calls.
 
-    An Event has a lock. A handler that sets it while the same thread holds that lock would wait for itself for ever.
+    An Event has a lock. A handler that sets it while the same thread holds that lock would deadlock.
     ``SimpleQueue.put`` is reentrant (documentation of Python's ``queue``), so that a handler may call it.
     """
 

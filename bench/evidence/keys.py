@@ -85,7 +85,7 @@ class Signer:
     principal
         Name of the signer, as ``name@place``.
     public_key
-        The key as SSH encodes it (what stands in base64 after ``ssh-ed25519``).
+        The key as SSH encodes it (the part in base64 after ``ssh-ed25519``).
     namespaces
         Patterns of the purposes that it may sign for; empty if it may sign for all.
     valid_after, valid_before

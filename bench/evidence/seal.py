@@ -91,9 +91,8 @@ def _sync_files(path: Path) -> None:
     """Sync the files that were not synced when they were written, so that none is lost while its seal remains."""
     with storage_errors(path):
         for name, kind in list_files(path).items():
-            if kind == "file" and not name.startswith(
-                f"{CAPTURES}/"
-            ):  # those were synced before the journal told of them
+            is_capture = name.startswith(f"{CAPTURES}/")  # synced before the journal named it
+            if kind == "file" and not is_capture:
                 sync_file(path / name)
 
 

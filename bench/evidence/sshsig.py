@@ -35,7 +35,7 @@ class SshSignature:
     Attributes
     ----------
     public_key
-        The signer's key as SSH encodes it (what stands in base64 after ``ssh-ed25519``).
+        The signer's key as SSH encodes it (the part in base64 after ``ssh-ed25519``).
     namespace
         Purpose of the signature; a signature for one purpose is not valid for another.
     hash_name

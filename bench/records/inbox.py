@@ -70,7 +70,7 @@ class Inbox(Generic[Message]):
         return path
 
     def drain(self, answer: Callable[[Message | None, str], None]) -> None:
-        """Answer every message, oldest first, and remove its file. A missing folder holds no message.
+        """Answer every message, oldest first, and remove its file. Without the folder there is no message.
 
         Parameters
         ----------

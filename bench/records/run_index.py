@@ -208,7 +208,7 @@ class RunIndex:
             raise StorageError(
                 f"The index of runs cannot be used: {error}.",
                 where=str(self.path),
-                remedy="Delete it. It is made anew from the journals.",
+                remedy="Delete it. Starbench makes it again from the journals.",
             ) from error
 
     def _connected(self) -> sqlite3.Connection:
@@ -342,5 +342,5 @@ def _parameters(history: History) -> dict[str, tuple[float, float]]:
 
 def _temperature_c(history: History) -> float | None:
     stored = [attempt.stored.get("facts", {}).get("temperature_c") for attempt in history.accepted().values()]
-    told = [t for t in stored if t is not None]
-    return sum(told) / len(told) if told else None
+    known = [t for t in stored if t is not None]
+    return sum(known) / len(known) if known else None
