@@ -76,7 +76,7 @@ def write_station(path: Path, name: str, stage: str, camera: str | None, found: 
         If the file exists.
     """
     from bench.records.storage import write_atomic
-    from bench.stations.placeholders import ASK
+    from bench.stations.placeholders import UNKNOWN_SERIAL
     from bench.stations.station_draft import draft_station
 
     if path.exists():
@@ -85,7 +85,7 @@ def write_station(path: Path, name: str, stage: str, camera: str | None, found: 
         )
     write_atomic(path, draft_station(name, found, stage=stage, camera=camera).encode())
     click.echo(
-        f"Written: {path}. Replace every {ASK}, check scales and limits, then: starbench plan three_pose -s {path}"
+        f"Written: {path}. Replace every {UNKNOWN_SERIAL}, check scales and limits, then: starbench plan three_pose -s {path}"
     )
     return 0
 

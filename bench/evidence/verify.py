@@ -34,7 +34,7 @@ _NOT_RESULTS = (ValueError, LookupError, TypeError, RecursionError)
 
 
 @dataclass(frozen=True)
-class Fault:
+class SealFault:
     """One fault of a sealed folder.
 
     Attributes
@@ -79,7 +79,7 @@ class Verification:
     """
 
     folder: str
-    faults: Sequence[Fault] = ()
+    faults: Sequence[SealFault] = ()
     remarks: Sequence[str] = ()
     signer: str | None = None
     fingerprint: str | None = None
@@ -175,13 +175,13 @@ class _Check:
     """The checks of one folder; each adds its faults."""
 
     folder: Path
-    faults: list[Fault] = field(default_factory=list)
+    faults: list[SealFault] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     signer: str | None = None
     fingerprint: str | None = None
 
     def fault(self, kind: str, where: str, what: str) -> None:
-        self.faults.append(Fault(kind, where, what))
+        self.faults.append(SealFault(kind, where, what))
 
     def signature(self, signers: list[Signer], when: datetime) -> dict[str, str]:
         """Check the signature of the list of files; return the list."""

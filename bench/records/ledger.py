@@ -25,9 +25,9 @@ from bench.records.storage import make_folder, open_to_lock, sha256_of, storage_
 from drivers import file_lock
 
 LEDGER = "ledger.jsonl"
-BEGUN = "run_begun"
-ENDED = "run_ended"
-OPEN = "open"
+RUN_BEGUN = "run_begun"
+RUN_ENDED = "run_ended"
+STILL_OPEN = "open"
 """State of a run without an end: it is running, was killed, or was cut off by a loss of power."""
 
 
@@ -59,7 +59,7 @@ class LedgerRun:
     camera: str
     simulated: bool
     begun_utc: str
-    how: str = OPEN
+    how: str = STILL_OPEN
     seal: str | None = None
 
 
@@ -108,9 +108,9 @@ class Ledger:
             When it cannot be written.
         """
         with self._locked() as journal:
-            number = 1 + sum(entry.event == BEGUN for entry in journal.entries)
+            number = 1 + sum(entry.event == RUN_BEGUN for entry in journal.entries)
             journal.append(
-                BEGUN, number=number, run=run_id, folder=str(folder), camera=camera, simulated=simulated
+                RUN_BEGUN, number=number, run=run_id, folder=str(folder), camera=camera, simulated=simulated
             )
             of_camera: dict[str, int] = {}
             for run in _runs(journal.entries):
@@ -138,7 +138,7 @@ class Ledger:
         with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
         with self._locked() as journal:
-            journal.append(ENDED, number=number, how=how, seal=seal)
+            journal.append(RUN_ENDED, number=number, how=how, seal=seal)
 
     def contains(self, place: Mapping[str, Any]) -> bool:
         """Return whether a run was entered in this ledger. The ledger of another bench may have a run of its number.
@@ -162,7 +162,7 @@ class Ledger:
         """
         if not self.path.exists():
             return False
-        return any(e.event == BEGUN and e.hash == place.get("head") for e in read_journal(self.path)[0])
+        return any(e.event == RUN_BEGUN and e.hash == place.get("head") for e in read_journal(self.path)[0])
 
     def runs(self) -> list[LedgerRun]:
         """List all runs in the order of their numbers.
@@ -230,10 +230,10 @@ def _runs(entries: Iterable[Entry]) -> list[LedgerRun]:
     for entry in entries:
         data = entry.data
         try:
-            if entry.event == BEGUN:
+            if entry.event == RUN_BEGUN:
                 names = (data["run"], data["folder"], data["camera"], data["simulated"])
                 runs.append(LedgerRun(len(runs) + 1, *names, begun_utc=entry.utc))
-            elif entry.event == ENDED:
+            elif entry.event == RUN_ENDED:
                 at = _position(runs, data["number"])
                 runs[at] = replace(runs[at], how=data["how"], seal=data["seal"])
         except (LookupError, TypeError) as error:

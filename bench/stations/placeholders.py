@@ -7,10 +7,10 @@ from typing import Any
 
 from sequences.tree import DocumentPath, Fault, Tree, path_text
 
-ASK = "ASK-THE-LABEL"
-NO_PORT = "/dev/serial/by-id/CHOOSE-A-PORT"
-NO_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
-_ALL = frozenset({ASK, NO_PORT, NO_SOURCE})
+UNKNOWN_SERIAL = "ASK-THE-LABEL"
+UNKNOWN_PORT = "/dev/serial/by-id/CHOOSE-A-PORT"
+UNKNOWN_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
+_ALL = frozenset({UNKNOWN_SERIAL, UNKNOWN_PORT, UNKNOWN_SOURCE})
 
 
 def find_placeholders(station: Tree) -> list[Fault]:

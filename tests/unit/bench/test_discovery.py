@@ -10,10 +10,10 @@ from bench.commands.cli import station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
-from bench.stations.placeholders import ASK
+from bench.stations.placeholders import UNKNOWN_SERIAL
 from bench.stations.station import load_station
 from bench.stations.station_cameras import CameraConfig
-from bench.stations.station_draft import CAMERAS, STAGES, draft_station
+from bench.stations.station_draft import CAMERA_SECTIONS, STAGE_SECTIONS, draft_station
 from drivers.camera import FoundCamera
 
 PORTS = (
@@ -48,7 +48,7 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
     )
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", STAGE_SECTIONS)
 @pytest.mark.parametrize("ports", [(), PORTS])
 def test_a_draft_reads_without_a_fault_and_names_what_is_connected(tmp_path, stage, ports):
     found = Discovery(ports, (FoundCamera("neuromorphic_evk4", "00051", "EVK4"),) if ports else (), ())
@@ -56,7 +56,7 @@ def test_a_draft_reads_without_a_fault_and_names_what_is_connected(tmp_path, sta
     path.write_text(draft_station("Cellar", found, stage=stage))
     station = load_station(str(path)).value
     assert station.stage.driver == stage
-    assert station.camera.serial == ("00051" if ports else ASK)
+    assert station.camera.serial == ("00051" if ports else UNKNOWN_SERIAL)
     if ports:
         assert station.stage.ports[0] == "/dev/serial/by-id/zaber"
         assert station.light.port == "/dev/ttyS1"
@@ -69,13 +69,13 @@ TROUBLED = FoundCamera("metavision", "00051", "EVK4", trouble="access denied")
 @pytest.mark.parametrize(
     ("cameras", "family", "driver", "named"),
     [
-        ((), None, "metavision", ASK),
+        ((), None, "metavision", UNKNOWN_SERIAL),
         ((WEBCAM,), None, "opencv", "8A0A3C5F"),
         ((WEBCAM, FoundCamera("neuromorphic_evk4", "00051", "EVK4")), None, "neuromorphic_evk4", "00051"),
         ((WEBCAM, TROUBLED), None, "opencv", "8A0A3C5F"),
         ((), "opencv", "opencv", ""),
-        ((WEBCAM,), "metavision", "metavision", ASK),
-        ((), "recorded", "recorded", ASK),
+        ((WEBCAM,), "metavision", "metavision", UNKNOWN_SERIAL),
+        ((), "recorded", "recorded", UNKNOWN_SERIAL),
         ((), "pictures", "pictures", ""),
     ],
 )
@@ -89,11 +89,11 @@ def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, camer
 
 
 def test_every_family_of_cameras_can_be_drafted():
-    assert set(CAMERAS) == set(next(p for p in station_new.params if p.name == "camera").type.choices)
+    assert set(CAMERA_SECTIONS) == set(next(p for p in station_new.params if p.name == "camera").type.choices)
     families = {
         model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(CameraConfig)[0])
     }
-    assert set(CAMERAS) == families - {"simulated_evk4"}
+    assert set(CAMERA_SECTIONS) == families - {"simulated_evk4"}
 
 
 def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
@@ -109,8 +109,11 @@ def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path):
     path.write_text(draft_station("Cellar", Discovery((), (), ()), stage="zaber_ascii"))
     told = [str(fault) for fault in make_plan(*load_documents("three_pose", str(path))).faults]
     assert len(told) == 6  # two ports, four serial numbers
-    column = path.read_text().splitlines()[8].index(ASK) + 1
-    assert f"{path}:9:{column}: stage.axes.pan.serial: fill in this value (it is still {ASK})." in told
-    filled = path.read_text().replace(ASK, "00051").replace("CHOOSE-A-PORT", "usb-0")
+    column = path.read_text().splitlines()[8].index(UNKNOWN_SERIAL) + 1
+    assert (
+        f"{path}:9:{column}: stage.axes.pan.serial: fill in this value (it is still {UNKNOWN_SERIAL})."
+        in told
+    )
+    filled = path.read_text().replace(UNKNOWN_SERIAL, "00051").replace("CHOOSE-A-PORT", "usb-0")
     path.write_text(filled)
     assert make_plan(*load_documents("three_pose", str(path))).faults == ()
