@@ -85,7 +85,8 @@ def write_station(path: Path, name: str, stage: str, camera: str | None, found: 
         )
     write_atomic(path, draft_station(name, found, stage=stage, camera=camera).encode())
     click.echo(
-        f"Written: {path}. Replace every {UNKNOWN_SERIAL}, check scales and limits, then: starbench plan three_pose -s {path}"
+        f"Written: {path}. Replace every {UNKNOWN_SERIAL}, check scales and limits, then:"
+        f" starbench plan three_pose -s {path}"
     )
     return 0
 
