@@ -118,7 +118,11 @@ def test_disk_is_counted_for_every_pose_and_every_attempt():
 @pytest.mark.parametrize(
     ("before", "after", "fault"),
     [
-        ("", "{move: {pan_deg: 16}}", ".move.pan_deg: pan 16 deg is outside the limits of the station, -15 to 15 deg."),
+        (
+            "",
+            "{move: {pan_deg: 16}}",
+            ".move.pan_deg: pan 16 deg is outside the limits of the station, -15 to 15 deg.",
+        ),
         (
             "",
             "{move: {tilt_deg: -10.1}}",
@@ -139,7 +143,11 @@ def test_disk_is_counted_for_every_pose_and_every_attempt():
             "{record: {window_ms: 10}}",
             ".window_ms: 10 ms is shorter than a period of 60 Hz: use at least 16.67 ms.",
         ),
-        ("{light: off}", "", "steps[6].record: this recording is in the dark: switch the light on first (light:)."),
+        (
+            "{light: off}",
+            "",
+            "steps[6].record: this recording is in the dark: switch the light on first (light:).",
+        ),
         ("solve", "", "steps[1].solve: no pose is recorded before this solve."),
         ("report", "", "steps[1].report: no solve precedes this report, so there is no result to report."),
         ("report", "", "steps[2].move: no step may follow the report, which seals the run."),
