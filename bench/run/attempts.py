@@ -1,6 +1,6 @@
-"""Records at a pose until a recording counts, as often as the step allows; then skips, asks or fails, as it says.
+"""Record at a pose until a recording is accepted; after the last allowed attempt: skip the pose, ask, or fail.
 
-Every attempt stays as evidence. This module holds the policy of a step; the work of each state stands in
+Every attempt is kept as evidence. The sequence step decides what follows; the work of each state is in
 `bench.run.state_work`.
 """
 
@@ -25,13 +25,13 @@ class Attempts:
     Parameters
     ----------
     machine, steps, safe_points
-        The run's state machine, what takes steps through it, and what is done between two attempts.
+        State machine of the run, what takes steps through it, and the safe points between attempts.
     folder, log
-        The run.
+        Folder and journal of the run.
     ending
-        How the names of recordings end.
+        File name ending of recordings.
     say
-        Shows a line to the operator.
+        Prints a line for the operator.
     """
 
     def __init__(
@@ -53,14 +53,19 @@ class Attempts:
         self._say = say
 
     def record(self, step: RecordStep) -> None:
-        """Record until accepted; once the attempts are used up, do as the sequence says.
+        """Record until a recording is accepted; after the last allowed attempt, do what the sequence says.
+
+        Parameters
+        ----------
+        step
+            The step that records.
 
         Raises
         ------
         PoseFailed
-            When it says so.
+            If all attempts failed and the step says ``fail``.
         Aborted
-            When an operator who was asked, or the default, does not want to try again.
+            If an operator, or the default answer, decides not to try again.
         """
         while (reasons := self._try_attempts(step)) is not None:
             pose = step.pose
@@ -69,7 +74,7 @@ class Attempts:
                 raise PoseFailed(
                     what,
                     where=step.where,
-                    remedy="Mend the cause, then go on with `starbench resume`; all attempts are kept.",
+                    remedy="Remove the cause, then continue with `starbench resume`; all attempts are kept.",
                 )
             if step.on_failure == "skip":
                 self._log.write(Event.DEVIATION, what=f"{what} It was skipped, as the sequence says.")
@@ -81,7 +86,15 @@ class Attempts:
             )
 
     def keep_lost_recording(self, step: RecordStep, why: str) -> None:
-        """Keep, aside, what there is of a recording at work that was not completed, and tell of it."""
+        """Move what exists of an incomplete recording to quarantine, and journal it.
+
+        Parameters
+        ----------
+        step
+            The step that was recording.
+        why
+            Why the recording is incomplete.
+        """
         pose, attempt = step.pose, self._log.history.next_attempt(step.pose.index)
         kept = self._folder.quarantine_part(pose.index, attempt, self._ending)
         self._log.write(
@@ -89,10 +102,13 @@ class Attempts:
         )
 
     def _try_attempts(self, step: RecordStep) -> list[str] | None:
-        """Record up to so many times; return why the last one did not count; None when one did, or none is wanted."""
+        """Make up to the allowed number of attempts; return why the last one was rejected.
+
+        None means that a recording was accepted, or that the pose is skipped.
+        """
         history, pose = self._log.history, step.pose
         reasons: list[str] = []
-        if pose.index in history.accepted():  # the process died between accepting it and saying so
+        if pose.index in history.accepted():  # the process died between accepting it and journaling that
             return None
         for i in range(step.attempts):
             if i:

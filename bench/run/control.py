@@ -1,10 +1,9 @@
-"""Commands of operators to a run under way, from another terminal or a program: hold, release, abort, skip, answer.
+"""Commands from operators to a running run, from another terminal or a program: hold, release, abort, skip, answer.
 
-A command is one JSON file, written whole into ``control/`` of the run folder. A thread of the run looks there, decides,
-journals what it decided and removes the file; so the journal is the answer, and a command is never taken twice.
-``abort`` goes to the clock at once, past the queue of the work; the rest is done at the next safe point, by the
-runner. Who holds a run owns it until the release: others are refused, but for ``abort``, which nobody is refused.
-Knows no devices.
+A command is one JSON file, written whole into ``control/`` of the run folder. A thread of the run reads the file,
+decides, writes the decision to the journal and removes the file. So the journal holds the answer, and no command is
+done twice. ``abort`` goes to the clock at once; the runner does the others at the next safe point. The operator who
+holds a run owns it until the release: commands of others are refused, except ``abort``. This module uses no device.
 """
 
 from __future__ import annotations
@@ -42,22 +41,22 @@ Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f
 
 
 class Command(BaseModel):
-    """What an operator wants of a run.
+    """Command of an operator to a run.
 
     Attributes
     ----------
     id
-        Its own; the journal answers by it.
+        Unique name of the command; the journal's answer carries it.
     word
-        What is wanted.
+        Kind of command.
     by
-        Who wants it.
+        Name of the operator.
     pose
-        Which pose to skip; None for the one at work.
+        Pose to skip; None for the current one.
     answer
-        To the question a run asks: ``continue`` or ``abort``.
+        Answer to the question of the run: ``continue`` or ``abort``.
     take_over
-        Whether to become the owner of a run that somebody else holds.
+        Whether to become the owner of a run that another operator holds.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -73,12 +72,18 @@ class Command(BaseModel):
     @model_validator(mode="after")
     def _answers(self) -> Command:
         if (self.word == "answer") != (self.answer is not None):
-            raise ValueError("an answer, and nothing else, says continue or abort")
+            raise ValueError("the command `answer`, and no other, needs an answer: continue or abort")
         return self
 
 
 def operator_at_terminal() -> str:
-    """Name the person at this terminal: ``user@machine``."""
+    """Return the name of the person at this terminal.
+
+    Returns
+    -------
+    str
+        ``user@host``.
+    """
     try:
         user = getpass.getuser()
     except (OSError, KeyError):  # no such user in the system's list, as in a container
@@ -87,23 +92,28 @@ def operator_at_terminal() -> str:
 
 
 def refusal(command: Command, history: History, poses: Mapping[int, str]) -> str:
-    """Say why a command is not taken; empty when it is.
+    """Return why a command is refused.
 
     Parameters
     ----------
     command
-        With its pose filled in.
+        The command; ``pose`` of ``skip`` is filled in.
     history
-        The run so far.
+        History of the run so far.
     poses
         Names of the poses to record, by index.
+
+    Returns
+    -------
+    str
+        The reason; empty if the command is accepted.
     """
     if command.word == "abort":
         return ""
     if history.holder not in {"", command.by} and not command.take_over:
         return f"the run is held by {history.holder}; --take-over makes you its owner"
     if command.word == "answer":
-        return "" if history.question and history.answer is None else "nothing is asked"
+        return "" if history.question and history.answer is None else "the run asks no question"
     if command.word == "release" and not history.holder:
         return "nobody holds the run"
     return _skip_refusal(command.pose, history, poses) if command.word == "skip" else ""
@@ -111,29 +121,29 @@ def refusal(command: Command, history: History, poses: Mapping[int, str]) -> str
 
 def _skip_refusal(pose: int | None, history: History, poses: Mapping[int, str]) -> str:
     if pose is None:
-        return "no pose is at work; name the one to skip"
+        return "no pose is at work; give the number of the pose to skip"
     if pose not in poses:
-        return f"there is no pose {pose}; they are 1 to {max(poses, default=0)}"
+        return f"there is no pose {pose}; the poses are 1 to {max(poses, default=0)}"
     if pose in history.accepted():
-        return f"pose {pose} ({poses[pose]}) is recorded already, and counts"
-    return f"pose {pose} ({poses[pose]}) is skipped already" if pose in history.to_skip else ""
+        return f"pose {pose} ({poses[pose]}) is already recorded and accepted"
+    return f"pose {pose} ({poses[pose]}) is already skipped" if pose in history.to_skip else ""
 
 
 class CommandInbox:
-    """The commands to this process's run: answered from ``open`` to ``close`` by a thread of its own.
+    """Commands to the run of this process, answered from ``open`` to ``close`` by a separate thread.
 
     Parameters
     ----------
     folder
-        The run folder, locked by this process.
+        Run folder, locked by this process.
     log
         Where decisions are written; runner and status act on them.
     poses
         Names of the poses to record, by index.
     clock
-        Is asked to stop by ``abort``, and to fail when the journal does not take a decision.
+        Asked to stop by ``abort``; asked to fail if a decision cannot be journaled.
     looks
-        What else must be done in every round: signs of life, interlocks.
+        Other functions to call in every round: heartbeat, interlocks.
     """
 
     def __init__(
@@ -149,7 +159,7 @@ class CommandInbox:
         self._poses = poses
         self._clock = clock
         self._looks = looks
-        # An error there: nobody commands or guards the run any more, so it must not go on.
+        # After an error in this thread nothing guards the run any more, so the run must not continue.
         self._poller = Poller(self._look, clock.request_failure, name="commands", period_s=POLL_S)
 
     @property
@@ -158,7 +168,7 @@ class CommandInbox:
         return self._poller.closed
 
     def open(self) -> Self:
-        """Begin to take commands. Commands to a process that has died are answered, and not done.
+        """Begin to accept commands. Commands to an earlier process that has died are refused.
 
         Returns
         -------
@@ -168,15 +178,18 @@ class CommandInbox:
         Raises
         ------
         StorageError
-            When the folder cannot be made, or an answer cannot be written.
+            If the folder cannot be created, or an answer cannot be written.
         """
         make_folder(self._inbox.folder)
-        self._drain("it was meant for a process that has died")
+        self._drain("it was sent to a process that has died")
         self._poller.start()
         return self
 
     def close(self) -> None:
-        """Take no more commands, answer those that remain, and remove the inbox. A second call does nothing."""
+        """Stop accepting commands, refuse the remaining ones, and remove the inbox.
+
+        A second call does nothing.
+        """
         if self.closed:
             return
         self._poller.close()
@@ -203,21 +216,21 @@ class CommandInbox:
         Parameters
         ----------
         command
-            The command; None for a file that is not one.
+            The command; None for a file that is not a command.
         name
             Name of its file.
         why_not
-            Why it is not taken, whatever it says; empty if that depends on the command.
+            Reason to refuse any command; empty if the decision depends on the command.
         """
         if command is None:
-            self._log.write(Event.COMMANDED, id=name, word="unknown", taken=False, why="it is no command")
+            self._log.write(Event.COMMANDED, id=name, word="unknown", taken=False, why="it is not a command")
             return
         with self._log.held() as history:
             if command.word == "skip" and command.pose is None:
                 command = command.model_copy(update={"pose": history.at_pose})
             why_not = why_not or refusal(command, history, self._poses)
-            said = command.model_dump(exclude={"format"})
-            self._log.write(Event.COMMANDED, **said, taken=not why_not, why=why_not)
+            fields = command.model_dump(exclude={"format"})
+            self._log.write(Event.COMMANDED, **fields, taken=not why_not, why=why_not)
         if command.word == "abort" and not why_not:
             self._clock.request_stop(f"abort by {command.by}")
 
@@ -227,7 +240,18 @@ def _inbox_of(folder: Path) -> Inbox[Command]:
 
 
 def remove_inbox(folder: Path) -> None:
-    """Remove the inbox of a run that takes no more commands; before a seal there must be none."""
+    """Remove the inbox of a run that accepts no more commands. A sealed run folder must not contain one.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+
+    Raises
+    ------
+    StorageError
+        If it cannot be removed.
+    """
     path = folder / CONTROL
     with storage_errors(path):
         for _ in range(10):  # a command may arrive while the folder is being emptied
@@ -239,16 +263,16 @@ def remove_inbox(folder: Path) -> None:
 
 
 def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
-    """Give a command to a run under way, and wait for its answer.
+    """Send a command to a running run, and wait for its answer.
 
     Parameters
     ----------
     folder
-        The run folder.
+        Run folder.
     command
-        What is wanted.
+        The command.
     patience_s
-        How long to wait for the answer, s.
+        Longest wait for the answer, s.
 
     Returns
     -------
@@ -258,28 +282,26 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
     Raises
     ------
     RunFolderError
-        When no process works on the run, or it ended, or did not answer in time; the command is then taken back.
+        If no process works on the run, it ended, or it did not answer in time. The command is then withdrawn.
     StorageError
-        When it cannot be written.
+        If the command cannot be written.
     """
     inbox = _inbox_of(folder)
     if not is_locked(folder) or not inbox.folder.is_dir():
         raise RunFolderError(
             "No process works on this run.",
             where=str(folder),
-            remedy="See `starbench status`; a run that was cut off goes on with `starbench resume`.",
+            remedy="See `starbench status`. To continue an interrupted run, use `starbench resume`.",
         )
     with storage_errors(folder):
-        begin = (
-            (folder / JOURNAL).stat().st_size
-        )  # the answer comes after it; long journals are not read again
+        begin = (folder / JOURNAL).stat().st_size  # the answer comes after this place
     try:
         path = inbox.drop(command, command.id)
     except StorageError as error:
         if inbox.folder.is_dir():
             raise
         raise RunFolderError(
-            "The run was ending: it takes no more commands.",
+            "The run is ending and accepts no more commands.",
             where=str(folder),
             remedy="See `starbench status`.",
         ) from error
@@ -296,32 +318,42 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
     if answer is not None:
         return answer
     raise RunFolderError(
-        f"The run did not answer within {patience_s:g} s; the command was taken back.",
+        f"The run did not answer within {patience_s:g} s; the command was withdrawn.",
         where=str(folder),
-        remedy="See `starbench status`. A process that hangs is ended by a signal (SIGTERM).",
+        remedy="See `starbench status`. If the process does not respond at all, end it by the signal SIGTERM.",
     )
 
 
 def _answer_in(folder: Path, command_id: str, begin: int) -> dict[str, Any] | None:
-    told = lines_after(folder / JOURNAL, begin)
-    answers = (data for event, data in told if event == Event.COMMANDED and data.get("id") == command_id)
+    lines = lines_after(folder / JOURNAL, begin)
+    answers = (data for event, data in lines if event == Event.COMMANDED and data.get("id") == command_id)
     return next(answers, None)
 
 
 def command_text(answer: Mapping[str, Any]) -> str:
-    """Say what became of a command.
+    """Return what happened to a command, as a sentence.
+
+    Parameters
+    ----------
+    answer
+        The journal's answer, as `send` returns it.
+
+    Returns
+    -------
+    str
+        The sentence.
 
     Examples
     --------
     >>> command_text({"word": "hold", "taken": False, "why": "the run is held by ada@lab"})
-    'Not taken: the run is held by ada@lab.'
+    'Refused: the run is held by ada@lab.'
     """
     if not answer["taken"]:
-        return f"Not taken: {answer['why']}."
+        return f"Refused: {answer['why']}."
     return {
-        "hold": "Taken: the run holds at its next safe point, with the light off, until `starbench release`.",
-        "release": "Taken: the run goes on.",
-        "abort": "Taken: the run ends now, safely; it can be resumed.",
-        "answer": f"Taken: {answer.get('answer')}.",
-        "skip": f"Taken: pose {answer.get('pose')} is skipped.",
+        "hold": "Accepted: the run holds at its next safe point, with the light off, until `starbench release`.",
+        "release": "Accepted: the run continues.",
+        "abort": "Accepted: the run ends now, safely. It can be resumed.",
+        "answer": f"Accepted: {answer.get('answer')}.",
+        "skip": f"Accepted: pose {answer.get('pose')} is skipped.",
     }[answer["word"]]

@@ -1,9 +1,9 @@
-"""How a process of a run crashed: what the interpreter wrote when it died of itself.
+"""How the process of a run crashed, as the interpreter wrote it while it died.
 
-A process that is killed from outside, or whose power goes, leaves nothing behind, and the step at work is not to blame.
-One that dies of its own memory fault, abort or arithmetic writes where it was into ``crash.txt`` of the run folder with
-its last breath (`faulthandler`); resuming reads that, and counts it against the pose that was at work. Where the system
-ends a process for want of memory it cannot write; its supervisor, which sees that, writes for it.
+A process that is killed from outside, or loses power, writes nothing, and the step at work did not cause it. A
+process that dies by a memory fault, an abort or an arithmetic fault writes where it was into ``crash.txt`` of the run
+folder (`faulthandler`). Resuming reads this file and counts the crash against the pose at work. If the system ends a
+process because memory is short, the process cannot write; its supervisor notices this and writes the file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,23 @@ CRASH_LOG = "crash.txt"
 
 @contextmanager
 def crash_log(folder: Path) -> Iterator[None]:
-    """Let a crash of this process inside the block be written to ``crash.txt``; an empty one is removed at the end."""
+    """Write a crash of this process inside the block to ``crash.txt``; remove the empty file at the end.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+
+    Yields
+    ------
+    None
+        Nothing; the block runs with fault handling on.
+
+    Raises
+    ------
+    StorageError
+        If the file cannot be created or removed.
+    """
     path = folder / CRASH_LOG
     outer = faulthandler.is_enabled()
     with storage_errors(path):
@@ -40,24 +56,41 @@ def crash_log(folder: Path) -> Iterator[None]:
 
 
 def write_crash_log(folder: Path, what: str) -> None:
-    """Write down for a process why it died, where it could not itself but whoever watched it knows.
+    """Write why a process died, for a process that could not write it itself.
+
+    Parameters
+    ----------
+    folder
+        Run folder; nothing is written if it does not exist.
+    what
+        Cause of death, one line.
 
     Raises
     ------
     StorageError
-        When it cannot be written.
+        If it cannot be written.
     """
     if folder.is_dir():
         write_atomic(folder / CRASH_LOG, f"{what}\n".encode())
 
 
 def read_crash(folder: Path) -> str | None:
-    """Say how the last process crashed, in its own words; None when it did not, or was killed from outside.
+    """Return how the last process crashed.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+
+    Returns
+    -------
+    str or None
+        First line of the crash log; None if the process did not crash, or was killed from outside.
 
     Raises
     ------
     StorageError
-        When the file cannot be read.
+        If the file cannot be read.
     """
     path = folder / CRASH_LOG
     with storage_errors(path):
@@ -66,12 +99,17 @@ def read_crash(folder: Path) -> str | None:
 
 
 def archive_crash(folder: RunFolder) -> None:
-    """Move what a crash wrote to ``quarantine/``, for those who look into it; remove what is empty.
+    """Move the crash log to ``quarantine/`` for later inspection, or remove it if it is empty.
+
+    Parameters
+    ----------
+    folder
+        Run folder, locked by this process.
 
     Raises
     ------
     StorageError
-        When it cannot be moved.
+        If it cannot be moved.
     """
     path = folder.path / CRASH_LOG
     with storage_errors(path):

@@ -1,8 +1,8 @@
-"""Signs of life of the process that works on a run, for whoever watches it from outside.
+"""Heartbeat of the process that works on a run, for a supervisor that watches it from outside.
 
-One small file in ``control/`` of the run folder: which process works there, and when its work was last seen to go on.
-A thread writes it; but where the work itself stands still (a driver that never returns), the sign stands still with
-it, so that a live thread does not hide dead work. Knows no devices and no commands.
+The heartbeat is one small file in ``control/`` of the run folder: which process works there, and when its work last
+made progress. A thread writes it. If the work itself stalls (a driver that never returns), the thread writes no
+heartbeat, so that a live thread cannot hide stalled work. This module uses no device and no command.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from bench.records.storage import storage_errors
 CONTROL = "control"
 HEARTBEAT = ".heartbeat"
 SUPERVISOR = "STARBENCH_SUPERVISOR"
-"""Variable of the environment: the number of the process that watches this one."""
+"""Environment variable: process id of the supervisor of this process."""
 STALL_LIMIT_S = 0.5
-"""No sign is given for work that has neither waited nor checked for so long; drivers do that 20 times a second."""
+"""Work that used its clock longer ago than this has stalled, s. Drivers use the clock 20 times a second."""
 SLOW_STALL_LIMIT_S = 600.0
-"""As long in a state in which nothing moves, or while the disk takes its time."""
+"""The same limit in states in which nothing moves, and while the process waits for the disk, s."""
 SLOW_STATES = frozenset(
     {"idle", "preflight", "holding", "checking", "solving", "reporting", "recovering", "finished"}
 )
-"""States in which nothing moves: what computes does not pass the clock, and devices take their time to start up."""
+"""States in which nothing moves: calculations do not use the clock, and devices may take long to start."""
 
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """The last sign of life.
+    """Last heartbeat of a process.
 
     Attributes
     ----------
     pid, started
-        The process, and when it started, in the kernel's ticks: numbers of processes are used again.
+        Process id, and start time of the process in kernel ticks, because process ids are reused.
     moment_ns
-        When its work was last seen to go on; comparable within one process only.
+        Time at which its work last made progress, ns; comparable within one process only.
     """
 
     pid: int
@@ -49,14 +49,14 @@ class Heartbeat:
 
 
 class HeartbeatWriter:
-    """Gives signs of life of this process's work on a run.
+    """Writes heartbeats for this process's work on a run.
 
     Parameters
     ----------
     folder
-        The run folder.
+        Run folder.
     clock
-        The work's clock: as long as it is asked, the work goes on.
+        Clock of the work; the work makes progress as long as it uses the clock.
     """
 
     def __init__(self, folder: Path, clock: BenchClock) -> None:
@@ -65,39 +65,74 @@ class HeartbeatWriter:
         self._state = "idle"
         self._since_s = time.monotonic()
         self._own = os.getpid(), start_ticks(os.getpid())
-        self._watched_by = _supervisor()
+        self._supervisor = _supervisor()
 
     def entering(self, state: str) -> None:
-        """Note that the work enters a state."""
+        """Take note of the state that the work enters.
+
+        Parameters
+        ----------
+        state
+            Name of the state.
+        """
         self._state, self._since_s = state, time.monotonic()
 
     def beat(self) -> None:
-        """Give a sign, unless the work stands still. Raises StorageError."""
+        """Write a heartbeat, unless the work has stalled.
+
+        Raises
+        ------
+        StorageError
+            If it cannot be written.
+        """
         if self.stalled_s() > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
             return
-        sign = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
+        text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
         with storage_errors(self._path), suppress(FileNotFoundError):
-            self._path.write_bytes(sign.encode())
+            self._path.write_bytes(text.encode())
 
     def stalled_s(self) -> float:
-        """How long the work has not been seen to go on, s."""
+        """Return how long ago the work last made progress.
+
+        Returns
+        -------
+        float
+            Seconds.
+        """
         return min(self._clock.inactive_s(), time.monotonic() - self._since_s)
 
     def supervisor_is_gone(self) -> bool:
-        """Whether the process that watched this one is gone; told once."""
-        gone = self._watched_by is not None and os.getppid() != self._watched_by
+        """Return whether the supervisor of this process has ended; True only once.
+
+        Returns
+        -------
+        bool
+            True at the first call after the supervisor has ended.
+        """
+        gone = self._supervisor is not None and os.getppid() != self._supervisor
         if gone:
-            self._watched_by = None
+            self._supervisor = None
         return gone
 
     def _may_take_long(self) -> bool:
-        """Whether nothing moves, or the kernel has it wait for the disk (state D), which no driver's wait does."""
+        """Return whether nothing moves, or the process waits for the disk (kernel state D)."""
         pid = self._own[0]
         return self._state in SLOW_STATES or thread_waits_for_disk(pid, pid)
 
 
 def read_heartbeat(folder: Path) -> Heartbeat | None:
-    """Give the last sign of life of the process that works on a run; None while it takes no commands."""
+    """Read the last heartbeat of the process that works on a run.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+
+    Returns
+    -------
+    Heartbeat or None
+        None while no process accepts commands for the run.
+    """
     try:
         pid, started, moment_ns = map(int, (folder / CONTROL / HEARTBEAT).read_bytes().split())
     except (OSError, ValueError):
@@ -105,19 +140,30 @@ def read_heartbeat(folder: Path) -> Heartbeat | None:
     return Heartbeat(pid, started, moment_ns)
 
 
-def open_process(sign: Heartbeat) -> int | None:
-    """Open the very process that gave a sign, as a descriptor to wait for and to signal; None when it is gone."""
+def open_process(heartbeat: Heartbeat) -> int | None:
+    """Open the process that wrote a heartbeat.
+
+    Parameters
+    ----------
+    heartbeat
+        Heartbeat of the process.
+
+    Returns
+    -------
+    int or None
+        File descriptor to wait for and to signal (pidfd); None if the process has ended.
+    """
     try:
-        process = os.pidfd_open(sign.pid)
+        process = os.pidfd_open(heartbeat.pid)
     except OSError:
         return None
-    if start_ticks(sign.pid) == sign.started:
+    if start_ticks(heartbeat.pid) == heartbeat.started:
         return process
     os.close(process)
     return None
 
 
 def _supervisor() -> int | None:
-    """The process that watches this one: as told by it, where it is indeed our parent."""
-    told = os.environ.get(SUPERVISOR, "")
-    return int(told) if told.isdecimal() and int(told) == os.getppid() else None
+    """Return the process id of the supervisor, if the environment names it and it is the parent process."""
+    text = os.environ.get(SUPERVISOR, "")
+    return int(text) if text.isdecimal() and int(text) == os.getppid() else None

@@ -1,6 +1,6 @@
-"""What a run does while it holds: for an operator, for the answer to a question, or by an interlock.
+"""What a run does while it holds: for an operator, for the answer to a question, or because of an interlock.
 
-While an operator or an interlock holds the run, the light is off and the stage is at rest.
+While an operator or an interlock holds the run, the light is off and the stage does not move.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from bench.terminal.prompt import Reply, ask
 from sequences.script import PromptStep
 
 MAX_HOLD_S = 8 * 3600.0
-"""A run that an operator holds for longer is aborted safely."""
+"""A run that an operator holds for longer than this is aborted safely, s."""
 HOLD_POLL_S = 0.1
 HOLD_NOTIFY_INTERVAL_S = 600.0
-"""Holds by the same interlock are not told to those away more often than that."""
+"""Shortest time between two notifications about holds by the same interlock, s."""
 
 
 class Holding:
@@ -29,15 +29,15 @@ class Holding:
     Parameters
     ----------
     devices
-        The run's devices, which come to rest.
+        Devices of the run; they are made to rest.
     log
-        Where questions, answers and releases are told.
+        Journal of questions, answers and releases.
     interlocks
-        Say when a run held by one of them goes on.
+        Decide when a run that one of them holds continues.
     clock
-        Waits go through it, so a stop ends them.
+        Clock of all waits, so that a stop ends them.
     say
-        Shows a line to the operator.
+        Prints a line for the operator.
     """
 
     def __init__(
@@ -55,23 +55,23 @@ class Holding:
         self._say = say
 
     def hold(self, question: PromptStep | None, trip: Trip | None, *, by: str) -> None:
-        """Hold until an operator releases the run, an interlock does, or a question is answered.
+        """Hold until the operator releases the run, the interlock clears, or the question is answered.
 
         Parameters
         ----------
         question
-            The question to the operator, where nobody and no interlock holds the run.
+            Question to the operator, if neither an operator nor an interlock holds the run.
         trip
-            The interlock that holds the run; None: none does.
+            Interlock that holds the run, if any.
         by
-            The operator who holds the run; empty: nobody does.
+            Operator who holds the run; empty if there is none.
 
         Raises
         ------
         Aborted
-            When a stop was asked for, the answer was to abort, or an operator has held for too long.
+            If a stop was requested, the answer was to abort, or an operator has held the run for too long.
         InterlockHeld
-            When an interlock has held for too long.
+            If an interlock has held the run for too long.
         """
         if by:
             self._until_released()
@@ -82,7 +82,7 @@ class Holding:
             self._until_answered(question)
 
     def _until_released(self) -> None:
-        """Until the owner releases the run; not longer than ``MAX_HOLD_S``."""
+        """Wait until the owner releases the run, at most ``MAX_HOLD_S``."""
         self._devices.switch_off_light()
         history, begin_s = self._log.history, self._clock.monotonic()
         while history.holder:
@@ -98,7 +98,7 @@ class Holding:
         self._log.write(Event.INTERLOCK_RELEASED, rule=trip.interlock.name, held_s=round(held_s, 3))
         what = f"The {name} interlock held for {held_s:.0f} s: {trip.why}."
         self._log.write(Event.DEVIATION, what=what)
-        self._say(f"{what} The run goes on.")
+        self._say(f"{what} The run continues.")
 
     def _until_answered(self, step: PromptStep) -> None:
         self._log.write(
@@ -112,29 +112,28 @@ class Holding:
             say=self._say,
             elsewhere=self._answer_from_elsewhere,
         )
-        with (
-            self._log.held()
-        ):  # what was taken from elsewhere at the last moment counts: its sender was told so
+        # An answer from elsewhere that was accepted at the last moment counts: its sender was told so.
+        with self._log.held():
             answer = self._answer_from_elsewhere() or answer
             self._log.write(Event.ANSWERED, step=step.number, answer=answer.word, by=answer.by)
         if answer.word == "abort":
             raise Aborted(f"{step.text} was answered with abort ({answer.by})")
 
     def _answer_from_elsewhere(self) -> Reply | None:
-        """The answer given by `starbench answer`, if there is one."""
+        """Return the answer given by `starbench answer`, if there is one."""
         given = self._log.history.answer
         return Reply(*given) if given is not None else None
 
 
 class HoldNotifier:
-    """Tells those away that a run holds; of the same interlock not again for a while.
+    """Notifies absent people that a run holds; about the same interlock not too often.
 
     Parameters
     ----------
     clock
-        The run's.
+        Clock of the run.
     notify
-        Called with the occasion (``hold``), a few words and the hash of the journal's line.
+        Called with the occasion (``hold``), a short text and the hash of the journal's line.
     """
 
     def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:
@@ -143,7 +142,15 @@ class HoldNotifier:
         self._notified_s: dict[str, float] = {}
 
     def entering(self, facts: Entering, line: str) -> None:
-        """Tell of a hold, as the journal does: a door that goes on and off wakes nobody a hundred times."""
+        """Notify that the run holds. A door that opens again and again does not cause a hundred messages.
+
+        Parameters
+        ----------
+        facts
+            Journal line of the hold.
+        line
+            Hash of that line.
+        """
         rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
         if rule and now_s - self._notified_s.get(rule, -HOLD_NOTIFY_INTERVAL_S) < HOLD_NOTIFY_INTERVAL_S:
             return
@@ -152,7 +159,7 @@ class HoldNotifier:
 
 
 def _waits_for(facts: Entering) -> str:
-    """Say what a run that holds waits for."""
+    """Return what a run that holds waits for."""
     if "rule" in facts:
         return f"is held by the {interlock_text(facts['rule'])} interlock: {facts['why']}"
-    return f"is held by {facts['by']}" if "by" in facts else "asks the operator"
+    return f"is held by {facts['by']}" if "by" in facts else "asks the operator a question"

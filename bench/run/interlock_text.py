@@ -1,20 +1,20 @@
-"""Names of interlocks in words, for status lines and messages."""
+"""Names of interlocks as text, for status lines and messages."""
 
 from __future__ import annotations
 
 
 def interlock_text(name: str) -> str:
-    """Return the name of an interlock in words.
+    """Return the name of an interlock as text.
 
     Parameters
     ----------
     name
-        As in the station file.
+        Name in the station file.
 
     Returns
     -------
     str
-        With spaces.
+        The name with spaces.
 
     Examples
     --------

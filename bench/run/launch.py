@@ -1,7 +1,7 @@
-"""Begins a run, or takes one up again: files checked, folder made and held, journal begun, result sealed.
+"""Begin a run, or resume one: check files, create and lock the folder, begin the journal, run, seal the result.
 
-Joins plan, run folder, journal, runner and seal. Everything that can be wrong with the files is found before the
-folder is made, and everything wrong with the folder before a device is opened.
+This module joins plan, run folder, journal, runner and seal. All faults of the files are found before the folder is
+created, and all faults of the folder before a device is opened.
 """
 
 from __future__ import annotations
@@ -58,16 +58,16 @@ AskPassphrase = Callable[[Path], bytes]
 
 @dataclass(frozen=True)
 class Launch:
-    """What both ways of running need from whoever calls.
+    """What the caller provides, to begin a run or to resume one.
 
     Attributes
     ----------
     clock
-        The run's clock.
+        Clock of the run.
     stream
-        Where progress goes; standard error by default.
+        Stream for progress; standard error by default.
     ask_passphrase
-        Asked for the passphrase of a protected signing key.
+        Asks for the passphrase of a protected signing key.
     """
 
     clock: BenchClock
@@ -85,30 +85,37 @@ def start_run(
     launch: Launch,
     settings: Mapping[str, str] | None = None,
 ) -> RunEnd:
-    """Run a sequence on a station, from plan to sealed report.
+    """Run a sequence on a station, from the plan to the sealed report.
 
     Parameters
     ----------
     sequence, station
-        Paths of the files, or names of shipped ones.
+        Paths of the files, or names of those that are included.
     output
-        The new run folder; by default one below ``runs/``, named by time and sequence.
+        New run folder; where None, a folder in ``runs/``, named by time and sequence.
     seed
-        Seed of a simulated bench; drawn, and recorded, when not given.
+        Random seed of a simulated bench; drawn and recorded where None.
     operator
-        Who runs it.
+        Name of the operator.
+    launch
+        Clock, progress stream and passphrase.
     settings
-        Settings that replace those of the files (`bench.plan.plan.load_documents`); the run folder keeps both files
-        with these settings.
+        Settings that replace those of the files (`bench.plan.plan.load_documents`); the copies of both files
+        in the run folder hold them.
+
+    Returns
+    -------
+    RunEnd
+        How the run ended.
 
     Raises
     ------
     ScriptError
-        With everything that is wrong with the files.
+        With all faults of the files.
     RunFolderError, StorageError
-        When the folder cannot be used.
+        If the folder cannot be used.
     EvidenceError
-        When the signing key cannot be used.
+        If the signing key cannot be used.
     """
     seed = secrets.randbits(31) if seed is None else seed
     job = Job.from_files(sequence, station, seed=seed, operator=operator, settings=settings)
@@ -144,18 +151,31 @@ def start_run(
 
 
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
-    """Take up a run that was aborted, failed, killed or cut off; say first what will be done.
+    """Continue a run that was aborted, failed, was killed or lost power; first print what will be done.
 
-    What is stored stays; the step at which it stopped is done again, after the move it stands on.
+    All stored recordings are kept. The step at which the run stopped is repeated, after the move that it
+    depends on.
+
+    Parameters
+    ----------
+    folder_path
+        Run folder.
+    launch
+        Clock, progress stream and passphrase.
+
+    Returns
+    -------
+    RunEnd
+        How the run ended.
 
     Raises
     ------
     RunFolderError
-        When there is no run, it is sealed, or another process works on it.
+        If there is no run, it is sealed, or another process works on it.
     JournalBroken
-        When its journal does not hold.
+        If the hash chain of its journal is broken.
     ScriptError
-        When its sequence or station file no longer is what it was begun with.
+        If its sequence or station file has faults.
     """
     with (
         RunFolder.open(folder_path) as folder,
@@ -173,9 +193,9 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             if history.ended == "finished":
                 archive_crash(folder)
                 return ending(_seal_finished(folder, journal, launch))
-            said: dict[str, Any] = {"crash": crash} if crash else {}
-            said |= {"ledger": place} if place is not history.ledger else {}
-            journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **said)
+            extra: dict[str, Any] = {"crash": crash} if crash else {}
+            extra |= {"ledger": place} if place is not history.ledger else {}
+            journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **extra)
             archive_crash(
                 folder
             )  # counted first: whoever dies in between counts no crash twice, and loses none
@@ -184,12 +204,22 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
 
 
 def read_intentions(folder_path: Path) -> list[str]:
-    """Say what resuming a run would do, a line each; nothing is changed.
+    """Return what resuming a run would do. Nothing is changed.
+
+    Parameters
+    ----------
+    folder_path
+        Run folder.
+
+    Returns
+    -------
+    list of str
+        Sentences, one action each.
 
     Raises
     ------
     RunFolderError, JournalBroken, ScriptError
-        As ``resume_run``.
+        As for `resume_run`.
     """
     require_resumable(folder_path)
     job, history = _job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
@@ -197,15 +227,15 @@ def read_intentions(folder_path: Path) -> list[str]:
 
 
 def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
-    """Make the task of a run again from the files it was begun with, and what has happened so far."""
+    """Return the task of a run, from the files that it was begun with, and its history."""
     history = replay(entries)
     if not history.started:
         raise RunFolderError(
-            "This run was cut off before it began.", where=str(folder), remedy="Start it anew."
+            "This run was interrupted before it began.", where=str(folder), remedy="Start a new run."
         )
     if history.started.get("rehearsal"):
         raise RunFolderError(
-            "This run is a rehearsal: no device took part, and none will.",
+            "This run is a rehearsal without devices; it cannot be resumed.",
             where=str(folder),
             remedy="Start a new run.",
         )
@@ -230,7 +260,13 @@ def _begin(ledger: Ledger, job: Job, folder: Path) -> LedgerPlace:
 
 @contextmanager
 def _ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
-    """Enter into the ledger how the run of the block ended: as it tells by what it is given; else it failed."""
+    """Write to the ledger how the run of the block ended; "failed" if the block raises.
+
+    Yields
+    ------
+    Callable
+        Call it with the end of the run; it returns its argument.
+    """
     how = "failed"
 
     def ending(end: RunEnd) -> RunEnd:
@@ -245,7 +281,20 @@ def _ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[
 
 
 def default_folder(plan: Plan, now: datetime) -> Path:
-    """Name a run's folder by time and sequence, below ``runs/``."""
+    """Return the default folder of a run, named by time and sequence.
+
+    Parameters
+    ----------
+    plan
+        Plan of the run.
+    now
+        Time at which the run begins.
+
+    Returns
+    -------
+    Path
+        A folder below ``runs/``.
+    """
     words = "".join(c if c.isalnum() and c.isascii() else "-" for c in plan.sequence.value.name.lower())
     name = "-".join(filter(None, words.split("-")))[:40] or "run"
     return Path("runs") / f"{now:%Y%m%d-%H%M%S}-{name}"
@@ -264,7 +313,7 @@ def _run_and_seal(
 
     with progress, stop_on_signals(clock.request_stop):
         if key.created:
-            progress.say(f"A signing key for this bench was made: {key.fingerprint}; see `starbench keys`.")
+            progress.say(f"Created a signing key for this bench: {key.fingerprint}; see `starbench keys`.")
         for line in first_lines:
             progress.say(line)
         courier = Courier(job.station.messages, Outbox(home_folder()), clock, progress.say)
@@ -288,7 +337,7 @@ def _run_and_seal(
 
 
 def _seal_finished(folder: RunFolder, journal: Journal, launch: Launch) -> RunEnd:
-    """Seal a run that was cut off between its last line and its seal."""
+    """Seal a run that was interrupted between its last journal line and its seal."""
     key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
     journal.close()
     remove_inbox(folder.path)
@@ -308,7 +357,7 @@ def _refuse_changed(folder: Path, hashes: Mapping[str, str]) -> None:
             raise BenchError(f"{name} cannot be read: {error.strerror}.", where=str(folder)) from error
         if hashlib.sha256(data).hexdigest() != sha256:
             raise RunFolderError(
-                f"{name} is not what this run was begun with.",
+                f"{name} was changed after this run began.",
                 where=str(folder),
-                remedy="Put the original back, or start a new run with the changed one.",
+                remedy="Restore the original file, or start a new run with the changed file.",
             )

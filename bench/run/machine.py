@@ -1,9 +1,9 @@
-"""The states of a run and the edges between them; the work of each state stands in `bench.run.state_work`.
+"""States of a run and the edges between them; the work of each state is in `bench.run.state_work`.
 
-One `transitions` machine without automatic transitions: only the edges in ``EDGES`` exist. The work of a
-state runs in its ``on_enter``; an exception there leaves the machine in the state that failed (so the state
-always names the work that was going on), and only ``abort`` and ``fail`` lead on. The intent of every change is
-journaled before it, its outcome in ``finalize_event``, which `transitions` runs even after an exception.
+One `transitions` machine without automatic transitions: only the edges in ``EDGES`` exist. The work of a state runs
+in ``on_enter``. If it raises, the machine stays in that state, so the state always names the work that failed; only
+``abort`` and ``fail`` leave it. Every change is journaled before it is made. Its outcome is journaled in
+``finalize_event``, which `transitions` calls also after an exception.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("abort_done", ("aborting",), "aborted"),
     ("fail", (*_BUSY, "aborting"), "failed"),
 )
-"""(trigger, states it leaves, state it enters)."""
+"""(trigger, states that it leaves, state that it enters)."""
 
 Work = Callable[..., None]
-"""The work of a state: called with the step, the causes, and the circumstances by name."""
+"""Work of a state: called with the step, the causes, and the circumstances by name."""
 
 
 class Numbered(Protocol):
-    """A step of a script, as far as the machine is concerned."""
+    """A step of a script; the machine needs only its number."""
 
     @property
     def number(self) -> int:
@@ -74,14 +74,26 @@ class Numbered(Protocol):
 
 
 class Listener(Protocol):
-    """Takes note of every change of state; the journal, first of all."""
+    """Receives every change of state; the run's journal is the main one."""
 
     def entering(self, data: Entering) -> None:
-        """Take note of a change before it is made."""
+        """Receive a change before it is made.
+
+        Parameters
+        ----------
+        data
+            States, step and circumstances of the change.
+        """
         ...
 
     def left_off(self, data: LeftOff) -> None:
-        """Take note that the work of a state has ended, well or not."""
+        """Receive the end of the work of a state, successful or not.
+
+        Parameters
+        ----------
+        data
+            The state, and the error if the work failed.
+        """
         ...
 
 
@@ -91,14 +103,14 @@ class RunMachine:
     Parameters
     ----------
     work
-        What to do on entering a state, by state name.
+        Work to do on entering a state, by the state's name.
     listener
-        Takes note of a change before it is made, and when its work has ended.
+        Receives every change before it is made, and the end of its work.
 
     Raises
     ------
     ValueError
-        When work is given for a state that does not exist.
+        If work is given for a state that does not exist.
     """
 
     def __init__(self, work: Mapping[str, Work], listener: Listener) -> None:
@@ -107,7 +119,7 @@ class RunMachine:
         self._work = work
         unknown = set(work) - set(STATES)
         if unknown:
-            raise ValueError(f"no such states: {sorted(unknown)}")
+            raise ValueError(f"unknown states: {sorted(unknown)}")
         self._machine = Machine(
             model=self,
             states=list(STATES),
@@ -126,25 +138,26 @@ class RunMachine:
     def fire(
         self, trigger: str, step: Numbered | None = None, *causes: Any, **circumstances: Unpack[Circumstances]
     ) -> None:
-        """Take an edge and do the work of the state it leads to.
+        """Take an edge and do the work of the state that it enters.
 
         Parameters
         ----------
         trigger
             Name of the edge.
         step
-            The step of the script that the edge is taken for. The work is given the step; the journal, its number.
+            Step of the script that the edge is taken for. The work receives the step; the journal, its
+            number.
         causes
-            Given to the work alone.
+            Passed to the work only.
         circumstances
-            Given to work and journal.
+            Passed to work and journal.
 
         Raises
         ------
         transitions.MachineError
-            When there is no such edge from the present state.
+            If the present state has no such edge.
         Exception
-            Whatever the work raises, or the journal; the machine then stays in the state whose work failed.
+            Any error of the work or the journal; the machine then stays in the state whose work failed.
         """
         self._unwritten: Exception | None = None
         self.trigger(trigger, step, *causes, **circumstances)  # type: ignore[attr-defined]
@@ -152,7 +165,18 @@ class RunMachine:
             raise self._unwritten
 
     def can(self, trigger: str) -> bool:
-        """Whether that edge leaves the present state."""
+        """Return whether an edge leaves the present state.
+
+        Parameters
+        ----------
+        trigger
+            Name of the edge.
+
+        Returns
+        -------
+        bool
+            True if it does.
+        """
         return trigger in self._machine.get_triggers(self.state)
 
     def _intend(self, event: EventData) -> None:
@@ -169,7 +193,7 @@ class RunMachine:
             work(*event.args, **event.kwargs)
 
     def _conclude(self, event: EventData) -> None:
-        if event.transition is None:  # refused: no such edge, nothing was intended
+        if event.transition is None:  # there is no such edge; nothing was journaled
             return
         facts: LeftOff = {"state": self.state}
         if event.error is not None:

@@ -1,4 +1,4 @@
-"""What must hold before anything moves: who answers, what they are set to, what faults they report."""
+"""Checks before anything moves: identity of the devices, camera settings, reported faults."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from bench.stations.devices import Devices
 
 
 def preflight(devices: Devices, job: Job) -> dict[str, Any]:
-    """Identify the devices, set the camera, and collect everything that stands against a run.
+    """Identify the devices, set the camera, and collect every reason against a run.
 
     Nothing moves and the light stays off.
 
     Parameters
     ----------
     devices
-        Open devices; their serial numbers were compared with the station file's at opening.
+        Open devices; their serial numbers were compared with the station file when they were opened.
     job
-        What is to be run.
+        The task of the run.
 
     Returns
     -------
     dict
-        ``camera``, ``stage`` (a list) and ``light``: who they say they are; ``camera_settings`` as read back.
+        ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read back.
 
     Raises
     ------
     PreflightFailed
         With every reason at once.
     drivers.errors.DriverError
-        When a device does not answer, or is another one than named.
+        If a device does not answer, or is not the one that the station file names.
     """
     stage, light = devices.stage.identify(), devices.light.identify()
     camera = devices.camera.identify()
     devices.light.off()
     settings, camera_reasons = job.camera_kind.prepare(devices.camera)
-    # An axis without its reference warns of just that until it is homed; what is left is looked at afterwards.
+    # An axis that is not homed warns about that; the stage's faults are then read after homing.
     reasons = stage_faults(devices) if devices.stage.is_homed() else []
     reasons += [f"light: {fault}" for fault in devices.light.faults()]
     reasons += camera_reasons
     if reasons:
         raise PreflightFailed(
             f"The bench is not ready: {'; '.join(reasons)}.",
-            remedy="Mend this and run again; nothing has moved.",
+            remedy="Correct this and run again; nothing has moved.",
         )
     return {
         "camera": {**asdict(camera), "lens": job.lens},
@@ -56,14 +56,36 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
 
 
 def stage_faults(devices: Devices) -> list[str]:
-    """Ask the stage for its faults and warnings."""
+    """Read the faults and warnings of the stage.
+
+    Parameters
+    ----------
+    devices
+        Open devices.
+
+    Returns
+    -------
+    list of str
+        One text per fault; empty if there are none.
+    """
     return [f"stage: {fault}" for fault in devices.stage.faults()]
 
 
 def require_no_faults(reasons: list[str]) -> None:
-    """Raise PreflightFailed with every reason, if there is one."""
+    """Raise an error if there is any reason against continuing.
+
+    Parameters
+    ----------
+    reasons
+        Reasons against continuing.
+
+    Raises
+    ------
+    PreflightFailed
+        With every reason, if there is at least one.
+    """
     if reasons:
         raise PreflightFailed(
             f"The bench is not ready: {'; '.join(reasons)}.",
-            remedy="Mend this, then go on with `starbench resume`.",
+            remedy="Correct this, then continue with `starbench resume`.",
         )

@@ -1,12 +1,12 @@
-"""Which steps of a script a run still has to do, and what a step stands on. Knows steps and history, no devices.
+"""Which steps of a script a run still has to do, and which steps these depend on. Uses steps and history, no devices.
 
-A recording (or settling) stands on the move before it, a report on the solution before it: where the one has still
-to be done, the other is done again.
+A recording (or settling) depends on the move before it; a report depends on the solution before it. If the one is
+still to be done, the other is repeated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from bench.plan.job import Job, ScriptStep
@@ -14,11 +14,24 @@ from bench.records.history import History, count_crash
 from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
 
 CRASHES_ALLOWED = 1
-"""A pose at which the process crashed by itself more often than that is not tried again."""
+"""A pose at which the process crashed more often than this is not tried again."""
 
 
 def remaining(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptStep]:
-    """Find the steps to do: those not done, and those done that the first of them stands on."""
+    """Return the steps to do: those not done, and those done that the first of them depends on.
+
+    Parameters
+    ----------
+    steps
+        All steps of the script.
+    done
+        Numbers of the steps that are done.
+
+    Returns
+    -------
+    list
+        Steps to do, in the order of the script.
+    """
     done = set(done)
     undone = [i for i, step in enumerate(steps) if step.number not in done]
     again: set[int] = set()
@@ -30,9 +43,19 @@ def remaining(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptSt
 
 
 def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
-    """Find what the next recording stands on among the steps before ``step``: the move and the settling after it.
+    """Return the steps before ``step`` that the next recording depends on: move and settling.
 
-    Nothing where a move comes before the next recording anyway, or where no recording follows.
+    Parameters
+    ----------
+    steps
+        All steps of the script.
+    step
+        The step that comes next.
+
+    Returns
+    -------
+    list
+        Steps to repeat; empty if a move comes before the next recording, or no recording follows.
     """
     here = next(i for i, candidate in enumerate(steps) if candidate is step)
     coming = (s for s in steps[here:] if isinstance(s, MoveStep | RecordStep))
@@ -43,7 +66,20 @@ def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[Scrip
 
 
 def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptStep]:
-    """Find the steps that are there for one recording only: it, and its move where no other stands on that."""
+    """Return the steps that serve one recording only: it, and its move if no other recording depends on that.
+
+    Parameters
+    ----------
+    steps
+        All steps of the script.
+    pose_index
+        Number of the pose, from 1.
+
+    Returns
+    -------
+    list
+        Steps to leave out if the pose is skipped.
+    """
     here = next(i for i, s in enumerate(steps) if isinstance(s, RecordStep) and s.pose.index == pose_index)
     moves = [i for i, s in enumerate(steps) if isinstance(s, MoveStep)]
     begin = max((i for i in moves if i < here), default=here)
@@ -54,44 +90,73 @@ def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptSt
 
 
 def crash_looped(history: History) -> dict[int, str]:
-    """Find the poses that must not be tried again, and say why: the process crashed there too often."""
+    """Return the poses that must not be tried again because the process crashed there too often.
+
+    Parameters
+    ----------
+    history
+        History of the run.
+
+    Returns
+    -------
+    dict
+        Reason, by pose index.
+    """
     accepted = history.accepted()
     return {
-        pose: f"the process crashed {crashes} times while it was at work there"
+        pose: f"the process crashed {crashes} times at this pose"
         for pose, crashes in history.crashes.items()
         if crashes > CRASHES_ALLOWED and pose not in accepted and pose not in history.skipped
     }
 
 
 def intentions(job: Job, history: History, crash: str | None) -> list[str]:
-    """Say what resuming a run will do, a line each, before it is done.
+    """Return what resuming a run will do, before it is done.
 
     Parameters
     ----------
     job, history
-        The run.
+        Task and history of the run.
     crash
-        How the process that worked on it crashed (`bench.run.crash_log`); None when it did not.
+        How the process that worked on it crashed (`bench.run.crash_log`); None if it did not.
+
+    Returns
+    -------
+    list of str
+        Sentences, one action each.
     """
+    if history.ended == "finished":
+        return ["The run is finished; only its seal is missing. It will be sealed; no device is opened."]
     history = replace(history, crashes=dict(history.crashes))
     count_crash(history, crash)
     names = {pose.index: pose.name for pose in job.plan.poses}
-    accepted = history.accepted()
-    if history.ended == "finished":
-        return ["The run is finished; only its seal is missing. It will be sealed; no device is opened."]
-    how = f"{history.ended}: {history.why}" if history.ended else crash or "killed or cut off"
-    lines = [f"The run was stopped ({how}); {len(accepted)} of {len(names)} poses are recorded and stay."]
-    looped = crash_looped(history)
-    lines += [f"Skipped: pose {p} ({names[p]}), for {why}." for p, why in looped.items()]
-    lines += [f"Skipped: pose {p} ({names[p]}), as {who} asked." for p, who in history.to_skip.items()]
-    gone = {*history.skipped, *looped, *history.to_skip}
+    how = f"{history.ended}: {history.why}" if history.ended else crash or "killed or power lost"
+    return [
+        f"The run was stopped ({how}). {len(history.accepted())} of {len(names)} poses are recorded and are kept.",
+        *_skip_texts(history, names),
+        *_step_texts(job, history),
+    ]
+
+
+def _skip_texts(history: History, names: Mapping[int, str]) -> list[str]:
+    """Return which poses will be skipped, and why."""
+    crashed = [f"Skip pose {p} ({names[p]}), because {why}." for p, why in crash_looped(history).items()]
+    asked = [f"Skip pose {p} ({names[p]}), because {who} asked for it." for p, who in history.to_skip.items()]
+    return crashed + asked
+
+
+def _step_texts(job: Job, history: History) -> list[str]:
+    """Return which poses will be recorded or moved to again, and what follows."""
+    skipped = {*history.skipped, *crash_looped(history), *history.to_skip}
     steps = remaining(job.steps, history.done_steps)
-    record = [s.pose for s in steps if isinstance(s, RecordStep) and s.pose.index not in gone]
-    lines += [f"To record: pose {pose.index} ({pose.name})." for pose in record]
-    again = [s.pose for s in steps if isinstance(s, MoveStep) and s.number in history.done_steps]
-    lines += [f"Moved to again: {pose.name}." for pose in again if pose.index not in gone]
-    rest = [what for kind, what in ((SolveStep, "solve"), (ReportStep, "report")) if _has(steps, kind)]
-    return [*lines, f"Then: {', '.join([*rest, 'seal'])}."]
+    recorded = [s.pose for s in steps if isinstance(s, RecordStep)]
+    repeated = [s.pose for s in steps if isinstance(s, MoveStep) and s.number in history.done_steps]
+    last = [text for kind, text in ((SolveStep, "solve"), (ReportStep, "report")) if _has(steps, kind)]
+    return [
+        *(f"Record pose {pose.index} ({pose.name})." for pose in recorded if pose.index not in skipped),
+        *(f"Move to pose {pose.name} again." for pose in repeated if pose.index not in skipped),
+        f"Then: {', '.join([*last, 'seal'])}.",
+    ]
 
 
 def _has(steps: Sequence[ScriptStep], kind: type) -> bool:
@@ -99,7 +164,7 @@ def _has(steps: Sequence[ScriptStep], kind: type) -> bool:
 
 
 def _places_to_repeat(steps: Sequence[ScriptStep], first: int) -> list[int]:
-    """Places of what the step at ``first`` stands on, and of what lies between and belongs to it."""
+    """Return the places of the steps before ``first`` that the step at ``first`` depends on."""
     solving = isinstance(steps[first], SolveStep | ReportStep)
     base: type = SolveStep if solving else MoveStep
     if isinstance(steps[first], base):

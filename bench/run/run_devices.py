@@ -19,7 +19,7 @@ from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice
 
 PROBE = "probe.raw"
-"""A short recording in the dark, never kept."""
+"""File of a short recording in the dark; it is never kept."""
 
 
 class RunDevices:

@@ -1,6 +1,6 @@
 """Messages about one run: when it fails, holds or ends, its status goes to the outbox as text.
 
-How a message travels is `bench.messaging`'s work; what a status says is `bench.run.status`'s.
+`bench.messaging` delivers the messages; `bench.run.status` makes the text.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class RunMessages:
     courier
         Takes messages to the outbox and delivers them.
     folder
-        The run folder.
+        Run folder.
     say
-        Shows the operator why a message could not be written; the run goes on.
+        Prints for the operator why a message could not be written; the run continues.
     """
 
     def __init__(self, courier: Courier, folder: Path, say: Callable[[str], None]) -> None:
@@ -39,9 +39,9 @@ class RunMessages:
         occasion
             ``failure``, ``hold`` or ``end``.
         what
-            A few words for the subject.
+            Short text for the subject.
         key
-            Identifies this message for ever: the hash of the journal's line that gave occasion to it.
+            Unique name of this message: the hash of the journal's line that caused it.
         """
         if not self._courier.is_wanted(occasion):
             return

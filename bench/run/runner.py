@@ -1,7 +1,7 @@
-"""Runs a script: which step comes next, what follows a failure, and how every way out ends safe.
+"""Run a script: choose the next step, react to failures, and leave the bench safe at every end.
 
-The runner drives the state machine through the steps not yet done and journals each. The work of each state stands in
-`bench.run.state_work`. However a run ends, the stage is stopped, the light off and the camera stopped.
+The runner takes the remaining steps through the state machine and journals each of them. The work of each state is in
+`bench.run.state_work`. However a run ends, the stage is stopped, the light is off and the camera is stopped.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from bench.run.attempts import Attempts
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import HeartbeatWriter
 from bench.run.holding import Holding, HoldNotifier
-from bench.run.interlocks import Interlocks, Trip, interlocks_of
+from bench.run.interlock_kinds import interlocks_of
+from bench.run.interlocks import Interlocks, Trip
 from bench.run.machine import RunMachine
 from bench.run.resumption import crash_looped, remaining
 from bench.run.run_devices import RunDevices
@@ -38,7 +39,7 @@ from drivers.errors import CameraLost, PortLost, ReplyTimeout
 from sequences.script import RecordStep, WaitStep
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
-"""A device is gone, or no longer answers."""
+"""Errors of a device that is gone, or no longer answers."""
 
 End = Literal["finished", "aborted", "failed"]
 
@@ -52,13 +53,13 @@ class RunEnd:
     how, why
         ``finished``, ``aborted`` or ``failed``; and why it did not finish.
     folder
-        The run folder.
+        Run folder.
     outcome
-        Its result, where there is one.
+        Result of the run, if there is one.
     unsafe
-        Devices that did not confirm that they are safe, in plain words; empty when all did.
+        Devices that did not confirm a safe state, as text; empty if all did.
     failure
-        The error that ended a failed run, with its place and remedy; None for other runs.
+        Error that ended a failed run, with its place and remedy; None for other runs.
     """
 
     how: End
@@ -70,25 +71,25 @@ class RunEnd:
 
 
 class Runner:
-    """One process's work on one run.
+    """Work of one process on one run.
 
     Parameters
     ----------
     job
-        What is to be run: script, station, seed.
+        Task of the run: script, station, seed.
     folder, journal
-        The run's, held by this process.
+        Run folder and journal, locked by this process.
     open_devices
-        Opens the station's devices; called when, and only if, a step needs them.
+        Opens the station's devices; called when a step first needs them.
     clock
-        The run's clock; a stop requested of it ends the run safely.
+        Clock of the run; a requested stop ends the run safely.
     progress
-        Where to tell the operator.
+        Shows progress to the operator.
     notify
-        Called with the occasion (``hold``, ``failure``), a few words and the hash of the journal's line, whenever
-        somebody should hear of the run before it ends.
+        Called with the occasion (``hold``, ``failure``), a short text and the hash of the journal's line,
+        when absent people should be notified before the run ends.
     results
-        Computes and writes the results; a ``ResultWriter`` of the folder unless told otherwise.
+        Calculates and writes the results; a ``ResultWriter`` of the folder where None.
     """
 
     def __init__(
@@ -130,17 +131,17 @@ class Runner:
         self._inbox = CommandInbox(folder.path, log, names, clock, looks)
 
     def run(self) -> RunEnd:
-        """Do every step not yet done.
+        """Do every step that is not done yet.
 
         Returns
         -------
         RunEnd
-            Also when it was aborted or failed: the bench is then safe and the run can be resumed.
+            Also if the run was aborted or failed; the bench is then safe and the run can be resumed.
 
         Raises
         ------
         Exception
-            Only a defect of the program; the bench is safe even then.
+            Only for a defect of the program; the bench is safe even then.
         """
         try:
             with self._inbox:
@@ -151,7 +152,7 @@ class Runner:
         except FORESEEN as error:
             return self._end_early("failed", str(error), Failure.of(error))
         except BaseException as error:
-            why = f"unforeseen: {type(error).__name__}: {error}"
+            why = f"unexpected: {type(error).__name__}: {error}"
             self._end_early("failed", why, Failure.of(error), crashed=True)
             raise
         finally:
@@ -181,18 +182,16 @@ class Runner:
     def _end_early(
         self, how: End, why: str, failure: Failure | None = None, *, crashed: bool = False
     ) -> RunEnd:
-        """Make the bench safe and write the end to the journal, which may be what failed."""
+        """Make the bench safe and journal the end, even if it is the journal that failed."""
         with self._clock.shielded():
             try:
                 self._folder.release_reserve()
-                if self._machine.can(
-                    "abort"
-                ):  # not where it had finished, and only that could not be written
+                if self._machine.can("abort"):  # not if the run had finished and only its journal line failed
                     self._machine.fire("abort")
                     self._machine.fire("abort_done" if how == "aborted" else "fail")
                 self._write_end(how, why, failure, crashed=crashed)
             except StorageError as error:
-                why = f"{why} Besides, the journal could not be written: {error}"
+                why = f"{why} In addition, the journal could not be written: {error}"
             finally:
                 self._devices.make_safe()
         return RunEnd(how, why, self._folder.path, None, self._devices.unsafe, failure)
@@ -215,15 +214,15 @@ class Runner:
     # ------------------------------------------------------------------ which steps
 
     def _prepare_bench(self, steps: list[ScriptStep]) -> None:
-        """Find the stage's reference, and set the light as the script last set it."""
+        """Home the stage, and set the light as the script last set it."""
         self._interlocks.require_clear()
-        if self._machine.state != "preflight":  # an interlock held meanwhile
+        if self._machine.state != "preflight":  # an interlock held the run in between
             self._machine.fire("preflight")
         self._machine.fire("home")
         self._set_light_of_resumed(steps)
 
     def _set_light_of_resumed(self, steps: list[ScriptStep]) -> None:
-        """Set the light as the script last set it, where a resumed run goes on with recordings."""
+        """Set the light as the script last set it, if a resumed run continues with recordings."""
         if self._log.history.resumed and steps:
             first = next((step for step in steps if isinstance(step, RecordStep)), None)
             light = self._job.light_before(first)
@@ -231,7 +230,7 @@ class Runner:
                 self._steps.set_light(light)
 
     def _check_unchecked(self) -> None:
-        """Measure recordings that were stored, but not measured when the process died."""
+        """Measure recordings that were stored, but not yet measured when the process died."""
         history = self._log.history
         for step in self._job.steps:
             if isinstance(step, RecordStep) and (attempt := history.unchecked(step.pose.index)) is not None:
@@ -260,7 +259,7 @@ class Runner:
     # ------------------------------------------------------------------ interlocks
 
     def _with_interlocks(self, step: ScriptStep | None, work: Callable[[], None]) -> None:
-        """Do work with devices. Where an interlock holds before or during the work, wait, and do the work again."""
+        """Do work with devices. If an interlock holds before or during it, wait, then repeat the work."""
         again = False
         while True:
             try:
@@ -284,18 +283,18 @@ class Runner:
     def _hold_for(self, trip: Trip, step: ScriptStep | None) -> None:
         if self._machine.state == "recording" and isinstance(step, RecordStep):
             self._attempts.keep_lost_recording(step, trip.text)
-        self._progress.say(f"Held by {trip.text}; the run goes on by itself once that is over.")
+        self._progress.say(f"Held by {trip.text}. The run continues by itself when this is over.")
         self._machine.fire("hold", step, trip, rule=trip.interlock.name, why=trip.why)
 
     # ------------------------------------------------------------------ changes of state, and the supervisor
 
     def entering(self, data: Entering) -> None:
-        """Journal a change of state before it is made; then pulse, interlocks and progress follow.
+        """Journal a change of state before it is made; then update heartbeat, interlocks and progress.
 
         Parameters
         ----------
         data
-            The states, the step and its circumstances.
+            States, step and circumstances of the change.
         """
         self._log.write_entering(data)
         state = data["state"]
@@ -306,20 +305,22 @@ class Runner:
             self._hold_notifier.entering(data, self._log.journal.head)
 
     def left_off(self, data: LeftOff) -> None:
-        """Journal that the work of a state has ended; nothing interrupts what is between two states.
+        """Journal that the work of a state has ended; nothing interrupts the time between two states.
 
         Parameters
         ----------
         data
-            The state, and the error where the work failed.
+            The state, and the error if the work failed.
         """
         self._log.write_left_off(data)
         self._interlocks.left_off()
 
     def _report_lost_supervisor(self) -> None:
-        """Journal that no process watches this one any more, and go on: the run is as good as before."""
+        """Journal that the supervisor of this process has ended; the run continues."""
         if self._heartbeat.supervisor_is_gone():
             self._log.write(Event.SUPERVISOR_LOST)
             self._notify(
-                "failure", "goes on, but what watched it is gone: nothing follows it", self._log.journal.head
+                "failure",
+                "continues, but its supervisor has ended: no further run follows",
+                self._log.journal.head,
             )

@@ -23,17 +23,17 @@ class SafePoints:
     Parameters
     ----------
     job, log
-        The run.
+        Task and journal of the run.
     machine
-        Its state machine.
+        State machine of the run.
     steps
-        Takes steps again after a hold.
+        Repeats steps after a hold.
     interlocks
-        None of them may hold when a run goes on.
+        All of them must be clear before a run continues.
     clock
-        The run's clock.
+        Clock of the run.
     say
-        Shows a line to the operator.
+        Prints a line for the operator.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class SafePoints:
 
     def _hold(self, step: ScriptStep, by: str) -> None:
         begin_s = self._clock.monotonic()
-        self._say(f"Held by {by}; `starbench release` lets the run go on.")
+        self._say(f"Held by {by}. To continue: `starbench release`.")
         self._machine.fire("hold", step, by=by)
         held_s = self._clock.monotonic() - begin_s
         before = "parking" if isinstance(step, ParkStep) else f"step {step.number}"

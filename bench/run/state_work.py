@@ -1,7 +1,7 @@
-"""The work of each state of a run: the hardware actions and their journal lines.
+"""The work of each state of a run: the actions of the devices and their journal lines.
 
-Devices are reached through their protocols only. Which state comes next, and what follows a failure, is the runner's
-business; the mathematics stands in `bench.views.measure` and `bench.results.result`.
+Devices are used through their protocols only. The runner decides which state comes next and what follows a failure;
+`bench.views.measure` and `bench.results.result` do the calculations.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ from sequences.script import (
 
 
 class StateWork:
-    """The work of the states. Each method is given the step for which its state is entered.
+    """The work of the states. Each method receives the step for which its state is entered.
 
     Parameters
     ----------
     job, folder, log
-        The run.
+        Task, folder and journal of the run.
     devices
-        The run's devices.
+        Devices of the run.
     holding
         The work of the state ``holding``.
     results
-        Computes and writes the results.
+        Calculates and writes the results.
     clock
-        Waits go through it, so that a stop ends them.
+        Clock of all waits, so that a stop ends them.
     """
 
     def __init__(
@@ -72,7 +72,13 @@ class StateWork:
         self._measured: dict[int, Measurement] = {}
 
     def table(self) -> Mapping[str, Callable[..., None]]:
-        """The work of each state that has some, for the state machine."""
+        """Return the work of each state that has any, for the state machine.
+
+        Returns
+        -------
+        dict
+            Method to call, by the state's name.
+        """
         return {
             "recovering": self.recover,
             "preflight": self.preflight,
@@ -92,29 +98,36 @@ class StateWork:
         }
 
     def recover(self, *_: Any, **__: Any) -> None:
-        """Put the run folder in order after a process died in it."""
+        """Put the run folder in order after a process died while working on it."""
         notes = recover(self._folder, self._log.journal)
         self._log.write(Event.RECOVERED, **notes.as_data())
         for name in notes.missing:
             self._log.write(Event.DEVIATION, what=f"{name} was missing when the run was resumed.")
         for name in notes.changed:
             self._log.write(
-                Event.DEVIATION, what=f"{name} had changed when the run was resumed; it was set aside."
+                Event.DEVIATION,
+                what=f"{name} was changed before the run was resumed; it was moved to quarantine.",
             )
 
     def preflight(self, *_: Any, **__: Any) -> None:
-        """Open the devices, unless they are open; see that they are those of the station file and report no fault."""
+        """Open the devices if they are not open; check their identity and faults."""
         self._log.write(Event.DEVICES, **preflight(self._devices.open(), self._job))
 
     def home(self, *_: Any, **__: Any) -> None:
-        """Find the stage's reference, unless it has one."""
+        """Home the stage, unless it is homed."""
         devices = self._devices.opened
         if not devices.stage.is_homed():
             devices.stage.home()
         require_no_faults(stage_faults(devices))
 
     def set_light(self, step: LightStep, **_: Any) -> None:
-        """Switch the light as the step says."""
+        """Set the light as the step says.
+
+        Parameters
+        ----------
+        step
+            The light step.
+        """
         light = self._devices.opened.light
         if step.flicker is None:
             light.off()
@@ -123,15 +136,35 @@ class StateWork:
         light.on()
 
     def slew(self, step: MoveStep, **_: Any) -> None:
-        """Turn the camera into the step's pose."""
+        """Move the stage to the step's pose.
+
+        Parameters
+        ----------
+        step
+            The move step.
+        """
         self._devices.opened.stage.move_to(step.pose.angles_deg)
 
     def stand_still(self, step: SettleStep | WaitStep, **_: Any) -> None:
-        """Let the step's time pass."""
+        """Wait for the duration of the step.
+
+        Parameters
+        ----------
+        step
+            The settle or wait step.
+        """
         self._clock.sleep(step.duration_s)
 
     def record(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
-        """Record at the step's pose. When this returns, the recording is complete, in its place and journaled."""
+        """Record at the step's pose. On return, the recording is complete, in its place and journaled.
+
+        Parameters
+        ----------
+        step
+            The record step.
+        attempt
+            Number of the attempt, from 1.
+        """
         pose, kind, devices = step.pose, self._job.camera_kind, self._devices.opened
         before = self._devices.position_deg()
         light = devices.light.read()
@@ -155,17 +188,25 @@ class StateWork:
         )
 
     def check(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
-        """Measure the recording just stored: stars, event rate, triggers, motion; accept it or say why not."""
+        """Measure the recording just stored; accept it or journal why not.
+
+        Parameters
+        ----------
+        step
+            The record step.
+        attempt
+            Number of the attempt, from 1.
+        """
         pose, job, history = step.pose, self._job, self._log.history
         stored = next(a for a in history.attempts_at(pose.index) if a.attempt == attempt).stored
         frequency_hz = job.frequency_hz(step)
-        expect = grid_from_earlier_poses(history, stored, job.target)
+        expected = grid_from_earlier_poses(history, stored, job.target)
         path = self._folder.path / stored["capture"]
-        found = job.camera_kind.measure(path, step, frequency_hz, job.target, expect)
-        judged, against = job.camera_kind.judge(stored["facts"], step, frequency_hz, found)
-        judged += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
+        found = job.camera_kind.measure(path, step, frequency_hz, job.target, expected)
+        gates, other_reasons = job.camera_kind.judge(stored["facts"], step, frequency_hz, found)
+        gates += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
         reasons = [found.fault] if found.fault else []
-        reasons += failed_gate_texts(judged) + against
+        reasons += failed_gate_texts(gates) + other_reasons
         if not reasons:
             self._measured[pose.index] = found
         self._log.write(
@@ -175,31 +216,53 @@ class StateWork:
             accepted=not reasons,
             reasons=reasons,
             stars=found.stars,
-            gates=[gate.as_data() for gate in judged],
+            gates=[gate.as_data() for gate in gates],
             measured=found.facts,
         )
 
     def back_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:
-        """Let time pass after a recording that was refused, so that its cause may pass too."""
+        """Wait after a rejected recording, so that its cause may pass.
+
+        Parameters
+        ----------
+        wait_s
+            Duration, s.
+        """
         self._clock.sleep(wait_s)
 
     def hold(self, step: ScriptStep | None, trip: Trip | None = None, *, by: str = "", **_: Any) -> None:
-        """Hold for an operator (``by``), for an interlock (``trip``), or for the answer to the step's question."""
+        """Hold for an operator, for an interlock, or for the answer to the step's question.
+
+        Parameters
+        ----------
+        step
+            Step that comes next, or the prompt step; None before the first step.
+        trip
+            Interlock that holds the run, if any.
+        by
+            Operator who holds the run; empty if there is none.
+        """
         self._holding.hold(step if isinstance(step, PromptStep) else None, trip, by=by)
 
     def park(self, *_: Any, **__: Any) -> None:
-        """Switch the light off and turn the stage to zero: nothing more is needed of them."""
+        """Switch the light off and move the stage to zero, because no later step needs them."""
         devices = self._devices.opened
         devices.light.off()
         devices.stage.move_to(dict.fromkeys(devices.stage.axes, 0.0))
 
     def solve(self, step: SolveStep, **_: Any) -> None:
-        """Calibrate from the accepted recordings."""
+        """Calibrate from the accepted recordings.
+
+        Parameters
+        ----------
+        step
+            The solve step.
+        """
         solved = self._results.solve(step, self._log.history, self._measured, self._clock.check)
         self._log.write(Event.SOLVED, **solved)
 
     def report(self, *_: Any, **__: Any) -> None:
-        """Write results, pictures, exports and the report."""
+        """Write results, images, exports and the report."""
         truth = self._devices.truth() if self._devices.is_open else self._job.read_truth()
         self._results.write(self._log, truth)
 

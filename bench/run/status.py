@@ -1,6 +1,6 @@
-"""How a run stands, for somebody who looks on from another terminal: read from its folder, which stays untouched.
+"""Status of a run, read from its folder by another process; the folder is not changed.
 
-What is told comes from the journal and ``plan.json``; whether a process works on it, from the folder's lock.
+The journal and ``plan.json`` give the content; the lock of the folder shows whether a process works on the run.
 """
 
 from __future__ import annotations
@@ -32,32 +32,32 @@ FOLLOW_S = 0.5
 
 @dataclass(frozen=True)
 class Status:
-    """How a run stands.
+    """Status of a run.
 
     Attributes
     ----------
     run_id, folder, simulated
-        Its name and place, and whether any device is simulated.
+        Name and folder of the run, and whether any device is simulated.
     running, sealed
-        Whether a process works on it, and whether it is finished and sealed.
+        Whether a process works on the run, and whether it is finished and sealed.
     state
-        The last state entered; where no process works on it any more, the state in which it was left.
+        Last state that was entered; if no process works on the run, the state in which it was left.
     ended, why
-        ``finished``, ``aborted`` or ``failed``, and why; empty while it has not ended.
+        ``finished``, ``aborted`` or ``failed``, and why; empty while the run has not ended.
     pose, pose_name
-        The pose at work; None between poses.
+        Number and name of the pose at work; None and empty between poses.
     poses, accepted, skipped, attempts
-        How many poses there are, are recorded, are skipped; how many recordings were made.
+        How many poses there are, how many are recorded, how many are skipped; how many recordings were made.
     left_s
-        Expected time to its end, s; None where none is expected.
+        Expected time until the end, s; None if no process works on the run.
     held_by
-        Who, or which interlock, holds it, and why; empty while nothing does.
+        Operator or interlock that holds the run, and why; empty while none does.
     question
-        What it asks the operator; empty while it asks nothing.
+        Question to the operator; empty while there is none.
     resumed, deviations
-        How often it was taken up again; what went otherwise than the sequence says.
+        How often the run was resumed; deviations from the sequence.
     last
-        Its last lines, in words, the newest last.
+        Last journal lines as text, the newest last.
     advice
         What to do next.
     """
@@ -85,34 +85,65 @@ class Status:
     advice: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Give it as JSON carries it."""
+        """Return the status for JSON output.
+
+        Returns
+        -------
+        dict
+            Values that can be written as JSON.
+        """
         return {"schema": "starbench/status/1", **asdict(self)}
 
 
 def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> Status:
-    """Look at a run; nothing is changed, and no process of it is disturbed.
+    """Read the status of a run. Nothing is changed, and its process is not disturbed.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+    utc_now
+        Returns the present time, UTC.
+
+    Returns
+    -------
+    Status
+        The status.
 
     Raises
     ------
     RunFolderError
-        When there is no run.
+        If there is no run.
     JournalBroken
-        When its journal does not hold.
+        If the hash chain of its journal is broken.
     StorageError
-        When it cannot be read.
+        If it cannot be read.
     """
     if not (folder / JOURNAL).is_file():
         raise RunFolderError(
             f"This is not a run folder: it has no {JOURNAL}.",
             where=str(folder),
-            remedy="Name the folder a run was written to.",
+            remedy="Name the folder of a run.",
         )
     entries, _ = read_journal(folder / JOURNAL)
     return _status(folder, entries, utc_now())
 
 
 def follow(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
-    """Look at a run again and again while a process works on it; the last look is at how it ended."""
+    """Read the status of a run after every change, as long as a process works on the run.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+    sleep
+        Waits between two looks at the journal.
+
+    Yields
+    ------
+    Status
+        One per change; the last one shows how the run ended.
+    """
     seen = -1
     while True:
         with storage_errors(folder):
@@ -163,12 +194,14 @@ def _plan_of(folder: Path) -> Mapping[str, Any]:
         return {name: plan[name] for name in ("poses", "steps", "duration_s", "simulated")}
     except (StorageError, ValueError, KeyError, TypeError) as error:
         raise RunFolderError(
-            f"{PLAN} cannot be read.", where=str(folder), remedy="It is not what the run began with."
+            f"{PLAN} cannot be read.",
+            where=str(folder),
+            remedy="The file is damaged or was written by another program.",
         ) from error
 
 
 def _left_s(history: History, plan: Mapping[str, Any], entries: Sequence[Entry], now: datetime) -> float:
-    """Count the plan's time down: from the last step done, by the time since then; nothing while it is held."""
+    """Return the planned time after the last step done, less the time since then unless the run is held."""
     done_s = {step["number"]: step["done_after_s"] for step in plan["steps"]}
     begun_s = max((done_s.get(number, 0.0) for number in history.done_steps), default=0.0)
     marks = (e for e in reversed(entries) if e.event in {Event.STEP_DONE, Event.RUN_STARTED})
@@ -188,88 +221,130 @@ def _held_by(history: History) -> str:
 
 def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> str:
     if sealed:
-        return f"Finished and sealed; check it with: starbench verify {folder}"
+        return f"Finished and sealed. To check the seal: starbench verify {folder}"
     if running and history.rule:
-        return (
-            "Nothing: it goes on by itself once that is over, or ends safely when it has held for too long."
-        )
+        return "Nothing to do: the run continues by itself when this is over, or ends safely if it holds for too long."
     if running and history.question:
-        return f"It asks: {history.question} Answer with: starbench answer {folder} yes (or no)"
+        return f"The run asks: {history.question} To answer: starbench answer {folder} yes (or no)"
     if running and history.holder:
-        return f"Held by {history.holder}; let it go on with: starbench release {folder}"
+        return f"Held by {history.holder}. To continue: starbench release {folder}"
     if running:
-        return f"Nothing. To stop it safely: starbench abort {folder}"
-    return f"No process works on it; go on with: starbench resume {folder}"
+        return f"Nothing to do. To stop the run safely: starbench abort {folder}"
+    return f"No process works on this run. To continue: starbench resume {folder}"
 
 
 def _last_lines(entries: Sequence[Entry]) -> tuple[str, ...]:
-    words = (text for text in map(line_text, reversed(entries)) if text)
-    return tuple(reversed(tuple(islice(words, LAST_LINES))))
+    texts = (text for text in map(line_text, reversed(entries)) if text)
+    return tuple(reversed(tuple(islice(texts, LAST_LINES))))
 
 
 def line_text(entry: Entry) -> str:
-    """Say what a line of a journal tells, in words; empty for lines that only machines need."""
-    text = _words(entry)
+    """Return a journal line as text.
+
+    Parameters
+    ----------
+    entry
+        Line of the journal.
+
+    Returns
+    -------
+    str
+        Time and text; empty for lines that only programs need.
+    """
+    make_text = _ENTRY_TEXTS.get(entry.event)
+    text = make_text(entry.data) if make_text is not None else ""
     return f"{entry.utc[11:19]}  {text}" if text else ""
 
 
-def _words(entry: Entry) -> str:
-    data, text = entry.data, ""
-    pose = f" at pose {data['pose']}" if data.get("pose") else ""
-    match entry.event:
-        case Event.RUN_STARTED:
-            text = "the run was begun"
-        case Event.RUN_RESUMED:
-            crash = data.get("crash")
-            text = f"the run was taken up again{f', after a crash: {crash}' if crash else ''}"
-        case Event.ENTERING if "rule" in data:
-            text = f"held by the {interlock_text(data['rule'])} interlock: {data['why']}"
-        case Event.ENTERING if data["state"] not in END_STATES:  # the line of the end says that once
-            text = f"{data['state']}{pose}"
-        case Event.LEFT_OFF if "error" in data:
-            text = f"{data['state']} failed: {data['error']}"
-        case Event.CAPTURE_STORED:
-            text = f"stored {data['capture']}"
-        case Event.ATTEMPT_CHECKED:
-            judged = "accepted" if data["accepted"] else "; ".join(data["reasons"])
-            text = f"attempt {data['attempt']}{pose}: {judged}"
-        case Event.COMMANDED:
-            not_taken = "" if data["taken"] else f", not taken: {data['why']}"
-            text = f"{data['word']} by {data.get('by', 'somebody')}{not_taken}"
-        case Event.DEVIATION | Event.POSE_SKIPPED:
-            text = f"deviation: {data['what']}"
-        case Event.RUN_ENDED:
-            text = f"{data['how']}{': ' if data['why'] else ''}{data['why']}"
-        case _:
-            text = _words_of_waiting(entry)
-    return text
+def _resumed_text(data: Mapping[str, Any]) -> str:
+    crash = data.get("crash")
+    return f"the run was resumed{f' after a crash: {crash}' if crash else ''}"
 
 
-def _words_of_waiting(entry: Entry) -> str:
-    data, text = entry.data, ""
-    match entry.event:
-        case Event.ASKED:
-            text = f"asks: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
-        case Event.ANSWERED:
-            text = f"answered: {data['answer']} ({data['by']})"
-        case Event.INTERLOCK_RELEASED:
-            text = f"the {interlock_text(data['rule'])} interlock lets go after {data['held_s']:.0f} s"
-        case Event.SUPERVISOR_LOST:
-            text = "what watched this process is gone; the run goes on"
-    return text
+def _entering_text(data: Mapping[str, Any]) -> str:
+    if "rule" in data:
+        return f"held by the {interlock_text(data['rule'])} interlock: {data['why']}"
+    # The line of the run's end states its end state already.
+    return "" if data["state"] in END_STATES else f"{data['state']}{_at_pose(data)}"
+
+
+def _left_off_text(data: Mapping[str, Any]) -> str:
+    return f"{data['state']} failed: {data['error']}" if "error" in data else ""
+
+
+def _attempt_text(data: Mapping[str, Any]) -> str:
+    verdict = "accepted" if data["accepted"] else "; ".join(data["reasons"])
+    return f"attempt {data['attempt']}{_at_pose(data)}: {verdict}"
+
+
+def _command_text(data: Mapping[str, Any]) -> str:
+    refused = "" if data["taken"] else f", refused: {data['why']}"
+    return f"{data['word']} by {data.get('by', 'an unknown person')}{refused}"
+
+
+def _end_text(data: Mapping[str, Any]) -> str:
+    return f"{data['how']}{': ' if data['why'] else ''}{data['why']}"
+
+
+def _question_text(data: Mapping[str, Any]) -> str:
+    return f"question: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
+
+
+def _interlock_released_text(data: Mapping[str, Any]) -> str:
+    return f"the {interlock_text(data['rule'])} interlock cleared after {data['held_s']:.0f} s"
+
+
+def _at_pose(data: Mapping[str, Any]) -> str:
+    return f" at pose {data['pose']}" if data.get("pose") else ""
+
+
+_ENTRY_TEXTS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
+    Event.RUN_STARTED: lambda _data: "the run began",
+    Event.RUN_RESUMED: _resumed_text,
+    Event.ENTERING: _entering_text,
+    Event.LEFT_OFF: _left_off_text,
+    Event.CAPTURE_STORED: lambda data: f"stored {data['capture']}",
+    Event.ATTEMPT_CHECKED: _attempt_text,
+    Event.COMMANDED: _command_text,
+    Event.DEVIATION: lambda data: f"deviation: {data['what']}",
+    Event.POSE_SKIPPED: lambda data: f"deviation: {data['what']}",
+    Event.RUN_ENDED: _end_text,
+    Event.ASKED: _question_text,
+    Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
+    Event.INTERLOCK_RELEASED: _interlock_released_text,
+    Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
+}
+"""Text of each kind of journal line that people read."""
 
 
 def status_text(status: Status) -> str:
-    """Say how a run stands, for people."""
+    """Return a status as text.
+
+    Parameters
+    ----------
+    status
+        The status.
+
+    Returns
+    -------
+    str
+        Lines of text.
+    """
     at = f", pose {status.pose} of {status.poses} ({status.pose_name})" if status.pose else ""
     if status.running:
-        held = f", HELD by {status.held_by}" if status.held_by else ", ASKS" if status.question else ""
+        held = (
+            f", HELD by {status.held_by}"
+            if status.held_by
+            else ", WAITS FOR AN ANSWER"
+            if status.question
+            else ""
+        )
         left = "" if status.left_s is None else f", {clock_text(status.left_s)} left"
         head = f"running: {status.state}{at}{held}{left}"
     elif status.ended:
         head = f"{status.ended}{': ' if status.why else ''}{status.why}"
     else:
-        head = f"killed or cut off: {status.state}{at}"
+        head = f"interrupted (killed or power lost): {status.state}{at}"
     counts = f"{status.accepted} of {status.poses} poses recorded, {status.attempts} recordings"
     counts += f", {status.skipped} skipped" if status.skipped else ""
     counts += f", resumed {status.resumed} times" if status.resumed else ""

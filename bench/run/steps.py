@@ -1,6 +1,6 @@
-"""Takes single steps of a script through the state machine, and sets light and stage up again after a hold.
+"""Take single steps of a script through the state machine, and set up light and stage again after a hold.
 
-Which step comes next is the runner's business; how often a recording is tried, that of `bench.run.attempts`.
+The runner decides which step comes next; `bench.run.attempts` decides how often a recording is tried.
 """
 
 from __future__ import annotations

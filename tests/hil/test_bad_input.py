@@ -205,4 +205,4 @@ def test_a_changed_sequence_is_not_resumed(capsys):
     Path("out/sequence.yaml").write_text(SEQUENCE.replace("window_ms: 33", "window_ms: 50"))
     status, said = say(capsys, "resume", "out")
     assert status == 1
-    assert "not what this run was begun with" in said
+    assert "was changed after this run began" in said

@@ -85,7 +85,7 @@ def test_a_skipped_pose_is_left_out_and_the_report_says_who_asked(home, tmp_path
     ]  # so that it is there, however slow a command starts
     assert send(folder, Command(word="skip", by="ada", pose=2))["taken"]
     again = starbench("skip", folder, "--pose", 2, "--operator", "ada", home=home)
-    assert "skipped already" in again.stderr
+    assert "already skipped" in again.stderr
     assert send(folder, Command(word="release", by="ada"))["taken"]
     assert process.wait(PATIENCE_S) == 0
     told = results(folder)
@@ -108,11 +108,11 @@ def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tm
     assert "No process works on this run" in late.stderr
     before = (folder / "journal.jsonl").read_bytes()
     planned = starbench("resume", folder, "--dry-run", home=home)
-    assert "To record: pose 2 (right)." in planned.stdout
+    assert "Record pose 2 (right)." in planned.stdout
     assert (folder / "journal.jsonl").read_bytes() == before
     resumed = starbench("resume", folder, home=home)
     assert resumed.returncode == 0, resumed.stderr
-    assert "To record: pose 2 (right)." in resumed.stderr
+    assert "Record pose 2 (right)." in resumed.stderr
 
 
 def test_a_pose_that_crashes_the_process_twice_is_skipped_and_marked(home, tmp_path, process):
@@ -155,7 +155,7 @@ def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
         assert "starbench answer" in status["advice"]
         said = starbench("answer", folder, "yes", "--operator", "ada", home=home)
         assert said.returncode == 0, said.stderr
-        assert said.stdout == "Taken: continue.\n"
+        assert said.stdout == "Accepted: continue.\n"
         wait_for(process, folder, lambda line: line["event"] == "answered")
         answered = next(line for line in journal(folder) if line["event"] == "answered")
         assert (answered["answer"], answered["by"]) == ("continue", "ada")

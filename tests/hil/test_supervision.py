@@ -106,7 +106,7 @@ def test_a_worker_whose_supervisor_is_killed_goes_on_says_so_and_is_found_again(
     assert (item["how"], item["attempts"]) == ("finished", 1)
     assert results(run)["run"]["resumed"] == 0
     assert sum(line["event"] == "supervisor_lost" for line in journal(run)) == 1
-    assert [s for s in subjects(server) if "what watched it is gone" in s]
+    assert [s for s in subjects(server) if "its supervisor has ended" in s]
 
 
 WORKER = """

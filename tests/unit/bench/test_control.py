@@ -56,9 +56,9 @@ def test_what_is_not_held_is_not_released():
     ("pose", "why"),
     [
         (None, "no pose is at work"),
-        (4, "no pose 4; they are 1 to 3"),
-        (1, "recorded already"),
-        (2, "skipped already"),
+        (4, "no pose 4; the poses are 1 to 3"),
+        (1, "already recorded"),
+        (2, "already skipped"),
     ],
 )
 def test_a_pose_that_cannot_be_skipped_is_named(pose, why):
@@ -68,8 +68,8 @@ def test_a_pose_that_cannot_be_skipped_is_named(pose, why):
 
 def test_every_answer_has_words():
     for word in ("hold", "release", "abort", "skip"):
-        assert command_text({"word": word, "taken": True, "pose": 2}).startswith("Taken: ")
-    assert command_text({"word": "hold", "taken": False, "why": "so"}) == "Not taken: so."
+        assert command_text({"word": word, "taken": True, "pose": 2}).startswith("Accepted: ")
+    assert command_text({"word": "hold", "taken": False, "why": "so"}) == "Refused: so."
 
 
 # ---------------------------------------------------------------- what a journal of commands amounts to
@@ -166,7 +166,7 @@ def test_what_is_no_command_is_said_to_be_none_and_removed(run):
         (inbox / "e.json").symlink_to("/dev/zero")
         while any(not path.name.startswith(".") for path in inbox.iterdir()):
             clock.sleep(0.02)
-    assert [a["why"] for a in answers(folder)] == ["it is no command"] * 5
+    assert [a["why"] for a in answers(folder)] == ["it is not a command"] * 5
 
 
 def test_a_journal_that_takes_no_answer_fails_the_run_and_is_no_abort_by_anybody(run):
@@ -208,7 +208,7 @@ def test_a_command_to_a_run_that_ends_at_this_moment_is_said_to_be_too_late(run,
         write(path, data)
 
     monkeypatch.setattr(inbox_module, "write_atomic", too_late)
-    with CommandInbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="was ending"):
+    with CommandInbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="is ending"):
         send(folder, command("hold"))
 
 
@@ -248,10 +248,10 @@ def test_no_bytes_at_all_break_the_reading_of_a_command(data):
 
 def test_an_answer_is_taken_only_where_something_is_asked_and_only_once():
     yes = command("answer", answer="continue")
-    assert refusal(yes, History(), POSES) == "nothing is asked"
+    assert refusal(yes, History(), POSES) == "the run asks no question"
     assert refusal(yes, History(question="Cap off?"), POSES) == ""
-    assert refusal(yes, History(question="Cap off?", answer=("abort", "ben")), POSES) == "nothing is asked"
-    assert command_text({"word": "answer", "taken": True, "answer": "abort"}) == "Taken: abort."
+    assert refusal(yes, History(question="Cap off?", answer=("abort", "ben")), POSES) == "the run asks no question"
+    assert command_text({"word": "answer", "taken": True, "answer": "abort"}) == "Accepted: abort."
 
 
 @pytest.mark.parametrize("words", [{"word": "answer"}, {"word": "hold", "answer": "continue"}])

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.clock import Interrupted, VirtualClock
-from bench.run.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks, interlocks_of
+from bench.run.interlock_kinds import CameraTemperature, DiskSpace, Door, EventRate, interlocks_of
+from bench.run.interlocks import Interlocks
 from bench.stations.station import Station
 from bench.stations.station_interlocks import (
     CameraTemperatureConfig,
@@ -37,7 +38,7 @@ def test_a_sensor_that_has_fallen_silent_is_an_open_door(tmp_path):
     os.utime(sensor, (1000.0, 1000.0))
     words = DoorConfig(path=str(sensor), closed="closed", max_age_s=10)
     assert Door(words, utc_s=lambda: 1009.0).why(held=False) == ""
-    assert "said nothing for 11 s" in Door(words, utc_s=lambda: 1011.0).why(held=False)
+    assert "reported nothing for 11 s" in Door(words, utc_s=lambda: 1011.0).why(held=False)
 
 
 def test_a_sensor_that_speaks_from_the_future_is_not_believed_for_long(tmp_path):
@@ -46,13 +47,13 @@ def test_a_sensor_that_speaks_from_the_future_is_not_believed_for_long(tmp_path)
     os.utime(sensor, (5000.0, 5000.0))
     words = DoorConfig(path=str(sensor), closed="closed", max_age_s=10)
     assert Door(words, utc_s=lambda: 4991.0).why(held=False) == ""
-    assert "clock was set back" in Door(words, utc_s=lambda: 1400.0).why(held=False)
+    assert "clock of this computer was set back" in Door(words, utc_s=lambda: 1400.0).why(held=False)
     assert Door(DoorConfig(path=str(sensor), closed="closed"), utc_s=lambda: 0.0).why(held=False) == ""
 
 
 def test_a_pipe_in_place_of_a_sensor_is_an_open_door_and_nothing_to_wait_for(tmp_path):
     os.mkfifo(tmp_path / "value")
-    assert "not a file" in Door(DoorConfig(path=str(tmp_path / "value"))).why(held=False)
+    assert "not a regular file" in Door(DoorConfig(path=str(tmp_path / "value"))).why(held=False)
     assert "cannot be read" in Door(DoorConfig(path=str(tmp_path))).why(held=False)
 
 
@@ -66,8 +67,8 @@ def test_each_lets_go_later_than_it_holds(tmp_path):
     assert warm.why(held=True) == ""
     assert CameraTemperature(warm.config, lambda: None).why(held=False) == ""
     rate = EventRate(EventRateConfig(max_mev_s=50, release_mev_s=5), lambda: 60.0, lambda _s: 6.0)
-    assert "60 Mev/s came" in rate.why(held=False)
-    assert "6 Mev/s come in the dark" in rate.why(held=True)
+    assert "60 Mev/s in the last recording" in rate.why(held=False)
+    assert "6 Mev/s in the dark" in rate.why(held=True)
     huge = DiskSpace(DiskSpaceConfig(min_free_gb=1e-6, release_gb=1e9), tmp_path)
     assert [huge.why(held=held) != "" for held in (False, True)] == [False, True]
 

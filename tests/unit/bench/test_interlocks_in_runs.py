@@ -171,7 +171,7 @@ def test_status_says_what_holds(tmp_path, monkeypatch):
     scene.hook = hook
     assert scene.run().how == "finished"
     assert any("HELD by the door interlock: it is open" in text for text in texts)
-    assert any("goes on by itself" in text for text in texts)
+    assert any("continues by itself" in text for text in texts)
 
 
 def test_a_warm_camera_is_let_cool_and_the_run_goes_on(tmp_path):

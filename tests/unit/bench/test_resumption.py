@@ -120,19 +120,19 @@ def test_resuming_says_what_stays_what_is_recorded_and_what_is_skipped(job):
     history = History(done_steps={1, 2, 3, 4, 5}, at_pose=2, crashes={2: 1}, to_skip={3: "ada"})
     said = "\n".join(intentions(job, history, "Fatal Python error: Aborted"))
     assert "Fatal Python error: Aborted" in said
-    assert "Skipped: pose 2 (right), for the process crashed 2 times" in said
-    assert "Skipped: pose 3 (below), as ada asked." in said
-    assert "To record" not in said
+    assert "Skip pose 2 (right), because the process crashed 2 times" in said
+    assert "Skip pose 3 (below), because ada asked for it." in said
+    assert "Record pose" not in said
     assert said.endswith("Then: solve, report, seal.")
     assert history.crashes == {2: 1}
 
 
 def test_resuming_names_each_pose_to_record_and_the_move_done_again(job):
     said = intentions(job, History(done_steps={1, 2, 3, 4, 5}), None)
-    assert "killed or cut off" in said[0]
-    assert "To record: pose 2 (right)." in said
-    assert "To record: pose 3 (below)." in said
-    assert "Moved to again: right." in said
+    assert "killed or power lost" in said[0]
+    assert "Record pose 2 (right)." in said
+    assert "Record pose 3 (below)." in said
+    assert "Move to pose right again." in said
 
 
 def test_a_finished_run_is_only_sealed(job):

@@ -51,7 +51,7 @@ def test_every_prefix_of_a_journal_reads_as_its_whole_lines_and_says_what_comes_
 def next_of(scene, entries):
     """What resuming would do; a run without a line cannot, and says so."""
     if not entries:
-        with pytest.raises(RunFolderError, match="Start it anew") as caught:
+        with pytest.raises(RunFolderError, match="Start a new run") as caught:
             read_intentions(scene.folder)
         return str(caught.value)
     return " ".join(intentions(scene.task, replay(entries), None))

@@ -83,7 +83,7 @@ def test_a_run_that_was_killed_is_not_running_and_nobody_holds_it(run):
     run.die()
     status = run.status()
     assert (status.running, status.held_by, status.left_s) == (False, "", None)
-    assert "killed or cut off: slewing, pose 1 of 3 (left)" in status_text(status)
+    assert "interrupted (killed or power lost): slewing, pose 1 of 3 (left)" in status_text(status)
     assert "starbench resume" in status.advice
 
 
