@@ -77,7 +77,9 @@ def test_kernels_older_than_their_source_or_without_one_are_removed(tmp_path):
     cache.mkdir(parents=True)
     source = cache.parent / "flicker.py"
     source.touch()
-    fresh, stale, orphan = (cache / f"{name}.py311.nbi" for name in ("flicker.new-3", "flicker.old-9", "gone.fold-1"))
+    fresh, stale, orphan = (
+        cache / f"{name}.py311.nbi" for name in ("flicker.new-3", "flicker.old-9", "gone.fold-1")
+    )
     for index, age_s in ((fresh, -10), (stale, 10), (orphan, -10)):
         index.touch()
         os.utime(index, (source.stat().st_mtime - age_s,) * 2)
