@@ -1,6 +1,6 @@
-"""What is to be run: a sequence on a station, unfolded into steps, with all that both files say about it.
+"""The task of a run: a sequence on a station, expanded into steps, with what both files state about it.
 
-Knows both files and nothing of what has happened so far (`history`) or is open (`devices`).
+A job holds the content of both files. It holds neither the history of the run nor open devices.
 """
 
 from __future__ import annotations
@@ -22,12 +22,20 @@ from drivers.light import LightSettings
 from sequences.script import Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
 
 MAX_MOTION_DEG = 0.0005
-"""More motion than this between the begin and the end of a recording is motion: 0.03 px at f = 3345 px."""
+"""Largest motion between the begin and the end of a recording, degrees: 0.03 px at f = 3345 px."""
 
 
 @dataclass(frozen=True)
 class ParkStep:
-    """Light off, stage to zero; follows the last step that needs devices, though no script says it."""
+    """Light off and stage to zero, after the last step that needs devices. No script contains this step.
+
+    Attributes
+    ----------
+    number
+        Number of the step; 0, because it is not in the script.
+    where
+        Place in the run, for messages.
+    """
 
     number: int = 0
     where: str = "after the last recording"
@@ -38,7 +46,18 @@ DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ParkStep)
 
 
 def with_parking(steps: Sequence[Step]) -> tuple[ScriptStep, ...]:
-    """Insert the parking after the last step that needs devices."""
+    """Insert a park step after the last step that needs devices.
+
+    Parameters
+    ----------
+    steps
+        Steps of the script.
+
+    Returns
+    -------
+    tuple
+        Steps with the park step; unchanged if no step needs devices.
+    """
     last = max((i for i, step in enumerate(steps) if isinstance(step, DEVICE_STEPS)), default=-1)
     if last < 0:
         return tuple(steps)
@@ -47,18 +66,18 @@ def with_parking(steps: Sequence[Step]) -> tuple[ScriptStep, ...]:
 
 @dataclass(frozen=True)
 class Job:
-    """One run's task.
+    """Task of one run.
 
     Attributes
     ----------
     plan
-        The checked sequence and station, and what they amount to.
+        The checked sequence and station, and what follows from them.
     steps
-        The script, parking included.
+        Steps of the script, with the park step.
     seed
-        Seed of a simulated bench; also recorded for a real one.
+        Random seed of a simulated bench; recorded for a real bench too.
     operator
-        Who runs it, where told.
+        Name of the operator, if known.
     """
 
     plan: Plan
@@ -76,12 +95,28 @@ class Job:
         operator: str | None,
         settings: Mapping[str, str] | None = None,
     ) -> Job:
-        """Read, check and unfold a sequence on a station, as `bench.plan.plan.load_documents` takes them.
+        """Read, check and expand a sequence on a station.
+
+        Parameters
+        ----------
+        sequence, station
+            Paths of the files, or names of those that are included.
+        seed
+            Random seed of a simulated bench.
+        operator
+            Name of the operator; that of the station file where None.
+        settings
+            Settings that replace those of the files (`bench.plan.plan.load_documents`).
+
+        Returns
+        -------
+        Job
+            The task.
 
         Raises
         ------
         ScriptError
-            With everything that is wrong with either.
+            With all faults of both files.
         """
         planned = make_plan(*load_documents(sequence, station, settings))
         if planned.faults:
@@ -90,12 +125,27 @@ class Job:
 
     @classmethod
     def from_plan(cls, plan: Plan, *, seed: int, operator: str | None) -> Job:
-        """Make the task of a plan without faults."""
+        """Return the task of a plan without faults.
+
+        Parameters
+        ----------
+        plan
+            The plan.
+        seed
+            Random seed of a simulated bench.
+        operator
+            Name of the operator; that of the station file where None.
+
+        Returns
+        -------
+        Job
+            The task.
+        """
         return cls(plan, with_parking(plan.script), seed, operator or plan.station.value.operator)
 
     @property
     def station(self) -> Station:
-        """What the station file says."""
+        """Content of the station file."""
         return self.plan.station.value
 
     @property
@@ -110,17 +160,17 @@ class Job:
 
     @property
     def lens(self) -> str | None:
-        """The camera's lens, as the station file says."""
+        """The camera's lens, as the station file states it."""
         return self.station.camera.lens
 
     @property
     def laboratory(self) -> str | None:
-        """The laboratory, as the station file says."""
+        """The laboratory, as the station file states it."""
         return self.station.laboratory
 
     @property
     def simulated(self) -> bool:
-        """Whether any device is a simulated one."""
+        """Whether any device is simulated."""
         return self.station.is_simulated
 
     @property
@@ -130,16 +180,38 @@ class Job:
         return f"{camera.driver}_{camera.serial}" if camera.serial else camera.driver
 
     def light_settings(self, flicker: Flicker) -> LightSettings:
-        """Turn a sequence's flicker into the station's light settings, as its camera needs them."""
+        """Return the station's light settings for a flicker of the sequence, as the camera needs them.
+
+        Parameters
+        ----------
+        flicker
+            Flicker of the sequence.
+
+        Returns
+        -------
+        LightSettings
+            Settings for the light's driver.
+        """
         return self.station.light.settings(self.camera_kind.light_for(flicker))
 
     def light_before(self, step: ScriptStep | None) -> LightStep | None:
-        """Find the light step that holds when a step begins; None before the first."""
-        return self._lights.get(0 if step is None else id(step), self._lights[0])
+        """Return the light step that is in effect when a step begins.
+
+        Parameters
+        ----------
+        step
+            Step of the script; None for the end of the script.
+
+        Returns
+        -------
+        LightStep or None
+            None before the first light step.
+        """
+        return self._light_before.get(0 if step is None else id(step), self._light_before[0])
 
     @cached_property
-    def _lights(self) -> dict[int, LightStep | None]:
-        """The light step before each step, by the step's identity; after the last one, by 0."""
+    def _light_before(self) -> dict[int, LightStep | None]:
+        """The light step before each step, by the step's identity; after the last step, by 0."""
         light: LightStep | None = None
         found: dict[int, LightStep | None] = {}
         for step in self.steps:
@@ -148,37 +220,94 @@ class Job:
         return {**found, 0: light}
 
     def frequency_hz(self, step: RecordStep) -> float:
-        """Flicker frequency that holds when a recording is made; the plan has seen to it that there is one."""
+        """Return the flicker frequency of a recording; a plan without faults always has one.
+
+        Parameters
+        ----------
+        step
+            Step that records.
+
+        Returns
+        -------
+        float
+            Frequency, Hz.
+        """
         light = self.light_before(step)
         assert light is not None
         assert light.flicker is not None
         return light.flicker.frequency_hz
 
     def record_step(self, pose_index: int) -> RecordStep:
-        """Find the step that records at a pose."""
+        """Return the step that records at a pose.
+
+        Parameters
+        ----------
+        pose_index
+            Number of the pose, from 1.
+
+        Returns
+        -------
+        RecordStep
+            The step.
+        """
         return self._record_steps[pose_index]
 
     @cached_property
     def _record_steps(self) -> dict[int, RecordStep]:
         return {s.pose.index: s for s in self.steps if isinstance(s, RecordStep)}
 
-    def place(self, step: ScriptStep) -> int:
-        """Where a step stands in the script, from 0."""
-        return self._where[id(step)]
+    def index_of(self, step: ScriptStep) -> int:
+        """Return the place of a step in the script.
+
+        Parameters
+        ----------
+        step
+            Step of the script.
+
+        Returns
+        -------
+        int
+            Place, from 0.
+        """
+        return self._indices[id(step)]
 
     @cached_property
-    def _where(self) -> dict[int, int]:
-        return {id(step): place for place, step in enumerate(self.steps)}
+    def _indices(self) -> dict[int, int]:
+        return {id(step): index_of for index_of, step in enumerate(self.steps)}
 
     def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
-        """Judge whether the stage stood still while a recording was made."""
+        """Judge whether the stage stood still during a recording.
+
+        Parameters
+        ----------
+        before_deg
+            Angle by axis before the recording, degrees.
+        after_deg
+            Angle by axis after the recording, degrees.
+
+        Returns
+        -------
+        list of Gate
+            One gate per axis, as judged.
+        """
         return [
             at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
             for axis in before_deg
         ]
 
     def done_after_s(self, step: ScriptStep) -> float | None:
-        """Expected time from the begin of the run to the end of a step, s; None where the plan has none."""
+        """Return the expected time from the begin of the run to the end of a step.
+
+        Parameters
+        ----------
+        step
+            Step of the script.
+
+        Returns
+        -------
+        float or None
+            Time, s; None if the plan has none.
+        """
         return self._done_after_s.get(id(step))
 
     @cached_property
@@ -186,7 +315,13 @@ class Job:
         return {id(p.step): p.done_after_s for p in self.plan.steps}
 
     def read_truth(self) -> dict[str, Any] | None:
-        """What the simulated world is made of, for the final comparison; None on a real bench."""
+        """Return the truth of the simulated world, for the final comparison.
+
+        Returns
+        -------
+        dict or None
+            None on a real bench.
+        """
         if not self.station.needs_simulated_bench:
             return None
         with SimulatedBench(self.station.simulation or {}, self.seed) as bench:
@@ -194,5 +329,16 @@ class Job:
 
 
 def calibration_options(step: SolveStep) -> CalibrationOptions:
-    """Give the engine's options as a solve step asks for them."""
+    """Return the engine's options for a solve step.
+
+    Parameters
+    ----------
+    step
+        The solve step.
+
+    Returns
+    -------
+    CalibrationOptions
+        Model, distortion and loss.
+    """
     return CalibrationOptions(step.model, step.distortion, step.loss, step.huber_px)

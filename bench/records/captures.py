@@ -1,6 +1,6 @@
-"""The recordings of a run as its journal tells of them: their names, sizes and hashes.
+"""The recordings of a run as its journal lists them: names, sizes and hashes.
 
-Knows journal lines and names; touches no file.
+This module uses journal lines only; it touches no file.
 """
 
 from __future__ import annotations
@@ -14,24 +14,40 @@ from bench.records.journal_entry import Entry
 
 CAPTURES = "captures"
 CAPTURE_STORED = "capture_stored"
-"""The event that tells the journal of a capture; it carries what ``Capture.as_data`` gives."""
+"""Event of a journal line about a capture; the line holds ``Capture.as_data``."""
 
 
 @dataclass(frozen=True)
 class Capture:
-    """A recording in its place: its name within the folder, size in bytes and SHA-256."""
+    """A recording in the run folder.
+
+    Attributes
+    ----------
+    name
+        Name within the folder.
+    size
+        Size, bytes.
+    sha256
+        SHA-256, hexadecimal.
+    """
 
     name: str
     size: int
     sha256: str
 
     def as_data(self) -> dict[str, Any]:
-        """Give what the journal's ``capture_stored`` carries of it."""
+        """Return what the journal's ``capture_stored`` holds about this recording.
+
+        Returns
+        -------
+        dict
+            ``capture``, ``size`` and ``sha256``.
+        """
         return {"capture": self.name, "size": self.size, "sha256": self.sha256}
 
 
 def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
-    """Name of a pose's recording within the run folder.
+    """Return the name of a pose's recording within the run folder.
 
     Parameters
     ----------
@@ -40,7 +56,12 @@ def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
     attempt
         Number of the attempt, from 1.
     ending
-        Of the name, as the kind of camera has it.
+        File name ending, by the kind of camera.
+
+    Returns
+    -------
+    str
+        The name.
 
     Examples
     --------
@@ -51,7 +72,23 @@ def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
 
 
 def stored_captures(entries: Iterable[Entry]) -> dict[str, Capture]:
-    """Find the captures a journal tells of, by name; the last entry of a name counts."""
+    """Return the captures that a journal lists; the last entry of a name counts.
+
+    Parameters
+    ----------
+    entries
+        Lines of the journal.
+
+    Returns
+    -------
+    dict
+        Capture by name.
+
+    Raises
+    ------
+    RunFolderError
+        If a line about a capture is incomplete.
+    """
     captures = {}
     for entry in entries:
         if entry.event == CAPTURE_STORED:
@@ -65,6 +102,6 @@ def _capture_of(data: Mapping[str, Any]) -> Capture:
         return Capture(str(data["capture"]), int(data["size"]), str(data["sha256"]))
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(
-            "The journal tells of a capture without its name, size or hash.",
+            "The journal lists a capture without its name, size or hash.",
             remedy="This journal was not written by this program; the run cannot be resumed.",
         ) from error

@@ -1,6 +1,6 @@
-"""The history of a run, replayed from its journal: a run's state is its journal and nothing else.
+"""History of a run, replayed from its journal: the state of a run is its journal and nothing else.
 
-This module reads journal lines only; it touches no device and no other file.
+This module reads journal lines only; it uses no device and no other file.
 """
 
 from __future__ import annotations
@@ -32,7 +32,19 @@ _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backi
 
 @dataclass(frozen=True)
 class Attempt:
-    """One recording at one pose, as journaled when stored."""
+    """One recording at one pose, as journaled when it was stored.
+
+    Attributes
+    ----------
+    pose_index, pose_name
+        Number and name of the pose.
+    attempt
+        Number of the attempt at this pose, from 1.
+    stored
+        Journal line about the recording.
+    checked
+        Journal line about its measurement; None before it was measured.
+    """
 
     pose_index: int
     pose_name: str
@@ -47,12 +59,12 @@ class Attempt:
 
     @property
     def measured(self) -> MeasuredFacts:
-        """Numbers measured in it; none before it was measured."""
+        """Numbers measured in it; empty before it was measured."""
         return MeasuredFacts() if self.checked is None else self.checked["measured"]
 
     @property
     def reasons(self) -> Sequence[str]:
-        """Why it was refused; nothing where it was accepted or not measured yet."""
+        """Why it was rejected; empty if it was accepted or not measured yet."""
         return () if self.checked is None else self.checked["reasons"]
 
     @property
@@ -62,7 +74,7 @@ class Attempt:
 
 
 class StateEntered(TypedDict):
-    """One state that a run entered: its name, and when by the system's and by the monotonic clock."""
+    """A state that a run entered, with the time by the system's clock and by the monotonic clock."""
 
     state: str
     utc: str
@@ -79,7 +91,7 @@ class History:
     done_steps: set[int] = field(default_factory=set)
     attempts: list[Attempt] = field(default_factory=list)
     lost: dict[int, int] = field(default_factory=dict)
-    """Recordings the camera could not complete, by pose index."""
+    """Number of recordings that the camera could not complete, by pose index."""
     states: list[StateEntered] = field(default_factory=list)
     deviations: list[str] = field(default_factory=list)
     failures: list[FailureData] = field(default_factory=list)
@@ -88,45 +100,65 @@ class History:
     ended: str = ""
     why: str = ""
     at_pose: int | None = None
-    """The pose at work, if any; its number stays while the camera settles there."""
+    """The pose at work, if any; it is kept while the camera settles."""
     crashes: dict[int, int] = field(default_factory=dict)
-    """How often the process crashed by itself while a pose was at work, by pose index."""
+    """How often the process crashed while a pose was at work, by pose index; not counting kills from outside."""
     to_skip: dict[int, str] = field(default_factory=dict)
-    """Poses that an operator wants skipped, and who."""
+    """Operator who asked to skip a pose, by pose index."""
     skipped: dict[int, str] = field(default_factory=dict)
-    """Poses that are skipped, and why."""
+    """Why a pose is skipped, by pose index."""
     ledger: LedgerPlace = field(default_factory=lambda: cast("LedgerPlace", {}))
     """Its place in the laboratory's ledger (`bench.records.ledger`)."""
     solved: Solved = field(default_factory=lambda: cast("Solved", {}))
     """Main numbers of its calibration; empty while it has none."""
     holder: str = ""
-    """Who holds the run; empty while nobody does."""
-    rule: str = ""
-    """The interlock that holds the run, and why, in words; empty while none does."""
+    """Operator who holds the run; empty while none does."""
+    interlock: str = ""
+    """The interlock that holds the run, and why, as text; empty while none does."""
     question: str = ""
-    """What is being asked; empty while nothing is."""
+    """The question to the operator; empty while there is none."""
     answer: tuple[str, str] | None = None
-    """What was answered to it from another terminal, and by whom."""
+    """The answer given from another terminal, and by whom."""
 
     def __post_init__(self) -> None:
         stored, self.attempts = self.attempts, []
-        self._places: dict[
-            int, list[int]
-        ] = {}  # where in the list those of a pose stand: asked for at every step
+        # Places in the list of attempts, by pose index; needed at every step.
+        self._places_of_pose: dict[int, list[int]] = {}
         self._accepted: dict[int, Attempt] = {}
         for attempt in stored:
             self.add(attempt)
 
     def add(self, attempt: Attempt) -> None:
-        """Take a recording that was stored."""
-        self._places.setdefault(attempt.pose_index, []).append(len(self.attempts))
+        """Add a stored recording.
+
+        Parameters
+        ----------
+        attempt
+            The recording.
+        """
+        self._places_of_pose.setdefault(attempt.pose_index, []).append(len(self.attempts))
         self.attempts.append(attempt)
         if attempt.accepted:
             self._accepted[attempt.pose_index] = attempt
 
     def check(self, pose_index: int, number: int, checked: AttemptChecked) -> None:
-        """Take what was found in a stored recording. Raises ValueError where there is none of that number."""
-        for place in self._places.get(pose_index, ()):
+        """Add the result of measuring a stored recording.
+
+        Parameters
+        ----------
+        pose_index
+            Number of the pose, from 1.
+        number
+            Number of the attempt, from 1.
+        checked
+            Journal line about the measurement.
+
+        Raises
+        ------
+        ValueError
+            If there is no such recording.
+        """
+        for place in self._places_of_pose.get(pose_index, ()):
             if self.attempts[place].attempt == number:
                 attempt = self.attempts[place] = replace(self.attempts[place], checked=checked)
                 if attempt.accepted:
@@ -135,19 +167,58 @@ class History:
         raise ValueError(f"a stored recording for pose {pose_index}, attempt {number}")
 
     def accepted(self) -> Mapping[int, Attempt]:
-        """The accepted recording of each pose that has one, by pose index, in the order of their acceptance."""
+        """Return the accepted recording of each pose that has one.
+
+        Returns
+        -------
+        dict
+            Recording by pose index, in the order of their acceptance.
+        """
         return MappingProxyType(self._accepted)
 
     def attempts_at(self, pose_index: int) -> Sequence[Attempt]:
-        """All recordings stored at a pose, in order."""
-        return [self.attempts[place] for place in self._places.get(pose_index, ())]
+        """Return all recordings stored at a pose, in order.
+
+        Parameters
+        ----------
+        pose_index
+            Number of the pose, from 1.
+
+        Returns
+        -------
+        list of Attempt
+            The recordings.
+        """
+        return [self.attempts[place] for place in self._places_of_pose.get(pose_index, ())]
 
     def next_attempt(self, pose_index: int) -> int:
-        """Number of the next recording at a pose: after those stored and those lost."""
+        """Return the number of the next recording at a pose, after those stored and those lost.
+
+        Parameters
+        ----------
+        pose_index
+            Number of the pose, from 1.
+
+        Returns
+        -------
+        int
+            Number of the attempt, from 1.
+        """
         return len(self.attempts_at(pose_index)) + self.lost.get(pose_index, 0) + 1
 
     def unchecked(self, pose_index: int) -> Attempt | None:
-        """The last recording of a pose, when it was stored but not yet looked at."""
+        """Return the last recording of a pose if it was stored but not yet measured.
+
+        Parameters
+        ----------
+        pose_index
+            Number of the pose, from 1.
+
+        Returns
+        -------
+        Attempt or None
+            The recording.
+        """
         attempts = self.attempts_at(pose_index)
         return attempts[-1] if attempts and attempts[-1].checked is None else None
 
@@ -155,15 +226,25 @@ class History:
 def replay(entries: Iterable[Entry]) -> History:
     """Replay a journal.
 
+    Parameters
+    ----------
+    entries
+        Lines of the journal, from the first.
+
+    Returns
+    -------
+    History
+        The run so far.
+
     Raises
     ------
     JournalBroken
-        When an event lacks what it must carry: another program wrote it.
+        If a line is incomplete, because another program or version wrote it.
     """
     history = History()
     for entry in entries:
         try:
-            take(history, entry)
+            apply_entry(history, entry)
         except (KeyError, TypeError, ValueError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} ({entry.event}) lacks {error}.",
@@ -172,8 +253,8 @@ def replay(entries: Iterable[Entry]) -> History:
     return history
 
 
-def take(history: History, entry: Entry) -> None:
-    """Let a history follow one line of its journal.
+def apply_entry(history: History, entry: Entry) -> None:
+    """Apply one journal line to a history.
 
     Parameters
     ----------
@@ -185,7 +266,7 @@ def take(history: History, entry: Entry) -> None:
     Raises
     ------
     KeyError, TypeError, ValueError
-        When the line lacks what its event must carry.
+        If the line is incomplete.
     """
     data = entry.data
     match entry.event:
@@ -196,12 +277,12 @@ def take(history: History, entry: Entry) -> None:
             history.resumed += 1
             history.ledger = data.get("ledger", history.ledger)
             history.ended = history.why = ""
-            _let_go(history)
+            _clear_hold(history)
             count_crash(history, data.get("crash"))
         case Event.DEVICES:
             history.devices = cast("DevicesFound", data)
         case Event.ENTERING:
-            history.rule = f"{data['rule']}: {data['why']}" if "rule" in data else ""
+            history.interlock = f"{data['rule']}: {data['why']}" if "rule" in data else ""
             history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
             history.at_pose = data.get("pose", history.at_pose) if data["state"] in _POSE_STATES else None
         case Event.STEP_DONE:
@@ -211,18 +292,18 @@ def take(history: History, entry: Entry) -> None:
         case Event.SOLVED:
             history.solved = cast("Solved", data)
         case Event.COMMANDED:
-            _obey(history, cast("Commanded", data))
+            _apply_command(history, cast("Commanded", data))
         case Event.RUN_ENDED:
             history.ended, history.why = str(data["how"]), str(data["why"])
             if "error" in data:
                 history.failures.append(cast("FailureData", data["error"]))
-            _let_go(history)
+            _clear_hold(history)
             count_crash(history, data.get("crashed"))
         case _:
-            _take_of_pose(history, entry)
+            _apply_pose_entry(history, entry)
 
 
-def _take_of_pose(history: History, entry: Entry) -> None:
+def _apply_pose_entry(history: History, entry: Entry) -> None:
     data = entry.data
     match entry.event:
         case Event.ASKED:
@@ -242,19 +323,27 @@ def _take_of_pose(history: History, entry: Entry) -> None:
 
 
 def count_crash(history: History, crash: object) -> None:
-    """Count a crash against the pose that was at work, and forget that pose: this process is not at it."""
+    """Count a crash against the pose that was at work, if any; no pose is at work afterwards.
+
+    Parameters
+    ----------
+    history
+        Changed in place.
+    crash
+        How the process crashed; nothing is counted if it is false.
+    """
     if crash and history.at_pose is not None:
         history.crashes[history.at_pose] = history.crashes.get(history.at_pose, 0) + 1
     history.at_pose = None
 
 
-def _let_go(history: History) -> None:
-    """A run that ends, or is taken up again, is held by nobody and asks nothing."""
-    history.holder = history.rule = history.question = ""
+def _clear_hold(history: History) -> None:
+    """Clear hold and question, because a run that ends or is resumed has neither."""
+    history.holder = history.interlock = history.question = ""
     history.answer = None
 
 
-def _obey(history: History, data: Commanded) -> None:
+def _apply_command(history: History, data: Commanded) -> None:
     if not data["taken"]:
         return
     match data["word"]:

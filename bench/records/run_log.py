@@ -32,7 +32,7 @@ from bench.records.events import (
     StepDone,
     SupervisorLost,
 )
-from bench.records.history import History, replay, take
+from bench.records.history import History, replay, apply_entry
 from bench.records.journal import Journal
 
 _WITHOUT_HARDWARE = frozenset({"settling", "checking"})
@@ -144,7 +144,7 @@ class RunLog:
     def _write(self, event: Event, data: Mapping[str, Any]) -> None:
         write = self.journal.append_unsynced if _is_repeatable(event, data) else self.journal.append
         with self._lock:
-            take(self.history, write(event, **data))
+            apply_entry(self.history, write(event, **data))
 
 
 def _is_repeatable(event: Event, data: Mapping[str, Any]) -> bool:

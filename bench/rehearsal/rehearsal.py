@@ -1,7 +1,7 @@
-"""Rehearses runs: the same steps, states and journal as a run, on a virtual clock and on devices that are not there.
+"""Rehearse runs: the same steps, states and journal as a run, on a virtual clock and with virtual devices.
 
-What differs from a run is what would make evidence of it: no recording holds events, nothing enters the
-laboratory's ledger, nothing is sealed, no message is sent. Results hold the calibration alone, without a report.
+A rehearsal leaves out what would make it evidence: recordings hold no events, nothing is written to the ledger,
+nothing is sealed, no message is sent. Its results hold only the calibration, and there is no report.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ OpenDevices = Callable[[], Devices]
 
 
 class RehearsedKind(EventKind):
-    """A camera whose recordings hold stars instead of events; it stands for event and frame cameras alike.
+    """A camera whose recordings hold stars instead of events; it replaces event and frame cameras alike.
 
     Parameters
     ----------
     clock
-        Where the time passes that measuring a recording takes.
+        Clock on which the time for measuring a recording passes.
     """
 
     def __init__(self, clock: BenchClock) -> None:
@@ -61,14 +61,14 @@ class RehearsedKind(EventKind):
         step: RecordStep,
         frequency_hz: float,
         target: StarTarget,
-        expect: ExpectedGrid | None,  # noqa: ARG002 - the file states the stars' ids
+        expected_grid: ExpectedGrid | None,  # noqa: ARG002 - the file states the stars' ids
     ) -> Measurement:
-        """Read the stars of a rehearsed recording. Otherwise as `CameraKind.measure`."""
+        """See `CameraKind.measure`. Reads the stars of a rehearsed recording."""
         self._clock.sleep(CHECK_S)
         try:
             view, edges = read_view(path, step.pose.name, target)
         except (OSError, ValueError, KeyError, CalibrationError) as error:
-            return Measurement(None, None, {}, f"it is no rehearsed recording: {error}")
+            return Measurement(None, None, {}, f"this is not a rehearsed recording: {error}")
         facts: MeasuredFacts = {
             "rehearsed": True,
             "flicker_hz": frequency_hz,
@@ -81,19 +81,19 @@ class RehearsedKind(EventKind):
 
 @dataclass(frozen=True)
 class RehearsedJob(Job):
-    """The task of a rehearsed run.
+    """Task of a rehearsed run.
 
     Attributes
     ----------
     clock
-        The rehearsal's clock.
+        Clock of the rehearsal.
     """
 
     clock: BenchClock
 
     @property
     def simulated(self) -> bool:
-        """Always: nothing is measured."""
+        """True, because nothing is measured."""
         return True
 
     @property
@@ -103,7 +103,15 @@ class RehearsedJob(Job):
 
 
 class RehearsedResults(ResultWriter):
-    """Computes the calibration of a rehearsed run and writes it down; nothing else."""
+    """Calculates the calibration of a rehearsed run and writes it; no comparison and no report.
+
+    Parameters
+    ----------
+    job
+        Task of the rehearsed run.
+    folder
+        Run folder, locked by this process.
+    """
 
     def __init__(self, job: RehearsedJob, folder: RunFolder) -> None:
         super().__init__(job, folder)
@@ -117,7 +125,7 @@ class RehearsedResults(ResultWriter):
         measured: Mapping[int, Measurement],
         check: Callable[[], None],
     ) -> Solved:
-        """Calibrate from the accepted recordings; as ``ResultWriter.solve``, without its comparisons."""
+        """See `ResultWriter.solve`. Without checks and planar comparison."""
         check()
         self._clock.sleep(SOLVE_S)
         found = [
@@ -130,10 +138,24 @@ class RehearsedResults(ResultWriter):
         return main_numbers(self._calibration)
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
-        """Write results.json, which says that it is a rehearsal's."""
+        """Write results.json, which states that it is from a rehearsal.
+
+        Parameters
+        ----------
+        log
+            Journal and history of the run.
+        truth
+            Truth of the rehearsed world; None if there is none.
+
+        Raises
+        ------
+        BenchError
+            If there is no calibration.
+        """
         if self._calibration is None:
             raise BenchError(
-                "There is nothing to report: no solve step came before.", remedy="Add one to the sequence."
+                "There is nothing to report: no solve step came before the report step.",
+                remedy="Add a solve step to the sequence.",
             )
         self._clock.sleep(REPORT_S)
         results = {
@@ -158,29 +180,34 @@ def rehearse_run(
     clock: BenchClock,
     settings: Mapping[str, str] | None = None,
 ) -> RunEnd:
-    """Rehearse a run, or go on with one that did not finish.
+    """Rehearse a run, or continue a rehearsed run that did not finish.
 
     Parameters
     ----------
     sequence, station
-        Paths of the files, or names of shipped ones.
+        Paths of the files, or names of those that are included.
     seed
-        Of what the camera sees.
+        Random seed of the rehearsed world.
     operator
-        Who would run it.
+        Name of the operator.
     folder
-        The run folder: new, or that of a rehearsed run that did not finish.
+        Run folder: a new one, or that of a rehearsed run that did not finish.
     clock
-        Usually a ``VirtualClock``.
+        Clock of the rehearsal, usually a ``VirtualClock``.
     settings
-        What is set otherwise than the files say.
+        Settings that replace those of the files.
+
+    Returns
+    -------
+    RunEnd
+        How the run ended.
 
     Raises
     ------
     ScriptError
-        With everything that is wrong with the files.
+        With all faults of the files.
     RunFolderError, StorageError
-        When the folder cannot be used.
+        If the folder cannot be used.
     """
     planned = _without_room_interlocks(make_plan(*load_documents(sequence, station, settings)))
     task = Job.from_plan(planned, seed=seed, operator=operator)
@@ -194,10 +221,10 @@ def rehearse_run(
 
 
 def _without_room_interlocks(planned: Plan) -> Plan:
-    """Leave out interlocks that look at this room and this machine's disk, and not at the bench."""
-    said = planned.station.value
-    kept = said.interlocks.model_copy(update={"door": None, "disk_space": None})
-    station = replace(planned.station, value=said.model_copy(update={"interlocks": kept}))
+    """Remove the interlocks that check the real room and this computer's disk."""
+    value = planned.station.value
+    interlocks = value.interlocks.model_copy(update={"door": None, "disk_space": None})
+    station = replace(planned.station, value=value.model_copy(update={"interlocks": interlocks}))
     return replace(planned, station=station)
 
 
@@ -207,7 +234,24 @@ def rehearse_job(
     open_devices: OpenDevices,
     journal_type: type[Journal] = UnsyncedJournal,
 ) -> RunEnd:
-    """Rehearse a task on given devices; as ``rehearse_run``. With ``Journal`` it is stored as a run is."""
+    """Rehearse a task on given devices; otherwise as `rehearse_run`.
+
+    Parameters
+    ----------
+    job
+        The task.
+    folder
+        Run folder: a new one, or that of a rehearsed run that did not finish.
+    open_devices
+        Opens the devices.
+    journal_type
+        Kind of journal; with ``Journal`` the run is stored as durably as a real one.
+
+    Returns
+    -------
+    RunEnd
+        How the run ended.
+    """
     clock = job.clock
     clocks: dict[str, Any] = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}
     begun = (folder / JOURNAL).exists()

@@ -1,8 +1,8 @@
-"""Devices that are not there, behind the protocols of those that are: for rehearsals on a virtual clock.
+"""Virtual devices for rehearsals on a virtual clock; they follow the same protocols as real drivers.
 
-A move takes its distance over its speed, a recording its duration, all on the clock they are given. What a camera
-would see comes from a rehearsed world (`bench.simulated`) as star centres, not as events: a recording is a small
-text file that says so in its first line. No process, no port, no thread.
+A move takes its distance divided by its speed, a recording takes its duration, all on the given clock. What the
+camera would see comes from a rehearsed world (`bench.simulated`) as star centres, not as events. A recording is a
+small text file whose first line states this. There is no process, no port and no thread.
 """
 
 from __future__ import annotations
@@ -38,23 +38,24 @@ _FILTERS = ("afk", "stc", "trail", "erc")
 
 
 class VirtualDevices(Devices):
-    """A stage, a light and a camera that are not there.
+    """A virtual stage, light and camera.
 
     Parameters
     ----------
     station
-        Whose axes, limits and speeds count. A station of real devices is rehearsed by what it expects of its bench.
+        Station whose axes, limits and speeds apply. A station of real devices is rehearsed by its
+        ``expected`` section.
     seed
-        Seed of what the camera sees.
+        Random seed of the rehearsed world.
     clock
-        Where the time passes that moves and recordings take.
+        Clock on which moves and recordings take their time.
 
     Raises
     ------
     drivers.errors.WrongDevice
-        When the simulated camera has another serial number than the station names, as at opening a real one.
+        If the simulated camera has another serial number than the station file names.
     SimulationError
-        When the station's simulation cannot be used.
+        If the station's simulation cannot be used.
     """
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
@@ -75,12 +76,20 @@ class VirtualDevices(Devices):
         self._opened = ExitStack()
 
     def truth(self) -> dict[str, Any]:
-        """What the rehearsed world is made of at this hour."""
+        """See `Devices.truth`. The rehearsed world at this time."""
         return self._world.truth(self._clock.monotonic()).to_dict()
 
 
 class VirtualStage:
-    """Axes that are where they were sent, as soon as the time has passed. A ``drivers.stage.Stage``."""
+    """Axes that reach their target after the time of the move; a ``drivers.stage.Stage``.
+
+    Parameters
+    ----------
+    limits
+        Limits and speeds by axis.
+    clock
+        Clock on which moves take their time.
+    """
 
     def __init__(self, limits: Mapping[str, AxisLimits], clock: BenchClock) -> None:
         self.limits = limits
@@ -93,21 +102,34 @@ class VirtualStage:
         return tuple(self.limits)
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """Say who they are: nobody."""
+        """See `Stage.identify`."""
         return [AxisIdentity(name, MAKER, MODEL, "none", "") for name in self.limits]
 
     def is_homed(self) -> bool:
-        """Whether they have been homed since they were opened."""
+        """See `Stage.is_homed`."""
         return self._at_deg is not None
 
     def home(self) -> None:
-        """Let the time pass that finding a reference over the whole range takes."""
+        """See `Stage.home`. Takes the time of a move over the whole range."""
         ranges = {name: limit.highest_deg - limit.lowest_deg for name, limit in self.limits.items()}
         self._clock.sleep(self._travel_s(ranges) + HOMING_EXTRA_S)
         self._at_deg = dict.fromkeys(self.limits, 0.0)
 
     def move_to(self, target_deg: Mapping[str, float]) -> None:
-        """Be there, after the time a move takes. Raises OutsideLimits, NotHomed."""
+        """Move the axes; takes the time of a real move.
+
+        Parameters
+        ----------
+        target_deg
+            Target angle by axis, degrees.
+
+        Raises
+        ------
+        OutsideLimits
+            If a target is outside the limits; nothing moves.
+        NotHomed
+            If the stage is not homed.
+        """
         at_deg = self.position_deg()
         for name, angle in target_deg.items():
             limit = self.limits[name]
@@ -117,28 +139,39 @@ class VirtualStage:
         self._at_deg = {**at_deg, **target_deg}
 
     def move_duration_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
-        """Time of a move: that of its slowest axis."""
+        """See `Stage.move_duration_s`. The time of the slowest axis."""
         return self._travel_s({name: angle - from_deg[name] for name, angle in to_deg.items()})
 
     def position_deg(self) -> dict[str, float]:
-        """Where they are. Raises NotHomed."""
+        """Return the angles of the axes.
+
+        Returns
+        -------
+        dict
+            Angle by axis, degrees.
+
+        Raises
+        ------
+        NotHomed
+            If the stage is not homed.
+        """
         if self._at_deg is None:
-            raise NotHomed("The virtual stage has no reference.", where="stage", remedy="Home it first.")
+            raise NotHomed("The virtual stage is not homed.", where="stage", remedy="Home it first.")
         return dict(self._at_deg)
 
     def encoder_deg(self) -> Mapping[str, float]:
-        """There are no encoders."""
+        """See `Stage.encoder_deg`. There are no encoders."""
         return {}
 
     def faults(self) -> Sequence[str]:
-        """There are none."""
+        """See `Stage.faults`. There are none."""
         return ()
 
     def stop(self) -> None:
-        """They stand still whenever somebody could ask."""
+        """Do nothing: a virtual move is over when its method returns."""
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is no port."""
 
     def _travel_s(self, distances_deg: Mapping[str, float]) -> float:
         limits = self.limits
@@ -152,7 +185,13 @@ class VirtualStage:
 
 
 class VirtualLight:
-    """A light that takes every setting. A ``drivers.light.Light``."""
+    """A light that accepts every setting; a ``drivers.light.Light``.
+
+    Parameters
+    ----------
+    clock
+        Clock on which switching takes its time.
+    """
 
     def __init__(self, clock: BenchClock) -> None:
         self._clock = clock
@@ -160,42 +199,56 @@ class VirtualLight:
         self._on = False
 
     def identify(self) -> LightIdentity:
-        """Say who it is: nobody."""
+        """See `Light.identify`."""
         return LightIdentity(MAKER, MODEL, "none", "")
 
     def apply(self, settings: LightSettings) -> LightSettings:
-        """Take the settings."""
+        """See `Light.apply`."""
         self._settings = settings
         return settings
 
     def read(self) -> LightSettings:
-        """Give the settings back."""
+        """See `Light.read`."""
         return self._settings
 
     def on(self) -> None:
-        """Be on."""
+        """See `Light.on`."""
         self._clock.sleep(LIGHT_ON_S)
         self._on = True
 
     def off(self) -> None:
-        """Be off."""
+        """See `Light.off`."""
         self._clock.sleep(LIGHT_OFF_S)
         self._on = False
 
     def is_on(self) -> bool:
-        """Whether it is on."""
+        """See `Light.is_on`."""
         return self._on
 
     def faults(self) -> Sequence[str]:
-        """There are none."""
+        """See `Light.faults`. There are none."""
         return ()
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is no port."""
 
 
 class VirtualCamera:
-    """A camera that writes down the stars of a rehearsed world. A ``drivers.camera.EventCamera``."""
+    """A camera that writes the stars of a rehearsed world; a ``drivers.camera.EventCamera``.
+
+    Parameters
+    ----------
+    serial
+        Serial number of the camera.
+    world
+        The rehearsed world.
+    stage
+        Stage whose angles determine what the camera sees.
+    light
+        Light whose frequency gives the number of sync edges.
+    clock
+        Clock on which recordings take their time.
+    """
 
     def __init__(
         self, serial: str, world: RehearsedWorld, stage: VirtualStage, light: VirtualLight, clock: BenchClock
@@ -211,42 +264,60 @@ class VirtualCamera:
         self._recordings = 0
 
     def identify(self) -> CameraIdentity:
-        """Say who it would be."""
+        """See `EventCamera.identify`."""
         return CameraIdentity(MAKER, MODEL, "none", self._serial, "", *self._size)
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Take the settings."""
+        """See `EventCamera.apply`."""
         self._settings = settings
         return settings
 
     def filters(self) -> Mapping[str, bool]:
-        """All off."""
+        """See `EventCamera.filters`. All are off."""
         return dict.fromkeys(_FILTERS, False)
 
     def temperature_c(self) -> float:
-        """Temperature at this hour of the rehearsed world."""
+        """See `EventCamera.temperature_c`. Temperature of the rehearsed world at this time."""
         return self._world.temperature_c(self._clock.monotonic())
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
-        """Write down the stars of this pose. Raises RecordingFailed where the rehearsed world says so."""
+        """Write the stars of this pose to a file.
+
+        Parameters
+        ----------
+        path
+            File to write.
+        duration_s
+            Length of the recording, s.
+
+        Returns
+        -------
+        RecordingFacts
+            Facts of a recording without events.
+
+        Raises
+        ------
+        RecordingFailed
+            If the rehearsed world decides that the recording fails.
+        """
         seen = self._world.record(self._stage.position_deg(), self._clock.monotonic(), self._recordings)
         self._recordings += 1
         self._clock.sleep(duration_s + RECORD_EXTRA_S)
         if seen.mishap == "lost":
             raise RecordingFailed(
-                "The recording was not completed (a rehearsed mishap).",
+                "The recording was not completed (a rehearsed fault).",
                 where="camera",
                 remedy="Record again.",
             )
         edges = round(duration_s * self._light.read().frequency_hz) if self._light.is_on() else 0
-        told = {
+        content = {
             "ids": seen.ids.tolist(),
             "points_px": np.round(seen.points_px, 6).tolist(),
             "sigma_px": seen.sigma_px,
             "image_size": list(self._size),
             "rising_edges": edges,
         }
-        data = FIRST_LINE + json.dumps(told, separators=(",", ":")).encode() + b"\n"
+        data = FIRST_LINE + json.dumps(content, separators=(",", ":")).encode() + b"\n"
         path.write_bytes(data)
         return RecordingFacts(
             serial=self._serial,
@@ -263,38 +334,47 @@ class VirtualCamera:
         )
 
     def stop(self) -> None:
-        """It streams nothing."""
+        """Do nothing: a virtual camera sends no stream."""
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is no port."""
 
 
 def read_view(path: Path, name: str, target: StarTarget) -> tuple[View, int]:
-    """Read a rehearsed recording back.
+    """Read a rehearsed recording.
+
+    Parameters
+    ----------
+    path
+        File of the recording.
+    name
+        Name of the pose.
+    target
+        The printed target.
 
     Returns
     -------
     view
         Its stars.
     rising_edges
-        How many sync edges it would hold.
+        Number of sync edges that it would hold.
 
     Raises
     ------
     OSError, ValueError, KeyError
-        When it is none.
+        If the file is not a rehearsed recording.
     """
-    told = json.loads(path.read_bytes().removeprefix(FIRST_LINE))
-    ids = np.array(told["ids"], dtype=np.int64)
-    points = np.array(told["points_px"], dtype=np.float64).reshape(-1, 2)
-    covariances = np.tile(np.eye(2) * max(told["sigma_px"], 1e-3) ** 2, (len(ids), 1, 1))
-    width, height = told["image_size"]
+    content = json.loads(path.read_bytes().removeprefix(FIRST_LINE))
+    ids = np.array(content["ids"], dtype=np.int64)
+    points = np.array(content["points_px"], dtype=np.float64).reshape(-1, 2)
+    covariances = np.tile(np.eye(2) * max(content["sigma_px"], 1e-3) ** 2, (len(ids), 1, 1))
+    width, height = content["image_size"]
     positions = np.asarray(target.positions_mm(ids), dtype=np.float64).reshape(-1, 2)
-    return View(name, (width, height), ids, points, positions, covariances), told["rising_edges"]
+    return View(name, (width, height), ids, points, positions, covariances), content["rising_edges"]
 
 
 def _configuration(station: Station) -> dict[str, Any]:
-    """Say what world a station stands in: its simulated one, else roughly what it expects of its bench."""
+    """Return the configuration of the world: the simulation's, or one from the ``expected`` section."""
     if station.simulation is not None:
         return station.simulation
     expected = station.expected

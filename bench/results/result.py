@@ -1,7 +1,7 @@
-"""From accepted recordings to results.json, pictures, exports and the report.
+"""From accepted recordings to results.json, images, exports and the report.
 
-Everything here can be done again from the run folder alone; nothing reaches a device. The truth of a simulated
-world enters last, for a comparison, after every estimate stands.
+All of this can be done again from the run folder alone; no device is used. The truth of a simulated world is used
+only at the end, for a comparison, after all estimates are made.
 """
 
 from __future__ import annotations
@@ -38,7 +38,15 @@ from sequences.script import SolveStep
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run arrived at: its results (as in results.json) and the path of its report."""
+    """Result of a run.
+
+    Attributes
+    ----------
+    results
+        Content of results.json.
+    report
+        Path of the report.
+    """
 
     results: Mapping[str, Any]
     report: Path
@@ -46,18 +54,39 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Solution:
-    """A calibration, the planar one on the same points, what they were made of, and how it was judged."""
+    """A calibration, the data that it was made of, and how it was judged.
+
+    Attributes
+    ----------
+    calibration
+        The calibration.
+    planar
+        Calibration by the planar model on the same points; None if that is the calibration's own model.
+    measurements
+        Measurements of the accepted recordings.
+    judged
+        Gates of the solve step, as judged.
+    checks
+        `halves` and `gimbal` of the results, as far as they can be calculated.
+    """
 
     calibration: Calibration
     planar: Calibration | None
     measurements: Sequence[Measurement]
     judged: Sequence[Gate]
     checks: Mapping[str, Any]
-    """`halves` and `gimbal` of the results, where they could be told."""
 
 
 class ResultWriter:
-    """Computes and writes the results of one run."""
+    """Calculates and writes the results of one run.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+    folder
+        Run folder, locked by this process.
+    """
 
     def __init__(self, job: Job, folder: RunFolder) -> None:
         self.outcome: Outcome | None = None
@@ -79,21 +108,21 @@ class ResultWriter:
         step
             Model, distortion and loss.
         history
-            Tells which recordings were accepted.
+            History of the run; it states which recordings were accepted.
         measured
-            Measurements at hand, by pose; others are made again from their recordings.
+            Measurements already made, by pose; the others are made again from their recordings.
         check
-            Called between pieces of work; raises when the run is to stop.
+            Called between pieces of work; raises if the run is to stop.
 
         Returns
         -------
-        dict
-            The main numbers, for the journal.
+        Solved
+            Main numbers, for the journal.
 
         Raises
         ------
         calib.errors.CalibrationError
-            When the views do not constrain the camera.
+            If the views do not determine the camera.
         """
         measurements = []
         for index, attempt in sorted(history.accepted().items()):
@@ -124,20 +153,21 @@ class ResultWriter:
         Parameters
         ----------
         log
-            The run so far.
+            Journal and history of the run.
         truth
-            What the simulated world is made of; None on a real bench.
+            Truth of the simulated world; None on a real bench.
 
         Raises
         ------
         BenchError
-            When nothing was solved.
+            If there is no calibration.
         StorageError
-            When the disk does not take a file.
+            If a file cannot be written.
         """
         if self._solution is None:
             raise BenchError(
-                "There is nothing to report: no solve step came before.", remedy="Add one to the sequence."
+                "There is nothing to report: no solve step came before the report step.",
+                remedy="Add a solve step to the sequence.",
             )
         solution = self._solution
         results = self._results(log.history, solution, truth)
@@ -146,7 +176,7 @@ class ResultWriter:
         self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals))
         for name, data in exports(solution.calibration, camera_name=self._job.camera_name).items():
             self._folder.write_atomic(f"exports/{name}", data)
-        html = render_report(ReportData(results, _shown(results, solution), log.journal.head))
+        html = render_report(ReportData(results, _view_pictures(results, solution), log.journal.head))
         path = self._folder.write_atomic(REPORT, html.encode())
         self.outcome = Outcome(results, path)
 
@@ -158,9 +188,9 @@ class ResultWriter:
         )
         if found.view is None:
             raise BenchError(
-                f"{attempt.stored['capture']} was accepted, and now no stars are found in it: {found.fault}",
+                f"{attempt.stored['capture']} was accepted, but now no stars are found in it: {found.fault}",
                 where=str(self._folder.path),
-                remedy="Another version of the program recorded it; use that one, or `starbench calibrate`.",
+                remedy="Another version of the program recorded it. Use that version, or `starbench calibrate`.",
             )
         return found
 
@@ -192,7 +222,7 @@ class ResultWriter:
             "planar": solution.planar.to_dict() if solution.planar else None,
             **solution.checks,
             "poses": _poses(history, solution, self._job.camera_kind),
-            "gates": [*(gate.as_data() for gate in solution.judged), *_gates(history)],
+            "gates": [*(gate.as_data() for gate in solution.judged), *_pose_gates(history)],
             "deviations": list(history.deviations),
             **({"failures": list(history.failures)} if history.failures else {}),
             "states": list(history.states),
@@ -202,7 +232,7 @@ class ResultWriter:
 
 
 def _with_cautions(calibration: Calibration, measurements: Sequence[Measurement]) -> Calibration:
-    """Add what the recordings say against the stated uncertainties."""
+    """Add a note if the recordings show that the stated uncertainties may be too small."""
     aligned = aligned_poses(m.facts for m in measurements)
     if not aligned:
         return calibration
@@ -215,7 +245,18 @@ def _with_cautions(calibration: Calibration, measurements: Sequence[Measurement]
 
 
 def main_numbers(calibration: Calibration) -> Solved:
-    """Give what the journal carries of a calibration."""
+    """Return the numbers of a calibration that the journal holds.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+
+    Returns
+    -------
+    Solved
+        Model, values and standard uncertainties.
+    """
     return {
         "model": calibration.model,
         "converged": calibration.converged,
@@ -226,7 +267,13 @@ def main_numbers(calibration: Calibration) -> Solved:
 
 
 def software() -> dict[str, str]:
-    """Versions of what took part in a result."""
+    """Return the versions of the software that contributes to a result.
+
+    Returns
+    -------
+    dict
+        Version by name.
+    """
     parts = {"starbench": __version__, "python": platform.python_version()}
     for name in ("numpy", "scipy", "opencv-python-headless", "numba"):
         parts[name] = version(name)
@@ -238,16 +285,16 @@ def _json_bytes(results: Mapping[str, Any]) -> bytes:
 
 
 def _conditions(history: History, kind: CameraKind) -> dict[str, Any]:
-    """What the light and the camera were set to, as read back at the last accepted recording."""
+    """Return the settings of light and camera, as read back at the last accepted recording."""
     stored = [a.stored for _, a in sorted(history.accepted().items())]
     light = dict(stored[-1]["light"])
-    if light.get("waveform") == "steady":  # nothing of a flicker applies
+    if light.get("waveform") == "steady":  # the settings of a flicker do not apply
         light = {name: light[name] for name in ("waveform", "high_v")}
     return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
 
 
-def _shown(results: Mapping[str, Any], solution: Solution) -> list[ViewPicture]:
-    """Give the poses as the report shows them; images are unpacked of those alone that it pictures."""
+def _view_pictures(results: Mapping[str, Any], solution: Solution) -> list[ViewPicture]:
+    """Return the poses as the report shows them; only images that the report shows are decoded."""
     pictured = pictured_poses(results).names
     return [
         ViewPicture(
@@ -302,8 +349,8 @@ def _attempt(attempt: Attempt, kind: CameraKind) -> dict[str, Any]:
     }
 
 
-def _gates(history: History) -> list[dict[str, Any]]:
-    """Gates of the accepted recordings, named with their pose."""
+def _pose_gates(history: History) -> list[dict[str, Any]]:
+    """Return the gates of the accepted recordings, each named with its pose."""
     return [
         {**gate, "name": f"pose {index}: {gate['name']}"}
         for index, attempt in sorted(history.accepted().items())

@@ -140,9 +140,9 @@ def _refuse_truncated(path: Path) -> None:
         )
 
 
-def _view_of_run(job: Job, path: Path, step: RecordStep, expect: ExpectedGrid | None) -> View:
+def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: ExpectedGrid | None) -> View:
     _refuse_truncated(path)
-    return _view(job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expect), path)
+    return _view(job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expected_grid), path)
 
 
 def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:

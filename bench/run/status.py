@@ -213,8 +213,8 @@ def _left_s(history: History, plan: Mapping[str, Any], entries: Sequence[Entry],
 
 
 def _held_by(history: History) -> str:
-    if history.rule:
-        name, _, why = history.rule.partition(":")
+    if history.interlock:
+        name, _, why = history.interlock.partition(":")
         return f"the {interlock_text(name)} interlock:{why}"
     return history.holder
 
@@ -222,7 +222,7 @@ def _held_by(history: History) -> str:
 def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> str:
     if sealed:
         return f"Finished and sealed. To check the seal: starbench verify {folder}"
-    if running and history.rule:
+    if running and history.interlock:
         return "Nothing to do: the run continues by itself when this is over, or ends safely if it holds for too long."
     if running and history.question:
         return f"The run asks: {history.question} To answer: starbench answer {folder} yes (or no)"

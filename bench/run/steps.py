@@ -99,7 +99,7 @@ class Steps:
         step
             The step that comes next.
         """
-        here = self._job.place(step)
+        here = self._job.index_of(step)
         if not any(isinstance(coming, RecordStep) for coming in self._job.steps[here:]):
             return
         light = self._job.light_before(step)

@@ -1,7 +1,7 @@
-"""The two kinds of cameras a bench may have, and what a run does otherwise for each.
+"""The two kinds of cameras that a bench may have, and what a run does differently for each.
 
-An event camera records the light's flicker, a frame camera takes pictures in steady light. Everything else of a run
-is the same for both: poses, journal, evidence, calibration, report.
+An event camera records the light's flicker; a frame camera takes images in steady light. Everything else of a run is
+the same for both: poses, journal, evidence, calibration, report.
 """
 
 from __future__ import annotations
@@ -25,29 +25,70 @@ from drivers.camera.recording import compile_decoder
 from sequences.script import Flicker, RecordStep
 
 StoredFacts = Mapping[str, Any]
-"""A driver's facts of a recording by field, as the journal holds them."""
+"""Facts that a driver states about a recording, by field, as the journal holds them."""
 
 
 class CameraKind(Protocol):
     """What a run does with its camera."""
 
     name: str
-    """In results: ``event`` or ``frame``."""
+    """Name in results: ``event`` or ``frame``."""
     ending: str
-    """How the names of its recordings end."""
+    """File name ending of its recordings."""
 
     def light_for(self, flicker: Flicker) -> Flicker:
-        """What the light does where a sequence asks for a flicker."""
+        """Return what the light does if a sequence asks for a flicker.
+
+        Parameters
+        ----------
+        flicker
+            Flicker of the sequence.
+
+        Returns
+        -------
+        Flicker
+            Flicker, or steady light, for this kind of camera.
+        """
         ...
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
-        """Set the camera; return the settings as read back, and every reason against a run."""
+        """Set the camera.
+
+        Parameters
+        ----------
+        camera
+            Open camera of this kind.
+
+        Returns
+        -------
+        settings
+            Settings as read back, by name.
+        reasons
+            Every reason against a run; empty if there is none.
+        """
         ...
 
     def record(
         self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float
     ) -> RecordingFacts | FrameFacts:
-        """Record into a new file."""
+        """Record into a new file.
+
+        Parameters
+        ----------
+        camera
+            Open camera of this kind.
+        path
+            File to write.
+        step
+            Step that records.
+        frequency_hz
+            Frequency of the flicker, Hz.
+
+        Returns
+        -------
+        RecordingFacts or FrameFacts
+            What the driver states about the recording.
+        """
         ...
 
     def measure(
@@ -56,23 +97,83 @@ class CameraKind(Protocol):
         step: RecordStep,
         frequency_hz: float,
         target: StarTarget,
-        expect: ExpectedGrid | None,
+        expected_grid: ExpectedGrid | None,
     ) -> Measurement:
-        """Find the stars in a recording; where ``expect`` says, if the tag does not tell which they are."""
+        """Find the stars in a recording.
+
+        Parameters
+        ----------
+        path
+            File of the recording.
+        step
+            Step that recorded.
+        frequency_hz
+            Frequency of the flicker, Hz.
+        target
+            The printed target.
+        expected_grid
+            Predicts where the stars lie; used only if the tag does not label them.
+
+        Returns
+        -------
+        Measurement
+            View, image and numbers, or the fault.
+        """
         ...
 
     def judge(
         self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
-        """Judge a recording by its numbers; return also what speaks against it besides a failed gate."""
+        """Judge a recording by its numbers.
+
+        Parameters
+        ----------
+        facts
+            What the driver stated about the recording.
+        step
+            Step that recorded, with its gates.
+        frequency_hz
+            Frequency of the flicker, Hz.
+        found
+            What the recording showed.
+
+        Returns
+        -------
+        gates
+            The gates as judged.
+        reasons
+            Reasons against the recording other than a failed gate.
+        """
         ...
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
-        """Give what results tell of a recording."""
+        """Return what results state about a recording.
+
+        Parameters
+        ----------
+        facts
+            What the driver stated about the recording.
+
+        Returns
+        -------
+        dict
+            Values that can be written as JSON.
+        """
         ...
 
     def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
-        """Give what results tell of the camera's state over the recordings accepted."""
+        """Return what results state about the camera's state during the accepted recordings.
+
+        Parameters
+        ----------
+        accepted
+            Facts of the accepted recordings, at least one.
+
+        Returns
+        -------
+        dict
+            Values that can be written as JSON.
+        """
         ...
 
 
@@ -82,9 +183,9 @@ class EventKind:
     Parameters
     ----------
     biases
-        Offsets from the factory values.
+        Offsets of the biases from their factory values.
     roi
-        The only part of the sensor that sends events; None for all of it.
+        Region of interest: the only part of the sensor that sends events; None for the whole sensor.
     """
 
     name = "event"
@@ -94,11 +195,11 @@ class EventKind:
         self._settings = CameraSettings(biases, trigger_in=True, roi=roi)
 
     def light_for(self, flicker: Flicker) -> Flicker:
-        """The flicker itself."""
+        """See `CameraKind.light_for`. Returns the flicker itself."""
         return flicker
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
-        """Set biases and trigger input, and see that no filter eats flicker; have ready what recording needs."""
+        """See `CameraKind.prepare`. Requires that every filter that removes flicker is off."""
         compile_decoder()
         event_camera = cast("EventCamera", camera)
         settings = event_camera.apply(self._settings)
@@ -113,7 +214,7 @@ class EventKind:
         return asdict(settings), reasons
 
     def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> RecordingFacts:
-        """Record so long that the window's whole periods lie inside."""
+        """See `CameraKind.record`. Records long enough for the window's whole periods."""
         duration_s = recording_duration_s(step.window_ms, frequency_hz)
         return cast("EventCamera", camera).record(path, duration_s)
 
@@ -123,9 +224,9 @@ class EventKind:
         step: RecordStep,
         frequency_hz: float,
         target: StarTarget,
-        expect: ExpectedGrid | None,
+        expected_grid: ExpectedGrid | None,
     ) -> Measurement:
-        """Find the stars in the event image of whole flicker periods."""
+        """See `CameraKind.measure`. Uses the event image of whole flicker periods."""
         return measure(
             path,
             name=step.pose.name,
@@ -133,13 +234,13 @@ class EventKind:
             image=step.image,
             periods=periods_in_window(step.window_ms, frequency_hz),
             expected_hz=frequency_hz,
-            expect=expect,
+            expected_grid=expected_grid,
         )
 
     def judge(
         self, facts: StoredFacts, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
-        """Judge stars, event rate, triggers, flicker and motion."""
+        """See `CameraKind.judge`. Judges stars, event rate, triggers, flicker and motion."""
         recorded = RecordingFacts(**facts)
         return (
             recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars),
@@ -147,7 +248,7 @@ class EventKind:
         )
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
-        """Events, triggers, span and rate."""
+        """See `CameraKind.counts`. Events, triggers, duration and event rate."""
         recorded = RecordingFacts(**facts)
         events, duration_s = recorded.events, recorded.duration_s
         return {
@@ -159,7 +260,7 @@ class EventKind:
         }
 
     def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
-        """Biases and filters as read back last, illumination then, mean temperature."""
+        """See `CameraKind.conditions`. State at the last recording; mean temperature."""
         recorded = [RecordingFacts(**facts) for facts in accepted]
         last = recorded[-1]
         temperatures = [one.temperature_c for one in recorded if one.temperature_c is not None]
@@ -176,30 +277,30 @@ class FrameKind:
 
     Parameters
     ----------
-    pictures
-        How many are taken at each pose.
+    frames
+        How many frames are taken at each pose.
     settings
-        Of the camera.
+        Settings of the camera.
     """
 
     name = "frame"
     ending = ".tif"
 
-    def __init__(self, pictures: int, settings: FrameSettings) -> None:
-        self._pictures = pictures
+    def __init__(self, frames: int, settings: FrameSettings) -> None:
+        self._frames = frames
         self._settings = settings
 
     def light_for(self, flicker: Flicker) -> Flicker:
-        """Let the light burn steadily at the flicker's brighter level: no picture depends on when it was taken."""
+        """See `CameraKind.light_for`. Steady light at the flicker's high level."""
         return replace(flicker, waveform="steady")
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
-        """Set exposure and gain."""
+        """See `CameraKind.prepare`. Sets exposure and gain."""
         return asdict(cast("FrameCamera", camera).apply(self._settings)), []
 
     def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> FrameFacts:  # noqa: ARG002
-        """Take the pictures."""
-        return cast("FrameCamera", camera).capture(path, self._pictures)
+        """See `CameraKind.record`. Takes the frames."""
+        return cast("FrameCamera", camera).capture(path, self._frames)
 
     def measure(
         self,
@@ -207,10 +308,10 @@ class FrameKind:
         step: RecordStep,
         frequency_hz: float,  # noqa: ARG002
         target: StarTarget,
-        expect: ExpectedGrid | None,
+        expected_grid: ExpectedGrid | None,
     ) -> Measurement:
-        """Find the stars in the mean of the pictures."""
-        return measure_frames(path, name=step.pose.name, target=target, expect=expect)
+        """See `CameraKind.measure`. Uses the mean of the frames."""
+        return measure_frames(path, name=step.pose.name, target=target, expected_grid=expected_grid)
 
     def judge(
         self,
@@ -219,12 +320,12 @@ class FrameKind:
         frequency_hz: float,  # noqa: ARG002
         found: Measurement,
     ) -> tuple[list[Gate], list[str]]:
-        """Judge stars, saturation and motion."""
+        """See `CameraKind.judge`. Judges stars, saturation and motion."""
         recorded = FrameFacts(**facts)
         return frame_gates(recorded, step.gates, found), frame_rejection_reasons(recorded)
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
-        """Pictures, and how many of their pixels are saturated."""
+        """See `CameraKind.counts`. Number of frames, and percentage of saturated pixels."""
         recorded = FrameFacts(**facts)
         return {
             "pictures": recorded.frames,
@@ -233,15 +334,26 @@ class FrameKind:
         }
 
     def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
-        """Pictures a pose, their depth, and the settings that the station names."""
+        """See `CameraKind.conditions`. Frames per pose, bit depth, and the settings asked for."""
         last = FrameFacts(**accepted[-1])
         asked = {name: value for name, value in asdict(self._settings).items() if value is not None}
         return {"pictures": last.frames, "bits": last.bits, **asked}
 
 
 def camera_kind(station: Station) -> CameraKind:
-    """Find out which kind a station's camera is."""
-    said = station.camera
-    if isinstance(said, FrameCameraConfig):
-        return FrameKind(said.pictures, said.settings())
-    return EventKind(said.biases.model_dump(), said.roi)
+    """Return the kind of a station's camera.
+
+    Parameters
+    ----------
+    station
+        The station file.
+
+    Returns
+    -------
+    CameraKind
+        What a run does with this camera.
+    """
+    config = station.camera
+    if isinstance(config, FrameCameraConfig):
+        return FrameKind(config.pictures, config.settings())
+    return EventKind(config.biases.model_dump(), config.roi)

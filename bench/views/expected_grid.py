@@ -1,7 +1,7 @@
-"""Where the stars of a pose are expected, by the gimbal and the poses of the run that showed the tag.
+"""Where the stars of a pose are expected, from the gimbal and the earlier poses of the run that showed the tag.
 
-Reads a run's history alone. What was expected of a recording stands in the journal with what it showed, so that looking
-at it again gives the same stars.
+This module reads only the run's history. The journal stores the expected grid with the result, so that measuring a
+recording again gives the same stars.
 """
 
 from __future__ import annotations
@@ -19,37 +19,66 @@ from calib.target import StarTarget
 
 
 def grid_from_earlier_poses(history: History, stored: CaptureStored, target: StarTarget) -> ExpectedGrid:
-    """Expect the stars of a recording by the accepted ones of which the tag named the stars.
+    """Predict the grid of a recording from the accepted poses whose stars the tag labelled.
+
+    The prediction is that of `calib.stars.pointing.predict_grid`.
 
     Parameters
     ----------
     history
-        The run so far.
+        History of the run so far.
     stored
-        What the journal tells of the recording: where the gimbal stood.
+        Journal line of the recording; it holds the gimbal's angles.
     target
         The printed target.
+
+    Returns
+    -------
+    ExpectedGrid
+        Call it with the image size, px; it raises DegenerateViews if no prediction is possible.
     """
     here = best_angles_deg(stored["measured_deg"])
 
-    def expect(image_size: tuple[int, int]) -> NDArray[np.float64]:
-        seen = [
+    def predict(image_size: tuple[int, int]) -> NDArray[np.float64]:
+        labelled = [
             LabelledView(np.array(measured["grid"]), best_angles_deg(attempt.stored["measured_deg"]))
             for attempt in history.accepted().values()
             if (measured := attempt.measured).get("named_by") in ("tag", "part of the tag")
         ]
-        return predict_grid(seen, here, image_size, target.pitch_mm).grid
+        return predict_grid(labelled, here, image_size, target.pitch_mm).grid
 
-    return expect
+    return predict
 
 
 def grid_from_journal(attempt: Attempt) -> ExpectedGrid | None:
-    """Expect of a recording what was expected when it was accepted; None where the tag named its stars."""
+    """Return the grid that was expected when a recording was accepted.
+
+    Parameters
+    ----------
+    attempt
+        The accepted recording.
+
+    Returns
+    -------
+    ExpectedGrid or None
+        None if the tag labelled its stars.
+    """
     grid = attempt.measured.get("expected_grid")
     return None if grid is None else lambda _image_size: np.array(grid)
 
 
 def best_angles_deg(measured_deg: Mapping[str, float]) -> dict[str, float]:
-    """Where a stage stood, by axis: what its encoders read, where it has some (``pan_encoder``)."""
+    """Return the angles of a stage: by encoder if the axis has one, else the position stated.
+
+    Parameters
+    ----------
+    measured_deg
+        Angle by axis, degrees; ``pan_encoder`` is what the encoder of ``pan`` states.
+
+    Returns
+    -------
+    dict
+        Angle by axis, degrees.
+    """
     axes = ("pan", "tilt", "roll")
     return {a: measured_deg.get(f"{a}_encoder", measured_deg[a]) for a in axes if a in measured_deg}

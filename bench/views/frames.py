@@ -1,7 +1,7 @@
-"""From the pictures of one pose to one view, and whether they may count: what a frame camera's recording shows.
+"""From the frames of one pose to one view, and whether they are accepted: the recording of a frame camera.
 
-The stars are looked for in the mean of all pictures, and in the mean of each half, to see that the camera stood
-still. Every number is made from the file alone, so that it can be made again from the evidence.
+Stars are detected in the mean of all frames, and in the mean of each half to check that the camera stood still. Every
+number is calculated from the file alone, so that it can be calculated again from the evidence.
 """
 
 from __future__ import annotations
@@ -24,59 +24,64 @@ from drivers.errors import RecordingFileError
 from sequences.script import Gates
 
 MOST_SATURATED: Final = 0.001
-"""Share of pixels that may be at the highest grey value: some are hot, but the edge of a star that is clipped moves."""
+"""Largest share of pixels at the highest grey value. Some pixels are hot; but saturation displaces a star's edge."""
 
 
 def measure_frames(
-    path: Path, *, name: str, target: StarTarget, expect: ExpectedGrid | None = None
+    path: Path, *, name: str, target: StarTarget, expected_grid: ExpectedGrid | None = None
 ) -> Measurement:
-    """Read the pictures of a pose and find the stars in them.
+    """Read the frames of a pose and find the stars in them.
 
     Parameters
     ----------
     path
-        File of one picture or several.
+        File of one frame or several.
     name
-        The pose's name.
+        Name of the pose.
     target
         The printed target.
-    expect
-        Where the pose lets the stars be expected; asked only where the tag does not tell which they are.
+    expected_grid
+        Predicts where the stars lie; used only if the tag does not label them.
 
     Returns
     -------
     Measurement
-        Also when the file cannot be read or no stars are found: the fault then says why. Its facts are ``image``
-        (``kind``, ``reason``, ``pictures``), ``motion_px``, and what named the stars (`find_stars`).
+        Also if the file cannot be read or shows no stars; then it holds the fault. Its facts are ``image``
+        (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
     """
     facts: MeasuredFacts = {}
-    picture: StoredImage | None = None
+    image: StoredImage | None = None
     try:
         frames = read_frames(path)
         mean = _mean(frames)
-        picture = StoredImage.from_image(mean)
+        image = StoredImage.from_image(mean)
         kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
         facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
-        view = downweight_vignetted(find_stars(mean, target, name, expect, facts), target)
+        view = downweight_vignetted(find_stars(mean, target, name, expected_grid, facts), target)
         half = len(frames) // 2
         halves = (_mean(part) for part in (frames[:half], frames[-half:]))
         facts["motion_px"] = motion_px(halves, target, facts) if half else None
     except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, picture, facts, str(error))
-    return Measurement(view, picture, facts)
+        return Measurement(None, image, facts, str(error))
+    return Measurement(view, image, facts)
 
 
 def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
-    """Judge the pictures of a pose; of the sequence's gates, those that tell of stars apply.
+    """Judge the frames of a pose; of the sequence's gates, those about stars apply.
 
     Parameters
     ----------
     facts
-        What the driver states of the capture.
+        What the driver states about the capture.
     gates
-        What the sequence demands.
+        Gates of the sequence.
     found
-        What the pictures showed.
+        What the frames showed.
+
+    Returns
+    -------
+    list of Gate
+        The gates as judged.
     """
     judged = [
         at_least("stars", found.stars, gates.min_stars, ""),
@@ -89,8 +94,19 @@ def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gat
 
 
 def frame_rejection_reasons(facts: FrameFacts) -> list[str]:
-    """Say why pictures do not count, whatever they show; empty when they do."""
-    return [] if facts.complete else ["the pictures ended before their number"]
+    """Return why frames are rejected, whatever they show.
+
+    Parameters
+    ----------
+    facts
+        What the driver states about the capture.
+
+    Returns
+    -------
+    list of str
+        Reasons; empty if there is none.
+    """
+    return [] if facts.complete else ["fewer frames were recorded than asked for"]
 
 
 def _mean(frames: NDArray[Any]) -> NDArray[np.float32]:

@@ -1,6 +1,6 @@
-"""Gates of a recording: what it must show to count, judged from facts alone.
+"""Gates of a recording: limits that it must meet to be accepted, judged from numbers alone.
 
-Knows no device and no file; each refusal is a sentence that says what was found and what was wanted.
+This module uses no device and no file. Each reason for a rejection states what was found and what is needed.
 """
 
 from __future__ import annotations
@@ -16,19 +16,35 @@ from sequences.script import Gates
 Verdict = Literal["pass", "marginal", "fail"]
 
 FREQUENCY_TOLERANCE = {"triggers": 0.001, "events": 0.005}
-"""How far the flicker, by the camera's clock, may be from what was set: clocks differ by parts in 10 000, and a
-period is known to some microseconds from trigger edges, less well from the events alone."""
+"""Largest relative difference between the flicker by the camera's clock and its nominal frequency. Clocks differ by
+parts in 10 000; trigger edges give the period to some microseconds, events alone give it less well."""
 LAG_PERIODS = (-0.28, 0.2)
-"""When in the period the ON events may begin, counted from the sync signal's rise: of a sine they come from a quarter
-before, as soon as the light grows, of a square in dim light a little after it. An inverted sync signal is half off."""
+"""Range of the time from the sync signal's rising edge to the first ON events, periods. With a sine the ON events begin
+up to a quarter period before, when the light begins to grow; with a square wave in dim light they begin shortly after.
+An inverted sync signal shifts them by half a period."""
 FILTERS_TO_DISABLE = ("afk", "stc", "trail", "erc")
+"""On-chip filters that remove events of the flicker."""
 MARGIN = 0.1
-"""A value within this share of its limit passes, but only just: marginal."""
+"""A value that passes but is within this share of its limit is marginal."""
 
 
 @dataclass(frozen=True)
 class Gate:
-    """One gate as it was judged."""
+    """One gate as judged.
+
+    Attributes
+    ----------
+    name
+        Name of the number.
+    value
+        The number found.
+    unit
+        Its unit; empty for a pure number.
+    limit
+        The limit as text, such as ``>= 40``.
+    verdict
+        ``pass``, ``marginal`` or ``fail``.
+    """
 
     name: str
     value: float
@@ -37,7 +53,13 @@ class Gate:
     verdict: Verdict
 
     def as_data(self) -> GateData:
-        """Give the gate as results and journal carry it."""
+        """Return the gate as results and journal hold it.
+
+        Returns
+        -------
+        GateData
+            The gate's fields.
+        """
         return {
             "name": self.name,
             "value": self.value,
@@ -50,6 +72,24 @@ class Gate:
 def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
     """Judge a value that must not be below its limit.
 
+    Parameters
+    ----------
+    name
+        Name of the number.
+    value
+        The number found.
+    limit
+        Smallest value that passes.
+    unit
+        Unit of value and limit; empty for a pure number.
+
+    Returns
+    -------
+    Gate
+        The gate as judged.
+
+    Examples
+    --------
     >>> at_least("stars", 300, 40, "").verdict, at_least("stars", 42, 40, "").verdict, at_least("s", 9, 40, "").verdict
     ('pass', 'marginal', 'fail')
     """
@@ -60,6 +100,24 @@ def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
 def at_most(name: str, value: float, limit: float, unit: str) -> Gate:
     """Judge a value that must not be above its limit.
 
+    Parameters
+    ----------
+    name
+        Name of the number.
+    value
+        The number found.
+    limit
+        Largest value that passes.
+    unit
+        Unit of value and limit; empty for a pure number.
+
+    Returns
+    -------
+    Gate
+        The gate as judged.
+
+    Examples
+    --------
     >>> at_most("rate", 99, 100, "Mev/s").verdict, at_most("rate", 101, 100, "Mev/s").verdict
     ('marginal', 'fail')
     """
@@ -75,16 +133,21 @@ def recording_gates(
     Parameters
     ----------
     facts
-        What the driver knows of it.
+        What the driver states about the recording.
     gates
-        What the sequence demands.
+        Gates of the sequence.
     frequency_hz
-        What the light was set to.
+        Nominal frequency of the flicker, Hz.
     measured
-        What the recording itself tells, as `measure` names it; what it cannot tell is absent or None, and not
+        Numbers measured in the recording (`bench.views.measure.measure`); what is absent or None is not
         judged.
     stars
-        Stars found.
+        Number of stars found.
+
+    Returns
+    -------
+    list of Gate
+        The gates as judged.
     """
     rate_mev_s = facts.events / facts.duration_s / 1e6 if facts.duration_s > 0 else 0.0
     judged = [
@@ -108,16 +171,33 @@ def recording_gates(
 def gate_values(
     facts: RecordingFacts, gates: Gates, frequency_hz: float, measured: MeasuredFacts
 ) -> dict[str, Any]:
-    """All numbers of a recording that a sequence may limit, by name; parameters as for `recording_gates`."""
-    told = {**measured, **(measured.get("image") or {})}
+    """Return all numbers of a recording that a sequence may limit.
+
+    Parameters
+    ----------
+    facts
+        What the driver states about the recording.
+    gates
+        Gates of the sequence.
+    frequency_hz
+        Nominal frequency of the flicker, Hz.
+    measured
+        Numbers measured in the recording.
+
+    Returns
+    -------
+    dict
+        Number by name.
+    """
+    values = {**measured, **(measured.get("image") or {})}
     if gates.require_triggers and "triggers_expected" in measured:
-        told["triggers_missed"] = abs(int(measured["triggers_expected"]) - int(measured["triggers_found"]))
+        values["triggers_missed"] = abs(int(measured["triggers_expected"]) - int(measured["triggers_found"]))
     if measured.get("flicker_hz") is not None:
-        told["flicker_off_percent"] = 100 * abs(float(measured["flicker_hz"]) / frequency_hz - 1.0)
+        values["flicker_off_percent"] = 100 * abs(float(measured["flicker_hz"]) / frequency_hz - 1.0)
     if facts.rate_controller_in and facts.rate_controller_out is not None:
         passed = facts.rate_controller_out / facts.rate_controller_in
-        told["rate_controller_loss_percent"] = 100 * max(1.0 - passed, 0.0)
-    return told
+        values["rate_controller_loss_percent"] = 100 * max(1.0 - passed, 0.0)
+    return values
 
 
 _LABELS = {"motion_px": "stars moved", "flicker_off_percent": "flicker off nominal"}
@@ -125,18 +205,18 @@ _UNITS = {"px": "px", "us": "us", "percent": "%"}
 
 
 def _unit(fact: str) -> str:
-    """Unit that a number's name ends with; none for shares and counts."""
+    """Return the unit that a number's name ends with; empty for shares and counts."""
     return _UNITS.get(fact.rpartition("_")[2], "")
 
 
 def _label(fact: str) -> str:
-    """Number's name in words."""
+    """Return a number's name as text."""
     stem, _, last = fact.rpartition("_")
     return _LABELS.get(fact, (stem if last in _UNITS else fact).replace("_", " "))
 
 
 def _in_phase(lag_periods: float) -> Gate:
-    """Judge whether the events rise with the sync signal, and not half a period off."""
+    """Judge whether the events begin with the sync signal, and not half a period away."""
     low, high = LAG_PERIODS
     verdict: Verdict = "pass" if low <= lag_periods <= high else "fail"
     return Gate("events after sync", lag_periods, "periods", f"{low:g} to {high:g}", verdict)
@@ -148,9 +228,15 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
     Parameters
     ----------
     limits
-        The most each number may be, by name with its unit: ``rms_px``, ``sigma_r_mm``, ``sigma_k1``.
+        Largest value of each number, by name with unit: ``rms_px``, ``sigma_r_mm``, ``sigma_k1``.
     found
-        Numbers by name without unit (``rms``, ``sigma_r``); a model that was chosen without a parameter has none.
+        Numbers by name without unit (``rms``, ``sigma_r``). A parameter that the chosen model lacks is
+        absent.
+
+    Returns
+    -------
+    list of Gate
+        The gates as judged.
 
     Examples
     --------
@@ -166,23 +252,49 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
 
 
 def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
-    """Say which gates failed, what was found and what was wanted."""
+    """Return which gates failed, with the value found and the limit.
+
+    Parameters
+    ----------
+    judged
+        Gates as judged.
+
+    Returns
+    -------
+    list of str
+        One text per failed gate.
+    """
     return [
-        f"{g.name} {g.value:.6g}{' ' + g.unit if g.unit else ''}, wanted {g.limit}"
+        f"{g.name} {g.value:.6g}{' ' + g.unit if g.unit else ''}, needed {g.limit}"
         for g in judged
         if g.verdict == "fail"
     ]
 
 
 def rejection_reasons(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
-    """Say why a recording does not count; empty when it does."""
+    """Return why a recording is rejected.
+
+    Parameters
+    ----------
+    facts
+        What the driver states about the recording.
+    gates
+        Gates of the sequence.
+    judged
+        Gates as judged.
+
+    Returns
+    -------
+    list of str
+        Reasons; empty if the recording is accepted.
+    """
     reasons = failed_gate_texts(judged)
     reasons += [f"data lost: {gap}" for gap in facts.gaps]
-    eaten = [f for f in FILTERS_TO_DISABLE if facts.filters.get(f)]
-    if eaten:
-        reasons.append(f"on-chip filters were on: {', '.join(eaten)}")
+    active = [f for f in FILTERS_TO_DISABLE if facts.filters.get(f)]
+    if active:
+        reasons.append(f"on-chip filters were on: {', '.join(active)}")
     if gates.require_triggers and facts.triggers == 0:
         reasons.append("no sync triggers: check the cable from the light's sync output to the camera")
     if not facts.complete:
-        reasons.append("the recording ended before its time")
+        reasons.append("the recording ended too early")
     return reasons

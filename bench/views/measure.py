@@ -1,7 +1,7 @@
 """From one recording to one view: RAW file, whole flicker periods, event image, stars.
 
-Joins what drivers read with what the engine finds; every number that a gate or a report later shows of a
-recording is made here, from the file alone, so that it can be made again from the evidence.
+This module joins the drivers' readers and the calibration engine. Every number that a gate or the report shows about
+a recording is calculated here, from the file alone, so that it can be calculated again from the evidence.
 """
 
 from __future__ import annotations
@@ -40,30 +40,54 @@ from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 
 ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
-"""Gives, for an image of a width and height, where the target's grid of nodes is expected in it: (3, 3), from
-[column row 1] to [u v 1] px. Raises DegenerateViews where that cannot be told."""
+"""Returns, for an image size (width, height) in px, the expected homography of the target's grid: (3, 3) float64, from
+[column row 1] to [u v 1] px. Raises DegenerateViews if no prediction is possible."""
 
 
 _ALIGNED_DEG = 3.0
-"""Edges that run along the pixels' rows or diagonals to this angle err alike: at half a degree they do, at ten not."""
+"""Largest angle to the pixel rows or diagonals at which the errors of star edges count as correlated, degrees. They are
+correlated at 0.5 degrees and not at 10 degrees (docs/stars.md)."""
 
 
 @dataclass(frozen=True)
 class StoredImage:
-    """An image as people see it, 8 bits a pixel, packed without loss: a run keeps one of each of its poses."""
+    """An image for people, 8 bits per pixel, compressed without loss; a run keeps one for each of its poses.
+
+    Attributes
+    ----------
+    png
+        The image as a PNG file.
+    """
 
     png: bytes
 
     @classmethod
     def from_image(cls, image: NDArray[Any]) -> StoredImage:
-        """Stretch (`calib.events.grey_image.to_uint8`) and pack an image (H, W)."""
+        """Stretch the grey values of an image (`calib.events.grey_image.to_uint8`) and compress it.
+
+        Parameters
+        ----------
+        image
+            (H, W), any numeric dtype, grey values.
+
+        Returns
+        -------
+        StoredImage
+            The compressed image.
+        """
         return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
 
     def decoded(self) -> NDArray[np.uint8]:
-        """Give it as (H, W) uint8."""
-        shown = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
-        assert shown is not None
-        return np.asarray(shown, np.uint8)
+        """Return the image.
+
+        Returns
+        -------
+        numpy.ndarray
+            (H, W) uint8, grey values.
+        """
+        image = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        return np.asarray(image, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -73,15 +97,15 @@ class Measurement:
     Attributes
     ----------
     view
-        The stars; None where none were found, ``fault`` then says why.
+        The stars; None if none were found, then ``fault`` states why.
     image
-        The event image the stars were looked for in; None where it could not be made.
+        Event image in which the stars were detected; None if it could not be made.
     facts
-        Plain numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
-        share, hot pixels, flicker frequency and where it comes from, triggers expected and found, motion, what named
-        the stars and where their grid lies.
+        Numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
+        share, hot pixels, flicker frequency and its source, triggers expected and found, motion, what
+        labelled the stars and where their grid lies.
     fault
-        Why there is no view; empty when there is one.
+        Why there is no view; empty if there is one.
     """
 
     view: View | None
@@ -103,7 +127,7 @@ def measure(
     image: str,
     periods: int | None,
     expected_hz: float | None,
-    expect: ExpectedGrid | None = None,
+    expected_grid: ExpectedGrid | None = None,
 ) -> Measurement:
     """Read a recording and find the stars in it.
 
@@ -112,25 +136,25 @@ def measure(
     path
         RAW file.
     name
-        The pose's name.
+        Name of the pose.
     target
         The printed target.
     image
         Kind of event image, or ``auto``.
     periods
-        Whole flicker periods to gather; None for as many as the recording holds.
+        Number of whole flicker periods to use; None for all that the recording holds.
     expected_hz
-        What the light was set to; None when unknown.
-    expect
-        Where the pose lets the stars be expected; asked only where the tag does not tell which they are.
+        Nominal frequency of the flicker, Hz; None if unknown.
+    expected_grid
+        Predicts where the stars lie; used only if the tag does not label them.
 
     Returns
     -------
     Measurement
-        Also when the file cannot be read or no stars are found: the fault then says why.
+        Also if the file cannot be read or shows no stars; then it holds the fault.
     """
     facts: MeasuredFacts = {}
-    picture: StoredImage | None = None
+    stored: StoredImage | None = None
     try:
         raw = RawFile.open(path)
         size = raw.width, raw.height
@@ -142,56 +166,86 @@ def measure(
         facts.update(_compare_flicker(flicker, events))
         images = make_images(*_event_arrays(events), size, flicker, window_us=span_us, periods=periods)
         chosen = _choose(images, image)
-        picture = StoredImage.from_image(chosen.image)
+        stored = StoredImage.from_image(chosen.image)
         facts.update(_image_facts(images, chosen, origin_us))
-        view = downweight_vignetted(find_stars(chosen.image, target, name, expect, facts), target)
+        view = downweight_vignetted(find_stars(chosen.image, target, name, expected_grid, facts), target)
         halves = _half_images(events, size, flicker, images.facts, chosen.name)
         facts["motion_px"] = motion_px(halves, target, facts)
     except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, picture, _without_nan(facts), str(error))
-    return Measurement(view, picture, _without_nan(facts))
+        return Measurement(None, stored, _without_nan(facts), str(error))
+    return Measurement(view, stored, _without_nan(facts))
 
 
 def find_stars(
-    image: NDArray[Any], target: StarTarget, name: str, expect: ExpectedGrid | None, facts: MeasuredFacts
+    image: NDArray[Any],
+    target: StarTarget,
+    name: str,
+    expected_grid: ExpectedGrid | None,
+    facts: MeasuredFacts,
 ) -> View:
-    """Find the stars of an image, by the expected pose where the tag does not name them.
+    """Detect and label the stars of an image; use the expected grid if the tag does not label them.
 
-    What named them goes into ``facts``: ``named_by`` (``tag``, ``part of the tag``, ``gimbal``), ``grid``, where the
-    view's grid lies, (3, 3) from [column row 1] to [u v 1] px as lists, and ``expected_grid``, as it was expected.
+    Three facts are added to ``facts``: ``named_by`` (``tag``, ``part of the tag`` or ``gimbal``), ``grid``,
+    the homography of the view's grid, (3, 3) from [column row 1] to [u v 1] px as lists, and
+    ``expected_grid``, the one that was expected.
+
+    Parameters
+    ----------
+    image
+        (H, W), any numeric dtype, grey values.
+    target
+        The printed target.
+    name
+        Name of the pose.
+    expected_grid
+        Predicts where the stars lie; None if no prediction is available.
+    facts
+        Changed in place.
+
+    Returns
+    -------
+    View
+        The stars.
 
     Raises
     ------
+    StarsUnnamed
+        If neither the tag nor the expected grid labels the stars.
     CalibrationError
-        When there are no stars, or nothing says which they are.
+        If no stars are found.
     """
     try:
-        seen = detect_stars(image, target, name=name)
+        detection = detect_stars(image, target, name=name)
     except StarsUnnamed as unnamed:
-        if expect is None:
+        if expected_grid is None:
             raise
         try:
-            expected = expect((image.shape[1], image.shape[0]))
+            expected = expected_grid((image.shape[1], image.shape[0]))
         except DegenerateViews as unknown:
             raise StarsUnnamed(unnamed.what, where=unnamed.where, remedy=str(unknown)) from unknown
-        seen = detect_stars(image, target, name=name, expected=expected)
+        detection = detect_stars(image, target, name=name, expected=expected)
         facts["expected_grid"] = expected.tolist()
-    grid = fit_homography(target.node_of(seen.view.ids).astype(float), seen.view.points_px)
-    facts["named_by"] = "gimbal" if seen.named_by == "expected pose" else seen.named_by
+    grid = fit_homography(target.node_of(detection.view.ids).astype(float), detection.view.points_px)
+    facts["named_by"] = "gimbal" if detection.named_by == "expected pose" else detection.named_by
     facts["grid"] = grid.tolist()
-    return seen.view
+    return detection.view
 
 
 def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
-    """Count the recordings whose stars have edges along the pixels, in an image of fired and silent pixels.
+    """Count the recordings whose star edges run along the pixels, in an image of fired and silent pixels.
 
-    Such an edge crosses all pixels of a row at one place, and neighbouring stars err alike: more than a star's own
-    covariance can say (docs/stars.md).
+    Such an edge crosses all pixels of a row at the same place, so the errors of neighbouring stars are
+    correlated. The covariance of a single star cannot express this (docs/stars.md).
 
     Parameters
     ----------
     facts
-        Of recordings, as `measure` gives them.
+        Facts of recordings, as `measure` returns them.
+
+    Returns
+    -------
+    int
+        Number of such recordings.
     """
     return sum(
         edge_angle_deg(np.array(one["grid"])) < _ALIGNED_DEG
@@ -201,12 +255,17 @@ def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
 
 
 def edge_angle_deg(grid: NDArray[np.float64]) -> float:
-    """Angle between the stars' edges and the pixels' rows or diagonals, whichever are nearer.
+    """Return the angle between the star edges and the pixel rows or diagonals, whichever is smaller.
 
     Parameters
     ----------
     grid
-        (3, 3) from [column row 1] to [u v 1] px.
+        (3, 3) float64, from [column row 1] to [u v 1] px.
+
+    Returns
+    -------
+    float
+        Angle, degrees, 0 to 22.5.
 
     Examples
     --------
@@ -214,54 +273,58 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     >>> edge_angle_deg(np.array([[np.cos(half), -np.sin(half), 0], [np.sin(half), np.cos(half), 0], [0, 0, 1]]))
     5.0
     """
-    along = (
-        grid[:2, 0] * grid[2, 2] - grid[:2, 2] * grid[2, 0]
-    )  # d(u, v)/d(column) at the grid's origin, scaled
+    # d(u, v)/d(column) at the grid's origin, times the square of grid[2, 2].
+    along = grid[:2, 0] * grid[2, 2] - grid[:2, 2] * grid[2, 0]
     direction = np.degrees(np.arctan2(along[1], along[0]))
     return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
 
 
 def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
-    """Hold the flicker by the triggers against the one that the events tell; nothing where there is only one."""
+    """Compare the flicker from the triggers with the flicker from the events; empty if there is only one."""
     if flicker.source != "triggers":
         return {}
     try:
-        told = flicker_from_events(events.t, events.p)
+        by_events = flicker_from_events(events.t, events.p)
     except (FlickerNotFound, TooFewEvents):
         return {}
     return {
-        "flicker_from_events_hz": told.frequency_hz,
-        "flicker_disagreement_percent": 100 * abs(told.frequency_hz / flicker.frequency_hz - 1.0),
-        "flicker_lag_periods": told.lag_us(flicker) / flicker.period_us,
+        "flicker_from_events_hz": by_events.frequency_hz,
+        "flicker_disagreement_percent": 100 * abs(by_events.frequency_hz / flicker.frequency_hz - 1.0),
+        "flicker_lag_periods": by_events.lag_us(flicker) / flicker.period_us,
     }
 
 
 def _event_arrays(
     events: Events,
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
-    """Times, columns, rows and polarities, as images are made of them."""
+    """Return times, columns, rows and polarities."""
     return events.t, events.x, events.y, events.p
 
 
 def _half_images(
     events: Events, size: tuple[int, int], flicker: Flicker, whole: SliceFacts, kind: str
 ) -> Iterator[NDArray[np.float32]]:
-    """Images of the first and the second half; raises TooFewEvents where there are none."""
+    """Yield images of the first and the second half. Raises TooFewEvents if there are too few."""
     for half in half_windows(whole):
         yield make_images(*_event_arrays(events), size, flicker, window_us=half).named(kind)
 
 
 def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
-    """Length of the stars' shift from the first half of a recording to the second; None where halves cannot tell.
+    """Return the length of the stars' shift from the first half of a recording to the second.
 
     Parameters
     ----------
     halves
-        Images of the two halves.
+        Images of the two halves, each (H, W), grey values.
     target
         The printed target.
     facts
-        With the ``grid`` of the whole recording, by which stars without the tag are named.
+        Facts of the whole recording; its ``grid`` labels the stars if the tag cannot.
+
+    Returns
+    -------
+    float or None
+        Length, px; None if the halves do not show it.
     """
     grid = np.array(facts["grid"])
     try:
@@ -272,7 +335,7 @@ def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Measure
 
 
 def _without_nan(facts: Any) -> Any:
-    """Put None where a number could not be told: what was not measured is not a number, in JSON either."""
+    """Replace numbers that are not finite by None, because JSON has none."""
     if isinstance(facts, dict):
         return {name: _without_nan(fact) for name, fact in facts.items()}
     if isinstance(facts, list):
@@ -283,22 +346,22 @@ def _without_nan(facts: Any) -> Any:
 def _flicker(
     triggers: Triggers, events: tuple[NDArray[np.int64], NDArray[np.uint8]], expected_hz: float | None
 ) -> Flicker:
-    """Take the flicker from the sync edges, or from the events where there are none."""
+    """Return the flicker from the sync edges, or from the events if there are no edges."""
     if not len(triggers.t):
         return flicker_from_events(*events)
     try:
         return flicker_from_triggers(triggers.t, triggers.value, expected_hz=expected_hz)
     except FlickerNotFound:
-        if len(triggers.t) > 2:  # edges that contradict each other are a fault, not a reason to do without
+        if len(triggers.t) > 2:  # edges that contradict each other are a fault; do not ignore them
             raise
         return flicker_from_events(*events)
 
 
 def _subtract_origin(t: NDArray[np.int64], triggers: Triggers) -> int:
-    """Count times, in place, from the first event or edge; return its own.
+    """Subtract the time of the first event or edge from all times, in place; return it.
 
-    The sensor's clock goes on from recording to recording: what stands in one is not to depend, by the last digits
-    of its numbers, on how many were made before.
+    The sensor's clock continues from recording to recording. Without this, the last digits of a recording's
+    numbers would depend on how many recordings were made before.
     """
     origin_us = int(_span_us(t, triggers)[0])
     t -= origin_us
@@ -307,7 +370,7 @@ def _subtract_origin(t: NDArray[np.int64], triggers: Triggers) -> int:
 
 
 def _span_us(t: NDArray[np.int64], triggers: Triggers) -> tuple[float, float]:
-    """Sensor time covered: events and triggers; nothing is known of the time before and after."""
+    """Return the first and the last time of events and triggers, us."""
     times = [a for a in (t, triggers.t) if len(a)]
     if not times:
         return 0.0, 0.0

@@ -1,15 +1,27 @@
-"""How long a recording must be, so that whole flicker periods lie inside it. Arithmetic only."""
+"""How long a recording must be to contain whole flicker periods."""
 
 from __future__ import annotations
 
 RECORDING_MARGIN_S = 1e-3
-"""Recorded beyond the whole periods and the one that is cut at the ends."""
+"""Time recorded in addition to the whole periods and the one that is cut at the ends, s."""
 
 
 def periods_in_window(window_ms: float, frequency_hz: float) -> int:
-    """Return how many whole flicker periods a window stands for.
+    """Return the number of whole flicker periods nearest to a window, at least one.
 
-    An image gathered over a part of a period would show that part's polarity more; so windows are rounded.
+    An image over a part of a period would favour one polarity, so windows are rounded to whole periods.
+
+    Parameters
+    ----------
+    window_ms
+        Length of the window, ms.
+    frequency_hz
+        Frequency of the flicker, Hz.
+
+    Returns
+    -------
+    int
+        Number of periods.
 
     Examples
     --------
@@ -20,7 +32,19 @@ def periods_in_window(window_ms: float, frequency_hz: float) -> int:
 
 
 def recording_duration_s(window_ms: float, frequency_hz: float) -> float:
-    """Return how long to record so that the window's whole periods lie inside, wherever the light stands.
+    """Return the recording time that contains the window's whole periods at any phase of the light.
+
+    Parameters
+    ----------
+    window_ms
+        Length of the window, ms.
+    frequency_hz
+        Frequency of the flicker, Hz.
+
+    Returns
+    -------
+    float
+        Duration, s.
 
     Examples
     --------

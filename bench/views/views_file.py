@@ -49,14 +49,14 @@ def views_file(
     measurements: Sequence[Measurement],
     residuals_px: Sequence[NDArray[np.float64]],
 ) -> bytes:
-    """Lay out views, residuals and images as an HDF5 file.
+    """Return views, residuals and images as an HDF5 file.
 
     Parameters
     ----------
     measurements
-        One for each pose, with a view and a picture.
+        One for each pose, with a view and an image.
     residuals_px
-        For each view (N, 2) float64, px, star found minus star projected.
+        One array for each view, (N, 2) float64, px, star found minus star projected.
 
     Returns
     -------

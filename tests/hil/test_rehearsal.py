@@ -145,7 +145,7 @@ def test_mishaps_are_tried_again_skipped_and_told_as_in_a_run(tmp_path):
     refused = [e for e in read_journal(tmp_path / "run" / "journal.jsonl")[0] if e.event == "attempt_checked"]
     assert run.recordings > 12 >= run.accepted >= 6
     assert events.count("attempt_lost") >= 2
-    assert any("stars 20, wanted >= 40" in e.data["reasons"] for e in refused)
+    assert any("stars 20, needed >= 40" in e.data["reasons"] for e in refused)
     assert run.deviations == 12 - run.accepted
 
 

@@ -75,7 +75,7 @@ def judge(path, recording, said=LIMITS):
         scan.rate_controller_in, scan.rate_controller_out,
     )  # fmt: skip
     found = measure(path, name="p", target=TARGET, image="auto", periods=2, expected_hz=60.0)
-    gates = Gates.from_command_line(dict(GateConfig(**said)))
+    gates = Gates.from_settings(dict(GateConfig(**said)))
     return found, rejection_reasons(
         facts, gates, recording_gates(facts, gates, 60.0, found.facts, found.stars)
     )
@@ -163,7 +163,7 @@ def test_a_window_of_one_period_shows_stars_but_no_motion(good, tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (rows_missing, "silent rows 10, wanted <= 3"),
+        (rows_missing, "silent rows 10, needed <= 3"),
         (off_events_lost, "on share"),
         (most_events_lost, "lit pixels"),
         (events_doubled, "events per edge"),
@@ -174,7 +174,7 @@ def test_a_window_of_one_period_shows_stars_but_no_motion(good, tmp_path):
         (sync_inverted, "events after sync"),
         (sync_unsteady, "trigger jitter"),
         (sync_of_another_light, "flicker disagreement"),
-        (sync_edges_missing, "triggers missed 2, wanted <= 1"),
+        (sync_edges_missing, "triggers missed 2, needed <= 1"),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )  # fmt: skip

@@ -40,10 +40,10 @@ def test_photographs_without_the_tag_are_named_the_same_way(tmp_path):
     cv2.imwrite(str(tmp_path / "p.png"), np.uint8(20 + 200 * render(truth, rotation)))
     ids, points = star_centres(truth, rotation)
     grid = fit_homography(TARGET.node_of(ids).astype(float), points)
-    named = measure_frames(tmp_path / "p.png", name="p", target=TARGET, expect=lambda _size: grid)
+    named = measure_frames(tmp_path / "p.png", name="p", target=TARGET, expected_grid=lambda _size: grid)
     assert named.facts["named_by"] == "gimbal"
     assert np.abs(apply_homography(np.array(named.facts["grid"]), TARGET.node_of(ids)) - points).max() < 5
-    unnamed = measure_frames(tmp_path / "p.png", name="p", target=TARGET, expect=no_pose)
+    unnamed = measure_frames(tmp_path / "p.png", name="p", target=TARGET, expected_grid=no_pose)
     assert unnamed.view is None
     assert unnamed.fault.endswith("No earlier view tells where the stars are.")
 

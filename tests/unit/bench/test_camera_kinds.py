@@ -139,7 +139,7 @@ def test_pictures_that_moved_further_than_the_sequence_lets_them_are_refused():
 
 def test_pictures_that_ended_early_do_not_count():
     assert frame_rejection_reasons(replace(TAKEN, complete=False)) == [
-        "the pictures ended before their number"
+        "fewer frames were recorded than asked for"
     ]
     assert frame_rejection_reasons(TAKEN) == []
 

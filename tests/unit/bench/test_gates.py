@@ -32,16 +32,16 @@ def test_a_good_recording_is_not_refused():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"stars": 12}, "stars 12, wanted >= 40"),
-        ({"events": 9_000_000}, "event rate 180 Mev/s, wanted <= 100"),
-        ({"measured": MEASURED | {"triggers_found": 1}}, "triggers missed 2, wanted <= 1"),
+        ({"stars": 12}, "stars 12, needed >= 40"),
+        ({"events": 9_000_000}, "event rate 180 Mev/s, needed <= 100"),
+        ({"measured": MEASURED | {"triggers_found": 1}}, "triggers missed 2, needed <= 1"),
         ({"measured": MEASURED | {"flicker_hz": 50.0}}, "flicker off nominal 16.6667 %"),
         ({"measured": MEASURED | {"flicker_hz": 59.9}}, "flicker off nominal 0.166667 %"),
-        ({"measured": MEASURED | {"motion_px": 0.08}}, "stars moved 0.08 px, wanted <= 0.05"),
+        ({"measured": MEASURED | {"motion_px": 0.08}}, "stars moved 0.08 px, needed <= 0.05"),
         ({"gaps": ("words are missing",)}, "data lost: words are missing"),
         ({"filters": {"afk": True}}, "on-chip filters were on: afk"),
         ({"triggers": 0}, "no sync triggers"),
-        ({"complete": False}, "ended before its time"),
+        ({"complete": False}, "ended too early"),
     ],
 )
 def test_each_fault_is_refused_in_words_that_name_it(given, words):
@@ -54,24 +54,24 @@ def test_triggers_are_not_demanded_where_the_sequence_says_so():
 
 
 def test_an_empty_recording_has_no_rate_and_does_not_divide_by_zero():
-    assert "stars 0, wanted >= 40" in reasons(stars=0, duration_s=0.0, events=0)
+    assert "stars 0, needed >= 40" in reasons(stars=0, duration_s=0.0, events=0)
 
 
 LAGGED = MEASURED | {"flicker_lag_periods": 0.5}
 
 
 def test_a_sync_signal_half_a_period_off_is_refused_whatever_the_sequence_says():
-    assert "events after sync 0.5 periods, wanted -0.28 to 0.2" in reasons(measured=LAGGED)
+    assert "events after sync 0.5 periods, needed -0.28 to 0.2" in reasons(measured=LAGGED)
 
 
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
-        ({"min_on_share": 0.5}, "on share 0.4, wanted >= 0.5"),
-        ({"max_on_share": 0.3}, "on share 0.4, wanted <= 0.3"),
-        ({"max_first_on_spread_us": 100}, "first on spread 139 us, wanted <= 100"),
-        ({"max_flicker_off_percent": 0.0001}, "flicker off nominal 0.001 %, wanted <= 0.0001"),
-        ({"max_trigger_jitter_us": 1}, "trigger jitter 2 us, wanted <= 1"),
+        ({"min_on_share": 0.5}, "on share 0.4, needed >= 0.5"),
+        ({"max_on_share": 0.3}, "on share 0.4, needed <= 0.3"),
+        ({"max_first_on_spread_us": 100}, "first on spread 139 us, needed <= 100"),
+        ({"max_flicker_off_percent": 0.0001}, "flicker off nominal 0.001 %, needed <= 0.0001"),
+        ({"max_trigger_jitter_us": 1}, "trigger jitter 2 us, needed <= 1"),
         ({"max_silent_rows": 0}, ""),
         ({"max_hot_pixels": 1}, ""),
     ],
@@ -86,4 +86,4 @@ def test_a_limit_of_a_sequence_is_judged_where_the_recording_tells_the_number(li
 def test_events_that_the_rate_controller_dropped_are_refused_by_its_own_counters():
     assert reasons(rate_controller_in=1000, rate_controller_out=999) == []
     dropped = reasons(rate_controller_in=1000, rate_controller_out=900)
-    assert dropped == ["rate controller loss 10 %, wanted <= 1"]
+    assert dropped == ["rate controller loss 10 %, needed <= 1"]

@@ -79,7 +79,7 @@ def test_a_recording_in_the_dark_has_no_sync_edges(clock, tmp_path):
 def test_a_rehearsed_mishap_is_the_error_a_camera_gives(clock, tmp_path):
     held = devices(clock, b"simulation: {rehearsal: {lost_share: 1}}")
     held.stage.home()
-    with pytest.raises(RecordingFailed, match="rehearsed mishap"):
+    with pytest.raises(RecordingFailed, match="rehearsed fault"):
         held.camera.record(tmp_path / "r", 0.05)
 
 
