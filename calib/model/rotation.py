@@ -5,11 +5,13 @@ Rotation vectors are in radians. Stacks of matrices have shape (..., 3, 3), stac
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+Quaternion = tuple[float, float, float, float]
 
 
 def skew(vectors: Array) -> Array:
@@ -46,6 +48,8 @@ def exp_map(vectors: Array) -> Array:
     Array
         (..., 3, 3) rotation matrices.
     """
+    from scipy.spatial.transform import Rotation
+
     v = np.asarray(vectors, float)
     return np.asarray(Rotation.from_rotvec(v.reshape(-1, 3)).as_matrix()).reshape(*v.shape[:-1], 3, 3)
 
@@ -63,6 +67,8 @@ def log_map(matrices: Array) -> Array:
     Array
         (..., 3) rotation vectors, rad, of length at most pi.
     """
+    from scipy.spatial.transform import Rotation
+
     m = np.asarray(matrices, float)
     return np.asarray(Rotation.from_matrix(m.reshape(-1, 3, 3)).as_rotvec()).reshape(m.shape[:-1])
 
@@ -104,5 +110,32 @@ def euler_zxy(pan_deg: float, tilt_deg: float, roll_deg: float = 0.0) -> Array:
     -------
     Array
         (3, 3) rotation matrix.
+
+    Notes
+    -----
+    The product of three unit quaternions, and the matrix of the product (Diebel 2006). SciPy's ``Rotation.from_euler``
+    gives the same bits; it is not used, because loading it takes longer than a whole plan.
     """
-    return np.asarray(Rotation.from_euler("ZXY", [roll_deg, tilt_deg, pan_deg], degrees=True).as_matrix())
+    roll, tilt, pan = (math.radians(angle) / 2.0 for angle in (roll_deg, tilt_deg, pan_deg))
+    turned = _quaternion_product(
+        (0.0, 0.0, math.sin(roll), math.cos(roll)), (math.sin(tilt), 0.0, 0.0, math.cos(tilt))
+    )
+    x, y, z, w = _quaternion_product(turned, (0.0, math.sin(pan), 0.0, math.cos(pan)))
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    return np.array(
+        [
+            [xx - yy - zz + ww, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), -xx + yy - zz + ww, 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), -xx - yy + zz + ww],
+        ]
+    )
+
+
+def _quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return p q, the rotation q followed by p; quaternions are (x, y, z, w)."""
+    return (
+        p[3] * q[0] + q[3] * p[0] + (p[1] * q[2] - p[2] * q[1]),
+        p[3] * q[1] + q[3] * p[1] + (p[2] * q[0] - p[0] * q[2]),
+        p[3] * q[2] + q[3] * p[2] + (p[0] * q[1] - p[1] * q[0]),
+        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
+    )

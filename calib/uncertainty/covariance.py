@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
@@ -77,6 +76,8 @@ class Uncertainty:
     @property
     def coverage_factor(self) -> float:
         """The k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G)."""
+        from scipy import special
+
         tail = 0.5 + 0.5 * _COVERAGE
         if np.isinf(self.effective_degrees_of_freedom):
             return float(special.ndtri(tail))
@@ -108,6 +109,8 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
         If there are no more measurements than parameters, or if the views do not constrain a parameter.
     """
     residuals = bundle.weighted_residuals(parameters)
+    from scipy import special
+
     lengths = np.linalg.norm(residuals, axis=1)
     equations = bundle.normal_equations(parameters, residuals)
     count = len(bundle.names) + equations.local_gradient.size

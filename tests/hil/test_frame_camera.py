@@ -193,7 +193,7 @@ def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars
     frames = [*read_frames(tmp_path / "still.tif"), *read_frames(tmp_path / "turned.tif")]
     write_frames(tmp_path / "both.tif", frames)
     found = measure_frames(tmp_path / "both.tif", name="pose", target=StarTarget())
-    gates = frame_gates({"saturated_share": still.saturated_share}, Gates(40, 200.0, True), found)
+    gates = frame_gates(still, Gates(40, 200.0, True), found)
     assert {gate.name: gate.verdict for gate in gates}["stars moved"] == "fail"
 
 

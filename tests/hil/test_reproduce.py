@@ -51,7 +51,7 @@ def test_recordings_that_are_not_what_the_results_were_made_of_are_found(copied)
     assert differences(copied) != []
     three.write_bytes(b"% nothing\n")
     (found,) = differences(copied)
-    assert found.startswith("it cannot be calibrated again")
+    assert found.startswith("the run cannot be calibrated again")
 
 
 def test_a_bundle_resealed_over_edited_results_is_found(copied, home):

@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation, skew
 
@@ -36,3 +37,9 @@ def test_pan_turns_about_y_first_and_roll_about_z_last():
     axis = euler_zxy(90.0, 0.0, 0.0) @ [0.0, 0.0, 1.0]
     assert np.allclose(axis, [1.0, 0.0, 0.0])
     assert np.allclose(euler_zxy(10.0, 20.0, 30.0), euler_zxy(0, 0, 30) @ euler_zxy(0, 20) @ euler_zxy(10, 0))
+
+
+def test_a_gimbal_s_rotation_is_that_of_scipy():
+    for pan, tilt, roll in RNG.uniform(-180.0, 180.0, (200, 3)):
+        expected = Rotation.from_euler("ZXY", [roll, tilt, pan], degrees=True).as_matrix()
+        assert np.abs(euler_zxy(pan, tilt, roll) - expected).max() <= 1e-15
