@@ -1,8 +1,7 @@
 """Signals that end a run safely, and other work at once.
 
 During a run, the first SIGINT, SIGTERM or SIGHUP asks the run to stop at its next wait. Further signals do not stop the
-bench while it makes its devices safe. The third signal, if it is a SIGINT (Ctrl-C), restores the default behaviour:
-the next SIGINT ends the process at once.
+bench while it makes its devices safe. The third signal, if it is a SIGINT (Ctrl-C), ends the process at once.
 """
 
 from __future__ import annotations
@@ -40,6 +39,7 @@ def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
         received += 1
         if received >= _SIGNALS_TO_END_AT_ONCE and number == signal.SIGINT:
             signal.signal(signal.SIGINT, signal.default_int_handler)
+            raise KeyboardInterrupt
         request_stop(f"{signal.Signals(number).name} received")
 
     numbers = [getattr(signal, name) for name in _STOPPING if hasattr(signal, name)]

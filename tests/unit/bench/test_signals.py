@@ -49,6 +49,16 @@ def test_the_first_signal_ends_a_long_wait():
         timer.join()
 
 
+def test_the_third_ctrl_c_ends_the_process_at_once():
+    reasons = []
+    with stop_on_signals(reasons.append):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert reasons == ["SIGINT received", "SIGTERM received"]
+
+
 def test_all_who_wait_are_woken_and_what_was_taken_back_wakes_nobody():
     clock = BenchClock()
     clock.interrupt("door")
