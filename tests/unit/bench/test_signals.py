@@ -1,5 +1,6 @@
 """Signals at any moment, and the clock that they ask to stop."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.terminal.signals import stop_on_signals
 
 MANY_SIGNALS = """
+import os
 import signal
 from bench.base.clock import Aborted, BenchClock, Interrupted
 stopped = 0
@@ -41,7 +43,7 @@ def test_a_signal_at_any_moment_of_a_wait_stops_it():
 
 def test_the_first_signal_ends_a_long_wait():
     clock = BenchClock()
-    timer = threading.Timer(0.1, signal.raise_signal, (signal.SIGTERM,))
+    timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM))
     with stop_on_signals(clock.request_stop):
         timer.start()
         with pytest.raises(Aborted, match="SIGTERM received"):
