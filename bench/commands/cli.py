@@ -246,7 +246,10 @@ def keys(context: click.Context) -> None:
 
 @keys.command("show")
 def keys_show() -> int:
-    """Show this bench's key, the line by which others can trust it, and the keys that this bench trusts."""
+    """Show this bench's key and the keys that it trusts.
+
+    Also prints the line by which others can trust this bench.
+    """
     from bench.commands.evidence_output import show_keys
 
     return show_keys()

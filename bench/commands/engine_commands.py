@@ -148,7 +148,11 @@ def passport() -> None:
 @click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
 @click.option("--collimator", help="Serial number or name of the collimator.")
 @click.option(
-    "--temperature", "temperature_c", type=Number(), metavar="C", help="Collimator temperature, °C."
+    "--temperature",
+    "temperature_c",
+    type=Number(),
+    metavar="C",
+    help="Temperature of the collimator, degrees Celsius.",
 )
 def passport_make(
     paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **words: Any
@@ -196,7 +200,11 @@ def passport_make(
 @click.option("--date", "issued", help="Date of issue, as written on the certificate.")
 @click.option("--collimator", help="Serial number or name of the collimator.")
 @click.option(
-    "--temperature", "temperature_c", type=Number(), metavar="C", help="Temperature of validity, °C."
+    "--temperature",
+    "temperature_c",
+    type=Number(),
+    metavar="C",
+    help="Temperature for which the focal length holds, degrees Celsius.",
 )
 @click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
 def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certificate: Any) -> int:

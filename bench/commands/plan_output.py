@@ -59,7 +59,8 @@ def _forecast_dict(forecast: Forecast | None) -> dict[str, Any] | None:
 def _forecast_text(forecast: Forecast) -> str:
     shown = ("fx", "cx", "cy", "r")
     sigmas = ", ".join(f"{name} {forecast.sigma[name]:.2g}" for name in shown if name in forecast.sigma)
+    worst = forecast.projection_map
     return (
-        f"Expected, 1 sigma: {sigmas}; a direction at any place on the sensor {forecast.projection_map.worst_px:.2g} px"
-        f" ({forecast.projection_map.worst_arcsec:.2g} arcsec)."
+        f"Expected, 1 sigma: {sigmas}; direction anywhere on the sensor at most {worst.worst_px:.2g} px"
+        f" ({worst.worst_arcsec:.2g} arcsec)."
     )

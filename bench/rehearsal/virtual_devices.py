@@ -68,7 +68,7 @@ class VirtualDevices(Devices):
         found = self._world.bench.camera_serial if simulated else station.camera.serial
         if found != station.camera.serial:
             raise WrongDevice(
-                f"The station file says serial {station.camera.serial}, and the camera says {found}.",
+                f"The station file names serial number {station.camera.serial}, but the camera has {found}.",
                 where="camera",
                 remedy="Connect the camera that the station file names.",
             )

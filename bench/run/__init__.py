@@ -1,1 +1,1 @@
-"""One run: its states, what is done in each, how it is begun, held, stopped and taken up again."""
+"""One run: its states and their work; beginning, holding, stopping and resuming a run."""

@@ -53,7 +53,7 @@ class Attempts:
         self._say = say
 
     def record(self, step: RecordStep) -> None:
-        """Record until a recording is accepted; after the last allowed attempt, do what the sequence says.
+        """Record until a recording is accepted; after the last allowed attempt, do what the sequence specifies.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class Attempts:
                     remedy="Remove the cause, then continue with `starbench resume`; all attempts are kept.",
                 )
             if step.on_failure == "skip":
-                self._log.write(Event.DEVIATION, what=f"{what} It was skipped, as the sequence says.")
+                self._log.write(Event.DEVIATION, what=f"{what} It was skipped, as the sequence specifies.")
                 self._say(f"{what} Skipped.")
                 return
             question = f"{what} Try it again?"

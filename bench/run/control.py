@@ -115,7 +115,7 @@ def refusal(command: Command, history: History, poses: Mapping[int, str]) -> str
     if command.word == "answer":
         return "" if history.question and history.answer is None else "the run asks no question"
     if command.word == "release" and not history.holder:
-        return "nobody holds the run"
+        return "no operator holds the run"
     return _skip_refusal(command.pose, history, poses) if command.word == "skip" else ""
 
 
@@ -142,7 +142,7 @@ class CommandInbox:
         Names of the poses to record, by index.
     clock
         Asked to stop by ``abort``; asked to fail if a decision cannot be journaled.
-    looks
+    round_tasks
         Other functions to call in every round: heartbeat, interlocks.
     """
 
@@ -152,15 +152,15 @@ class CommandInbox:
         log: RunLog,
         poses: Mapping[int, str],
         clock: BenchClock,
-        looks: Sequence[Callable[[], None]] = (),
+        round_tasks: Sequence[Callable[[], None]] = (),
     ) -> None:
         self._inbox = _inbox_of(folder)
         self._log = log
         self._poses = poses
         self._clock = clock
-        self._looks = looks
+        self._round_tasks = round_tasks
         # After an error in this thread nothing guards the run any more, so the run must not continue.
-        self._poller = Poller(self._look, clock.request_failure, name="commands", period_s=POLL_S)
+        self._poller = Poller(self._do_round, clock.request_failure, name="commands", period_s=POLL_S)
 
     @property
     def closed(self) -> bool:
@@ -202,10 +202,10 @@ class CommandInbox:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _look(self) -> None:
+    def _do_round(self) -> None:
         self._drain("")
-        for look in self._looks:
-            look()
+        for task in self._round_tasks:
+            task()
 
     def _drain(self, why_not: str) -> None:
         self._inbox.drain(lambda command, name: self.decide(command, name, why_not))

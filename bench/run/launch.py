@@ -187,7 +187,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         crash = read_crash(folder.path)
         ledger = _ledger(launch)
         place = history.ledger
-        if not ledger.contains(place):  # begun on another bench, or without a ledger
+        if not ledger.contains(place):  # the run began on another bench, or without a ledger
             place = _begin(ledger, job, folder.path)
         with _ledger_entry(ledger, place, folder.path) as ending:
             if history.ended == "finished":
@@ -198,7 +198,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **extra)
             archive_crash(
                 folder
-            )  # counted first: whoever dies in between counts no crash twice, and loses none
+            )  # after the journal: a process that dies in between neither loses the crash nor counts it twice
             words = intentions(job, history, crash)
             return ending(_run_and_seal(job, folder, journal, launch, first_lines=words))
 

@@ -1,6 +1,7 @@
-"""The devices of one run: opened when the first step needs them, opened again after a loss, made safe at the end.
+"""Devices of one run: opened when the first step needs them, opened again after a loss, made safe at the end.
 
-This module owns the open devices; states, holds and interlocks reach them through it. It decides nothing about the run.
+This module owns the open devices; states, holds and interlocks use them through it. It makes no decision about the
+run.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ PROBE = "probe.raw"
 class RunDevices:
     """Stage, light and camera of a run, open or not.
 
-    Parameters
-    ----------
-    job, folder, log
-        The run.
-    open_devices
-        Opens the station's devices.
-    say
-        Shows a line to the operator.
-
     Attributes
     ----------
     unsafe
-        Devices that did not confirm that they are safe, in plain words.
+        Devices that did not confirm a safe state, as text.
+
+    Parameters
+    ----------
+    job, folder, log
+        Task, folder and journal of the run.
+    open_devices
+        Opens the station's devices.
+    say
+        Prints a line for the operator.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class RunDevices:
         self._say = say
         self._devices: Devices | None = None
         self._made_safe = False
-        self._rate_heeded = 0
+        self._attempts_with_rate_checked = 0
 
     @property
     def opened(self) -> Devices:
@@ -128,9 +129,9 @@ class RunDevices:
                 self._log.write(Event.DEVIATION, what=f"Held, and {fault}")
 
     def make_safe(self) -> None:
-        """Stop the stage, switch the light off, stop the camera, each independently of the others; once. Never raises.
+        """Stop the stage, switch the light off, stop the camera, each independently; never raises.
 
-        Devices that did not confirm stand in ``unsafe`` afterwards.
+        The second call does nothing. ``unsafe`` then lists the devices that did not confirm.
         """
         if self._devices is None or self._made_safe:
             return
@@ -192,7 +193,7 @@ class RunDevices:
             Millions of events a second; 0 where there is no such recording.
         """
         attempts = self._log.history.attempts
-        if len(attempts) <= self._rate_heeded:
+        if len(attempts) <= self._attempts_with_rate_checked:
             return 0.0
         return _rate_mev_s(attempts[-1].stored["facts"])
 
@@ -209,7 +210,7 @@ class RunDevices:
         float
             Millions of events a second; 0 for a camera without events.
         """
-        self._rate_heeded = len(self._log.history.attempts)
+        self._attempts_with_rate_checked = len(self._log.history.attempts)
         if not self._is_event_camera:
             return 0.0
         part = self._folder.part_path(PROBE)

@@ -39,7 +39,7 @@ from drivers.errors import CameraLost, PortLost, ReplyTimeout
 from sequences.script import RecordStep, WaitStep
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
-"""Errors of a device that is gone, or no longer answers."""
+"""Errors of a device that was lost, or no longer answers."""
 
 End = Literal["finished", "aborted", "failed"]
 
@@ -127,8 +127,8 @@ class Runner:
         )
         self._heartbeat = HeartbeatWriter(folder.path, clock)
         names = {pose.index: pose.name for pose in job.plan.poses}
-        looks = (self._heartbeat.beat, self._report_lost_supervisor, self._interlocks.look)
-        self._inbox = CommandInbox(folder.path, log, names, clock, looks)
+        round_tasks = (self._heartbeat.beat, self._report_lost_supervisor, self._interlocks.look)
+        self._inbox = CommandInbox(folder.path, log, names, clock, round_tasks)
 
     def run(self) -> RunEnd:
         """Do every step that is not done yet.

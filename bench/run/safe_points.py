@@ -1,6 +1,6 @@
 """Safe points: between two pieces of work a run stops, holds or skips poses, as the operator asked.
 
-Commands themselves come through `bench.run.control`; this module acts on what they left in the history.
+`bench.run.control` receives the commands; this module acts on what they left in the history.
 """
 
 from __future__ import annotations

@@ -137,7 +137,7 @@ def follow(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterato
     folder
         Run folder.
     sleep
-        Waits between two looks at the journal.
+        Waits between two reads of the journal.
 
     Yields
     ------

@@ -82,7 +82,7 @@ class Steps:
         self._machine.fire(trigger, step, **at_pose)
 
     def set_light(self, light: LightStep) -> None:
-        """Set the light as a light step says, whether or not the script has come to it.
+        """Set the light as a light step specifies, whether or not the script has reached that step.
 
         Parameters
         ----------

@@ -48,7 +48,7 @@ def test_a_pose_that_keeps_failing_is_skipped_where_the_sequence_says_so(home, t
     assert [view["name"] for view in found["calibration"]["views"]] == ["pan -6 tilt 2", "pan 6 tilt 2"]
     (deviation,) = found["deviations"]
     assert "Pose 3 (doomed) failed 2 attempts: stars" in deviation
-    assert deviation.endswith("It was skipped, as the sequence says.")
+    assert deviation.endswith("It was skipped, as the sequence specifies.")
     verdicts = {
         gate["name"]: gate["verdict"] for gate in found["gates"] if not gate["name"].startswith("pose")
     }

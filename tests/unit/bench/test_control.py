@@ -49,7 +49,7 @@ def test_nobody_is_refused_an_abort():
 
 
 def test_what_is_not_held_is_not_released():
-    assert refusal(command("release"), History(), POSES) == "nobody holds the run"
+    assert refusal(command("release"), History(), POSES) == "no operator holds the run"
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_a_rehearsed_mishap_is_the_error_a_camera_gives(clock, tmp_path):
 
 
 def test_another_camera_than_the_stations_is_refused_at_opening(clock):
-    with pytest.raises(WrongDevice, match="the camera says 7"):
+    with pytest.raises(WrongDevice, match="the camera has 7"):
         devices(clock, b"simulation: {camera_serial: '7'}")
 
 
