@@ -13,13 +13,14 @@ import threading
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Unpack, overload
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import BenchError, RunFolderError
+from bench.batch.batch_events import BatchBegun, BatchEnded, BatchEvent, ItemBegun, ItemEnded, Requested
 from bench.batch.batch_messages import BatchMessages
 from bench.batch.batch_plan import planned_duration_s
-from bench.batch.batch_record import BatchEvent, BatchRecord, resume_text
+from bench.batch.batch_record import BatchRecord, resume_text
 from bench.batch.batch_requests import Request, RequestInbox, refusal
 from bench.batch.batch_summary import RUNS, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose_next
@@ -126,8 +127,10 @@ class Batch:
         for entry in self._journal.entries:
             self._record.apply(entry)
         if self._record.begun is None:
-            flags: dict[str, Any] = {"rehearsal": True} if self._rehearsal else {}
-            self._journal_event(BatchEvent.BEGUN, queue=self._queue.value.name, files=self._files(), **flags)
+            begun: BatchBegun = {"queue": self._queue.value.name, "files": self._files()}
+            if self._rehearsal:
+                begun["rehearsal"] = True
+            self._journal_event(BatchEvent.BEGUN, **begun)
         else:
             self._say(resume_text(self._record))
         if self._record.rehearsal != self._rehearsal:
@@ -163,6 +166,16 @@ class Batch:
         names = [(w, f) for a, b in pairs for w, f in ((a.sequence, b.sequence), (a.station, b.station))]
         return {name: path for name, path in names if name != path}
 
+    @overload
+    def _journal_event(self, event: Literal[BatchEvent.BEGUN], **data: Unpack[BatchBegun]) -> None: ...
+    @overload
+    def _journal_event(self, event: Literal[BatchEvent.ITEM_BEGUN], **data: Unpack[ItemBegun]) -> None: ...
+    @overload
+    def _journal_event(self, event: Literal[BatchEvent.ITEM_ENDED], **data: Unpack[ItemEnded]) -> None: ...
+    @overload
+    def _journal_event(self, event: Literal[BatchEvent.REQUESTED], **data: Unpack[Requested]) -> None: ...
+    @overload
+    def _journal_event(self, event: Literal[BatchEvent.ENDED], **data: Unpack[BatchEnded]) -> None: ...
     def _journal_event(self, event: BatchEvent, **data: Any) -> None:
         with self._lock:
             self._record.apply(self._journal.append(event, **data))

@@ -8,31 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
-from enum import StrEnum
 from statistics import fmean
-from typing import Any
+from typing import cast
 
 from pydantic import ValidationError
 
 from bench.base.errors import JournalBroken
+from bench.batch.batch_events import BatchBegun, BatchEnded, BatchEvent, ItemBegun, ItemEnded, Requested
 from bench.batch.schedule import Bounds, Item, bounds_of, items_of
 from bench.records.journal_entry import Entry
 from sequences.queue import JobConfig, Queue
-
-
-class BatchEvent(StrEnum):
-    """Kinds of lines in a batch's journal."""
-
-    BEGUN = "batch_begun"
-    """First line: name of the queue."""
-    ITEM_BEGUN = "item_begun"
-    """A run begins or is resumed (``again``); ``attempt`` is the number of the attempt, from 1."""
-    ITEM_ENDED = "item_ended"
-    """The attempt ended (a ``WorkerEnd``)."""
-    REQUESTED = "requested"
-    """An operator's request (`bench.batch.batch_requests`) and the answer: accepted, or refused with a reason."""
-    ENDED = "batch_ended"
-    """The batch ended: how and why. If it is called again, it continues."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +87,7 @@ class BatchRecord:
     """Name of the run in progress; empty between runs."""
     current_since: datetime | None = None
     ended_attempts: dict[str, list[RunAttempt]] = field(default_factory=dict)
-    answered: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    answered: dict[str, Requested] = field(default_factory=dict)
     """Answer to each request, by its id."""
     ended: str = ""
     why: str = ""
@@ -233,32 +218,30 @@ class BatchRecord:
             ) from error
 
     def _apply(self, entry: Entry, now: datetime) -> None:
-        data = entry.data
         match entry.event:
             case BatchEvent.BEGUN:
-                self.begun, self.bounds = now, bounds_of(self.queue, now)
-                self.rehearsal = bool(data.get("rehearsal", False))
-                files = data.get("files", {})
-                self._add(
-                    items_of(
-                        [_with_files(job, files) for job in self.queue.jobs],
-                        now,
-                        self.bounds.opens_s,
-                        self.queue.zone,
-                    )
-                )
+                self._begin(cast("BatchBegun", entry.data), now)
             case BatchEvent.ITEM_BEGUN:
-                key = data["item"]
-                self._count_try(key, data.get("recorded", 0))
+                item = cast("ItemBegun", entry.data)
+                key = item["item"]
+                self._count_try(key, item.get("recorded", 0))
                 self.begun_at.setdefault(key, now)
                 self.current_run, self.current_since = key, now
                 self.ended = self.why = ""
             case BatchEvent.ITEM_ENDED:
-                self._end(data["item"], data["how"], data["why"], now)
+                end = cast("ItemEnded", entry.data)
+                self._end(end["item"], end["how"], end["why"], now)
             case BatchEvent.REQUESTED:
-                self._answer(data, now)
+                self._answer(cast("Requested", entry.data), now)
             case BatchEvent.ENDED:
-                self.ended, self.why = data["how"], data["why"]
+                ended = cast("BatchEnded", entry.data)
+                self.ended, self.why = ended["how"], ended["why"]
+
+    def _begin(self, data: BatchBegun, now: datetime) -> None:
+        self.begun, self.bounds = now, bounds_of(self.queue, now)
+        self.rehearsal = bool(data.get("rehearsal", False))
+        jobs = [_with_files(job, data.get("files", {})) for job in self.queue.jobs]
+        self._add(items_of(jobs, now, self.bounds.opens_s, self.queue.zone))
 
     def _count_try(self, key: str, recorded: int) -> None:
         gained = recorded > self.recorded.get(key, 0)
@@ -273,7 +256,7 @@ class BatchRecord:
         self.ended_attempts.setdefault(key, []).append(RunAttempt(since, now, how))
         self.current_run, self.current_since = "", None
 
-    def _answer(self, data: Mapping[str, Any], now: datetime) -> None:
+    def _answer(self, data: Requested, now: datetime) -> None:
         self.answered[data["id"]] = data
         if not data["taken"]:
             return

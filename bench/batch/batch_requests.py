@@ -11,14 +11,15 @@ import time
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
+from bench.batch.batch_events import BatchEvent, Requested
 from bench.batch.batch_plan import job_faults
-from bench.batch.batch_record import BatchEvent, BatchRecord
+from bench.batch.batch_record import BatchRecord
 from bench.records.folder_lock import is_locked
 from bench.records.inbox import Inbox, Poller
 from bench.records.journal import read_journal
@@ -146,7 +147,7 @@ def _inbox_of(folder: Path) -> Inbox[Request]:
     return Inbox(folder / REQUESTS, Request, _MAX_BYTES)
 
 
-def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> dict[str, Any] | None:
+def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> Requested | None:
     """Send a request to a batch, and wait for the answer if a process works on it.
 
     Parameters
@@ -188,14 +189,14 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
     return None
 
 
-def _answer_in(folder: Path, request_id: str) -> dict[str, Any] | None:
+def _answer_in(folder: Path, request_id: str) -> Requested | None:
     entries, _ = read_journal(folder / JOURNAL)
     found = (e for e in reversed(entries) if e.event == BatchEvent.REQUESTED and e.data["id"] == request_id)
     entry = next(found, None)
-    return dict(entry.data) if entry is not None else None
+    return cast("Requested", entry.data) if entry is not None else None
 
 
-def answer_text(answer: dict[str, Any] | None) -> str:
+def answer_text(answer: Requested | None) -> str:
     """Describe the answer to a request.
 
     Parameters

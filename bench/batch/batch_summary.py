@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, RunFolderError
+from bench.batch.batch_events import Requested
 from bench.batch.batch_record import BatchRecord, RunAttempt, replay_batch
 from bench.batch.schedule import Item, by_priority
 from bench.records.journal import read_journal
@@ -244,7 +245,7 @@ def _totals(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _request(data: Mapping[str, Any]) -> dict[str, Any]:
+def _request(data: Requested) -> dict[str, Any]:
     what = data.get("name") or (data.get("job") or {}).get("name", "")
     return {k: data.get(k, "") for k in ("word", "by", "taken", "why")} | {"job": what}
 
