@@ -12,9 +12,6 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: An AprilTag 36h11 is 6 x 6 bits inside a black border of one module.
-TAG_MODULES = 8
-
 
 @njit(cache=True, error_model="numpy")
 def reflectance_at(x_mm: float, y_mm: float, layout: Any) -> float:
@@ -38,7 +35,8 @@ def reflectance_at(x_mm: float, y_mm: float, layout: Any) -> float:
     if -0.5 <= tag_x < side + 0.5 and -0.5 <= tag_y < side + 0.5:
         if not (0.0 <= tag_x < side and 0.0 <= tag_y < side):
             return 1.0
-        module_x, module_y = int(tag_x * TAG_MODULES / side), int(tag_y * TAG_MODULES / side)
+        modules = layout.tag_modules.shape[0]
+        module_x, module_y = int(tag_x * modules / side), int(tag_y * modules / side)
         return float(layout.tag_modules[module_y, module_x])
     node_x, node_y = math.floor(column + 0.5), math.floor(row + 0.5)
     if not (0 <= node_x < layout.columns and 0 <= node_y < layout.rows):
