@@ -93,7 +93,7 @@ class Holding:
     def _until_clear(self, trip: Trip) -> None:
         with self._clock.shielded():
             self._devices.come_to_rest()
-        held_s = self._interlocks.wait(trip)
+        held_s = self._interlocks.wait_until_clear(trip)
         name = interlock_text(trip.interlock.name)
         self._log.write(Event.INTERLOCK_RELEASED, rule=trip.interlock.name, held_s=round(held_s, 3))
         what = f"The {name} interlock held for {held_s:.0f} s: {trip.why}."

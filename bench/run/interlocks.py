@@ -100,7 +100,7 @@ class Interlocks:
         self._lock = threading.Lock()
         self._held_s: dict[str, float] = {}
 
-    def look(self) -> None:
+    def check_door(self) -> None:
         """Check the door, and interrupt the work if it is open; called by a thread."""
         with self._lock:
             door = next((i for i in self._interlocks if i.name == DOOR), None)
@@ -131,7 +131,7 @@ class Interlocks:
         Raises
         ------
         Interrupted
-            If one holds; ``take`` then returns it.
+            If one holds; ``take_interruption`` then returns it.
         StorageError, DriverError
             If an interlock cannot be checked.
         """
@@ -141,7 +141,7 @@ class Interlocks:
                 self._interrupting = trip
                 raise Interrupted(trip.text)
 
-    def lost(self, why: str) -> Trip | None:
+    def device_lost(self, why: str) -> Trip | None:
         """Return what holds the run after a device was lost.
 
         Parameters
@@ -157,7 +157,7 @@ class Interlocks:
         interlock = next((i for i in self._interlocks if i.name == DEVICE_LOST), None)
         return Trip(interlock, why) if interlock is not None else None
 
-    def take(self) -> Trip:
+    def take_interruption(self) -> Trip:
         """Return the interlock that has just interrupted the work, and clear the interruption of the clock.
 
         Returns
@@ -171,7 +171,7 @@ class Interlocks:
         assert trip is not None
         return trip
 
-    def wait(self, trip: Trip) -> float:
+    def wait_until_clear(self, trip: Trip) -> float:
         """Wait until an interlock clears.
 
         Parameters

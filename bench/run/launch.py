@@ -128,7 +128,7 @@ def start_run(
             folder.write_atomic(name, text)
         folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
         ledger = _ledger(launch)
-        place = _begin(ledger, job, folder.path)
+        place = _enter_in_ledger(ledger, job, folder.path)
         with (
             _ledger_entry(ledger, place, folder.path) as ending,
             Journal.create(
@@ -188,7 +188,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         ledger = _ledger(launch)
         place = history.ledger
         if not ledger.contains(place):  # the run began on another bench, or without a ledger
-            place = _begin(ledger, job, folder.path)
+            place = _enter_in_ledger(ledger, job, folder.path)
         with _ledger_entry(ledger, place, folder.path) as ending:
             if history.ended == "finished":
                 archive_crash(folder)
@@ -253,7 +253,7 @@ def _ledger(launch: Launch) -> Ledger:
     return Ledger(home_folder(), utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic)
 
 
-def _begin(ledger: Ledger, job: Job, folder: Path) -> LedgerPlace:
+def _enter_in_ledger(ledger: Ledger, job: Job, folder: Path) -> LedgerPlace:
     camera = job.station.camera.serial
     return ledger.begin(run_id=folder.name, folder=folder, camera=camera, simulated=job.simulated)
 

@@ -17,7 +17,7 @@ CRASHES_ALLOWED = 1
 """A pose at which the process crashed more often than this is not tried again."""
 
 
-def remaining(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptStep]:
+def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptStep]:
     """Return the steps to do: those not done, and those done that the first of them depends on.
 
     Parameters
@@ -89,7 +89,7 @@ def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptSt
     return [s for s in steps[begin : here + 1] if isinstance(s, MoveStep | SettleStep | RecordStep)]
 
 
-def crash_looped(history: History) -> dict[int, str]:
+def poses_crashed_too_often(history: History) -> dict[int, str]:
     """Return the poses that must not be tried again because the process crashed there too often.
 
     Parameters
@@ -140,15 +140,17 @@ def intentions(job: Job, history: History, crash: str | None) -> list[str]:
 
 def _skip_texts(history: History, names: Mapping[int, str]) -> list[str]:
     """Return which poses will be skipped, and why."""
-    crashed = [f"Skip pose {p} ({names[p]}), because {why}." for p, why in crash_looped(history).items()]
+    crashed = [
+        f"Skip pose {p} ({names[p]}), because {why}." for p, why in poses_crashed_too_often(history).items()
+    ]
     asked = [f"Skip pose {p} ({names[p]}), because {who} asked for it." for p, who in history.to_skip.items()]
     return crashed + asked
 
 
 def _step_texts(job: Job, history: History) -> list[str]:
     """Return which poses will be recorded or moved to again, and what follows."""
-    skipped = {*history.skipped, *crash_looped(history), *history.to_skip}
-    steps = remaining(job.steps, history.done_steps)
+    skipped = {*history.skipped, *poses_crashed_too_often(history), *history.to_skip}
+    steps = remaining_steps(job.steps, history.done_steps)
     recorded = [s.pose for s in steps if isinstance(s, RecordStep)]
     repeated = [s.pose for s in steps if isinstance(s, MoveStep) and s.number in history.done_steps]
     last = [text for kind, text in ((SolveStep, "solve"), (ReportStep, "report")) if _has(steps, kind)]

@@ -28,7 +28,7 @@ from bench.run.holding import Holding, HoldNotifier
 from bench.run.interlock_kinds import interlocks_of
 from bench.run.interlocks import Interlocks, Trip
 from bench.run.machine import RunMachine
-from bench.run.resumption import crash_looped, remaining
+from bench.run.resumption import poses_crashed_too_often, remaining_steps
 from bench.run.run_devices import RunDevices
 from bench.run.safe_points import SafePoints
 from bench.run.state_work import StateWork
@@ -127,7 +127,7 @@ class Runner:
         )
         self._heartbeat = HeartbeatWriter(folder.path, clock)
         names = {pose.index: pose.name for pose in job.plan.poses}
-        round_tasks = (self._heartbeat.beat, self._report_lost_supervisor, self._interlocks.look)
+        round_tasks = (self._heartbeat.beat, self._report_lost_supervisor, self._interlocks.check_door)
         self._inbox = CommandInbox(folder.path, log, names, clock, round_tasks)
 
     def run(self) -> RunEnd:
@@ -166,9 +166,9 @@ class Runner:
         if history.resumed:
             self._machine.fire("recover")
             self._check_unchecked()
-            for pose_index, why in crash_looped(history).items():
+            for pose_index, why in poses_crashed_too_often(history).items():
                 self._safe_points.skip(pose_index, why)
-        steps = remaining(self._job.steps, history.done_steps)
+        steps = remaining_steps(self._job.steps, history.done_steps)
         if any(isinstance(step, DEVICE_STEPS) for step in steps):
             self._with_interlocks(None, partial(self._machine.fire, "preflight"))
             self._with_interlocks(None, partial(self._prepare_bench, steps))
@@ -268,9 +268,9 @@ class Runner:
                     self._steps.prepare_again(step)
                 work()
             except Interrupted:
-                self._hold_for(self._interlocks.take(), step)
+                self._hold_for(self._interlocks.take_interruption(), step)
             except LOST_DEVICE_ERRORS as error:
-                trip = self._interlocks.lost(str(error))
+                trip = self._interlocks.device_lost(str(error))
                 if trip is None:
                     raise
                 self._hold_for(trip, step)

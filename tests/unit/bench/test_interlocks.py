@@ -78,15 +78,15 @@ def test_an_open_door_interrupts_devices_at_work_and_nothing_else(tmp_path):
     interlocks = Interlocks([Door(DoorConfig(path=str(tmp_path / "gone")))], clock)
     for state in ("checking", "solving", "holding", "preflight"):
         interlocks.entering(state)
-        interlocks.look()
+        interlocks.check_door()
         clock.check()
     interlocks.entering("slewing")
-    interlocks.look()
+    interlocks.check_door()
     with pytest.raises(Interrupted, match="door interlock"):
         clock.sleep(1)
     interlocks.left_off()
     clock.check()
-    assert interlocks.take().interlock.name == "door"
+    assert interlocks.take_interruption().interlock.name == "door"
 
 
 STATION = """\

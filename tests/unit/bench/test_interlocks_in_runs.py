@@ -33,7 +33,7 @@ def opened_for(scene, sensor, when, seconds):
             if len(seen) == 1:
                 sensor.write_text("0")
                 scene.shut_at_s = scene.clock.monotonic() + seconds
-        scene.runner._interlocks.look()
+        scene.runner._interlocks.check_door()
 
     asked = scene.clock.__class__.sleep
 
@@ -54,13 +54,13 @@ def test_a_door_opened_at_any_moment_holds_the_run_dark_until_it_is_closed(tmp_p
     scene, sensor = scene_with_door(tmp_path, monkeypatch)
     monkeypatch.setattr(VirtualClock, "sleep", opened_for(scene, sensor, when, 30))
     dark = []
-    wait = Interlocks.wait
+    wait = Interlocks.wait_until_clear
 
     def watched(interlocks, trip):
         dark.append(not scene.light_is_on())
         return wait(interlocks, trip)
 
-    monkeypatch.setattr(Interlocks, "wait", watched)
+    monkeypatch.setattr(Interlocks, "wait_until_clear", watched)
     end = scene.run()
     assert end.how == "finished", end.why
     assert dark
@@ -109,9 +109,9 @@ def test_holds_are_added_up(tmp_path, monkeypatch):
             sensor.write_text("0")
         if sensor.read_text() == "0" and name == "light.off":
             flapping.append(scene.clock.monotonic())
-        scene.runner._interlocks.look()
+        scene.runner._interlocks.check_door()
 
-    wait = Interlocks.wait
+    wait = Interlocks.wait_until_clear
 
     def watched(interlocks, trip):
         begin_s, sleep = scene.clock.monotonic(), scene.clock.sleep
@@ -126,7 +126,7 @@ def test_holds_are_added_up(tmp_path, monkeypatch):
             monkeypatch.setattr(scene.clock, "sleep", sleep)
 
     scene.hook = hook
-    monkeypatch.setattr(Interlocks, "wait", watched)
+    monkeypatch.setattr(Interlocks, "wait_until_clear", watched)
     end = scene.run()
     assert end.how == "failed"
     assert "has held the run for 100 s" in end.why
@@ -149,7 +149,7 @@ def test_a_door_that_goes_on_and_off_is_told_once_in_ten_minutes(tmp_path, monke
         scene.runner._hold_notifier._notify = lambda *words: told.append(words)
         if name == "stage.move_to" and len(scene.told(Event.INTERLOCK_RELEASED)) < 6:
             sensor.write_text("0")
-        scene.runner._interlocks.look()
+        scene.runner._interlocks.check_door()
 
     scene.hook = hook
     monkeypatch.setattr(VirtualClock, "sleep", closing)

@@ -8,7 +8,13 @@ from bench.plan.job import Job
 from bench.records.events import Event
 from bench.records.history import History, replay
 from bench.records.journal import Journal
-from bench.run.resumption import crash_looped, intentions, remaining, steps_of_pose, steps_to_repeat
+from bench.run.resumption import (
+    intentions,
+    poses_crashed_too_often,
+    remaining_steps,
+    steps_of_pose,
+    steps_to_repeat,
+)
 from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
 
 
@@ -28,7 +34,7 @@ def numbers(found):
 
 
 def test_a_run_from_the_begin_has_every_step_to_do(steps):
-    assert numbers(remaining(steps, [])) == numbers(steps)
+    assert numbers(remaining_steps(steps, [])) == numbers(steps)
 
 
 @pytest.mark.parametrize(
@@ -37,12 +43,12 @@ def test_a_run_from_the_begin_has_every_step_to_do(steps):
     ids=["recording", "settling", "moving", "moved"],
 )
 def test_what_a_step_stands_on_is_done_again(steps, done, first):
-    assert numbers(remaining(steps, range(1, done + 1)))[: len(first)] == first
+    assert numbers(remaining_steps(steps, range(1, done + 1)))[: len(first)] == first
 
 
 def test_a_report_stands_on_the_solution(steps):
     done = {0, *range(1, 13)}
-    assert [type(s) for s in remaining(steps, done)] == [SolveStep, ReportStep]
+    assert [type(s) for s in remaining_steps(steps, done)] == [SolveStep, ReportStep]
 
 
 def test_a_recording_stands_on_its_move_and_a_move_on_nothing(steps):
@@ -108,9 +114,9 @@ def test_crashes_count_against_the_pose_at_work_and_kills_do_not(tmp_path, lines
 
 
 def test_one_crash_is_allowed_and_the_second_is_one_too_many(tmp_path):
-    assert crash_looped(History(crashes={2: 1})) == {}
-    assert "crashed 2 times" in crash_looped(History(crashes={2: 2}))[2]
-    assert crash_looped(History(crashes={2: 2}, skipped={2: "so"})) == {}
+    assert poses_crashed_too_often(History(crashes={2: 1})) == {}
+    assert "crashed 2 times" in poses_crashed_too_often(History(crashes={2: 2}))[2]
+    assert poses_crashed_too_often(History(crashes={2: 2}, skipped={2: "so"})) == {}
 
 
 # ---------------------------------------------------------------- what resuming says first

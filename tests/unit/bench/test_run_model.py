@@ -137,7 +137,7 @@ class Life(RuleBasedStateMachine):
                 if (place, nth) == (name, counts[name]):
                     self._befall(kind, what, name)
             if self.scene.runner is not None:
-                self.scene.runner._interlocks.look()
+                self.scene.runner._interlocks.check_door()
 
         self.scene.hook, self.scene.runner = hook, None
         self.processes += 1
