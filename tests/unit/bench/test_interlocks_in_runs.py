@@ -226,5 +226,5 @@ def test_what_held_a_run_is_forgotten_when_it_goes_on(tmp_path, monkeypatch):
     holding = next(
         i for i, e in enumerate(entries) if e.event == Event.ENTERING and e.data["state"] == "holding"
     )
-    assert replay(entries[: holding + 1]).rule.startswith("door: it is open")
-    assert replay(entries).rule == ""
+    assert replay(entries[: holding + 1]).interlock.startswith("door: it is open")
+    assert replay(entries).interlock == ""
