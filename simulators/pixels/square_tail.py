@@ -4,6 +4,9 @@ In the tail of an edge u is almost flat. Where its logarithm changes by 1e-6 per
 event by a microsecond. ``photoreceptor`` works in float32, whose errors of some 1e-7 do no harm elsewhere. Crossings in
 a tail are therefore computed again here; they need references with more digits than float32 has. Compiled functions.
 The equations are those of ``photoreceptor``.
+
+The first reference of a pixel remains a float32, and its error stays, as each event takes its reference where the last
+one left it. Where ln u changes by less than 1e-6 per microsecond, an event may therefore still be off by a microsecond.
 """
 
 from __future__ import annotations

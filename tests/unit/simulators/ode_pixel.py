@@ -85,11 +85,15 @@ def _within(s, h, before, slope, after, end_slope):
 
 
 @njit
-def solve_closely(light, period, phase_us, shape, low, high, duty, ambient, q, on, off, dead, begin, end):
-    """Events of one pixel from ``begin`` (a reset, in the periodic steady state) to ``end``, us.
+def solve_closely(
+    light, period, phase_us, shape, low, high, duty, ambient, q, on, off, dead, begin, end,
+    reference_error=0.0, late_us=0.0,
+):  # fmt: skip
+    """Return the events of one pixel from ``begin`` (a reset, in the periodic steady state) to ``end``, us.
 
-    du/dt = (1 - I u) / q in Runge and Kutta's steps of a fiftieth of the shortest time constant, which end at the
-    light's edges; crossings by halving on Hermite's cubic through a step.
+    Runge-Kutta steps of du/dt = (1 - I u) / q, each a fiftieth of the shortest time constant, end at the light's edges.
+    Crossings are found by bisection on the Hermite cubic through a step. ``reference_error`` is added to the first
+    reference (in ln u), ``late_us`` to the time of the first read.
     """
     longest = min(0.02 * q / (ambient + light * high), period / 3000.0)
     times, polarities = [0.0 for _ in range(0)], [0 for _ in range(0)]
@@ -113,7 +117,7 @@ def solve_closely(light, period, phase_us, shape, low, high, duty, ambient, q, o
                 t = next_edge if h == next_edge - t else t + h
             else:
                 if waiting and t >= live:
-                    reference, waiting = -np.log(u), False
+                    reference, waiting = -np.log(u) + (reference_error if not times else 0.0), False
                 after, slope, end_slope = _runge_kutta(u, t, h, q, ambient, light, wave)
                 v = -np.log(after)
                 if not waiting and (v - reference >= on or reference - v >= off):
@@ -128,7 +132,7 @@ def solve_closely(light, period, phase_us, shape, low, high, duty, ambient, q, o
                     times.append(t + last * h)
                     polarities.append(1 if v > reference else 0)
                     u, t = target, t + last * h
-                    live, waiting = t + dead, True
+                    live, waiting = t + dead + (late_us if len(times) == 1 else 0.0), True
                     if dead == 0.0:
                         reference, waiting = -np.log(target), False
                     continue
@@ -142,15 +146,17 @@ def solve_closely(light, period, phase_us, shape, low, high, duty, ambient, q, o
     return times, polarities
 
 
-def solve(light, share, phase, setting, thresholds, end, more=0.0):
-    """Times and polarities of a pixel's events in 0 <= t < end, us, after two periods (at most 0.1 s) before.
+def solve(light, share, phase, setting, thresholds, end, more=0.0, start_error=(0.0, 0.0)):
+    """Return times and polarities of a pixel's events in 0 <= t < end, us; it starts two periods (at most 0.1 s) before.
 
-    ``light`` is a LightState, ``share`` what reaches the pixel, ``more`` is added to the thresholds.
+    ``light`` is a LightState, ``share`` the share of it that reaches the pixel. ``more`` is added to the thresholds.
+    ``start_error`` is an error of the first reference (in ln u), and one of the first read's time, us.
     """
     period, shape = light.period_us, 0 if light.waveform == "square" else 1
     times, polarities = solve_closely(
         float(share), period, phase * period, shape, light.low, light.high, light.high_share, setting.ambient,
         setting.q_us, thresholds[0] + more, thresholds[1] + more, setting.dead_us, -min(2.0 * period, 1e5), end,
+        *start_error,
     )  # fmt: skip
     times, polarities = np.array(times), np.array(polarities, int)
     return times[times >= 0.0], polarities[times >= 0.0]

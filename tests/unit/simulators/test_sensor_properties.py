@@ -84,6 +84,14 @@ def begun(light, setting, noise, seed, link=None):
     return sensor
 
 
+# How the start of a pixel, which is computed in float32, moves its later events. ln u of the first reference has some
+# roundings of 2^-24 (6e-8) and the error of ``exp32`` (3e-7): below 1e-6 together. The time of the first read is rounded
+# twice to 2^-8 us (2 ns each), and ``log32`` adds 3e-7 of a time constant of at most 300 us / 0.05 (2 ns). Later events
+# are exact, but each takes its reference where the last one left it: the first error stays. It moves an event by
+# (error of ln u) / (slope of ln u), which is more than 0.1 us in a flat tail only.
+START_ERRORS = ((1e-6, 6e-3), (1e-6, -6e-3))
+
+
 @examples(12, 500)
 def test_events_are_those_of_the_differential_equation(examples):
     seen = {"square": [], "sine": []}
@@ -99,12 +107,16 @@ def test_events_are_those_of_the_differential_equation(examples):
             pixel = light, scene[y, 0], phase, setting, (on[y, 0], off[y, 0]), end
             times, polarities = solve(*pixel)
             here = events.y == y
-            slack = np.full(len(times), 0.1)
-            if light.waveform == "sine":  # its table is good to 5e-5 of the light: nothing where that stands
-                others = [solve(*pixel, more) for more in (-5e-5, 5e-5)]
-                if not all(list(theirs) == list(polarities) for _, theirs in others):
-                    continue
-                slack = np.max([abs(other - times) for other, _ in others], axis=0, initial=0.5)
+            sine = light.waveform == "sine"  # its table is good to 5e-5 of the light
+            others = (
+                [solve(*pixel, more) for more in (-5e-5, 5e-5)]
+                if sine
+                else [solve(*pixel, start_error=error) for error in START_ERRORS]
+            )
+            if not all(list(theirs) == list(polarities) for _, theirs in others):
+                continue
+            slack = np.max([abs(other - times) for other, _ in others], axis=0, initial=0.5 if sine else 0.0)
+            slack += 0.0 if sine else 0.1
             assert list(events.p[here]) == list(polarities)
             errors = abs(events.t[here] + 0.5 - times)
             assert (errors <= 0.5 + slack).all()
@@ -113,9 +125,31 @@ def test_events_are_those_of_the_differential_equation(examples):
     square, sine = (np.array(seen[waveform]) for waveform in ("square", "sine"))
     assert min(len(square), len(sine)) > 3 * examples
     assert np.quantile(sine, 0.99) <= 0.5 + 1.0
+    assert np.mean(square > 0.5 + 0.1) <= 1e-3
     print(
         f"\nsquare: {len(square)} events, worst {square.max() - 0.5:.3f} us; sine: {len(sine)}, {sine.max() - 0.5:.3f}"
     )
+
+
+@pytest.mark.xfail(
+    strict=True,
+    raises=AssertionError,
+    reason="A pixel's first reference is a float32; here it is 2e-8 off, and ln u changes by 6e-8 a microsecond.",
+)
+def test_an_event_in_the_flattest_tail_is_that_of_the_differential_equation():
+    light = LightState(
+        frequency_hz=20.0, duty_percent=10.0, low_v=0.0, high_v=4.4056358616235585, output=True
+    )
+    setting = PixelSettings(
+        threshold_on=0.1653088086411925, dead_us=1.1000507760247449, q_us=127.0, ambient=0.05
+    )
+    noise = NoiseTruth(mismatch=0.12, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=0.0)
+    scene, end = picture(0, 1, 4), 1.5 * light.period_us
+    sensor = Sensor(1, 4, noise=noise, settings=setting, camera_seed=0, link=Link.ideal())
+    sensor.begin(scene, light, 0.0)
+    events, (on, off) = sensor.run(end), sensor.thresholds
+    times, _ = solve(light, scene[0, 0], 0.0, setting, (on[0, 0], off[0, 0]), end)
+    assert np.abs(events.t[events.y == 0] + 0.5 - times).max() <= 0.5 + 0.1
 
 
 @examples(15, 500)
