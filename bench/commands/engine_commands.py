@@ -100,7 +100,7 @@ def _views_and_options(command: _Command) -> _Command:
 @_views_and_options
 @click.option("--compare", is_flag=True, help="Compare with OpenCV's planar method and the published recipe.")
 @JSON
-def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: Any) -> int:
+def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **options: Any) -> int:
     """Calibrate without devices, from existing data in one or more PATHs.
 
     A PATH is a run folder, a RAW file, an image of the target from a frame camera, a file of points (columns x, y,
@@ -110,7 +110,7 @@ def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: An
     from bench.results.offline import calibrate_paths, compare_methods
     from bench.results.offline_options import OfflineOptions
 
-    choices = OfflineOptions.from_command_line(**words)
+    choices = OfflineOptions.from_command_line(**options)
     result = calibrate_paths(paths, choices)
     print_calibration(result, compare_methods(result, choices) if compare else None, as_json=as_json)
     return 0
@@ -121,7 +121,7 @@ def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **words: An
 @click.argument("second", type=ExistingPath())
 @_engine_options
 @JSON
-def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
+def rig(first: Path, second: Path, as_json: bool, **options: Any) -> int:
     """Calculate the rotation from the camera of FIRST to the camera of SECOND on one rig, behind one collimator.
 
     FIRST and SECOND are run folders or folders of files. Views of the same name must show the same pose of the rig.
@@ -131,7 +131,7 @@ def rig(first: Path, second: Path, as_json: bool, **words: Any) -> int:
     from bench.results.offline_options import OfflineOptions
     from calib.studies.rig import relative_rotation
 
-    choices = OfflineOptions.from_command_line(**words)
+    choices = OfflineOptions.from_command_line(**options)
     results = [calibrate_paths([path], choices) for path in (first, second)]
     rotation = relative_rotation(*(result.calibration for result in results))
     skipped = [reason for result in results for reason in result.skipped]
@@ -155,7 +155,7 @@ def passport() -> None:
     help="Temperature of the collimator, degrees Celsius.",
 )
 def passport_make(
-    paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **words: Any
+    paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **options: Any
 ) -> int:
     """Make a collimator's passport from the views in one or more PATHs."""
     from datetime import UTC, datetime
@@ -165,7 +165,7 @@ def passport_make(
     from bench.results.offline_options import OfflineOptions
     from bench.results.passports import passport_from_calibration, write_passport
 
-    result = calibrate_paths(paths, OfflineOptions.from_command_line(**words))
+    result = calibrate_paths(paths, OfflineOptions.from_command_line(**options))
     made = passport_from_calibration(
         result.calibration,
         collimator=collimator,
@@ -276,12 +276,12 @@ def passport_show(path: Path, as_json: bool) -> int:
 @_LOSS
 @click.option("--plot", type=NewFile(), help="Plot the errors, in units of their sigma, to an SVG file.")
 @JSON
-def study(sequence: str, station: str, plot: Path | None, as_json: bool, **words: Any) -> int:
+def study(sequence: str, station: str, plot: Path | None, as_json: bool, **options: Any) -> int:
     """Calibrate a simulated camera many times, and check whether the stated uncertainties hold."""
     from bench.commands.engine_output import show_study
     from bench.results.studies import run_study, write_study_plot
 
-    studied = run_study(sequence, station, **words)
+    studied = run_study(sequence, station, **options)
     if plot is not None:
         write_study_plot(studied, plot)
     return show_study(studied, as_json=as_json)

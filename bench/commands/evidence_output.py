@@ -34,7 +34,7 @@ def show_verification(verification: Verification, *, as_json: bool) -> int:
         print_json(verification.to_dict())
     elif verification.ok:
         click.echo(
-            f"Verified: {verification.files} files as sealed by {verification.signer} ({verification.fingerprint})."
+            f"Seal is valid: {verification.files} files, sealed by {verification.signer} ({verification.fingerprint})."
         )
         if verification.run_id is not None:
             simulated = " SIMULATED devices." if verification.simulated else ""

@@ -196,11 +196,10 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             extra: dict[str, Any] = {"crash": crash} if crash else {}
             extra |= {"ledger": place} if place is not history.ledger else {}
             journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **extra)
-            archive_crash(
-                folder
-            )  # after the journal: a process that dies in between neither loses the crash nor counts it twice
-            words = intentions(job, history, crash)
-            return ending(_run_and_seal(job, folder, journal, launch, first_lines=words))
+            # After the journal: a process that dies in between neither loses the crash nor counts it twice.
+            archive_crash(folder)
+            lines = intentions(job, history, crash)
+            return ending(_run_and_seal(job, folder, journal, launch, first_lines=lines))
 
 
 def read_intentions(folder_path: Path) -> list[str]:
@@ -295,8 +294,8 @@ def default_folder(plan: Plan, now: datetime) -> Path:
     Path
         A folder below ``runs/``.
     """
-    words = "".join(c if c.isalnum() and c.isascii() else "-" for c in plan.sequence.value.name.lower())
-    name = "-".join(filter(None, words.split("-")))[:40] or "run"
+    ascii_name = "".join(c if c.isalnum() and c.isascii() else "-" for c in plan.sequence.value.name.lower())
+    name = "-".join(filter(None, ascii_name.split("-")))[:40] or "run"
     return Path("runs") / f"{now:%Y%m%d-%H%M%S}-{name}"
 
 

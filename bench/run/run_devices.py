@@ -126,7 +126,7 @@ class RunDevices:
         if self._devices is not None:
             for fault in self._devices.make_safe():
                 self._say(f"CHECK THE BENCH: {fault}")
-                self._log.write(Event.DEVIATION, what=f"Held, and {fault}")
+                self._log.write(Event.DEVIATION, what=f"While the run held: {fault}")
 
     def make_safe(self) -> None:
         """Stop the stage, switch the light off, stop the camera, each independently; never raises.
