@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from bench.records.events import MeasuredFacts
 from bench.views.gates import Gate, at_least, at_most
-from bench.views.measure import ExpectedGrid, Measurement, StoredImage, find_stars, motion_px
+from bench.views.measure import ExpectedGrid, Measurement, find_stars, motion_px
+from bench.views.stored_image import StoredImage
 from calib.errors import CalibrationError
 from calib.events.motion import MOVING_PX
 from calib.stars.vignetting import downweight_vignetted

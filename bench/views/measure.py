@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.records.events import MeasuredFacts
+from bench.views.stored_image import StoredImage
 from calib.errors import (
     CalibrationError,
     DegenerateViews,
@@ -28,7 +28,6 @@ from calib.errors import (
 )
 from calib.events.event_image import ChosenImage, EventImages, SliceFacts, make_images
 from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
-from calib.events.grey_image import to_uint8
 from calib.events.motion import half_windows, motion_between
 from calib.model.homography import fit_homography
 from calib.stars.detect import detect_stars, detect_view
@@ -47,47 +46,6 @@ ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
 _ALIGNED_DEG = 3.0
 """Largest angle to the pixel rows or diagonals at which the errors of star edges count as correlated, degrees. They are
 correlated at 0.5 degrees and not at 10 degrees (docs/stars.md)."""
-
-
-@dataclass(frozen=True)
-class StoredImage:
-    """An image for people, 8 bits per pixel, compressed without loss; a run keeps one for each of its poses.
-
-    Attributes
-    ----------
-    png
-        The image as a PNG file.
-    """
-
-    png: bytes
-
-    @classmethod
-    def from_image(cls, image: NDArray[Any]) -> StoredImage:
-        """Stretch the grey values of an image (`calib.events.grey_image.to_uint8`) and compress it.
-
-        Parameters
-        ----------
-        image
-            (H, W), any numeric dtype, grey values.
-
-        Returns
-        -------
-        StoredImage
-            The compressed image.
-        """
-        return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
-
-    def decoded(self) -> NDArray[np.uint8]:
-        """Return the image.
-
-        Returns
-        -------
-        numpy.ndarray
-            (H, W) uint8, grey values.
-        """
-        image = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
-        assert image is not None
-        return np.asarray(image, np.uint8)
 
 
 @dataclass(frozen=True)
