@@ -1,4 +1,4 @@
-"""What a run does otherwise for a frame camera: light, settings, gates, plan."""
+"""What a run does differently for a frame camera: light, settings, gates, plan."""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -51,13 +51,13 @@ def station_of(camera: str) -> Station:
     return check_document(text.encode(), "b.yaml", Station).value
 
 
-def test_the_station_s_camera_decides_which_kind_a_run_is_of():
+def test_the_station_s_camera_determines_the_camera_kind():
     assert isinstance(camera_kind(station_of("driver: pictures\n  path: p")), FrameKind)
     event = "driver: recorded\n  path: p\n  serial: 0005"
     assert isinstance(camera_kind(station_of(event)), EventKind)
 
 
-def test_a_flicker_burns_steadily_at_its_brighter_level_for_a_frame_camera():
+def test_a_flicker_becomes_steady_light_at_its_high_level_for_a_frame_camera():
     job = Job.from_plan(make_plan(*load_documents("three_pose", "simulated_frames")), seed=1, operator=None)
     [flicker] = [s.flicker for s in job.steps if isinstance(s, LightStep) and s.flicker is not None]
     settings = job.light_settings(flicker)
@@ -67,7 +67,7 @@ def test_a_flicker_burns_steadily_at_its_brighter_level_for_a_frame_camera():
     assert event.light_settings(flicker).waveform == "square"
 
 
-def test_a_plan_says_that_a_flicker_will_be_none():
+def test_a_plan_notes_that_a_flicker_becomes_steady_light():
     planned = make_plan(*load_documents("three_pose", "simulated_frames"))
     assert not planned.faults
     assert [r.message for r in planned.remarks] == [
@@ -76,7 +76,7 @@ def test_a_plan_says_that_a_flicker_will_be_none():
     assert planned.size_bytes > 3 * 8 * 1280 * 720
 
 
-def test_a_sequence_of_steady_light_is_for_frame_cameras_alone(steady):
+def test_a_sequence_of_steady_light_is_only_for_frame_cameras(steady):
     for_frames = make_plan(*load_documents(steady, "simulated_frames"))
     assert (for_frames.faults, for_frames.remarks) == ((), ())
     for_events = make_plan(*load_documents(steady, "simulated"))
@@ -111,7 +111,7 @@ def test_the_settings_of_a_station_reach_its_camera():
     assert kind.counts(told) == {"pictures": 5, "bits": 12, "saturated_percent": pytest.approx(0.02)}
 
 
-def test_what_speaks_against_an_event_camera_is_told_before_a_run():
+def test_reasons_against_an_event_camera_are_reported_before_a_run():
     camera = create_autospec(EventCamera, instance=True)
     camera.apply.return_value = CameraSettings({}, trigger_in=False)
     camera.filters.return_value = {"afk": True, "erc": False}
@@ -125,26 +125,26 @@ def test_what_speaks_against_an_event_camera_is_told_before_a_run():
 
 
 @pytest.mark.parametrize(("share", "verdict"), [(0.0, "pass"), (0.00095, "marginal"), (0.02, "fail")])
-def test_saturated_pictures_are_refused(share, verdict):
+def test_saturated_frames_are_rejected(share, verdict):
     gates = frame_gates(replace(TAKEN, saturated_share=share), Gates(0, 200.0, True), Measurement(None, None))
     assert {gate.name: gate.verdict for gate in gates}["saturated pixels"] == verdict
 
 
-def test_pictures_that_moved_further_than_the_sequence_lets_them_are_refused():
+def test_frames_with_more_motion_than_the_sequence_allows_are_rejected():
     found = Measurement(None, None, {"motion_px": 0.2})
     for most, verdict in ((0.1, "fail"), (0.5, "pass")):
         gates = frame_gates(TAKEN, Gates(0, 1.0, True, {"max_motion_px": most}), found)
         assert {gate.name: gate.verdict for gate in gates}["stars moved"] == verdict
 
 
-def test_pictures_that_ended_early_do_not_count():
+def test_an_incomplete_series_of_frames_is_rejected():
     assert frame_rejection_reasons(replace(TAKEN, complete=False)) == [
         "fewer frames were recorded than asked for"
     ]
     assert frame_rejection_reasons(TAKEN) == []
 
 
-def test_pictures_without_a_target_and_files_that_are_none_say_why(tmp_path):
+def test_frames_without_a_target_and_other_files_report_a_fault(tmp_path):
     write_frames(tmp_path / "dark.tif", [np.zeros((240, 320), np.uint8)] * 2)
     found = measure_frames(tmp_path / "dark.tif", name="dark", target=StarTarget())
     assert (found.view, found.facts["image"]["pictures"]) == (None, 2)

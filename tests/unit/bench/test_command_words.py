@@ -1,4 +1,4 @@
-"""The words of the command line: what help says of each, and what a wrong path is told."""
+"""The command line: help of every command, examples, and messages about invalid arguments."""
 
 import json
 import os
@@ -90,7 +90,7 @@ def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words)
         assert not isinstance(option, click.Option) or option.help, option.name
 
 
-def test_the_list_of_commands_is_whole_and_says_each_in_full(say):
+def test_the_list_of_commands_is_complete_and_not_truncated(say):
     listed = say("--help")[1]
     assert "..." not in listed.partition("A run:")[2]
     assert [name for name in cli.commands if f"\n  {name} " not in listed] == []
@@ -128,17 +128,17 @@ def check_words(line):
 
 
 @pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
-def test_an_example_uses_words_that_there_are(line):
+def test_an_example_uses_existing_arguments_and_options(line):
     assert check_words(line) == []
 
 
 @pytest.mark.parametrize("line", list(shown_in_documents()))
-def test_a_call_in_the_documents_uses_words_that_there_are(line):
+def test_a_call_in_the_documents_uses_existing_arguments_and_options(line):
     check_words(line)  # what a document leaves out, as PATH or --station, stands before it in the text
 
 
 @pytest.mark.parametrize("document", [ROOT / "docs" / "batches.md"], ids=lambda path: path.name)
-def test_a_queue_in_the_documents_is_one_that_can_be_planned(document):
+def test_a_queue_in_the_documents_can_be_planned(document):
     shown = re.findall(r"```yaml\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
     assert len(shown) == 2
     for text in shown:
@@ -147,14 +147,14 @@ def test_a_queue_in_the_documents_is_one_that_can_be_planned(document):
 
 
 @pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
-def test_a_run_folder_that_is_not_there_is_a_wrong_word(say, words):
+def test_a_missing_run_folder_is_an_invalid_argument(say, words):
     status, _, said = say(*words, "nowhere")
     assert status == 2
     assert "nowhere: There is no such run folder." in said
 
 
 @pytest.mark.parametrize("words", RUN_COMMANDS, ids=" ".join)
-def test_a_folder_of_runs_is_told_apart_from_a_run_and_its_runs_are_named(say, words, tmp_path):
+def test_a_folder_of_runs_is_refused_and_its_runs_are_named(say, words, tmp_path):
     run = tmp_path / "runs" / "cam7"
     run.mkdir(parents=True)
     (run / "journal.jsonl").write_text("")
@@ -165,14 +165,14 @@ def test_a_folder_of_runs_is_told_apart_from_a_run_and_its_runs_are_named(say, w
 
 
 @pytest.mark.parametrize("words", [*RUN_COMMANDS[:2], *RUN_COMMANDS[3:], ("verify",)], ids=" ".join)
-def test_a_batch_given_for_a_run_is_told_how_it_goes_on(say, words, tmp_path):
+def test_a_batch_in_place_of_a_run_is_refused_with_the_command_that_continues_it(say, words, tmp_path):
     batch_folder(tmp_path / "night")
     status, _, said = say(*words, "night")
     assert status == 2
     assert "starbench batch QUEUE.yaml --output night" in said
 
 
-def test_a_file_of_a_run_given_for_the_run_is_told_which_run(say, tmp_path):
+def test_a_file_of_a_run_is_refused_and_the_run_is_named(say, tmp_path):
     (tmp_path / "cam7").mkdir()
     (tmp_path / "cam7" / "journal.jsonl").write_text("")
     status, _, said = say("status", "cam7/journal.jsonl")
@@ -203,7 +203,7 @@ def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
     ],
     ids=lambda words: " ".join(map(str, words)),
 )
-def test_a_new_file_is_refused_before_any_work_where_it_cannot_be_made(say, tmp_path, words):
+def test_a_new_file_that_cannot_be_created_is_refused_before_any_work(say, tmp_path, words):
     (tmp_path / "source").write_text("")
     taken = tmp_path / "taken.npz"
     taken.write_text("as it was")
@@ -225,7 +225,7 @@ def test_a_new_file_is_refused_before_any_work_where_it_cannot_be_made(say, tmp_
     ],
     ids=" ".join,
 )  # fmt: skip
-def test_what_is_not_there_is_named_and_a_wrong_word(say, words):
+def test_a_missing_path_is_named_and_is_an_invalid_argument(say, words):
     more = ("new.npz",) if words == ("convert",) else ()
     status, _, said = say(*words, "nowhere", *more)
     assert status == 2
@@ -246,27 +246,27 @@ def test_what_is_not_there_is_named_and_a_wrong_word(say, words):
     ],
     ids=lambda words: " ".join((words[0], words[-1])),
 )
-def test_a_number_that_cannot_be_is_a_wrong_word(say, tmp_path, words, number):
+def test_an_impossible_number_is_an_invalid_argument(say, tmp_path, words, number):
     status, out, said = say(*words, number)
     assert (status, out) == (2, "")
     assert words[-1] in said
     assert not (tmp_path / "new.json").exists()
 
 
-def test_a_line_that_is_no_key_is_a_wrong_word(say):
+def test_a_line_without_a_key_is_an_invalid_argument(say):
     status, _, said = say("keys", "trust", "nonsense")
     assert status == 2
     assert "ssh-ed25519" in said
 
 
 @pytest.mark.parametrize("words", [("run", "three_pose"), ("status",), ("calibrate", "--loss", "none", ".")])
-def test_with_json_a_wrong_word_is_an_object_too(say, words):
+def test_with_json_an_invalid_argument_is_an_object_too(say, words):
     status, out, said = say(*words, "--json")
     assert status == 2
     assert json.loads(out)["error"]["message"] in said.replace("Error: ", "")
 
 
-def test_a_reader_that_has_gone_is_no_error():
+def test_a_closed_pipe_is_not_an_error():
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "wb") as pipe:
@@ -275,7 +275,7 @@ def test_a_reader_that_has_gone_is_no_error():
     assert (said.returncode, said.stderr) == (1, b"")
 
 
-def test_signs_that_a_stream_cannot_show_are_told_in_others():
+def test_characters_that_a_stream_cannot_show_are_replaced():
     program = "from bench.terminal.encoding import replace_unencodable as s; import sys; s(sys.stdout);"
     program += "print('3345.3 \u00b1 1.2, \u22120.9, \u674e')"
     said = subprocess.run(
@@ -288,7 +288,7 @@ def test_signs_that_a_stream_cannot_show_are_told_in_others():
     assert said.stdout == b"3345.3 +/- 1.2, -0.9, ?\n", said.stderr
 
 
-def test_ctrl_c_while_the_program_still_loads_is_one_word(tmp_path):
+def test_ctrl_c_while_the_program_loads_prints_one_word(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTED)
     said = subprocess.run(
         [sys.executable, "-m", "bench", "--help"],
@@ -299,7 +299,7 @@ def test_ctrl_c_while_the_program_still_loads_is_one_word(tmp_path):
 
 
 @pytest.mark.parametrize("system", ["win32", "darwin"])
-def test_a_batch_says_where_it_cannot_be_done(say, monkeypatch, tmp_path, system):
+def test_a_batch_is_refused_on_systems_other_than_linux(say, monkeypatch, tmp_path, system):
     (tmp_path / "queue.yaml").write_text("")
     monkeypatch.setattr("sys.platform", system)
     status, _, said = say("batch", "queue.yaml", "-o", "out")
@@ -309,7 +309,7 @@ def test_a_batch_says_where_it_cannot_be_done(say, monkeypatch, tmp_path, system
     assert not (tmp_path / "out").exists()
 
 
-def test_a_message_goes_out_where_only_latin_letters_do():
+def test_a_message_is_printed_in_latin_1():
     command = [sys.executable, "-m", "bench", "run", "three_pose", "-s", "nö≤李where"]
     said = subprocess.run(
         command, cwd=ROOT, env={**os.environ, "PYTHONIOENCODING": "latin-1"}, capture_output=True, check=False
@@ -327,7 +327,7 @@ def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
     assert "Traceback" not in said
 
 
-def test_a_home_that_cannot_be_written_is_told_how_to_name_another(capsys, tmp_path):
+def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(capsys, tmp_path):
     for where, told in (
         (tmp_path / "home" / "ledger.jsonl", True),
         (tmp_path / "run" / "journal.jsonl", False),

@@ -1,4 +1,4 @@
-"""Commands of operators: who may, what is refused and why, and that none is taken twice or left lying."""
+"""Commands of operators: who may give them, why they are refused, and that each is done once and removed."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def accepted(pose):
 # ---------------------------------------------------------------- who may
 
 
-def test_who_holds_a_run_owns_it_and_others_are_told_who():
+def test_the_holder_of_a_run_owns_it_and_others_are_refused_with_that_name():
     history = History(holder="ada")
     for word in ("hold", "release", "skip"):
         assert "held by ada" in refusal(command(word, by="ben", pose=1), history, POSES)
@@ -44,11 +44,11 @@ def test_who_holds_a_run_owns_it_and_others_are_told_who():
         assert refusal(command(word, by="ben", pose=1, take_over=True), history, POSES) == ""
 
 
-def test_nobody_is_refused_an_abort():
+def test_an_abort_is_never_refused():
     assert refusal(command("abort", by="ben"), History(holder="ada"), POSES) == ""
 
 
-def test_what_is_not_held_is_not_released():
+def test_a_run_that_is_not_held_cannot_be_released():
     assert refusal(command("release"), History(), POSES) == "no operator holds the run"
 
 
@@ -61,12 +61,12 @@ def test_what_is_not_held_is_not_released():
         (2, "already skipped"),
     ],
 )
-def test_a_pose_that_cannot_be_skipped_is_named(pose, why):
+def test_a_pose_that_cannot_be_skipped_is_refused_with_the_reason(pose, why):
     history = History(attempts=[accepted(1)], to_skip={2: "ada"})
     assert why in refusal(command("skip", pose=pose), history, POSES)
 
 
-def test_every_answer_has_words():
+def test_every_answer_has_a_text():
     for word in ("hold", "release", "abort", "skip"):
         assert command_text({"word": word, "taken": True, "pose": 2}).startswith("Accepted: ")
     assert command_text({"word": "hold", "taken": False, "why": "so"}) == "Refused: so."
@@ -109,7 +109,7 @@ def answers(folder):
     return [dict(e.data) for e in read_journal(folder / "journal.jsonl")[0] if e.event == "commanded"]
 
 
-def test_a_command_is_answered_by_the_journal_and_its_file_is_gone(run):
+def test_a_command_is_answered_in_the_journal_and_its_file_removed(run):
     folder, log, clock = run
     with CommandInbox(folder, log, POSES, clock):
         answer = send(folder, command("hold"))
@@ -134,7 +134,7 @@ def test_an_abort_ends_the_wait_of_the_run_at_once(run):
         sender.join()
 
 
-def test_skip_means_the_pose_at_work_unless_another_is_named(run):
+def test_skip_applies_to_the_current_pose_unless_another_is_named(run):
     folder, log, clock = run
     with CommandInbox(folder, log, POSES, clock):
         log.write(Event.ENTERING, state="recording", pose=2)
@@ -143,7 +143,7 @@ def test_skip_means_the_pose_at_work_unless_another_is_named(run):
     assert set(log.history.to_skip) == {2, 3}
 
 
-def test_what_was_meant_for_a_dead_process_is_answered_and_not_done(run):
+def test_a_command_to_a_dead_process_is_answered_and_not_done(run):
     folder, log, clock = run
     (folder / CONTROL).mkdir()
     (folder / CONTROL / "1.json").write_text(command("abort").model_dump_json())
@@ -155,7 +155,7 @@ def test_what_was_meant_for_a_dead_process_is_answered_and_not_done(run):
 
 
 @pytest.mark.timeout(60)
-def test_what_is_no_command_is_said_to_be_none_and_removed(run):
+def test_a_file_that_is_not_a_command_is_reported_and_removed(run):
     folder, log, clock = run
     with CommandInbox(folder, log, POSES, clock):
         inbox = folder / CONTROL
@@ -169,7 +169,7 @@ def test_what_is_no_command_is_said_to_be_none_and_removed(run):
     assert [a["why"] for a in answers(folder)] == ["it is not a command"] * 5
 
 
-def test_a_journal_that_takes_no_answer_fails_the_run_and_is_no_abort_by_anybody(run):
+def test_an_answer_that_cannot_be_journaled_fails_the_run_and_is_not_an_abort(run):
     folder, log, clock = run
     inbox = CommandInbox(folder, log, POSES, clock).open()
     log.journal.close()
@@ -180,7 +180,7 @@ def test_a_journal_that_takes_no_answer_fails_the_run_and_is_no_abort_by_anybody
     inbox.close()
 
 
-def test_a_guard_that_breaks_down_ends_the_run(run):
+def test_an_error_of_the_watching_thread_ends_the_run(run):
     folder, log, clock = run
 
     def broken():
@@ -190,7 +190,7 @@ def test_a_guard_that_breaks_down_ends_the_run(run):
         clock.sleep(20)
 
 
-def test_what_else_is_to_be_looked_at_is_looked_at_in_every_round(run):
+def test_the_other_tasks_are_done_in_every_round(run):
     folder, log, clock = run
     looks = []
     with CommandInbox(folder, log, POSES, clock, (lambda: looks.append(1),)):
@@ -199,7 +199,7 @@ def test_what_else_is_to_be_looked_at_is_looked_at_in_every_round(run):
     assert len(looks) >= 3
 
 
-def test_a_command_to_a_run_that_ends_at_this_moment_is_said_to_be_too_late(run, monkeypatch):
+def test_a_command_to_a_run_that_is_ending_is_refused_as_too_late(run, monkeypatch):
     folder, log, clock = run
     write = inbox_module.write_atomic
 
@@ -212,7 +212,7 @@ def test_a_command_to_a_run_that_ends_at_this_moment_is_said_to_be_too_late(run,
         send(folder, command("hold"))
 
 
-def test_a_run_that_nobody_works_on_takes_no_command(tmp_path):
+def test_a_run_without_a_process_accepts_no_command(tmp_path):
     with RunFolder.create(tmp_path / "run") as folder:
         Journal.create(folder.journal_path, **CLOCKS).close()
         assert is_locked(folder.path)
@@ -221,7 +221,7 @@ def test_a_run_that_nobody_works_on_takes_no_command(tmp_path):
         send(tmp_path / "run", command("hold"))
 
 
-def test_to_ask_whether_a_run_is_worked_on_does_not_keep_others_from_it(tmp_path):
+def test_testing_the_lock_of_a_run_does_not_block_others(tmp_path):
     RunFolder.create(tmp_path / "run").close()
     stop = threading.Event()
 
@@ -241,20 +241,23 @@ def test_to_ask_whether_a_run_is_worked_on_does_not_keep_others_from_it(tmp_path
 
 
 @given(st.binary(max_size=200) | st.dictionaries(st.text(), st.text()).map(lambda v: json.dumps(v).encode()))
-def test_no_bytes_at_all_break_the_reading_of_a_command(data):
+def test_no_bytes_can_break_the_reading_of_a_command(data):
     with pytest.raises(ValidationError):
         Command.model_validate_json(data)
 
 
-def test_an_answer_is_taken_only_where_something_is_asked_and_only_once():
+def test_an_answer_is_accepted_only_to_a_question_and_only_once():
     yes = command("answer", answer="continue")
     assert refusal(yes, History(), POSES) == "the run asks no question"
     assert refusal(yes, History(question="Cap off?"), POSES) == ""
-    assert refusal(yes, History(question="Cap off?", answer=("abort", "ben")), POSES) == "the run asks no question"
+    assert (
+        refusal(yes, History(question="Cap off?", answer=("abort", "ben")), POSES)
+        == "the run asks no question"
+    )
     assert command_text({"word": "answer", "taken": True, "answer": "abort"}) == "Accepted: abort."
 
 
 @pytest.mark.parametrize("words", [{"word": "answer"}, {"word": "hold", "answer": "continue"}])
-def test_an_answer_and_nothing_else_says_continue_or_abort(words):
+def test_only_the_command_answer_needs_an_answer(words):
     with pytest.raises(ValidationError):
         Command(by="ada", **words)

@@ -1,4 +1,4 @@
-"""A crash is counted once, whatever dies while it is."""
+"""A crash is counted exactly once, at whatever moment the process dies."""
 
 from datetime import UTC, datetime
 from types import SimpleNamespace
@@ -44,7 +44,7 @@ def crashes(folder):
     return replay(read_journal(folder / "journal.jsonl")[0]).crashes
 
 
-def test_a_crash_is_counted_and_put_away(crashed):
+def test_a_crash_is_counted_and_its_log_archived(crashed):
     resume(crashed)
     assert crashes(crashed) == {1: 1}
     assert not (crashed / CRASH_LOG).exists()
@@ -53,7 +53,7 @@ def test_a_crash_is_counted_and_put_away(crashed):
 
 
 @pytest.mark.parametrize("after", [False, True])
-def test_dying_while_it_is_put_away_loses_it_not_and_doubles_it_not(crashed, monkeypatch, after):
+def test_a_death_while_archiving_neither_loses_nor_doubles_the_crash(crashed, monkeypatch, after):
     real = launch.archive_crash
 
     def died(folder):

@@ -141,7 +141,7 @@ def calls_of_a_whole_run(tmp_path, monkeypatch, key):
 
 
 @pytest.mark.parametrize("spoil", [die_before, die_after])
-def test_killed_in_any_call_it_goes_on(tmp_path, monkeypatch, key, signers, spoil):
+def test_a_run_killed_in_any_call_can_be_resumed(tmp_path, monkeypatch, key, signers, spoil):
     log = calls_of_a_whole_run(tmp_path, monkeypatch, key)
     assert {"open", "write", "fsync", "rename", "mkdir", "unlink", "chmod"} <= set(log)
     for passing in range(len(log)):
@@ -157,7 +157,7 @@ def test_killed_in_any_call_it_goes_on(tmp_path, monkeypatch, key, signers, spoi
         assert verify_run(path, signers).faults == ()
 
 
-def test_killed_again_and_again_it_goes_on(tmp_path, monkeypatch, key, signers):
+def test_a_run_killed_repeatedly_can_be_resumed(tmp_path, monkeypatch, key, signers):
     path, acknowledged = tmp_path / "run", {}
     for passing in range(1, 400):
         if (path / "SHA256SUMS.sig").exists():
@@ -174,7 +174,7 @@ def test_killed_again_and_again_it_goes_on(tmp_path, monkeypatch, key, signers):
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
-def test_refused_any_call_it_says_so_and_goes_on(tmp_path, monkeypatch, key, signers, number):
+def test_a_run_whose_call_fails_reports_it_and_can_be_resumed(tmp_path, monkeypatch, key, signers, number):
     log = calls_of_a_whole_run(tmp_path, monkeypatch, key)
     for passing in range(len(log)):
         path, acknowledged = tmp_path / f"run{passing}", {}

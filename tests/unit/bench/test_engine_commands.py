@@ -38,7 +38,7 @@ def say(capsys, *words, status=0):
     return said.out
 
 
-def test_other_methods_stand_beside_ours_on_the_same_points(capsys, points):
+def test_other_methods_are_compared_on_the_same_points(capsys, points):
     told = json.loads(say(capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare", "--json"))
     names = [row["name"] for row in told["compared"]]
     assert [name.split(",")[0] for name in names] == ["Starbench", "published recipe", "OpenCV"]
@@ -48,7 +48,7 @@ def test_other_methods_stand_beside_ours_on_the_same_points(capsys, points):
     )
 
 
-def test_a_method_without_an_answer_has_a_row_that_says_why(capsys, points, tmp_path):
+def test_a_method_without_a_result_has_a_row_with_the_reason(capsys, points, tmp_path):
     folder, bench = points
     made = tmp_path / "collimator.json"
     say(capsys, "passport", "make", folder, "--image-size", "1280x720", "--output", made)
@@ -61,7 +61,7 @@ def test_a_method_without_an_answer_has_a_row_that_says_why(capsys, points, tmp_
     assert f"no result: {opencv['failed']}" in say(capsys, *words)
 
 
-def test_two_cameras_on_a_rig_get_the_turn_between_them_and_no_translation(capsys, points, tmp_path):
+def test_the_rotation_between_two_cameras_of_a_rig_has_no_translation(capsys, points, tmp_path):
     folder, _ = points
     # The second camera stands on its head: every image point and the principal point mirrored through the middle.
     for file in folder.iterdir():
@@ -78,7 +78,7 @@ def test_two_cameras_on_a_rig_get_the_turn_between_them_and_no_translation(capsy
     assert "cannot be measured through a collimator: no translation is given" in shown
 
 
-def test_cameras_that_saw_different_poses_are_no_rig(capsys, points, tmp_path):
+def test_cameras_that_saw_different_poses_are_refused_as_a_rig(capsys, points, tmp_path):
     for file in points[0].iterdir():
         (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
     with pytest.raises(SystemExit) as end:
@@ -87,7 +87,7 @@ def test_cameras_that_saw_different_poses_are_no_rig(capsys, points, tmp_path):
     assert "view" in capsys.readouterr().err
 
 
-def test_with_a_passport_one_view_is_enough_and_the_focal_length_far_surer(capsys, points, tmp_path):
+def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain(capsys, points, tmp_path):
     folder, bench = points
     file = tmp_path / "collimator.json"
     say(
@@ -121,7 +121,7 @@ def test_with_a_passport_one_view_is_enough_and_the_focal_length_far_surer(capsy
     assert with_it["sigma"]["fx"] < without["sigma"]["fx"]
 
 
-def test_a_passport_is_never_written_over_and_only_a_passport_is_read(capsys, points, tmp_path):
+def test_a_passport_is_never_overwritten_and_only_a_passport_is_read(capsys, points, tmp_path):
     file = tmp_path / "c.json"
     certificate = ("passport", "certificate", "--radius", 255, "--sigma", 0.05, "--number", "K-1", "-o", file)
     say(capsys, *certificate, "--date", "2026-03-01", "--temperature", 20.0, "--collimator", "C7")
@@ -142,7 +142,7 @@ def test_a_passport_is_never_written_over_and_only_a_passport_is_read(capsys, po
     say(capsys, "passport", "show", tmp_path / "none", status=2)
 
 
-def test_a_plan_says_what_its_poses_will_be_worth_and_suggests_better_ones(capsys):
+def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
     told = json.loads(say(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
     assert 0.1 < told["expected"]["sigma"]["fx"] < 10
     assert len(told["suggested"]) == 2
@@ -156,7 +156,7 @@ def test_a_plan_says_what_its_poses_will_be_worth_and_suggests_better_ones(capsy
     assert nine.projection_map.worst_px < told["expected"]["worst_px"]
 
 
-def test_a_study_finds_sigmas_that_hold_and_draws_them(capsys, tmp_path):
+def test_a_study_finds_that_the_sigmas_hold_and_plots_them(capsys, tmp_path):
     plot = tmp_path / "z.svg"
     told = json.loads(say(capsys, "study", "--runs", 40, "--plot", plot, "--json"))
     assert told["held"]
@@ -166,7 +166,9 @@ def test_a_study_finds_sigmas_that_hold_and_draws_them(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["metavision", "hdf5", "numpy"])
-def test_a_recording_is_converted_whole_and_never_over_another_file(capsys, evk4_recording, tmp_path, kind):
+def test_a_recording_is_converted_completely_and_never_overwrites_a_file(
+    capsys, evk4_recording, tmp_path, kind
+):
     from drivers.camera.formats.event_import import import_events
 
     raw = evk4_recording
@@ -189,7 +191,7 @@ def test_events_of_other_programs_become_a_raw_recording_and_back(capsys, evk4_r
     say(capsys, "convert", raw, tmp_path / "pose.hdf5", status=2)
 
 
-def test_a_capture_shorter_than_its_journal_says_is_refused(tmp_path):
+def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):
     from bench.records.journal import Journal
     from bench.results.view_sources import _refuse_truncated
     from drivers.errors import RecordingCorrupt

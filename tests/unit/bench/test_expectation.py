@@ -1,4 +1,4 @@
-"""Where a pose's stars are expected: by the run's earlier poses, and by the journal when it is looked at again."""
+"""Expected grid of a pose: predicted from earlier poses, and read from the journal."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ SEEN = [{"pan": -5.0, "tilt": 1.0}, {"pan": 5.0, "tilt": -1.0}, {"pan": 0.0, "ti
 HERE = {"pan": 11.0, "tilt": 4.0}
 
 
-def test_poses_of_which_the_tag_named_the_stars_tell_where_those_of_the_next_lie():
+def test_poses_labelled_by_the_tag_predict_the_grid_of_the_next():
     history = History(attempts=[attempt(i, reading) for i, reading in enumerate(SEEN, 1)])
     grid = grid_from_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
     nodes = np.array([[10.0, 30.0], [15.0, 34.0], [12.0, 28.0]])
@@ -39,18 +39,18 @@ def test_poses_of_which_the_tag_named_the_stars_tell_where_those_of_the_next_lie
 
 
 @pytest.mark.parametrize("changed", [{"named_by": "gimbal"}, {"accepted": False}])
-def test_poses_named_by_the_gimbal_or_refused_tell_nothing(changed):
+def test_poses_labelled_by_the_gimbal_or_rejected_predict_nothing(changed):
     history = History(attempts=[attempt(i, reading, **changed) for i, reading in enumerate(SEEN, 1)])
     with pytest.raises(DegenerateViews, match="No earlier view"):
         grid_from_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
 
 
-def test_what_was_expected_once_is_expected_again():
+def test_a_journaled_expected_grid_is_used_again():
     named = attempt(4, HERE, named_by="gimbal")
     named.checked["measured"]["expected_grid"] = grid_at(HERE).tolist()
     assert (grid_from_journal(named)(SIZE) == grid_at(HERE)).all()
     assert grid_from_journal(attempt(1, HERE)) is None
 
 
-def test_encoders_are_believed_before_commands():
+def test_encoder_angles_replace_stated_positions():
     assert best_angles_deg({"pan": 1.0, "pan_encoder": 1.002, "tilt": 2.0}) == {"pan": 1.002, "tilt": 2.0}

@@ -43,7 +43,7 @@ def test_the_document_has_every_fault_and_every_state():
 
 
 @pytest.mark.parametrize(("name", "state"), SOME)
-def test_a_fault_ends_as_the_document_says(tmp_path, name, state):
+def test_a_fault_ends_as_documented(tmp_path, name, state):
     (fault,) = [fault for fault in FAULTS if fault.name == name]
     with patched() as patch:
         cell = strike(fault, state, tmp_path, patch)
@@ -53,7 +53,7 @@ def test_a_fault_ends_as_the_document_says(tmp_path, name, state):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_every_fault_in_every_state_ends_as_it_must_and_as_the_document_says(tmp_path):
+def test_every_fault_in_every_state_ends_as_documented(tmp_path):
     cells = list(matrix(tmp_path))
     wrong = [f"{fault.name} in {state}: {cell.wrong}" for fault, state, cell in cells if cell.wrong]
     assert wrong == []

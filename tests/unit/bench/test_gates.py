@@ -1,4 +1,4 @@
-"""Gates: what is refused, and in which words."""
+"""Gates: which recordings are rejected, and the reasons given."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def reasons(*, stars=300, measured=MEASURED, gates=GATES, frequency_hz=60.0, **c
     return rejection_reasons(told, gates, recording_gates(told, gates, frequency_hz, measured, stars))
 
 
-def test_a_good_recording_is_not_refused():
+def test_a_good_recording_is_accepted():
     assert reasons() == []
 
 
@@ -44,11 +44,11 @@ def test_a_good_recording_is_not_refused():
         ({"complete": False}, "ended too early"),
     ],
 )
-def test_each_fault_is_refused_in_words_that_name_it(given, words):
+def test_each_fault_is_rejected_with_a_reason_that_names_it(given, words):
     assert any(words in reason for reason in reasons(**given)), reasons(**given)
 
 
-def test_triggers_are_not_demanded_where_the_sequence_says_so():
+def test_triggers_are_not_needed_if_the_sequence_does_not_require_them():
     free = Gates(40, 100.0, require_triggers=False)
     assert reasons(gates=free, triggers=0, measured={"flicker_hz": 60.0, "flicker_source": "events"}) == []
 
@@ -60,7 +60,7 @@ def test_an_empty_recording_has_no_rate_and_does_not_divide_by_zero():
 LAGGED = MEASURED | {"flicker_lag_periods": 0.5}
 
 
-def test_a_sync_signal_half_a_period_off_is_refused_whatever_the_sequence_says():
+def test_a_sync_signal_half_a_period_off_is_always_rejected():
     assert "events after sync 0.5 periods, needed -0.28 to 0.2" in reasons(measured=LAGGED)
 
 
@@ -76,14 +76,14 @@ def test_a_sync_signal_half_a_period_off_is_refused_whatever_the_sequence_says()
         ({"max_hot_pixels": 1}, ""),
     ],
 )
-def test_a_limit_of_a_sequence_is_judged_where_the_recording_tells_the_number(limits, words):
+def test_a_limit_is_judged_only_if_the_recording_has_the_number(limits, words):
     told = {"on_share": 0.4, "first_on_spread_us": 139.0, "silent_rows": 0, "hot_pixels": None}
     measured = MEASURED | {"image": told, "flicker_hz": 60.0006, "trigger_jitter_us": 2.0}
     refused = reasons(gates=replace(GATES, limits=limits), measured=measured)
     assert refused == ([words] if words else [])
 
 
-def test_events_that_the_rate_controller_dropped_are_refused_by_its_own_counters():
+def test_events_dropped_by_the_rate_controller_are_rejected_by_its_counters():
     assert reasons(rate_controller_in=1000, rate_controller_out=999) == []
     dropped = reasons(rate_controller_in=1000, rate_controller_out=900)
     assert dropped == ["rate controller loss 10 %, needed <= 1"]

@@ -1,4 +1,4 @@
-"""Signs of life: given while the work goes on, not given while it stands still, and of one process only."""
+"""Heartbeats: written while the work makes progress, not while it stalls, and by one process only."""
 
 import os
 import subprocess
@@ -47,33 +47,33 @@ def moments(pulse, folder):
     return read_heartbeat(folder) != before
 
 
-def test_signs_are_given_while_the_work_waits_or_checks(pulse, tmp_path):
+def test_heartbeats_are_written_while_the_work_waits_or_checks(pulse, tmp_path):
     assert moments(pulse, tmp_path)
     assert moments(pulse, tmp_path)
 
 
 @pytest.mark.parametrize("state", ["slewing", "recording", "homing", "aborting", "parking"])
-def test_no_sign_is_given_for_a_driver_that_never_returns(pulse, tmp_path, state):
+def test_no_heartbeat_is_written_for_a_driver_that_never_returns(pulse, tmp_path, state):
     pulse._state, pulse._clock.quiet = state, 0.6
     assert not moments(pulse, tmp_path)
 
 
 @pytest.mark.parametrize("state", ["checking", "solving", "reporting", "preflight", "holding"])
-def test_where_nothing_moves_work_may_take_its_time_but_not_for_ever(pulse, tmp_path, state):
+def test_work_in_a_slow_state_may_take_long_but_not_for_ever(pulse, tmp_path, state):
     pulse._state, pulse._clock.quiet = state, 500.0
     assert moments(pulse, tmp_path)
     pulse._clock.quiet = 601.0
     assert not moments(pulse, tmp_path)
 
 
-def test_a_state_just_entered_is_given_its_time(pulse, tmp_path):
+def test_the_stall_limit_begins_anew_with_each_state(pulse, tmp_path):
     pulse._clock.quiet = 60.0  # a long calculation lies behind
     pulse.entering("parking")
     assert moments(pulse, tmp_path)
 
 
 @pytest.mark.parametrize(("letter", "given"), [("D", True), ("S", False), ("R", False)])
-def test_waiting_for_the_disk_is_no_hang(pulse, tmp_path, monkeypatch, letter, given):
+def test_waiting_for_the_disk_is_not_a_stall(pulse, tmp_path, monkeypatch, letter, given):
     pulse._state, pulse._clock.quiet = "recording", 30.0
     stat = tmp_path / "12" / "task" / "12" / "stat"
     stat.parent.mkdir(parents=True)
@@ -84,7 +84,7 @@ def test_waiting_for_the_disk_is_no_hang(pulse, tmp_path, monkeypatch, letter, g
     assert moments(pulse, tmp_path) is given
 
 
-def test_a_clock_is_quiet_only_while_nobody_waits_or_checks():
+def test_a_clock_is_inactive_only_while_nothing_waits_or_checks():
     clock = BenchClock()
     time.sleep(0.05)
     assert clock.inactive_s() >= 0.05
@@ -92,7 +92,7 @@ def test_a_clock_is_quiet_only_while_nobody_waits_or_checks():
     assert clock.inactive_s() < 0.05
 
 
-def test_a_wait_that_is_not_to_be_interrupted_asks_the_time_and_is_a_sign_of_life():
+def test_a_shielded_wait_reads_the_time_and_counts_as_activity():
     clock = BenchClock()
     clock._asked_s -= 100.0
     watcher = threading.Thread(target=clock.monotonic)  # not the work's own asking
@@ -104,13 +104,13 @@ def test_a_wait_that_is_not_to_be_interrupted_asks_the_time_and_is_a_sign_of_lif
 
 
 @pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 x", b"1 2 3 4", b"\xff\xfe"])
-def test_a_sign_cut_short_is_none(tmp_path, text):
+def test_a_truncated_heartbeat_is_none(tmp_path, text):
     (tmp_path / CONTROL).mkdir()
     (tmp_path / CONTROL / HEARTBEAT).write_bytes(text)
     assert read_heartbeat(tmp_path) is None
 
 
-def test_only_the_process_that_gave_the_sign_is_opened():
+def test_only_the_process_that_wrote_the_heartbeat_is_opened():
     started = start_ticks(os.getpid())
     own = open_process(Heartbeat(os.getpid(), started, 0))
     assert own is not None
@@ -123,7 +123,7 @@ def test_only_the_process_that_gave_the_sign_is_opened():
     assert open_process(Heartbeat(process.pid, 1, 0)) is None
 
 
-def test_a_supervisor_that_is_gone_is_told_once(monkeypatch, tmp_path):
+def test_a_lost_supervisor_is_reported_once(monkeypatch, tmp_path):
     monkeypatch.setenv(SUPERVISOR, str(os.getppid()))
     pulse = HeartbeatWriter(tmp_path, BenchClock())
     assert not pulse.supervisor_is_gone()
@@ -132,7 +132,7 @@ def test_a_supervisor_that_is_gone_is_told_once(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("told", ["", "1x", "999999999"])
-def test_whoever_is_not_watched_loses_no_supervisor(monkeypatch, tmp_path, told):
+def test_a_process_without_a_supervisor_loses_none(monkeypatch, tmp_path, told):
     monkeypatch.setenv(SUPERVISOR, told)
     pulse = HeartbeatWriter(tmp_path, BenchClock())
     monkeypatch.setattr(os, "getppid", lambda: 1)

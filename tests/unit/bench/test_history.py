@@ -1,4 +1,4 @@
-"""A run's history: what the journal told is found at once, however long the run."""
+"""History of a run: entries of the journal are found at once, however long the run."""
 
 from datetime import UTC, datetime
 
@@ -37,7 +37,7 @@ def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_pat
     assert [history.next_attempt(pose) for pose in (1, 2, 3, 4)] == [3, 3, 2, 1]
 
 
-def test_what_was_never_stored_cannot_have_been_looked_at(tmp_path):
+def test_a_recording_that_was_never_stored_cannot_be_checked(tmp_path):
     with Journal.create(tmp_path / "j", **CLOCKS) as journal:
         journal.append_unsynced(Event.CAPTURE_STORED, pose=1, pose_name="p", attempt=1)
         journal.append_unsynced(Event.ATTEMPT_CHECKED, pose=1, attempt=2, accepted=True)
@@ -45,6 +45,6 @@ def test_what_was_never_stored_cannot_have_been_looked_at(tmp_path):
             replay(journal.entries)
 
 
-def test_a_history_made_of_attempts_knows_them():
+def test_a_history_created_with_attempts_holds_them():
     one = Attempt(4, "p", 1, {}, {"accepted": True})
     assert dict(History(attempts=[one]).accepted()) == {4: one}

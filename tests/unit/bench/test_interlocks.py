@@ -1,4 +1,4 @@
-"""Interlocks by themselves: when each holds, when it lets go, and what a station file may say of them."""
+"""Single interlocks: when each holds, when it clears, and what a station file may contain."""
 
 import os
 from datetime import UTC, datetime
@@ -23,7 +23,7 @@ from sequences.reader import check_document
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 
 
-def test_a_door_is_closed_where_its_sensor_says_so_and_open_wherever_else(tmp_path):
+def test_a_door_is_closed_only_if_its_sensor_reports_so(tmp_path):
     sensor = tmp_path / "value"
     door = Door(DoorConfig(path=str(sensor)))
     assert "cannot be read" in door.why(held=False)
@@ -32,7 +32,7 @@ def test_a_door_is_closed_where_its_sensor_says_so_and_open_wherever_else(tmp_pa
         assert bool(door.why(held=False)) is is_open, text
 
 
-def test_a_sensor_that_has_fallen_silent_is_an_open_door(tmp_path):
+def test_a_silent_sensor_counts_as_an_open_door(tmp_path):
     sensor = tmp_path / "value"
     sensor.write_text("closed")
     os.utime(sensor, (1000.0, 1000.0))
@@ -41,7 +41,7 @@ def test_a_sensor_that_has_fallen_silent_is_an_open_door(tmp_path):
     assert "reported nothing for 11 s" in Door(words, utc_s=lambda: 1011.0).why(held=False)
 
 
-def test_a_sensor_that_speaks_from_the_future_is_not_believed_for_long(tmp_path):
+def test_a_report_from_the_future_counts_as_an_open_door(tmp_path):
     sensor = tmp_path / "value"
     sensor.write_text("closed")
     os.utime(sensor, (5000.0, 5000.0))
@@ -51,13 +51,13 @@ def test_a_sensor_that_speaks_from_the_future_is_not_believed_for_long(tmp_path)
     assert Door(DoorConfig(path=str(sensor), closed="closed"), utc_s=lambda: 0.0).why(held=False) == ""
 
 
-def test_a_pipe_in_place_of_a_sensor_is_an_open_door_and_nothing_to_wait_for(tmp_path):
+def test_a_pipe_in_place_of_a_sensor_is_an_open_door_and_does_not_block(tmp_path):
     os.mkfifo(tmp_path / "value")
     assert "not a regular file" in Door(DoorConfig(path=str(tmp_path / "value"))).why(held=False)
     assert "cannot be read" in Door(DoorConfig(path=str(tmp_path))).why(held=False)
 
 
-def test_each_lets_go_later_than_it_holds(tmp_path):
+def test_each_interlock_clears_at_a_stricter_limit(tmp_path):
     celsius = [54.0]
     warm = CameraTemperature(CameraTemperatureConfig(max_c=55, release_c=50), lambda: celsius[0])
     assert [warm.why(held=held) != "" for held in (False, True)] == [False, True]
@@ -114,13 +114,13 @@ interlocks: %s
         ("{device_lost: {retry: 5}}", "retry"),
     ],
 )
-def test_a_station_file_with_an_interlock_that_makes_no_sense_is_refused(said, wrong):
+def test_a_station_file_with_contradictory_interlock_limits_is_refused(said, wrong):
     with pytest.raises(DocumentFaults) as caught:
         check_document((STATION % said).encode(), "station.yaml", Station)
     assert any(wrong in str(fault) for fault in caught.value.faults)
 
 
-def test_a_station_has_those_it_names(tmp_path):
+def test_a_station_has_the_interlocks_that_it_names(tmp_path):
     text = "{door: {path: /x}, device_lost: {}, disk_space: {min_free_gb: 1, release_gb: 2}}"
     said = check_document((STATION % text).encode(), "station.yaml", Station).value.interlocks
     sensors = SimpleNamespace(camera_c=None, last_mev_s=None, dark_mev_s=None, reopen=None)

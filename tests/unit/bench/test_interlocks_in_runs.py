@@ -1,4 +1,4 @@
-"""Interlocks in a run: they hold it, light off and stage at rest, let it go on by themselves, and never hold for ever."""
+"""Interlocks in a run: they hold it safely, let it continue by itself, and never hold it for ever."""
 
 import pytest
 from rehearsed import Scene, with_runner
@@ -78,7 +78,7 @@ def test_a_door_opened_at_any_moment_holds_the_run_dark_until_it_is_closed(tmp_p
         assert after[:4] == ["lighting", "slewing", "settling", "recording"]
 
 
-def test_a_recording_that_a_door_interrupted_is_kept_aside_and_counted(tmp_path, monkeypatch):
+def test_a_recording_interrupted_by_the_door_is_quarantined_and_counted(tmp_path, monkeypatch):
     scene, sensor = scene_with_door(tmp_path, monkeypatch)
     monkeypatch.setattr(VirtualClock, "sleep", opened_for(scene, sensor, "camera.record", 5))
     assert scene.run().how == "finished"
@@ -87,7 +87,7 @@ def test_a_recording_that_a_door_interrupted_is_kept_aside_and_counted(tmp_path,
     assert [d["attempt"] for d in scene.told(Event.CAPTURE_STORED)] == [2, 1]
 
 
-def test_a_door_that_stays_open_ends_the_run_in_its_time_and_it_goes_on_later(tmp_path, monkeypatch):
+def test_a_door_that_stays_open_ends_the_run_which_can_be_resumed(tmp_path, monkeypatch):
     scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=100)
     sensor.write_text("0")
     end = scene.run()
@@ -133,7 +133,7 @@ def test_holds_are_added_up(tmp_path, monkeypatch):
     assert len(scene.told(Event.INTERLOCK_RELEASED)) == 3
 
 
-def test_a_door_that_goes_on_and_off_is_told_once_in_ten_minutes(tmp_path, monkeypatch):
+def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, monkeypatch):
     scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=3600)
     told = []
     sleep = VirtualClock.sleep
@@ -158,7 +158,7 @@ def test_a_door_that_goes_on_and_off_is_told_once_in_ten_minutes(tmp_path, monke
     assert [occasion for occasion, _, _ in told] == ["hold", "hold"]
 
 
-def test_status_says_what_holds(tmp_path, monkeypatch):
+def test_the_status_states_what_holds_the_run(tmp_path, monkeypatch):
     scene, sensor = scene_with_door(tmp_path, monkeypatch)
     sensor.write_text("0")
     texts = []
@@ -174,7 +174,7 @@ def test_status_says_what_holds(tmp_path, monkeypatch):
     assert any("continues by itself" in text for text in texts)
 
 
-def test_a_warm_camera_is_let_cool_and_the_run_goes_on(tmp_path):
+def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path):
     words = "\ninterlocks: {camera_temperature: {max_c: 50, release_c: 45, max_hold_s: 900}}\n"
     scene = Scene(tmp_path, station=words)
 
@@ -191,7 +191,7 @@ def test_a_warm_camera_is_let_cool_and_the_run_goes_on(tmp_path):
     assert 140 < released["held_s"] < 160
 
 
-def test_light_from_elsewhere_holds_until_the_dark_is_dark(tmp_path, monkeypatch):
+def test_stray_light_holds_the_run_until_it_is_dark_again(tmp_path, monkeypatch):
     words = "\ninterlocks: {event_rate: {max_mev_s: 50, release_mev_s: 5, max_hold_s: 900}}\n"
     scene = Scene(tmp_path, station=words)
     from bench.rehearsal.virtual_devices import VirtualCamera
@@ -218,7 +218,7 @@ def test_light_from_elsewhere_holds_until_the_dark_is_dark(tmp_path, monkeypatch
     ]
 
 
-def test_what_held_a_run_is_forgotten_when_it_goes_on(tmp_path, monkeypatch):
+def test_the_interlock_is_cleared_from_the_history_when_the_run_continues(tmp_path, monkeypatch):
     scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=10)
     sensor.write_text("0")
     scene.run()

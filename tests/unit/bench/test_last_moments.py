@@ -1,4 +1,4 @@
-"""Commands that arrive at the last moment: what was taken is done."""
+"""Commands that arrive at the last moment: an accepted command is done."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def commanded(scene, word, **more):
     scene.runner._log.write(Event.COMMANDED, id="x", word=word, by="ada", taken=True, why="", **more)
 
 
-def test_an_answer_that_was_taken_as_the_time_was_up_counts(scene, monkeypatch):
+def test_an_answer_accepted_at_the_last_moment_counts(scene, monkeypatch):
     one = scene(end=PROMPT)
 
     def asked_in_vain(*_, **__):

@@ -1,4 +1,4 @@
-"""The interlock for a device that goes away: waited for, identified, and used again."""
+"""The interlock for a lost device: the run waits, identifies the device, and uses it again."""
 
 import pytest
 from rehearsed import Scene
@@ -26,7 +26,7 @@ def lost_at(scene, when, error, away_s):
 
 @pytest.mark.parametrize("when", ["stage.home", "light.on", "stage.move_to", "camera.record", "light.read"])
 @pytest.mark.parametrize("error", LOST, ids=lambda e: type(e).__name__)
-def test_a_device_that_goes_away_is_waited_for_identified_and_used_again(tmp_path, when, error):
+def test_a_lost_device_is_waited_for_identified_and_used_again(tmp_path, when, error):
     scene = Scene(tmp_path, station=LOST_WORDS)
     lost_at(scene, when, error, 31)
     end = scene.run()
@@ -48,7 +48,7 @@ def test_without_that_interlock_a_lost_device_ends_the_run(tmp_path):
     assert scene.run().how == "failed"
 
 
-def test_a_device_that_stays_away_ends_the_run_in_its_time(tmp_path):
+def test_a_device_that_stays_lost_ends_the_run_in_time(tmp_path):
     scene = Scene(tmp_path, station=LOST_WORDS)
     lost_at(scene, "stage.move_to", PortLost("gone"), 1e9)
     end = scene.run()

@@ -55,7 +55,7 @@ def test_no_other_edge_exists(source, trigger):
     assert told == []
 
 
-def test_every_state_that_is_no_end_can_be_aborted_and_ends_lead_nowhere():
+def test_every_state_but_the_end_states_can_be_aborted():
     for state in STATES:
         leaves = [trigger for trigger in TRIGGERS if (state, trigger) in TARGETS]
         if state in END_STATES:
@@ -69,7 +69,7 @@ def test_no_state_can_be_jumped_to():
     assert not hasattr(machine, "to_recording")
 
 
-def test_intent_is_told_before_the_work_and_the_outcome_after_it_even_when_it_fails():
+def test_intent_is_reported_before_the_work_and_the_outcome_after_it_even_if_it_fails():
     told = []
 
     def fail(*_, **__):
@@ -87,7 +87,7 @@ def test_intent_is_told_before_the_work_and_the_outcome_after_it_even_when_it_fa
     assert machine.state == "lighting"
 
 
-def test_a_state_whose_intent_cannot_be_told_is_not_entered():
+def test_a_state_whose_intent_cannot_be_journaled_is_not_entered():
     did = []
 
     class Full(Told):
@@ -101,7 +101,7 @@ def test_a_state_whose_intent_cannot_be_told_is_not_entered():
     assert did == []
 
 
-def test_an_outcome_that_cannot_be_told_is_an_error():
+def test_an_outcome_that_cannot_be_journaled_is_an_error():
     class Full(Told):
         def left_off(self, data):
             raise OSError("disk full")

@@ -1,4 +1,4 @@
-"""What a recording says against the uncertainty of its stars."""
+"""Recordings whose stars have correlated errors; the stored image."""
 
 import numpy as np
 import pytest
@@ -19,12 +19,12 @@ def facts(roll_deg: float, kind: str) -> dict:
 
 
 @pytest.mark.parametrize("roll_deg", [0.4, -2, 44, 46.5, 90, 181, -135])
-def test_edges_along_rows_or_diagonals_are_told(roll_deg):
+def test_edges_along_rows_or_diagonals_are_counted(roll_deg):
     assert aligned_poses([facts(roll_deg, "fired-per-edge"), facts(10, "fired-per-edge")]) == 1
 
 
 @pytest.mark.parametrize("roll_deg", [10, -10, 22.5, 35, 100, 170])
-def test_a_rolled_camera_is_as_it_should_be(roll_deg):
+def test_a_rolled_camera_is_not_counted(roll_deg):
     assert aligned_poses([facts(roll_deg, "fired-per-edge")]) == 0
 
 
@@ -36,7 +36,7 @@ def test_recordings_without_stars_are_left_out():
     assert aligned_poses([{"image": {"kind": "last-polarity"}}, {}]) == 0
 
 
-def test_a_picture_is_kept_small_and_without_loss():
+def test_a_stored_image_is_small_and_lossless():
     image = np.zeros((720, 1280), np.float32)
     image[::9, ::7] = np.random.default_rng(1).uniform(0, 40, image[::9, ::7].shape)
     picture = StoredImage.from_image(image)

@@ -1,4 +1,4 @@
-"""Which steps a run still has to do, what they stand on, and which poses are left alone."""
+"""Which steps a resumed run still has to do, what they depend on, and which poses are skipped."""
 
 from datetime import UTC, datetime
 
@@ -33,7 +33,7 @@ def numbers(found):
     return [step.number for step in found]
 
 
-def test_a_run_from_the_begin_has_every_step_to_do(steps):
+def test_a_new_run_has_every_step_to_do(steps):
     assert numbers(remaining_steps(steps, [])) == numbers(steps)
 
 
@@ -42,16 +42,16 @@ def test_a_run_from_the_begin_has_every_step_to_do(steps):
     [(6, [5, 6, 7]), (5, [5, 6]), (7, [8]), (4, [5])],
     ids=["recording", "settling", "moving", "moved"],
 )
-def test_what_a_step_stands_on_is_done_again(steps, done, first):
+def test_what_a_step_depends_on_is_repeated(steps, done, first):
     assert numbers(remaining_steps(steps, range(1, done + 1)))[: len(first)] == first
 
 
-def test_a_report_stands_on_the_solution(steps):
+def test_a_report_depends_on_the_solution(steps):
     done = {0, *range(1, 13)}
     assert [type(s) for s in remaining_steps(steps, done)] == [SolveStep, ReportStep]
 
 
-def test_a_recording_stands_on_its_move_and_a_move_on_nothing(steps):
+def test_a_recording_depends_on_its_move_and_a_move_on_nothing(steps):
     by_number = {step.number: step for step in steps}
     assert [type(s) for s in steps_to_repeat(steps, by_number[7])] == [MoveStep, SettleStep]
     assert [type(s) for s in steps_to_repeat(steps, by_number[6])] == [MoveStep]
@@ -59,11 +59,11 @@ def test_a_recording_stands_on_its_move_and_a_move_on_nothing(steps):
     assert steps_to_repeat(steps, by_number[11]) == []
 
 
-def test_a_pose_is_its_move_its_settling_and_its_recording(steps):
+def test_a_pose_consists_of_move_settling_and_recording(steps):
     assert numbers(steps_of_pose(steps, 2)) == [5, 6, 7]
 
 
-def test_a_move_on_which_two_recordings_stand_is_not_left_out_with_one(steps):
+def test_a_move_for_two_recordings_is_not_skipped_with_one_of_them(steps):
     twice = (*steps[:4], RecordStep(**{**vars(steps[3]), "number": 99, "pose": steps[6].pose}), *steps[4:6])
     assert numbers(steps_of_pose(twice, 1)) == [4]
 
@@ -113,7 +113,7 @@ def test_crashes_count_against_the_pose_at_work_and_kills_do_not(tmp_path, lines
     assert lived(tmp_path, *lines).crashes == crashes
 
 
-def test_one_crash_is_allowed_and_the_second_is_one_too_many(tmp_path):
+def test_one_crash_at_a_pose_is_allowed_and_two_are_not(tmp_path):
     assert poses_crashed_too_often(History(crashes={2: 1})) == {}
     assert "crashed 2 times" in poses_crashed_too_often(History(crashes={2: 2}))[2]
     assert poses_crashed_too_often(History(crashes={2: 2}, skipped={2: "so"})) == {}
@@ -122,7 +122,7 @@ def test_one_crash_is_allowed_and_the_second_is_one_too_many(tmp_path):
 # ---------------------------------------------------------------- what resuming says first
 
 
-def test_resuming_says_what_stays_what_is_recorded_and_what_is_skipped(job):
+def test_resuming_states_what_is_kept_recorded_and_skipped(job):
     history = History(done_steps={1, 2, 3, 4, 5}, at_pose=2, crashes={2: 1}, to_skip={3: "ada"})
     said = "\n".join(intentions(job, history, "Fatal Python error: Aborted"))
     assert "Fatal Python error: Aborted" in said
@@ -133,7 +133,7 @@ def test_resuming_says_what_stays_what_is_recorded_and_what_is_skipped(job):
     assert history.crashes == {2: 1}
 
 
-def test_resuming_names_each_pose_to_record_and_the_move_done_again(job):
+def test_resuming_names_each_pose_to_record_and_the_repeated_move(job):
     said = intentions(job, History(done_steps={1, 2, 3, 4, 5}), None)
     assert "killed or power lost" in said[0]
     assert "Record pose 2 (right)." in said

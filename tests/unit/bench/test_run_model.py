@@ -270,7 +270,7 @@ Life.TestCase.settings = settings(
 TestLife = Life.TestCase
 
 
-def test_the_lives_above_ended_in_every_way():
+def test_the_random_runs_ended_in_every_way():
     assert {"finished", "aborted", "failed", "died"} <= set(ENDS)
     assert {("holding", "lighting"), ("recovering", "preflight")} <= TAKEN
     assert {("slewing", "holding"), ("settling", "holding"), ("recording", "holding")} & TAKEN

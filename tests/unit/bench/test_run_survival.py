@@ -1,4 +1,4 @@
-"""Whatever a journal was cut off at, whatever the disk or the clock does in the midst of a run: it goes on, or says why not."""
+"""A run survives any truncation of its journal, any fault of the disk and any change of the clock, or reports why not."""
 
 import errno
 import os
@@ -32,7 +32,7 @@ def lived(tmp_path):
     return scene, (scene.folder / "journal.jsonl").read_bytes()
 
 
-def test_every_prefix_of_a_journal_reads_as_its_whole_lines_and_says_what_comes_next(lived):
+def test_every_prefix_of_a_journal_is_read_as_its_complete_lines(lived):
     scene, data = lived
     path, ends = scene.folder / "journal.jsonl", [i + 1 for i, byte in enumerate(data) if byte == ord("\n")]
     entries, _ = read_journal(path)
@@ -57,7 +57,7 @@ def next_of(scene, entries):
     return " ".join(intentions(scene.task, replay(entries), None))
 
 
-def test_a_run_cut_off_after_any_line_goes_on_to_the_same_end(lived, tmp_path):
+def test_a_run_interrupted_after_any_line_resumes_to_the_same_end(lived, tmp_path):
     scene, data = lived
     lines = data.splitlines(keepends=True)
     for count in range(1, len(lines)):
@@ -79,7 +79,7 @@ def test_a_run_cut_off_after_any_line_goes_on_to_the_same_end(lived, tmp_path):
 
 
 @pytest.mark.parametrize("hours", [-5, 5])
-def test_a_clock_that_is_set_is_told_and_changes_nothing_else(tmp_path, monkeypatch, hours):
+def test_a_changed_system_clock_is_reported_and_changes_nothing_else(tmp_path, monkeypatch, hours):
     scene = Scene(tmp_path)
     utc_now = VirtualClock.utc_now
     set_by = [timedelta()]
@@ -105,7 +105,7 @@ def test_a_clock_that_is_set_is_told_and_changes_nothing_else(tmp_path, monkeypa
 @pytest.mark.slow
 @pytest.mark.parametrize("call", ["fsync", "write"])
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC], ids=errno.errorcode.get)
-def test_a_disk_that_refuses_any_one_call_ends_the_run_dark_and_told_and_it_goes_on(
+def test_a_disk_that_fails_in_any_call_ends_the_run_safely_and_it_can_be_resumed(
     tmp_path, monkeypatch, call, number
 ):
     ends = set()

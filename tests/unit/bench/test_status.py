@@ -1,4 +1,4 @@
-"""How a run stands, told from its folder alone."""
+"""Status of a run, read from its folder alone."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -51,7 +51,7 @@ def run(tmp_path, planned):
     run.die()
 
 
-def test_a_run_under_way_tells_state_pose_and_time_left(run, planned):
+def test_a_running_run_shows_state_pose_and_time_left(run, planned):
     run.tell(Event.ENTERING, state="recording", pose=2)
     status = run.status(after_s=3.0)
     assert status.running
@@ -62,13 +62,13 @@ def test_a_run_under_way_tells_state_pose_and_time_left(run, planned):
     assert "starbench abort" in status.advice
 
 
-def test_what_is_done_is_no_longer_expected_to_take_time(run, planned):
+def test_steps_that_are_done_take_no_more_time(run, planned):
     run.tell(Event.STEP_DONE, step=4)
     done = next(s["done_after_s"] for s in planned["steps"] if s["number"] == 4)
     assert run.status().left_s == pytest.approx(planned["duration_s"] - done, abs=0.1)
 
 
-def test_a_held_run_says_by_whom_and_its_time_stands_still(run, planned):
+def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run, planned):
     run.tell(Event.COMMANDED, id="x", word="hold", by="ada@lab", taken=True, why="")
     status = run.status(after_s=1000.0)
     assert status.held_by == "ada@lab"
@@ -77,7 +77,7 @@ def test_a_held_run_says_by_whom_and_its_time_stands_still(run, planned):
     assert "starbench release" in status.advice
 
 
-def test_a_run_that_was_killed_is_not_running_and_nobody_holds_it(run):
+def test_a_killed_run_is_not_running_and_not_held(run):
     run.tell(Event.COMMANDED, id="x", word="hold", by="ada@lab", taken=True, why="")
     run.tell(Event.ENTERING, state="slewing", pose=1)
     run.die()
@@ -87,13 +87,13 @@ def test_a_run_that_was_killed_is_not_running_and_nobody_holds_it(run):
     assert "starbench resume" in status.advice
 
 
-def test_a_run_that_failed_says_why(run):
+def test_a_failed_run_shows_the_reason(run):
     run.tell(Event.RUN_ENDED, how="failed", why="the lamp is broken")
     run.die()
     assert "failed: the lamp is broken" in status_text(run.status())
 
 
-def test_the_last_lines_are_told_in_words(run):
+def test_the_last_lines_are_shown_as_text(run):
     run.tell(Event.ENTERING, state="checking", pose=1)
     run.tell(Event.LEFT_OFF, state="checking")
     run.tell(Event.CAPTURE_STORED, pose=1, pose_name="left", attempt=1, capture="captures/a.raw")
@@ -113,7 +113,7 @@ def test_the_last_lines_are_told_in_words(run):
 @pytest.mark.parametrize(
     ("how", "why", "told"), [("finished", "", "finished"), ("failed", "the lamp", "failed: the lamp")]
 )
-def test_the_end_is_told_once(run, how, why, told):
+def test_the_end_is_shown_once(run, how, why, told):
     run.tell(Event.ENTERING, state="reporting", pose=None)
     run.tell(Event.ENTERING, state=how, pose=None)
     run.tell(Event.RUN_ENDED, how=how, why=why)

@@ -36,7 +36,7 @@ def measurement_of(view):
 
 
 @given(st.lists(st.integers(4, 20), max_size=12), st.text(min_size=1).filter(lambda text: "\0" not in text))
-def test_views_residuals_and_pictures_come_back_bit_for_bit(tmp_path_factory, stars, name):
+def test_views_residuals_and_images_are_read_back_bit_for_bit(tmp_path_factory, stars, name):
     name = name.encode("utf-8", "replace").decode()
     views = [view_of(f"{name} {number}", count) for number, count in enumerate(stars)]
     measurements = [measurement_of(view) for view in views]

@@ -1,4 +1,4 @@
-"""Virtual devices: they take the time that real ones would, refuse what real ones would, and say what they are."""
+"""Virtual devices take the time and refuse the commands that real devices would."""
 
 from datetime import UTC, datetime
 
@@ -31,7 +31,7 @@ def devices(clock, simulation=b"simulation: {}", seed=1):
     return VirtualDevices(station(simulation), seed=seed, clock=clock)
 
 
-def test_a_move_takes_its_distance_over_its_speed_and_ends_where_it_was_sent(clock):
+def test_a_move_takes_distance_over_speed_and_ends_at_its_target(clock):
     stage = devices(clock).stage
     stage.home()
     begin_s = clock.monotonic()
@@ -41,7 +41,7 @@ def test_a_move_takes_its_distance_over_its_speed_and_ends_where_it_was_sent(clo
     assert stage.move_duration_s({"pan": 6.0, "tilt": 1.0}, {"pan": 5.0}) == travel_s(1.0, 40, 200)
 
 
-def test_nothing_moves_without_a_reference_or_beyond_a_limit(clock):
+def test_nothing_moves_before_homing_or_beyond_a_limit(clock):
     stage = devices(clock).stage
     assert not stage.is_homed()
     with pytest.raises(NotHomed):
@@ -53,7 +53,7 @@ def test_nothing_moves_without_a_reference_or_beyond_a_limit(clock):
     assert (stage.position_deg(), clock.monotonic()) == ({"pan": 0.0, "tilt": 0.0}, before_s)
 
 
-def test_a_recording_takes_its_duration_and_holds_the_stars_it_says(clock, tmp_path):
+def test_a_recording_takes_its_duration_and_holds_its_stars(clock, tmp_path):
     held = devices(clock)
     held.stage.home()
     held.light.apply(LightSettings(frequency_hz=100.0))
@@ -76,26 +76,26 @@ def test_a_recording_in_the_dark_has_no_sync_edges(clock, tmp_path):
     assert held.camera.record(tmp_path / "r", 0.05).triggers == 0
 
 
-def test_a_rehearsed_mishap_is_the_error_a_camera_gives(clock, tmp_path):
+def test_a_rehearsed_fault_raises_the_error_of_a_camera(clock, tmp_path):
     held = devices(clock, b"simulation: {rehearsal: {lost_share: 1}}")
     held.stage.home()
     with pytest.raises(RecordingFailed, match="rehearsed fault"):
         held.camera.record(tmp_path / "r", 0.05)
 
 
-def test_another_camera_than_the_stations_is_refused_at_opening(clock):
+def test_a_camera_other_than_the_station_s_is_refused_at_opening(clock):
     with pytest.raises(WrongDevice, match="the camera has 7"):
         devices(clock, b"simulation: {camera_serial: '7'}")
 
 
-def test_a_station_of_real_devices_is_rehearsed_by_what_it_expects(clock):
+def test_a_station_of_real_devices_is_rehearsed_by_its_expected_section(clock):
     real = load_station("example_evk4").value
     held = VirtualDevices(real, seed=1, clock=clock)
     assert held.truth()["camera"]["fx"] == real.expected.focal_px
     assert held.camera.identify().serial == "00051234"
 
 
-def test_making_it_safe_asks_nothing_of_anybody_and_a_stop_ends_a_wait(clock):
+def test_virtual_devices_are_made_safe_and_a_stop_ends_a_wait(clock):
     held = devices(clock)
     assert held.make_safe() == []
     clock.request_stop("enough")
