@@ -1,4 +1,4 @@
-"""The simulated bench as a process: its ports, its truth, its end, and one world behind all devices."""
+"""The simulated bench as a process: its ports, its truth file, its end, and one world behind all devices."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def ask(line: serial.Serial, request: str) -> str:
     return line.read_until(b"\n").decode().strip()
 
 
-def test_one_line_tells_where_everything_is_and_the_end_of_input_ends_it(tmp_path):
+def test_one_line_gives_all_addresses_and_the_end_of_input_ends_the_bench(tmp_path):
     config = tmp_path / "config.json"
     config.write_text(json.dumps({"collimator": {"r": 700.0}, "light": {"serial": "SG7"}}))
     process = start(tmp_path / "ports", "--config", str(config), "--seed", "5")
@@ -58,7 +58,7 @@ def test_one_line_tells_where_everything_is_and_the_end_of_input_ends_it(tmp_pat
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_it_and_takes_the_ports_away(tmp_path, number):
+def test_a_signal_ends_the_bench_and_removes_its_ports(tmp_path, number):
     process = start(tmp_path, until_eof=False)
     said = json.loads(process.stdout.readline())
     process.send_signal(number)
@@ -67,7 +67,7 @@ def test_a_signal_ends_it_and_takes_the_ports_away(tmp_path, number):
     assert not os.path.lexists(said["endpoints"]["gimbal"])
 
 
-def test_it_lives_in_the_background_of_a_terminal(tmp_path):
+def test_the_bench_runs_in_the_background_of_a_terminal(tmp_path):
     master, slave = os.openpty()
     # A session's leader that opens a terminal has it as its own: a shell with job control, as an operator types into.
     script = (
@@ -102,7 +102,7 @@ def test_ports_left_behind_by_a_killed_bench_are_taken_over(tmp_path):
         ("[1]", "Expected a JSON object of sections."),
     ],
 )
-def test_a_configuration_that_cannot_be_ends_in_one_line(tmp_path, capsys, monkeypatch, config, said):
+def test_an_invalid_configuration_ends_in_one_line(tmp_path, capsys, monkeypatch, config, said):
     monkeypatch.setattr(signal, "signal", lambda _number, _handler: None)
     path = tmp_path / "config.json"
     path.write_text(config)
@@ -137,13 +137,13 @@ def test_a_configuration_that_cannot_be_ends_in_one_line(tmp_path, capsys, monke
         ({"faults": [{"device": "pan", "fault": "hiccup"}]}, "faults[0].fault"),
     ],
 )
-def test_a_fault_of_the_configuration_names_its_key(given, where):
+def test_an_invalid_configuration_names_its_key(given, where):
     with pytest.raises(ConfigError) as caught:
         bench_config(given)
     assert caught.value.where == where
 
 
-def test_a_named_axis_keeps_the_defaults_of_what_is_not_said():
+def test_a_named_axis_keeps_the_defaults_of_missing_keys():
     axes = bench_config({"stage": {"pan": {"limit_deg": 5}}}).axes
     assert list(axes) == ["pan"]
     assert axes["pan"].limit_deg == 5.0
@@ -212,7 +212,7 @@ def test_faults_of_the_configuration_happen(tmp_path):
             assert time.monotonic() < deadline
 
 
-def test_what_the_ports_are_told_happens_in_the_world(tmp_path):
+def test_commands_at_the_ports_change_the_world(tmp_path):
     with (
         Bench(tmp_path, bench_config({"paced": False})) as bench,
         serial.Serial(bench.endpoints["gimbal"], 115_200, timeout=5.0) as gimbal,

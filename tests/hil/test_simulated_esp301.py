@@ -1,4 +1,4 @@
-"""The simulated Newport ESP301, asked by a client nobody here wrote, and line by line."""
+"""The simulated Newport ESP301, driven by an independent client, and line by line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def models() -> list[EspAxisModel]:
 
 
 class Controller:
-    """The controller on a clock that the test turns."""
+    """The controller on a clock that the test advances."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -50,7 +50,7 @@ def homed(controller: Controller) -> Controller:
     return controller
 
 
-def test_a_client_nobody_here_wrote_homes_moves_and_reads(tmp_path):
+def test_an_independent_client_homes_moves_and_reads(tmp_path):
     newport = pytest.importorskip("pymeasure.instruments.newport", reason="pymeasure is not installed")
     adapters = pytest.importorskip("pymeasure.adapters")
     with SerialDevice(PseudoTerminal(tmp_path / "stage"), EspController(models(), time.monotonic)) as device:
@@ -118,13 +118,13 @@ def test_a_refusal_is_silent_and_waits_in_the_queue(controller: Controller, line
     assert controller.say("TE?") == ["0"]
 
 
-def test_the_queue_tells_its_errors_in_words_too(controller: Controller):
+def test_the_queue_gives_its_errors_as_text_too(controller: Controller):
     controller.say("1PA5")
     assert controller.say("TB?") == ["113, 0, MOTOR NOT ENABLED"]
     assert controller.say("TB?") == ["0, 0, NO ERROR DETECTED"]
 
 
-def test_a_move_is_done_when_it_says_so(homed: Controller):
+def test_a_move_has_ended_when_it_is_reported_done(homed: Controller):
     homed.say("1PA3.5")
     homed.wait(0.1)
     assert homed.say("1MD?;1PA?") == ["0", "3.50000"]
@@ -133,7 +133,7 @@ def test_a_move_is_done_when_it_says_so(homed: Controller):
     assert homed.device.axes[1].axis.pointing.angle_deg(homed.now_s) == 3.5
 
 
-def test_a_wait_holds_the_commands_behind_it_back(homed: Controller):
+def test_a_wait_delays_the_commands_after_it(homed: Controller):
     assert homed.say("1PR2;1WS0;1TP") == []
     assert homed.wait() == ["2.00000"]
 
@@ -160,7 +160,7 @@ def test_stop_without_an_axis_stops_all(homed: Controller):
     assert done == ["1", "1", "1"]
 
 
-def test_the_status_character_tells_who_moves(homed: Controller):
+def test_the_status_character_shows_which_axes_move(homed: Controller):
     assert homed.say("TS") == [chr(0x50)]
     homed.say("2PA10")
     assert homed.say("TS") == [chr(0x52)]
@@ -190,6 +190,6 @@ def test_an_emergency_stop_switches_all_off_until_released(homed: Controller):
     assert homed.say("1MO;1MO?") == ["1"]
 
 
-def test_the_position_may_be_called_otherwise(homed: Controller):
+def test_the_position_can_be_redefined(homed: Controller):
     homed.say("1DH2.5")
     assert homed.say("1TP;1PA?") == ["2.50000", "2.50000"]

@@ -1,4 +1,4 @@
-"""The simulated EVK4 over its socket: commands, refusals, and what it says when something is amiss."""
+"""The simulated EVK4 over its socket: commands, refusals and notifications."""
 
 import json
 import select
@@ -23,7 +23,7 @@ def camera():
     camera.close()
 
 
-def test_the_camera_says_its_serial_number_sensor_format_and_size(camera):
+def test_the_camera_reports_its_serial_number_sensor_format_and_size(camera):
     with Host(camera) as host:
         answer = host.ask("identify")
     assert answer["ok"]
@@ -32,7 +32,7 @@ def test_the_camera_says_its_serial_number_sensor_format_and_size(camera):
     assert (answer["width"], answer["height"]) == (320, 180)
 
 
-def test_it_says_that_it_computes_while_a_frame_takes_long_and_only_then(camera, monkeypatch):
+def test_the_camera_reports_that_it_computes_only_while_a_frame_takes_long(camera, monkeypatch):
     compute, go_on = SensorStream.next_frame, threading.Event()
     monkeypatch.setattr(SensorStream, "next_frame", lambda self: (go_on.wait(60), compute(self))[1])
     with Host(camera) as host:
@@ -44,7 +44,7 @@ def test_it_says_that_it_computes_while_a_frame_takes_long_and_only_then(camera,
         assert host.ask("stop")["ok"]
 
 
-def test_it_says_nothing_where_its_words_are_lost_on_the_way(camera):
+def test_the_camera_reports_nothing_while_its_stream_is_silenced(camera):
     with Host(camera) as host:
         host.record(1)  # all that is to be compiled is
         camera.stream_faults.inject(StreamFault("silence"))
@@ -84,7 +84,7 @@ def test_settings_are_held_and_forgotten_at_the_next_connect(camera):
         ({"cmd": "stop", "frames": True}, "bad_value"),
     ],
 )
-def test_what_the_camera_cannot_do_is_refused_with_a_code_and_a_message(camera, request_, code):
+def test_an_invalid_request_is_refused_with_a_code_and_a_message(camera, request_, code):
     with Host(camera) as host:
         answer = host.ask(**request_)
         assert (answer["ok"], answer["error"]) == (False, code)
@@ -142,7 +142,7 @@ def test_a_fault_reaches_the_host(camera):
     assert json.loads(payload) == {"event": "fault", "message": "over temperature"}
 
 
-def test_a_world_that_cannot_be_drawn_is_told_to_the_host():
+def test_a_world_that_cannot_be_drawn_is_reported_to_the_host():
     camera = SimulatedEvk4(World(truth_from_config({"camera": {"k1": -50.0}})), paced=False)
     camera.start()
     with Host(camera) as host:

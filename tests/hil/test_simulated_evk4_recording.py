@@ -26,7 +26,7 @@ SETTINGS = CameraSettings({"bias_diff_on": 5})
 
 @contextmanager
 def bench(light, clock=None):
-    """A simulated camera under that light, as the driver sees it, and its address."""
+    """A driver connected to a simulated camera under that light, and the camera's address."""
     world = World(truth_from_config({}), seed=1)
     world.set_light(light)
     simulated = SimulatedEvk4(world, paced=False)
@@ -52,7 +52,7 @@ def record_flicker(path):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A recording of a 60 Hz flicker: its file and what the driver said of it."""
+    """A recording of a 60 Hz flicker: its file and the driver's facts."""
     path = tmp_path_factory.mktemp("recorded") / "pose.raw"
     return path, record_flicker(path)
 
@@ -102,7 +102,7 @@ def test_the_same_seed_gives_the_same_file(recorded, tmp_path):
 
 
 class LateClock(SystemClock):
-    """A computer that is always busy with something else."""
+    """The clock of a busy computer: each sleep takes longer."""
 
     def sleep(self, duration_s):
         super().sleep(duration_s + 0.002)
@@ -134,18 +134,18 @@ def test_a_recording_over_the_wrap_of_the_clock_is_read_as_any_other(tmp_path):
         return facts, *RawFile.open(path).read(), measured(path)
 
     before_us = 819 * 102_400  # 20 ms before the fifth wrap
-    told_us = before_us % (1 << 24)
+    wrapped_us = before_us % (1 << 24)
     facts, events, triggers, found = recorded_at(0)
     later_facts, later, later_triggers, later_found = recorded_at(before_us - 1)
     assert later.t[0] < 1 << 24 < later.t[-1]
     assert (np.diff(later.t) >= 0).all()
     assert later_facts == facts
-    np.testing.assert_array_equal(later.t - told_us, events.t)
-    np.testing.assert_array_equal(later_triggers.t - told_us, triggers.t)
+    np.testing.assert_array_equal(later.t - wrapped_us, events.t)
+    np.testing.assert_array_equal(later_triggers.t - wrapped_us, triggers.t)
     # to the last digit: a run that was interrupted ends as one that was not, whatever the clock said
     assert np.array_equal(later_found.view.points_px, found.view.points_px)
     begin_us, end_us = found.facts["image"].pop("window_us")
-    assert later_found.facts["image"].pop("window_us") == [told_us + begin_us, told_us + end_us]
+    assert later_found.facts["image"].pop("window_us") == [wrapped_us + begin_us, wrapped_us + end_us]
     assert later_found.facts == found.facts
 
 
@@ -164,12 +164,12 @@ def test_a_bias_out_of_range_is_refused_by_the_camera(dark):
         dark[0].apply(CameraSettings({"bias_fo": 500}))
 
 
-def test_a_second_host_is_told_that_the_camera_is_held(dark):
+def test_a_second_host_is_refused_while_the_camera_is_held(dark):
     with pytest.raises(CameraError, match="Another host"):
         SimulatedEvk4Camera.open(dark[1], clock=SystemClock(), utc_now=lambda: NOW)
 
 
-def test_a_camera_that_falls_silent_is_noticed(tmp_path):
+def test_a_silent_camera_is_noticed(tmp_path):
     simulated = SimulatedEvk4(World(truth_from_config({}), seed=1), paced=False)
     simulated.start()
     camera = SimulatedEvk4Camera.open(simulated.address, clock=SystemClock(), utc_now=lambda: NOW)
@@ -185,7 +185,7 @@ def test_a_camera_that_falls_silent_is_noticed(tmp_path):
         simulated.close()
 
 
-def test_more_events_than_the_sensor_lets_through_are_told_by_its_counters_until_it_is_mended(tmp_path):
+def test_an_overflow_shows_in_the_counters_until_it_is_cleared(tmp_path):
     world = World(truth_from_config({}), seed=1)
     world.set_light(LightState(output=True, sync=True))
     simulated = SimulatedEvk4(world, paced=False)

@@ -1,4 +1,4 @@
-"""The stream of the simulated EVK4: its clock, its determinism, its triggers, and another's decoder on it."""
+"""The stream of the simulated EVK4: its clock, its determinism, its triggers, and an independent decoder."""
 
 import math
 import time
@@ -52,7 +52,7 @@ def test_a_recording_depends_on_seed_pose_settings_and_count_only():
 
 
 def began_us(words):
-    """Sensor time of the first words."""
+    """Return the sensor time of the first words."""
     high, low = np.frombuffer(words[:4], "<u2")
     assert (high >> 12, low >> 12) == (0x8, 0x6)
     return ((int(high) & 0xFFF) << 12) | (int(low) & 0xFFF)
@@ -67,7 +67,7 @@ def test_the_sensors_clock_goes_on_from_recording_to_recording(camera):
         assert began_us(host.record(1)) == 512_000
 
 
-def test_frames_that_the_host_has_thrown_away_are_as_if_never_made(camera):
+def test_frames_that_the_host_discards_do_not_advance_the_clock(camera):
     def begins(late_s):
         with Host(camera) as host:
             for _ in range(2):
@@ -103,7 +103,7 @@ def test_a_camera_that_was_without_power_begins_at_0(camera):
 @given(clock_us=st.integers(1, 1 << 26))
 @example(clock_us=(1 << 24) - 60_000)  # the clock wraps in its middle
 @settings(max_examples=6, deadline=None)
-def test_when_a_stream_is_taken_shows_in_the_upper_part_of_its_clock_alone(clock_us):
+def test_the_time_of_a_stream_changes_only_the_upper_bits_of_its_clock(clock_us):
     def taken(at_us):
         stream = SensorStream(bench(), CameraState(trigger_in=True), {}, at_us)
         return stream, np.concatenate([np.frombuffer(stream.next_frame(), "<u2") for _ in range(35)])

@@ -12,19 +12,19 @@ from simulators.world.world import LightState, World
 
 
 class Strobe:
-    """The controller on a clock that the test turns, with all it ever told the light."""
+    """The controller on a clock that the test advances, with all states that it gave the light."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
-        self.told: list[LightState] = []
-        self.device = GardasoftRt(lambda: self.now_s, self.told.append)
+        self.lights: list[LightState] = []
+        self.device = GardasoftRt(lambda: self.now_s, self.lights.append)
 
     def say(self, line: str) -> str:
         return self.device.receive(f"{line}\r".encode()).decode()
 
     @property
     def light(self) -> LightState:
-        return self.told[-1]
+        return self.lights[-1]
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def strobe() -> Strobe:
     return Strobe()
 
 
-def test_it_flickers_over_its_port(tmp_path):
+def test_the_light_flickers_by_commands_at_the_port(tmp_path):
     world = World()
     with (
         SerialDevice(PseudoTerminal(tmp_path / "light"), GardasoftRt(world.now_s, world.set_light)) as device,
@@ -100,7 +100,7 @@ def test_the_other_outputs_do_not_drive_the_light(strobe: Strobe):
     assert strobe.light == before
 
 
-def test_a_protection_switches_off_and_is_told_when_asked_for(strobe: Strobe):
+def test_a_protection_switches_off_and_is_reported_on_request(strobe: Strobe):
     strobe.say("RS1,100")
     strobe.device.trip(OVER_CURRENT)
     assert not strobe.light.output
@@ -110,7 +110,7 @@ def test_a_protection_switches_off_and_is_told_when_asked_for(strobe: Strobe):
     assert strobe.say("GR") == ">"
 
 
-def test_a_protection_is_told_unasked_when_that_is_wanted(strobe: Strobe):
+def test_a_protection_is_reported_unsolicited_if_enabled(strobe: Strobe):
     strobe.say("GT1")
     strobe.device.trip()
     assert strobe.device.unsolicited() == b"Evt1,130;\r\n"

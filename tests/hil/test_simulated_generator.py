@@ -1,4 +1,4 @@
-"""The simulated function generator, on its serial line and by its dialect."""
+"""The simulated function generator, on its serial line and by direct calls."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from simulators.world.world import LightState, World
 
 
 class Generator:
-    """The generator on a clock that the test turns, with all it ever told the light."""
+    """The generator on a clock that the test advances, with all states that it gave the light."""
 
     def __init__(self, **model) -> None:
         self.now_s = 100.0
-        self.told: list[LightState] = []
-        self.dialect = ScpiGenerator(GeneratorModel(**model), lambda: self.now_s, self.told.append)
+        self.lights: list[LightState] = []
+        self.dialect = ScpiGenerator(GeneratorModel(**model), lambda: self.now_s, self.lights.append)
 
     def say(self, *messages: str) -> str:
-        """Send messages; all that is answered."""
+        """Send messages and return all answers."""
         return "".join(self.dialect.receive(f"{message}\n".encode()).decode() for message in messages)
 
     @property
     def light(self) -> LightState:
-        return self.told[-1]
+        return self.lights[-1]
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_a_client_sets_reads_back_and_switches_over_the_serial_line(tmp_path):
     assert (state.low_v, state.high_v, state.output, state.sync) == (0.0, 4.0, True, True)
 
 
-def test_a_client_nobody_here_wrote_sets_and_reads(tmp_path):
+def test_an_independent_client_sets_and_reads(tmp_path):
     keysight = pytest.importorskip("pymeasure.instruments.keysight", reason="pymeasure is not installed")
     adapters = pytest.importorskip("pymeasure.adapters")
     world = World()
@@ -171,7 +171,7 @@ def test_the_error_queue_is_bounded_and_says_so(generator):
     assert errors[20].startswith("+0")
 
 
-def test_a_generator_without_error_queue_says_nothing():
+def test_a_generator_without_error_queue_does_not_answer_for_it():
     assert Generator(error_queue=False).say("SYST:ERR?") == ""
 
 
@@ -207,7 +207,7 @@ def test_a_message_in_pieces_is_one_message(generator):
 
 
 # ---------------------------------------------------------------- other makes
-def test_a_make_that_numbers_its_channels_says_on_and_off():
+def test_a_make_with_numbered_channels_answers_on_and_off():
     one = Generator(numbered_channels=True, maker="RIGOL TECHNOLOGIES", name="DG4062")
     one.say(":SOUR1:FUNC SQU", ":SOUR1:FREQ 60", ":OUTPUT1:STATE ON", ":OUTP1:SYNC OFF")
     assert one.say(":SOUR1:FREQ?") == "+6.0000000000000E+01\n"
@@ -218,7 +218,7 @@ def test_a_make_that_numbers_its_channels_says_on_and_off():
     assert one.say("SYST:ERR?").startswith("-113,")
 
 
-def test_one_without_numbers_does_not_know_them(generator):
+def test_a_make_without_numbered_channels_refuses_numbers(generator):
     generator.say(":SOUR1:FREQ 60")
     assert generator.say("SYST:ERR?").startswith("-113,")
 
@@ -226,11 +226,11 @@ def test_one_without_numbers_does_not_know_them(generator):
 @pytest.fixture
 def siglent() -> Generator:
     one = Generator()
-    one.dialect = SiglentGenerator("SDG1", lambda: one.now_s, one.told.append)
+    one.dialect = SiglentGenerator("SDG1", lambda: one.now_s, one.lights.append)
     return one
 
 
-def test_a_siglent_sets_many_values_at_once_and_tells_them_all(siglent):
+def test_a_siglent_sets_several_values_at_once_and_reports_all(siglent):
     assert (
         siglent.say("C1:OUTP LOAD,HZ", "C1:BSWV WVTP,SQUARE,FRQ,60HZ,HLEV,4V,LLEV,0V,DUTY,30", "C1:OUTP ON")
         == ""
@@ -244,7 +244,7 @@ def test_a_siglent_sets_many_values_at_once_and_tells_them_all(siglent):
     assert (siglent.light.frequency_hz, siglent.light.high_v, siglent.light.output) == (60.0, 4.0, True)
 
 
-def test_a_siglent_holds_and_passes_over_without_a_word(siglent):
+def test_a_siglent_clips_values_and_ignores_invalid_ones_silently(siglent):
     assert (
         siglent.say("C1:BSWV WVTP,SQUARE,DUTY,5", "C1:BSWV FRQ,fast", "C1:NONSENSE 5", "hello", "SYST:ERR?")
         == ""
@@ -254,7 +254,7 @@ def test_a_siglent_holds_and_passes_over_without_a_word(siglent):
     assert siglent.say("C1:BSWV?").startswith("C1:BSWV WVTP,SINE,FRQ,1000HZ,")
 
 
-def test_an_overload_switches_the_output_off_without_a_word(generator):
+def test_an_overload_switches_the_output_off_silently(generator):
     generator.say("OUTP ON")
     generator.dialect.trip()
     assert not generator.light.output

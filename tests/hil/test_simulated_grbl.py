@@ -42,7 +42,7 @@ def models() -> dict[str, GrblAxisModel]:
 
 
 class Board:
-    """The controller on a clock that the test turns in steps, as its own port would."""
+    """The controller on a clock that the test advances in steps, as its own port would."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -84,7 +84,7 @@ def homed(board: Board) -> Board:
 
 
 # ---------------------------------------------------------------- states
-def test_it_wakes_up_locked_and_says_so(board: Board):
+def test_the_board_starts_locked_and_reports_it(board: Board):
     assert board.greeting == BANNER + LOCKED
     assert board.report()[0] == "Alarm"
     assert board.say("G0 X-5") == "error:9\r\n"
@@ -217,7 +217,7 @@ def test_a_jog_is_cancelled_without_an_alarm(homed: Board):
         ("", "ok"),
     ],
 )
-def test_a_line_that_cannot_be_is_refused_by_number(homed: Board, line: str, answer: str):
+def test_an_invalid_line_is_refused_by_number(homed: Board, line: str, answer: str):
     assert homed.say(line) == answer + "\r\n"
     assert homed.report() == ("Idle", -1.0, -1.0)
 
@@ -257,7 +257,7 @@ def test_a_limit_switch_is_an_alarm(homed: Board):
     assert homed.report()[0] == "Alarm"
 
 
-def test_a_stall_is_noticed_by_nobody(homed: Board):
+def test_a_stall_is_not_detected(homed: Board):
     homed.device.axes["X"].arm(MotionFault("stall"))
     homed.say("G0 X-21")
     homed.wait()
@@ -283,7 +283,7 @@ def test_a_stop_button_holds_the_board_in_reset(homed: Board):
 
 
 # ---------------------------------------------------------------- the line
-def test_it_answers_on_its_port(tmp_path):
+def test_the_board_answers_on_its_port(tmp_path):
     controller = GrblController(models(), time.monotonic)
     controller.unsolicited()  # the greeting, which nobody hears
     with (

@@ -1,4 +1,4 @@
-"""The simulated XIMC controller, asked by the maker's own library and byte by byte."""
+"""The simulated XIMC controller, driven by the maker's own library, and byte by byte."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class Status(tuple):
 
 
 class Controller:
-    """The controller on a clock that the test turns."""
+    """The controller on a clock that the test advances."""
 
     def __init__(self, **changes) -> None:
         self.now_s = 0.0
         self.device = XimcController(model(**changes), lambda: self.now_s)
 
     def ask(self, letters: bytes, data: bytes = b"") -> bytes:
-        """Send a command; the data of its answer, whose CRC is checked."""
+        """Send a command, check the CRC of its answer, and return the answer's data."""
         answer = self.device.receive(letters + (data + struct.pack("<H", crc16(data)) if data else b""))
         assert answer[:4] == letters
         content = answer[4:]

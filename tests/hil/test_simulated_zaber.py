@@ -1,4 +1,4 @@
-"""The simulated Zaber gimbal, asked by the maker's own client and byte by byte."""
+"""The simulated Zaber gimbal, driven by the maker's own client, and byte by byte."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def controller(
 
 
 class Gimbal:
-    """Two chained controllers on a clock that the test turns."""
+    """Two chained controllers on a clock that the test advances."""
 
     def __init__(self, **changes) -> None:
         self.now_s = 0.0
@@ -41,7 +41,7 @@ class Gimbal:
         self.chain = ZaberChain([self.pan, self.tilt], lambda: self.now_s)
 
     def ask(self, body: str) -> list[str]:
-        """Send a request with its checksum; replies without theirs, which are checked."""
+        """Send a request with its checksum; check the checksums of the replies and return the replies without them."""
         answer = self.chain.receive(f"/{body}:{checksum(body)}\n".encode())
         replies = []
         for line in answer.decode().split("\r\n")[:-1]:
@@ -154,7 +154,9 @@ def test_the_makers_client_sees_a_move_interrupted_by_another(port: SerialDevice
         ("1 1 08 tools parking sell", ["@01 1 08 RJ IDLE WR BADCOMMAND"]),
     ],
 )
-def test_a_request_is_answered_as_the_protocol_has_it(gimbal: Gimbal, request_body: str, replies: list[str]):
+def test_a_request_is_answered_as_the_protocol_specifies(
+    gimbal: Gimbal, request_body: str, replies: list[str]
+):
     assert gimbal.ask(request_body) == replies
 
 
@@ -175,7 +177,7 @@ def test_without_a_checksum_setting_replies_end_bare(gimbal: Gimbal):
     assert gimbal.chain.receive(b"/1 0 02 set comm.checksum 0\n") == b"@01 0 02 OK IDLE WR 0\r\n"
 
 
-def test_homing_finds_the_sensor_and_takes_the_warning_down(gimbal: Gimbal):
+def test_homing_finds_the_sensor_and_clears_the_warning(gimbal: Gimbal):
     assert gimbal.pan.axis.pointing.angle_deg(0.0) == pytest.approx(2.4)
     assert gimbal.ask("1 1 01 home") == ["@01 1 01 OK BUSY WR 0"]
     gimbal.wait(0.05)
@@ -220,7 +222,7 @@ def test_speed_and_acceleration_settings_make_the_ramp(homed: Gimbal):
     assert homed.ask("1 1 06") == ["@01 1 06 OK IDLE -- 0"]
 
 
-def test_the_position_may_be_called_otherwise(homed: Gimbal):
+def test_the_position_can_be_redefined(homed: Gimbal):
     homed.ask("1 1 02 set pos 500")
     assert homed.ask("1 1 03 get pos") == ["@01 1 03 OK IDLE -- 500"]
     assert homed.ask("1 1 04 get encoder.pos") == ["@01 1 04 OK IDLE -- 500"]
@@ -251,7 +253,7 @@ def test_a_reset_is_followed_by_silence_and_a_lost_reference(homed: Gimbal):
     assert homed.ask("2 1 06 get pos") == ["@02 1 06 OK IDLE -- 0"]
 
 
-def test_alerts_come_unasked_when_they_are_wanted(homed: Gimbal):
+def test_alerts_are_sent_unsolicited_if_enabled(homed: Gimbal):
     homed.ask("1 1 02 move abs 100")
     homed.wait()
     assert homed.chain.unsolicited() == b""

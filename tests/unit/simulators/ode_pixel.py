@@ -1,4 +1,4 @@
-"""A pixel of an event sensor, solved in steps: slow, and independent of the simulator's closed forms and tables."""
+"""A pixel of an event sensor, solved in steps: slow, but independent of the simulator's closed forms and tables."""
 
 import numpy as np
 from numba import njit
@@ -54,7 +54,7 @@ def solve_step_by_step(
 
 @njit
 def _brightness(t, period, phase_us, shape, low, high, rising):
-    """Light at a moment; of a square, whether its high part lasts is told."""
+    """Return the light at a time; ``rising``: whether a square light is in its high part."""
     if shape == 0:
         return high if rising else low
     return 0.5 * (low + high) + 0.5 * (high - low) * np.sin(2.0 * np.pi * (t + phase_us) / period)
@@ -62,7 +62,7 @@ def _brightness(t, period, phase_us, shape, low, high, rising):
 
 @njit
 def _runge_kutta(u, t, h, q, ambient, light, wave):
-    """A step of du/dt = (1 - I u) / q, fourth order; u and its slope at the end."""
+    """Take a fourth-order Runge-Kutta step of du/dt = (1 - I u) / q; return u at its end, and the slopes at start and end."""
     period, phase_us, shape, low, high, rising = wave
     first = ambient + light * _brightness(t, period, phase_us, shape, low, high, rising)
     middle = ambient + light * _brightness(t + 0.5 * h, period, phase_us, shape, low, high, rising)
@@ -77,7 +77,7 @@ def _runge_kutta(u, t, h, q, ambient, light, wave):
 
 @njit
 def _within(s, h, before, slope, after, end_slope):
-    """Hermite's cubic at a share s of a step."""
+    """Return the Hermite cubic at a fraction s of a step."""
     r = 1.0 - s
     return r * r * ((1.0 + 2.0 * s) * before + s * h * slope) + s * s * (
         (1.0 + 2.0 * r) * after - r * h * end_slope

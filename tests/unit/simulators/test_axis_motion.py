@@ -1,4 +1,4 @@
-"""The physics of an axis: ramps that keep their bounds, a load that settles, a counter that can be wrong."""
+"""The motion of an axis: ramps within their bounds, a load that settles, and a counter that can be wrong."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_homing_again_has_no_reference_until_it_ends():
     assert one.referenced(30.0)
 
 
-def test_a_counter_called_otherwise_after_homing_stays_so():
+def test_a_counter_set_after_homing_keeps_its_value():
     one = homed_axis()
     one.set_counter(100.0, 20.0)
     assert one.counter(30.0) == 100.0
@@ -209,7 +209,7 @@ def test_a_motion_cut_short_is_noticed_once(kind):
     assert one.pointing.angle_deg(30.0) == pytest.approx(5.0, abs=1e-3)
 
 
-def test_a_motion_that_stops_short_tells_nobody():
+def test_a_motion_that_stops_short_raises_no_event():
     one = move_with(MotionFault("stop_short", share=0.75))
     assert one.take_event(30.0) is None
     assert not one.busy(20.4)
@@ -237,7 +237,7 @@ def test_creep_begins_after_arrival_and_never_settles():
     assert one.pointing.angle_deg(30.0) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_only_the_next_motion_goes_wrong():
+def test_a_fault_affects_the_next_motion_only():
     one = move_with(MotionFault("stop_short"))
     one.move_to(10.0 * SCALE, 30.0, SPEED, ACCELERATION)
     assert one.counter(40.0) == 10.0 * SCALE

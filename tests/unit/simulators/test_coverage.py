@@ -23,7 +23,7 @@ def areas(ring, columns=9, rows=6):
 
 
 def clipped_area(ring, left, top):
-    """Signed area of a ring inside a cell, by Sutherland and Hodgman's clipping: another way to it."""
+    """Signed area of a ring inside a cell, by an independent method: Sutherland-Hodgman clipping."""
     for axis, bound, side in ((0, left, 1), (0, left + 1, -1), (1, top, 1), (1, top + 1, -1)):
         kept = []
         for a, b in zip(ring, [*ring[1:], *ring[:1]], strict=True):

@@ -1,4 +1,4 @@
-"""Whatever a client says, a simulated device answers or is silent; it never falls over."""
+"""Whatever a client sends, a simulated device answers or is silent; it never raises."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NUMBERS = [
     b"-3.5",
 ]
 
-#: What each kind is told, apart from noise: words that mean something to it, to be strung together.
+#: Messages of each kind's protocol, which are joined at random, with noise between.
 WORDS: dict[str, list[bytes]] = {
     "zaber": [
         b"/1 1 ",

@@ -1,4 +1,4 @@
-"""The filters on the chip: what each leaves of a flicker."""
+"""The on-chip event filters: which events of a flicker each of them passes."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_afk_deletes_a_flicker_inside_its_band(frequency_hz, deleted):
     assert (late < 0.05) if deleted else (late > 0.95)
 
 
-def test_the_rate_controller_keeps_its_quota_and_tells_what_it_dropped():
+def test_the_rate_controller_keeps_its_quota_and_reports_all_that_entered():
     rng = np.random.default_rng(0)
     t = np.sort(rng.integers(0, 1000, 30_000))
     events = Events(t, *(rng.integers(0, 40, 30_000).astype(k) for k in (np.uint16, np.uint16, np.uint8)))

@@ -1,4 +1,4 @@
-"""EVT3 words: read back by a small reader of the tests' own, word by word."""
+"""EVT3 words: decoded word by word by a small reader that belongs to this test."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ DURATION_US = 6000
 
 
 def read(words):
-    """Decode in plain Python what the format says; returns events, triggers, counters and TIME_HIGH times."""
+    """Decode words in plain Python, from the format's description: events, triggers, counters and TIME_HIGH times."""
     events, triggers, counters, highs = [], [], {0x14: [], 0x16: []}, []
     high, low, y, base, polarity, fresh, loops = None, None, None, None, None, False, 0
     i = 0

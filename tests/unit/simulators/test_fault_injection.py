@@ -1,4 +1,4 @@
-"""An order reaches the part of the bench that it names, and no other."""
+"""An order for a fault reaches the part of the bench that it names, and no other."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from simulators.world.world import LightState
 
 
 class Port:
-    """A port that carries orders out at once, and remembers whether its cable is in."""
+    """A port that executes orders at once and stores whether its cable is plugged in."""
 
     def __init__(self) -> None:
         self.plugged = True
@@ -37,18 +37,18 @@ class Port:
 
 class Camera:
     def __init__(self) -> None:
-        self.told: list[str] = []
+        self.calls: list[str] = []
         self.stream_faults = StreamFaults()
 
     def unplug(self) -> None:
-        self.told.append("unplugged")
+        self.calls.append("unplugged")
 
     def report_fault(self, message: str) -> None:
-        self.told.append(message)
+        self.calls.append(message)
 
 
 class Bench:
-    """The parts of a bench without ports, on a clock that the test turns."""
+    """The parts of a bench without ports, on a clock that the test advances."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -96,7 +96,7 @@ def bench() -> Bench:
         ("exchange serial=5", "OK IDLE WR", "OK IDLE WR"),
     ],
 )
-def test_a_fault_of_an_axis_befalls_that_axis_alone(bench: Bench, fault, after_a_move, after_mending):
+def test_a_fault_of_an_axis_affects_that_axis_alone(bench: Bench, fault, after_a_move, after_mending):
     bench.order(f"pan {fault}")
     bench.say("/0 1 move abs 6400")
     bench.say("/0 1")
@@ -123,7 +123,7 @@ def test_a_fault_that_the_counter_does_not_see_shows_in_the_encoder(bench: Bench
     assert f" {encoder}:" in bench.say("/1 1 get encoder.pos")
 
 
-def test_a_mended_axis_forgets_what_was_to_come(bench: Bench):
+def test_a_mended_axis_has_no_faults_to_come(bench: Bench):
     for fault in ("stop_short", "idle_flicker times=100"):
         bench.order(f"pan {fault}")
     bench.order("pan mend")
@@ -154,10 +154,10 @@ def test_mending_the_light_mends_lamp_and_line(bench: Bench):
     assert not bench.shown[-1].output
 
 
-def test_the_camera_hears_of_its_faults(bench: Bench):
+def test_faults_of_the_camera_reach_it(bench: Bench):
     bench.order("camera unplug")
     bench.order("camera fault message='too hot'")
-    assert bench.camera.told == ["unplugged", "too hot"]
+    assert bench.camera.calls == ["unplugged", "too hot"]
     bench.order("camera frames_lost skip=1 count=2")
     assert [bench.camera.stream_faults.apply(b"ab") for _ in range(4)] == [b"ab", b"", b"", b"ab"]
     bench.order("camera overflow")
@@ -222,7 +222,7 @@ def test_every_fault_of_the_catalogue_can_be_ordered_and_mended(bench: Bench, te
 
 
 @pytest.mark.parametrize(("fault", "plugged", "flag"), [("unplug", False, "--"), ("press_stop", True, "FH")])
-def test_something_from_outside_happens_in_mid_move(bench: Bench, fault, plugged, flag):
+def test_a_fault_from_outside_happens_during_a_move(bench: Bench, fault, plugged, flag):
     bench.order(f"pan {fault}")
     bench.parts.lines["gimbal"].receive(b"/1 1 move abs 6400\n")
     assert bench.ports["gimbal"].plugged

@@ -1,4 +1,4 @@
-"""Orders for faults, as they are written; and the lamp, which can fail behind its driver's back."""
+"""Parsing of orders for faults, and faults of the lamp that its driver does not notice."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ LIT = LightState(low_v=0.0, high_v=5.0, output=True, sync=True)
         ("no_sync", 1.0, "sync", False),
     ],
 )
-def test_a_lamp_fails_at_once_stays_so_and_is_mended(kind, factor, name, value):
+def test_a_lamp_fails_at_once_and_until_it_is_mended(kind, factor, name, value):
     shown: list[LightState] = []
     lamp = Lamp(shown.append)
     lamp.drive(LIT)

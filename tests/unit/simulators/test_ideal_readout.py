@@ -1,4 +1,4 @@
-"""Events of an ideal readout: against an equation solved step by step, and sorted."""
+"""Events of an ideal readout: compared with a differential equation solved in steps, and sorted."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Irregular glass: Zernike fields of the rms asked for, alike in like poses, and a rim that scatters outwards."""
+"""Irregular glass: Zernike fields of the configured rms, similar in near poses, and a rim that scatters outwards."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_polynomials_of_a_degree_carry_their_share():
     np.testing.assert_allclose(shares[1:3] / len(POSES), expected[:2], rtol=0.35)
 
 
-def test_like_poses_are_alike_and_unlike_ones_are_not():
+def test_near_poses_have_like_errors_and_distant_poses_do_not():
     drawn = np.array([random_functions(tuple(pose), 60, 1) for pose in POSES])
     beside = np.array([random_functions((x + 0.02, y), 60, 1) for x, y in POSES])
     assert np.mean(drawn * beside) / np.mean(drawn**2) > 0.7
@@ -53,7 +53,7 @@ def test_like_poses_are_alike_and_unlike_ones_are_not():
     assert not np.allclose(drawn, [random_functions(tuple(pose), 60, 2) for pose in POSES], atol=0.5)
 
 
-def test_the_rim_alone_scatters_and_outwards_on_the_whole():
+def test_only_the_rim_scatters_and_mostly_outwards():
     turns = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
     circle = np.column_stack([np.cos(turns), np.sin(turns)])
     at_edge = np.array([over(circle, field_coefficients(tuple(pose), 0.0, 0.05, 1)) for pose in POSES])

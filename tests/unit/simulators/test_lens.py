@@ -1,4 +1,4 @@
-"""The lens: both models as OpenCV has them, and back."""
+"""The lens: both models agree with OpenCV, and so do their inverses."""
 
 import cv2
 import numpy as np
@@ -27,7 +27,7 @@ def test_undistortion_inverts_distortion(camera):
 
 
 @given(x=st.floats(-0.9, 0.9), y=st.floats(-0.6, 0.6), k=st.tuples(*[st.floats(-0.03, 0.03)] * 4))
-def test_a_fisheye_is_that_of_opencv(x, y, k):
+def test_the_fisheye_model_agrees_with_opencv(x, y, k):
     camera = CameraTruth(
         fx=612.0, fy=610.0, cx=643.0, cy=358.0, projection="fisheye", **dict(zip(K, k, strict=True))
     )
@@ -37,12 +37,12 @@ def test_a_fisheye_is_that_of_opencv(x, y, k):
     np.testing.assert_allclose(image_point(3 * x, 3 * y, 3.0, lens_of(camera)), expected.ravel(), atol=1e-9)
 
 
-def test_what_lies_behind_the_camera_is_not_seen():
+def test_points_behind_the_camera_have_no_image():
     assert np.isnan(image_point(0.1, 0.2, -1.0, lens_of(CameraTruth()))).all()
 
 
 @pytest.mark.parametrize("camera", [CameraTruth(), FISHEYE], ids=["pinhole", "fisheye"])
-def test_rays_of_the_grid_are_seen_where_it_stands(camera):
+def test_rays_of_the_grid_project_to_its_image_points(camera):
     rays = ray_grid(camera, 4)
     u, v = np.linspace(-4.5, 1283.5, rays.shape[1]), np.linspace(-4.5, 723.5, rays.shape[0])
     seen = image_point(*rays[7, 11], 1.0, lens_of(camera))

@@ -1,4 +1,4 @@
-"""Faults of a line: each befalls as many messages as it should, and no other."""
+"""Faults of a line: each affects as many messages as ordered, and no others."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simulators.faults.line_faults import REPLY_FAULTS, FaultLine, LineFault
 
 
 class Parrot:
-    """A device that answers every request in capitals, and once spoke of its own accord."""
+    """A device that answers every request in capitals, and sends the unsolicited bytes in ``spoken`` once."""
 
     baud = 9600
 
@@ -30,7 +30,7 @@ class Parrot:
 
 
 class Line:
-    """A parrot at the end of a faulty line, on a clock that the test turns."""
+    """A parrot at the end of a faulty line, on a clock that the test advances."""
 
     def __init__(self, *faults: LineFault, seed: int = 1) -> None:
         self.now_s = 0.0
@@ -54,7 +54,7 @@ class Line:
         (LineFault("request_lost"), b""),
     ],
 )
-def test_a_fault_befalls_one_message_and_then_no_more(fault, answer):
+def test_a_fault_affects_one_message_and_then_no_more(fault, answer):
     one = Line(fault)
     assert one.ask(b"abc\n") == answer
     assert one.ask(b"abc\n") == b"ABC\n"
@@ -83,7 +83,7 @@ def test_a_garbled_reply_differs_in_one_bit():
     assert sorted(differing) == [0, 0, 0, 0, 0, 0, 1]
 
 
-def test_a_garbled_request_reaches_the_device_spoilt():
+def test_a_garbled_request_reaches_the_device_garbled():
     one = Line(LineFault("request_garbled"))
     one.ask(b"abc\n")
     assert one.parrot.heard != b"abc\n"
@@ -108,7 +108,7 @@ def test_a_stale_reply_is_the_one_before():
     assert [one.ask(b"a"), one.ask(b"b"), one.ask(b"c")] == [b"A", b"A", b"C"]
 
 
-def test_something_is_said_that_nobody_asked_for():
+def test_an_unsolicited_message_is_sent_once():
     one = Line()
     one.line.say(b"!x\n")
     assert one.line.unsolicited() == b"!x\n"
@@ -127,7 +127,7 @@ def test_a_lasting_fault_lasts_until_cleared():
     assert one.ask(b"a") == b"A"
 
 
-def test_chance_spares_some_and_the_same_seed_spares_the_same():
+def test_a_fault_by_chance_affects_a_share_and_the_same_messages_for_the_same_seed():
     def run() -> list[bytes]:
         one = Line(LineFault("lost", count=None, chance=0.3), seed=7)
         return [one.ask(b"a") for _ in range(1000)]
@@ -143,13 +143,13 @@ def test_any_draws_from_every_fault_that_needs_no_text():
     assert b"ABCDEFGH" not in answers
 
 
-def test_what_the_device_says_unasked_is_befallen_too():
+def test_a_fault_affects_unsolicited_messages_too():
     one = Line(LineFault("lost"))
     one.parrot.spoken = b"!alert\n"
     assert one.line.unsolicited() == b""
 
 
-def test_silence_uses_no_fault_up():
+def test_silence_does_not_use_up_a_fault():
     one = Line(LineFault("lost"))
     assert one.line.unsolicited() == b""
     assert one.ask(b"a") == b""

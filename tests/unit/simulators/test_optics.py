@@ -19,7 +19,7 @@ ANGLES = st.floats(-12.0, 12.0)
 
 
 def reference_projection(points_mm, rotation, truth):
-    """OpenCV's projection of the same points: nobody's but theirs."""
+    """Project the same points with OpenCV."""
     c, col = truth.camera, truth.collimator
     matrix = np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]])
     translation = -rotation @ np.array([col.x, col.y, -col.r])
@@ -78,16 +78,16 @@ def test_a_pixel_of_a_fisheye_sees_the_print_that_is_projected_onto_it():
         ({"k4": 0.1}, "camera.k4"),
     ],
 )
-def test_a_lens_that_is_not_to_be_had_is_refused(section, where):
+def test_an_invalid_lens_is_refused(section, where):
     with pytest.raises(ConfigError) as error:
         truth_from_config({"camera": section})
     assert error.value.where == where
 
 
-def test_the_truth_names_the_coefficients_of_a_fisheye_as_those_do_who_estimate_them():
-    told = truth_from_config({"camera": {"projection": "fisheye", "k1": 0.01}}).to_dict()["camera"]
-    assert told["kb1"] == 0.01
-    assert {"k1", "p1"}.isdisjoint(told)
+def test_the_truth_names_fisheye_coefficients_as_calibrations_do():
+    written = truth_from_config({"camera": {"projection": "fisheye", "k1": 0.01}}).to_dict()["camera"]
+    assert written["kb1"] == 0.01
+    assert {"k1", "p1"}.isdisjoint(written)
     assert Truth().to_dict()["camera"]["k1"] == Truth().camera.k1
 
 

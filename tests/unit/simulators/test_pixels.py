@@ -1,4 +1,4 @@
-"""The sensor: against an equation solved step by step, and against what every event sensor obeys."""
+"""The sensor: compared with a differential equation solved in steps, and with laws that hold for every event sensor."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def by_pixel(events, x, y):
 
 
 def found_and_true(light, q_us, pixels, mores):
-    """Times found for each pixel, us, and true ones, for what is added to the thresholds."""
+    """Yield simulated times of each pixel, us, and the true times for each value added to the thresholds."""
     duration, phase, setting = 33_400.0, 0.37, PixelSettings(q_us=q_us)
     scene = picture(150, 1, seed=int(q_us) + 1)
     sensor = Sensor(1, 150, noise=MISMATCH_ONLY, settings=setting, camera_seed=3, link=Link.ideal())
@@ -280,7 +280,7 @@ def test_higher_thresholds_give_fewer_events():
     assert count(-60) > 1.3 * count(0) > 1.3 * 1.3 * count(100)
 
 
-def test_a_sensor_that_sees_nothing_is_a_mistake():
+def test_a_sensor_without_a_picture_of_its_shape_is_refused():
     with pytest.raises(SimulationMisuse):
         Sensor(64, 48).run(100)
     with pytest.raises(SimulationMisuse, match="shape"):

@@ -11,7 +11,7 @@ POSE = {"pan": 3.0, "tilt": -1.5}
 
 
 def world(seed=1, **night):
-    """A world in which the camera sits straight, whatever the seed: seeds then differ by their noise alone."""
+    """Return a world without mounting rotation, so that seeds differ by their noise alone."""
     return RehearsedWorld({"rehearsal": night, "optics": {"mounting_deg": [0, 0, 0]}}, seed)
 
 
@@ -31,7 +31,7 @@ def test_the_same_seed_pose_moment_and_number_give_the_same_stars_and_any_other_
         assert not np.isin(first.points_px, other.points_px).any()
 
 
-def test_stars_scatter_about_where_the_optics_put_them_as_they_say():
+def test_stars_scatter_about_their_true_places_with_the_configured_sigma():
     found = world(star_sigma_px=0.1)
     seen = found.record(POSE, 50.0, 0)
     truth = found.truth(50.0)
@@ -48,7 +48,7 @@ def test_the_camera_warms_up_and_follows_its_room():
     assert world(self_heating_c=5.0, warm_up_min=0.0, room_c=20.0).temperature_c(0.0) == 25.0
 
 
-def test_the_focal_length_follows_the_temperature_by_what_the_lens_is_made_of():
+def test_the_focal_length_follows_the_temperature_by_the_configured_coefficient():
     found = world(focal_ppm_per_c=100.0, room_c=50.0, self_heating_c=0.0, warm_up_min=0.0)
     camera = found.truth(0.0).camera
     assert camera.fx == pytest.approx(3345.06 * (1 + 1e-3))  # 10 degrees above the reference of 40
@@ -56,7 +56,7 @@ def test_the_focal_length_follows_the_temperature_by_what_the_lens_is_made_of():
     assert world().truth(0.0).camera.fx == 3345.06
 
 
-def test_mishaps_come_as_often_as_said():
+def test_mishaps_are_as_frequent_as_configured():
     found = world(covered_share=0.2, lost_share=0.1)
     mishaps = [found.record(POSE, float(n), n) for n in range(400)]
     assert sum(m.mishap == "covered" for m in mishaps) == pytest.approx(80, abs=30)
@@ -76,7 +76,7 @@ def test_mishaps_come_as_often_as_said():
         ({"covered_share": 0.7, "lost_share": 0.7}, "rehearsal.covered_share"),
     ],
 )
-def test_what_cannot_be_is_refused_by_its_key(night, where):
+def test_an_invalid_value_is_refused_by_its_key(night, where):
     with pytest.raises(ConfigError) as error:
         world(**night)
     assert error.value.where == where

@@ -49,7 +49,7 @@ def test_the_screen_is_dark_around_the_board():
     assert picture[:, : int(corners[:, 0].min()) - 40].max() == 0.0
 
 
-def test_a_board_behind_the_camera_is_a_mistake():
+def test_a_board_behind_the_camera_is_refused():
     with pytest.raises(SimulationMisuse):
         render_board(BOARD, CAMERA, TILTED, -PLACE)
 

@@ -1,4 +1,4 @@
-"""What the simulated sensor obeys under any light, with any settings and any noise: few examples, and many (slow)."""
+"""Laws of the simulated sensor under any light, with any settings and any noise: few examples, and many (slow)."""
 
 import itertools
 
@@ -28,7 +28,7 @@ def examples(few, many):
 
 
 def check(examples, **strategies):
-    """Run a property at once, with so many examples."""
+    """Check a property at once, with the given number of examples."""
     return lambda holds: settings(max_examples=examples, derandomize=True, database=None)(
         given(**strategies)(holds)
     )()
@@ -49,11 +49,13 @@ def lights(draw):
 
 @st.composite
 def pixel_settings(draw, bandwidth=True):
-    """Settings as biases give them, and any speed and ambient light; ``bandwidth``: the filters, too."""
+    """Draw settings from biases, with any speed and ambient light; ``bandwidth``: the biases of the filters are drawn too."""
     names = [name for name in ALLOWED if bandwidth or name not in ("bias_fo", "bias_hpf")]
     biases = {name: draw(st.integers(*ALLOWED[name])) for name in names}
-    told = vars(PixelSettings.from_biases(biases))
-    return PixelSettings(**told | {"q_us": draw(st.floats(5, 300)), "ambient": draw(st.floats(0.05, 0.5))})
+    from_biases = vars(PixelSettings.from_biases(biases))
+    return PixelSettings(
+        **from_biases | {"q_us": draw(st.floats(5, 300)), "ambient": draw(st.floats(0.05, 0.5))}
+    )
 
 
 def noises(hot=(0.0, 5e-3), hot_hz=(100.0, 5000.0)):
@@ -259,7 +261,7 @@ def test_triggers_are_the_edges_of_the_light_however_time_is_sliced(examples):
 
 
 @examples(15, 300)
-def test_the_counters_tell_what_entered_and_what_the_rate_controller_let_through(examples):
+def test_the_counters_count_what_entered_and_what_the_rate_controller_passed(examples):
     @check(examples, seed=SEEDS, rate=st.floats(0.1, 60.0), cuts=CUTS, erc=st.booleans())
     def holds(seed, rate, cuts, erc):
         rng = np.random.default_rng(seed)

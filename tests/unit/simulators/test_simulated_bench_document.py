@@ -1,4 +1,4 @@
-"""What the document on the simulated bench says is there, and what is there it says."""
+"""The document on the simulated bench lists every fault and kind of device, and its examples are valid."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simulators.faults.catalogue import fault_order, fault_order_from_text, faul
 TEXT = (Path(__file__).parents[3] / "docs" / "simulated-bench.md").read_text(encoding="utf-8")
 
 
-def words_of_first_column(title: str) -> set[str]:
+def names_in_first_column(title: str) -> set[str]:
     section = re.split(r"^##+ ", TEXT.split(f"\n### {title}", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
     cells = [line.split("|")[1] for line in section.splitlines() if line.startswith("|")]
     return {word for cell in cells for word in re.findall(r"`(\w+)`", cell)}
@@ -24,27 +24,27 @@ def words_of_first_column(title: str) -> set[str]:
     ("title", "device"), [("Of an axis", "pan"), ("Of a line", "gimbal"), ("Of the camera", "camera")]
 )
 def test_every_fault_stands_in_its_table(title, device):
-    assert words_of_first_column(title) == set(faults_of(device))
+    assert names_in_first_column(title) == set(faults_of(device))
 
 
 def test_every_fault_of_the_light_stands_in_its_table():
     of_the_line = set(faults_of("gimbal"))
-    assert words_of_first_column("Of the light") == set(faults_of("light")) - of_the_line
+    assert names_in_first_column("Of the light") == set(faults_of("light")) - of_the_line
 
 
-def test_every_kind_of_device_is_told():
+def test_every_kind_of_device_is_documented():
     kinds = set(re.findall(r"^\| `(\w+)` \|", TEXT.split("\n## How a stage moves")[0], flags=re.MULTILINE))
     assert kinds == {*STAGE_KINDS, *LIGHT_KINDS}
 
 
-def test_the_example_is_a_configuration():
+def test_the_example_is_a_valid_configuration():
     example = re.search(r"```yaml\n(.*?)```", TEXT, flags=re.DOTALL)
     assert example
     config = bench_config(yaml.safe_load(example[1])["simulation"])
     assert config.faults == (fault_order({"device": "pan", "fault": "stall", "skip": 3}),)
 
 
-def test_the_example_orders_are_orders():
+def test_the_example_orders_are_valid():
     block = TEXT.split("answered by a line of JSON:\n\n```\n", 1)[1].split("```", 1)[0].splitlines()
     orders = [
         fault_order(yaml.safe_load(line)) if line.startswith("{") else fault_order_from_text(line)
@@ -53,7 +53,7 @@ def test_the_example_orders_are_orders():
     assert [one.fault for one in orders] == ["stall", "late", "wrong_frequency"]
 
 
-def test_the_order_for_each_mishap_is_an_order():
+def test_the_order_for_each_mishap_is_valid():
     table = TEXT.split("### Which order for which mishap", 1)[1].split("\n## ", 1)[0]
     orders = [
         fault_order_from_text(text)

@@ -1,4 +1,4 @@
-"""Crossings in the flat tail of an edge: what float32 finds, one by one or as a batch, is put right in double."""
+"""Crossings in the flat tail of an edge: computed in float32, singly or as a batch, and corrected in double precision."""
 
 import numpy as np
 import pytest

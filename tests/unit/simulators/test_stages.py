@@ -1,4 +1,4 @@
-"""Every kind of stage, built from one configuration, points where its own language says."""
+"""Every kind of stage, built from one configuration, points where its own commands ask."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simulators.world.load import LoadTrajectory
 
 
 class Built:
-    """A stage on a clock that the test turns, and where its axes point."""
+    """A stage on a clock that the test advances, and where its axes point."""
 
     def __init__(self, kind: str, **changes) -> None:
         config = bench_config({"stage": {"kind": kind, "pan": {**changes}, "tilt": {}}})
@@ -23,7 +23,7 @@ class Built:
         self.stage: Stage = make_stage(kind, config.axes, lambda: self.now_s, self.pointing.__setitem__)
 
     def say(self, port: str, *messages: bytes) -> bytes:
-        """Say things one after the other, waiting long after each; the last answer."""
+        """Send messages one after the other, wait long after each, and return the last answer."""
         dialect: Dialect = self.stage.dialects[port]
         said = b""
         for message in messages:
@@ -56,7 +56,7 @@ def move_to_3_and_minus_2(kind: str, built: Built) -> None:
 
 
 @pytest.mark.parametrize("kind", ["zaber", "ximc", "grbl", "esp301"])
-def test_it_points_where_it_is_told(kind):
+def test_a_stage_points_where_it_is_commanded(kind):
     built = Built(kind)
     assert built.angles() == pytest.approx({"pan": 2.4, "tilt": -1.7}, abs=1e-3)
     move_to_3_and_minus_2(kind, built)
@@ -64,7 +64,7 @@ def test_it_points_where_it_is_told(kind):
 
 
 @pytest.mark.parametrize("kind", ["zaber", "ximc", "grbl", "esp301"])
-def test_its_controllers_turn_the_axes_they_are_named_for(kind):
+def test_each_controller_turns_the_axis_of_its_name(kind):
     built = Built(kind)
     built.stage.controllers["tilt"].axis.push(
         built.stage.controllers["tilt"].axis.mechanics.counts_per_deg, 0.0
@@ -82,7 +82,7 @@ def test_its_controllers_turn_the_axes_they_are_named_for(kind):
         ("esp301", b"1MO;1OR\r", b"1PA10\r", b"1PA10.001\r", 10.0),
     ],
 )
-def test_its_soft_limits_are_those_of_the_configuration(kind, home, to_the_limit, beyond, limit_deg):
+def test_soft_limits_are_those_of_the_configuration(kind, home, to_the_limit, beyond, limit_deg):
     built = Built(kind, limit_deg=10)
     built.say("gimbal", home, to_the_limit)
     assert built.angles()["pan"] == limit_deg
@@ -91,8 +91,8 @@ def test_its_soft_limits_are_those_of_the_configuration(kind, home, to_the_limit
 
 
 @pytest.mark.parametrize(
-    ("kind", "notices"), [("zaber", True), ("ximc", True), ("grbl", False), ("esp301", True)]
+    ("kind", "detects"), [("zaber", True), ("ximc", True), ("grbl", False), ("esp301", True)]
 )
-def test_only_grbl_notices_no_stall(kind, notices):
+def test_every_kind_but_grbl_detects_a_stall(kind, detects):
     built = Built(kind)
-    assert built.stage.controllers["pan"].axis.mechanics.stall_detection is notices
+    assert built.stage.controllers["pan"].axis.mechanics.stall_detection is detects

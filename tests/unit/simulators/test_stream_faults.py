@@ -1,4 +1,4 @@
-"""What becomes of the camera's frames on their way."""
+"""Faults of the camera's stream: which frames arrive, and how they are changed."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ FRAME = np.array([0x8123, 0x6001, 0x0010, 0x2005, 0x8005, 0x6002], "<u2")
 
 
 def carried(*faults: StreamFault, frames: int = 1) -> list[list[int]]:
-    way = StreamFaults()
+    stream = StreamFaults()
     for fault in faults:
-        way.inject(fault)
-    return [np.frombuffer(way.apply(FRAME.tobytes()), "<u2").tolist() for _ in range(frames)]
+        stream.inject(fault)
+    return [np.frombuffer(stream.apply(FRAME.tobytes()), "<u2").tolist() for _ in range(frames)]
 
 
 WHOLE = FRAME.tolist()
@@ -31,7 +31,7 @@ WHOLE = FRAME.tolist()
         (StreamFault("clock_back"), [0x8119, 0x6001, 0x0010, 0x2005, 0x8FFB, 0x6002]),
     ],
 )
-def test_a_frame_is_spoilt_as_ordered(fault, arrives):
+def test_a_fault_changes_a_frame_as_ordered(fault, arrives):
     assert carried(fault) == [arrives]
 
 
@@ -46,7 +46,7 @@ def test_a_jump_of_the_clock_and_silence_last(kind):
     assert later == [first] * 4
 
 
-def test_a_good_way_changes_nothing():
+def test_without_faults_frames_arrive_unchanged():
     assert carried(frames=2) == [WHOLE, WHOLE]
 
 

@@ -1,4 +1,4 @@
-"""Warmth: the camera warms up once, and the focal length and the light follow it by the law that the truth states."""
+"""Temperature: the camera warms up once; focal length and light follow it by the law of the truth."""
 
 import math
 
@@ -36,7 +36,7 @@ def test_the_camera_warms_by_the_law_of_the_truth(on_s):
     assert temperature_c(WARMING, on_s) == pytest.approx(expected, abs=0.0051)
 
 
-def test_a_usual_camera_is_warm_from_the_start_and_nothing_follows():
+def test_by_default_the_camera_is_warm_from_the_start_and_nothing_changes():
     truth = Truth()
     assert temperature_c(truth.thermal, 0.0) == temperature_c(truth.thermal, 1e5) == REFERENCE_C
     assert truth_at_temperature(truth, 12.0) is truth

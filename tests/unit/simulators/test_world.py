@@ -1,4 +1,4 @@
-"""The world: what is remembered of axes and light, and what a configuration may say of the truth."""
+"""The world: past states of axes and light, and which keys of a configuration set the truth."""
 
 import math
 
