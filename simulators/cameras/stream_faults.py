@@ -102,7 +102,7 @@ class StreamFaults:
         with self._lock:
             due = self._due()
         for fault in due:
-            frame = _spoilt(fault, frame)
+            frame = _changed(fault, frame)
         return frame
 
     def _due(self) -> list[StreamFault]:
@@ -121,7 +121,7 @@ class StreamFaults:
         return due
 
 
-def _spoilt(fault: StreamFault, frame: bytes) -> bytes:
+def _changed(fault: StreamFault, frame: bytes) -> bytes:
     if fault.kind in {"frames_lost", "silence"}:
         return b""
     if fault.kind == "frame_doubled":

@@ -29,7 +29,7 @@ def wrong_checksum(reply: bytes) -> bytes:
     Returns
     -------
     bytes
-        The spoilt reply.
+        Reply with the fault.
 
     Examples
     --------
@@ -56,7 +56,7 @@ def missing_checksum(reply: bytes) -> bytes:
     Returns
     -------
     bytes
-        The spoilt reply.
+        Reply with the fault.
 
     Examples
     --------
@@ -79,7 +79,7 @@ def wrong_id(reply: bytes) -> bytes:
     Returns
     -------
     bytes
-        The spoilt reply.
+        Reply with the fault.
 
     Examples
     --------

@@ -55,9 +55,9 @@ Pieces = list[tuple[float, bytes]]
 
 def _garbled(_fault: LineFault, reply: bytes, rng: np.random.Generator) -> Pieces:
     """Flip one bit of one byte."""
-    spoilt = bytearray(reply)
-    spoilt[rng.integers(len(reply))] ^= 1 << int(rng.integers(8))
-    return [(0.0, bytes(spoilt))]
+    garbled = bytearray(reply)
+    garbled[rng.integers(len(reply))] ^= 1 << int(rng.integers(8))
+    return [(0.0, bytes(garbled))]
 
 
 def _nul(_fault: LineFault, reply: bytes, rng: np.random.Generator) -> Pieces:

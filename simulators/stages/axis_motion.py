@@ -48,7 +48,7 @@ class Axis:
     pointing
         Trajectory of the load.
     stuck_busy
-        Whether the controller reports busy for ever.
+        Whether the controller keeps reporting busy.
     """
 
     def __init__(

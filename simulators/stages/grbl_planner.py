@@ -117,7 +117,7 @@ class Planner:
 
     # ------------------------------------------------------------------ queries
     def moving(self, now: float) -> bool:
-        """Return whether an axis moves, or reports busy for ever.
+        """Return whether an axis moves, or keeps reporting busy.
 
         Parameters
         ----------

@@ -22,7 +22,7 @@ class MotionFault:
     kind
         ``stall``: the motor is blocked. ``limit``: a limit switch closes. ``twist``: the two axes of a lockstep
         pair lose their alignment. ``restart``: the controller reboots. ``stop_short``: it stops as if it had
-        arrived. ``no_progress``: it stops and reports busy for ever. ``slip``: the motor stands still, the counter
+        arrived. ``no_progress``: it stops and keeps reporting busy. ``slip``: the motor stands still, the counter
         continues. ``creep``: the motor drifts after it has arrived, and the counter does not follow. ``unplug``,
         ``press_stop``: an event outside the controller, which ``then`` causes.
     share
