@@ -258,7 +258,9 @@ def refine_robustly(
     """Adjust with the chosen loss; its limit and the weight of the priors come from the residuals.
 
     The spread of the residuals is their robust standard deviation per axis at the least squares optimum, and then at
-    each robust optimum. The result therefore depends on the data only, not on the start.
+    each robust optimum. The result therefore depends on the data only, not on the start. Own procedure: sigma is the
+    median length of the residuals over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional vector of standard
+    normal components.
 
     Parameters
     ----------

@@ -17,6 +17,8 @@ from numba import njit
 def reflectance_at(x_mm: float, y_mm: float, layout: Any) -> float:
     """Return the printed brightness at one point, for code that numba compiles.
 
+    Own definition of the pattern: see `calib.target`. Tag: Olson (2011).
+
     Parameters
     ----------
     x_mm, y_mm

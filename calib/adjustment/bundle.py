@@ -121,6 +121,9 @@ class Bundle:
     def prior_cost(self, parameters: AdjustmentParameters) -> float:
         """Return the contribution of the priors to the cost.
 
+        Half the squared distance from the mean in the metric of the prior's information: a Gaussian prior is one more
+        observation (Triggs et al., 2000), here times the noise variance.
+
         Parameters
         ----------
         parameters
@@ -140,6 +143,8 @@ class Bundle:
     def residuals_px(self, parameters: AdjustmentParameters) -> Array:
         """Return the residuals: image point found minus image point predicted.
 
+        They are the residuals of arXiv:2512.16092, eq. 6, with the opposite sign.
+
         Parameters
         ----------
         parameters
@@ -157,6 +162,8 @@ class Bundle:
     def weighted_residuals(self, parameters: AdjustmentParameters) -> Array:
         """Return the residuals in units of the stars' standard deviations.
 
+        Their sum of squares is the weighted one of Triggs et al. (2000), section 3.2.
+
         Parameters
         ----------
         parameters
@@ -173,6 +180,9 @@ class Bundle:
         self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None = None
     ) -> NormalEquations:
         """Linearise the cost and return the normal equations.
+
+        The linearisation is that of Gauss and Newton, with the curvature of the robust cost (Triggs et al., 2000,
+        section 4.3).
 
         Parameters
         ----------
@@ -207,7 +217,8 @@ class Bundle:
         """Yield the information and the score of each view for the shared parameters, its local parameters eliminated.
 
         The score is the view's contribution J^T psi to the negative gradient of the cost. At the optimum without prior
-        the scores add up to zero.
+        the scores add up to zero. The local parameters are eliminated by the Schur complement (Triggs et al., 2000,
+        section 6.1).
 
         Parameters
         ----------
@@ -238,7 +249,10 @@ class Bundle:
     def _view_equations(
         self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None
     ) -> tuple[Array, Array]:
-        """Return the normal matrix (n, G + L, G + L) and the gradient (n, G + L) of each view, without priors."""
+        """Return the normal matrix (n, G + L, G + L) and the gradient (n, G + L) of each view, without priors.
+
+        J^T W J and J^T psi, with the curvature of the robust cost (Triggs et al., 2000, section 4.3).
+        """
         weight = (
             self.observations.whitening
             if curvature_root is None
@@ -255,7 +269,10 @@ class Bundle:
         return np.array(normal), np.array(gradient)
 
     def _add_priors(self, equations: NormalEquations, parameters: AdjustmentParameters) -> None:
-        """Add the information and the gradient of the priors to equations."""
+        """Add the information and the gradient of the priors to equations.
+
+        They are the second derivative and the negative gradient of `prior_cost`.
+        """
         if self.has_drift_prior:
             equations.local[:, [3, 4, 5], [3, 4, 5]] += self._drift_information
             equations.local_gradient[:, 3:] -= self._drift_information * parameters.offsets
@@ -268,7 +285,10 @@ class Bundle:
             )
 
     def _camera_points(self, parameters: AdjustmentParameters) -> Array:
-        """Return (N, 3) the stars in the camera frame, mm: R (P - c)."""
+        """Return (N, 3) the stars in the camera frame, mm: R (P - c).
+
+        Spherical motion: arXiv:2512.16092, eq. 2. The aberrations are those of `calib.model.aberrations`.
+        """
         points = self.observations.target.copy()
         if self.displacements is not None:
             coefficients = np.array(list(parameters.collimator.aberrations.values()))
@@ -282,7 +302,8 @@ class Bundle:
         """Yield the derivatives of the image points of each view.
 
         The function works view by view, with one contiguous row for each parameter, so that the data stay in the
-        processor's cache.
+        processor's cache. Own derivation, by the chain rule: with P = R (X - c), a rotation t on the camera's side
+        moves P by t x P, and a shift s of the centre moves it by -R s.
 
         Parameters
         ----------

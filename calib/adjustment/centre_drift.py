@@ -28,7 +28,8 @@ _ROUNDS = 2
 def centre_drift(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Array:
     """Return the root mean square movement of the views' centres along x, y and z.
 
-    The centres are freed with a weak prior, and the adjustment is repeated from the given optimum.
+    The centres are freed with a weak prior, and the adjustment is repeated from the given optimum. Own statistic: the
+    root of the mean over the views of offset^2, divided by r.
 
     Parameters
     ----------

@@ -53,6 +53,8 @@ def require_constrained(
 ) -> None:
     """Refuse a result with poorly determined focal lengths.
 
+    Own limit: sigma(f) <= 0.05 f.
+
     Parameters
     ----------
     parameters
@@ -108,6 +110,9 @@ def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
 def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameters) -> str:
     """Explain in words why views may constrain little.
 
+    Own rules: a roll, if the parts of all rotation vectors across the axis are below 0.05 of the longest vector; one
+    axis, if the second singular value of the vectors is.
+
     Parameters
     ----------
     views
@@ -135,6 +140,8 @@ def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameter
 def relative_rotations_deg(rotations: Array) -> Array:
     """Return the rotations from the first view to each other one.
 
+    The vectors are those of R_i R_1^T (Diebel, 2006).
+
     Parameters
     ----------
     rotations
@@ -150,6 +157,8 @@ def relative_rotations_deg(rotations: Array) -> Array:
 
 def beam_half_angle_deg(parameters: AdjustmentParameters, views: Sequence[View]) -> float:
     """Return the largest half angle that the stars of a view span about their middle.
+
+    Own definition: the largest angle between the ray of a star and the mean ray of its view.
 
     Parameters
     ----------

@@ -45,6 +45,7 @@ def spherical_starts(
 
     They are the linear solutions with a free and with a central principal point; for two views every real solution;
     then Zhang's camera and a range of focal lengths, each with the median of its centres. Distortion starts at zero.
+    Sources: arXiv:2512.16092, eq. 5, for the spherical solutions; Zhang (2000), section 3.1, for Zhang's camera.
 
     Parameters
     ----------
@@ -77,6 +78,8 @@ def planar_starts(
     homographies: Array, image_size: tuple[int, int], distortion: Sequence[str]
 ) -> Iterator[AdjustmentParameters]:
     """Yield starting values of the planar model, the most reliable first: Zhang's, then a range of focal lengths.
+
+    Zhang's camera and all poses: Zhang (2000), section 3.1.
 
     Parameters
     ----------
@@ -113,6 +116,8 @@ def passport_starts(
 ) -> Iterator[AdjustmentParameters]:
     """Yield starting values for a known collimator: from its centre alone, then those of the spherical model.
 
+    The camera follows from the known centre by arXiv:2512.16092, eq. 5.
+
     Parameters
     ----------
     homographies
@@ -142,7 +147,7 @@ def passport_starts(
 def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> AdjustmentParameters:
     """Return the best starting values.
 
-    All are refined a little on a share of the stars; the best few are refined further.
+    All are refined a little on a share of the stars; the best few are refined further. Own procedure.
 
     Parameters
     ----------
@@ -194,7 +199,10 @@ def _about(homographies: Array, collimator: Collimator, camera: CameraModel) -> 
 
 
 def _looked_at(homographies: Array, image_size: tuple[int, int]) -> Collimator:
-    """Return a centre above the point of the target at the middle of the first image."""
+    """Return a centre above the point of the target at the middle of the first image.
+
+    Own guess: the point H^-1 [u v 1], scaled to third coordinate 1, where (u, v) is the middle of the image.
+    """
     middle = np.linalg.inv(homographies[0]) @ [(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0]
     return Collimator(float(middle[0] / middle[2]), float(middle[1] / middle[2]), 1.0)
 

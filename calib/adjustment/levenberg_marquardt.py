@@ -59,6 +59,8 @@ class Loss:
     def cost(self, lengths: Array) -> float:
         """Return the total cost.
 
+        ``huber``: Huber (1964). ``cauchy``: Holland and Welsch (1977), limit^2 / 2 log(1 + (e / limit)^2).
+
         Parameters
         ----------
         lengths
@@ -79,6 +81,8 @@ class Loss:
     def weights(self, lengths: Array) -> Array:
         """Return the weights rho'(e) / e.
 
+        They are the weights of iteratively reweighted least squares (Huber, 1964; Holland and Welsch, 1977).
+
         Parameters
         ----------
         lengths
@@ -97,6 +101,8 @@ class Loss:
 
     def second_derivatives(self, lengths: Array) -> Array:
         """Return the second derivatives rho''(e), along the residuals.
+
+        They follow from the losses of Huber (1964) and of Holland and Welsch (1977).
 
         Parameters
         ----------
@@ -118,7 +124,8 @@ class Loss:
         """Return the symmetric square roots of the second derivatives of rho in the plane.
 
         The curvature is rho'' along the residual (set to zero where negative, so that every step descends) and rho' / e
-        across it.
+        across it. This is the second derivative of a robust cost of Triggs et al. (2000), section 4.3, who also limit
+        it where it is negative; the root is this project's own.
 
         Parameters
         ----------
@@ -218,7 +225,8 @@ def _rounding(bundle: Bundle, cost: float) -> float:
     """Return how much rounding of the image points changes the cost.
 
     A smaller predicted reduction cannot be verified. For stars known to thousandths of a pixel, this limit exceeds
-    `RELATIVE_TOLERANCE`. Each residual has a random error of the machine's epsilon times its coordinates.
+    `RELATIVE_TOLERANCE`. Each residual has a random error of the machine's epsilon times its coordinates. Own estimate:
+    independent errors d of the residuals e change sum e^2 / 2 by about d (sum e^2)^(1/2) = d (2 cost)^(1/2).
     """
     obs = bundle.observations
     each = np.finfo(float).eps * float(np.abs(obs.points_px).max()) * obs.sigmas_per_px

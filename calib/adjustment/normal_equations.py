@@ -57,6 +57,8 @@ class NormalEquations:
     def reduced(self) -> Array:
         """Return the Schur complement onto the shared parameters, which is their information.
 
+        Source: Triggs et al. (2000), section 6.1; Brown (1976).
+
         Returns
         -------
         Array
@@ -67,6 +69,9 @@ class NormalEquations:
 
     def step(self) -> tuple[Array, Array]:
         """Solve the equations.
+
+        The shared parameters are solved by the Schur complement, the local ones by back-substitution (Triggs et al.,
+        2000, section 6.1; Brown, 1976). The reduced system is scaled to a unit diagonal (van der Sluis, 1969).
 
         Returns
         -------
@@ -89,6 +94,8 @@ class NormalEquations:
 
     def decrement(self, shared: Array, local: Array) -> float:
         """Return gradient times step, which is twice the predicted reduction of the cost.
+
+        Own derivation: a step d that solves N d = g lowers the quadratic model g.d - d.(N d) / 2 by g.d / 2.
 
         Parameters
         ----------

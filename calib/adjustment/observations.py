@@ -84,6 +84,8 @@ class Observations:
     def whitened(self, vectors: Array) -> Array:
         """Multiply vectors by the whitening: residuals in px become weighted residuals.
 
+        This is generalised least squares (Aitken, 1936), with the inverse of the Cholesky factor of each covariance.
+
         Parameters
         ----------
         vectors
@@ -102,6 +104,8 @@ class Observations:
 
     def unwhitened(self, vectors: Array) -> Array:
         """Multiply vectors by the transposed whitening: a gradient by weighted residuals becomes one by px.
+
+        Own derivation, by the chain rule: if w = L^-1 v, the gradient by v is L^-T times that by w.
 
         Parameters
         ----------

@@ -66,6 +66,8 @@ class AdjustmentParameters:
     def after_step(self, names: Sequence[str], shared: Array, local: Array) -> AdjustmentParameters:
         """Return the parameters after a step.
 
+        A rotation is updated by a small rotation about itself, R <- exp([t]x) R, as Triggs et al. (2000) recommend.
+
         Parameters
         ----------
         names

@@ -94,8 +94,9 @@ def accumulate(
 ) -> tuple[PixelSums, BurstWindow, BurstWindow]:
     """Find the bursts within the period, and sum up the events of each pixel.
 
-    The phase 0 of the lock-in sum is the phase at which the ON rate minus the OFF rate of the whole image is largest
-    at the flicker's frequency.
+    The phase 0 of the lock-in sum is the phase at which the ON rate minus the OFF rate of the whole image is largest at
+    the flicker's frequency. The phase is that of the first Fourier coefficient. Lock-in: synchronous detection (Meade,
+    1983).
 
     Parameters
     ----------
@@ -141,7 +142,10 @@ def _add_events(
     off: BurstWindow,
     sums: PixelSums,
 ) -> None:
-    """Add every event to all sums; what depends on the time alone is computed once for events that share a time."""
+    """Add every event to all sums; what depends on the time alone is computed once for events that share a time.
+
+    The head of `calib.events.event_image` gives the equations; lock-in: Meade (1983).
+    """
     seen = t[0] - 1
     on_turns = off_turns = on_late = off_late = wave = 0.0
     for i in range(t.size):

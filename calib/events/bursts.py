@@ -41,6 +41,8 @@ class BurstWindow(NamedTuple):
 def folded_rate(t: Any, p: Any, start_us: float, period_us: float) -> Any:
     """Count the events over the phase of one period (epoch folding).
 
+    Epoch folding: Leahy et al. (1983).
+
     Parameters
     ----------
     t
@@ -69,7 +71,8 @@ def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float)
     """Find the shortest part of the period that holds the share `BURST_SHARE` of a burst.
 
     The background is the lower quartile of the bins. A bin counts by what exceeds it by more than three standard
-    deviations of a Poisson count.
+    deviations of a Poisson count. Own procedure: a bin of n events counts max(n - b - 3 b^(1/2), 0), with the
+    background b.
 
     Parameters
     ----------
@@ -109,8 +112,8 @@ def whole_period_window(
 ) -> tuple[float, float, int]:
     """Choose a window of whole periods within a recording.
 
-    If the recording is longer than the window, the window starts just before an edge of the light, so that it
-    cuts no burst.
+    If the recording is longer than the window, the window starts just before an edge of the light, so that it cuts no
+    burst. Own rule: as many periods as fit, if up to `PERIOD_TOLERANCE` of a period may be missing.
 
     Parameters
     ----------

@@ -223,6 +223,9 @@ def make_images(
 ) -> EventImages:
     """Make the images of the events of whole flicker periods.
 
+    The head of the module gives the equations. Polarities as pixel values: arXiv:2512.16092. Lock-in: Meade (1983). The
+    other kinds are this project's own.
+
     Parameters
     ----------
     t
@@ -280,7 +283,10 @@ def make_images(
 
 
 def _hot_pixels(count: NDArray[np.uint32], edges: int) -> NDArray[np.bool_]:
-    """Find the pixels that fire far more often than their surroundings."""
+    """Find the pixels that fire far more often than their surroundings.
+
+    Own rule: more than 2.5 m + 4 + 2 E events, with the median m of the 5 x 5 pixels around and E edges.
+    """
     around = cv2.medianBlur(np.minimum(count, 65535).astype(np.uint16), 5)
     return np.asarray(count > 2.5 * around + 4.0 + 2.0 * edges)
 

@@ -118,8 +118,8 @@ def flicker_from_triggers(
     """Fit a periodic train of edges to the times of the light's sync signal.
 
     Rising edge k is expected at t = phase + k * period, and the falling edge after it at duty * period later. Period,
-    phase and duty are fitted by least squares to the edges that fit. Missing edges are counted. Edges that do not
-    fit (bounces, crosstalk) are left out and counted.
+    phase and duty are fitted by least squares to the edges that fit. Missing edges are counted. Edges that do not fit
+    (bounces, crosstalk) are left out and counted. The selection of the edges is this project's own.
 
     Parameters
     ----------
@@ -178,8 +178,8 @@ def flicker_from_events(
     harmonics together then refines the frequency, as in the Z^2_n statistic of Buccheri et al. (1983). The light
     rises where the ON events of the folded period start.
 
-    The events should be those of the slice that is imaged, because an error of the period grows into an error of
-    the phase over time.
+    The events should be those of the slice that is imaged, because an error of the period grows into an error of the
+    phase over time. Power spectrum and epoch folding: Leahy et al. (1983).
 
     Parameters
     ----------
@@ -254,7 +254,8 @@ def _train(t: NDArray[np.float64], period: float) -> tuple[NDArray[np.float64], 
     """Select the edges of one direction that fit a periodic train; return their times and their numbers of periods.
 
     The search starts at the edge that agrees with most of its neighbours and extends in steps. Each step refits the
-    period, so that the count stays right although the first guess of the period is slightly wrong.
+    period, so that the count stays right although the first guess of the period is slightly wrong. Own procedure: edge
+    k fits if |t - anchor - k period| < `EDGE_TOLERANCE` period.
     """
     if t.size == 0:
         return t, t
@@ -280,7 +281,8 @@ def _fit_trains(
 ) -> tuple[float, float, float, float]:
     """Fit period, phase of the rising edges and phase of the falling edges by least squares.
 
-    Returns them, and the rms residual, all in us. The period stays fixed if neither direction has two edges.
+    Returns them, and the rms residual, all in us. The period stays fixed if neither direction has two edges. Own model:
+    t = phase + k period, with one phase for each direction.
     """
     t = np.concatenate([rising[0], falling[0]])
     k = np.concatenate([rising[1], falling[1]])
@@ -316,7 +318,8 @@ def _check_expected(period_us: float, expected_hz: float | None) -> None:
 def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[float, float]) -> float:
     """Return the flicker's frequency, Hz, from the (2, bins) numbers of ON and OFF events.
 
-    The power is divided by the number of events: its mean is 1 for events at random times.
+    The power is divided by the number of events: its mean is 1 for events at random times. This is half the power of
+    Leahy et al. (1983).
     """
     bins = rates.shape[1]
     span_s = bins * bin_us * 1e-6
@@ -349,7 +352,11 @@ def _search_frequency(rates: NDArray[np.float64], bin_us: float, band_hz: tuple[
 def _harmonic_power(
     rates: NDArray[np.float64], bin_us: float, frequencies_hz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the sum of the powers of the first harmonics of each frequency, (frequencies,)."""
+    """Return the sum of the powers of the first harmonics of each frequency, (frequencies,).
+
+    For binned times, this is the Z^2_n statistic of Buccheri et al. (1983) up to a factor, added over ON and OFF
+    events.
+    """
     times = np.arange(rates.shape[1]) * (bin_us * 1e-6)
     power = np.zeros(frequencies_hz.size)
     for harmonic in range(1, HARMONICS + 1):
@@ -361,14 +368,21 @@ def _harmonic_power(
 
 
 def _folded(t_us: NDArray[np.float64], period_us: float) -> NDArray[np.float64]:
-    """Count the events over the phase of one period, in `ONSET_BINS` bins."""
+    """Count the events over the phase of one period, in `ONSET_BINS` bins.
+
+    Epoch folding: Leahy et al. (1983).
+    """
     turns = t_us / period_us
     at = ((turns - np.floor(turns)) * ONSET_BINS).astype(np.int64)
     return np.bincount(np.minimum(at, ONSET_BINS - 1), minlength=ONSET_BINS).astype(float)
 
 
 def _onset(folded: NDArray[np.float64]) -> float:
-    """Return the phase, in periods, at which the burst with the highest bin starts."""
+    """Return the phase, in periods, at which the burst with the highest bin starts.
+
+    Own rule: from the highest bin, go back to the first bin with less than a tenth of the highest bin's excess over the
+    lower quartile. The burst starts in the bin after it.
+    """
     excess = np.maximum(folded - np.percentile(folded, 25), 0.0)
     peak = int(np.argmax(excess))
     back = np.roll(excess[::-1], peak + 1)

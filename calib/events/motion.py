@@ -83,7 +83,7 @@ def motion_between(first: View, second: View) -> Motion:
 
     Medians are used instead of means, so that single wrong stars do not matter. The median absolute deviation times
     1.4826 is the standard deviation of normal noise; the median of normal noise is sqrt(pi / 2) = 1.2533 times as
-    uncertain as its mean.
+    uncertain as its mean. Median absolute deviation: Rousseeuw and Croux (1993). Variance of the median: Huber (1981).
 
     Parameters
     ----------

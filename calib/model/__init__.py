@@ -5,8 +5,13 @@ References
 - arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
 - Born and Wolf, Principles of Optics, chapter 5: geometrical theory of aberrations.
 - Brown (1971), Close-range camera calibration, Photogrammetric Engineering 37, 855.
+- Copas (1988), Binary regression models for contaminated data, Journal of the Royal Statistical Society B 50, 225.
+- Cox (1958), The regression analysis of binary sequences, Journal of the Royal Statistical Society B 20, 215.
+- Diebel (2006), Representing attitude: Euler angles, unit quaternions, and rotation vectors, Stanford University.
 - Hartley (1997), In defense of the eight-point algorithm, IEEE Trans. PAMI 19, 580.
 - Hartley and Zisserman (2004), Multiple View Geometry in Computer Vision, second edition.
+- Holland and Welsch (1977), Robust regression using iteratively reweighted least-squares, Communications in Statistics
+  A6, 813.
 - Kabsch (1976), A solution for the best rotation to relate two sets of vectors, Acta Crystallographica A 32, 922.
 - Kannala and Brandt (2006), A generic camera model and calibration method for conventional, wide-angle, and fish-eye
   lenses, IEEE Trans. PAMI 28, 1335.

@@ -78,6 +78,8 @@ def model_with_terms(terms: Sequence[str]) -> str:
 def aberration_prior(terms: Sequence[str]) -> Prior | None:
     """Return the prior of aberration coefficients: zero mean and the sigmas of `EXPECTED_SIGMA`.
 
+    Own choice of the sigmas; the information is 1 / sigma^2.
+
     Parameters
     ----------
     terms
@@ -98,6 +100,9 @@ def displacements(
     target_mm: Array, disc: Disc, reference: tuple[float, float, float], terms: Sequence[str]
 ) -> Array:
     """Return the displacement of each star by a unit of each coefficient.
+
+    The third-order terms are those of Born and Wolf, chapter 5. The choice of terms and the terms of the rim are this
+    project's own; the head of the module gives all equations.
 
     Parameters
     ----------

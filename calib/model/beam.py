@@ -65,7 +65,8 @@ def visible_discs(views: Sequence[View]) -> list[Disc]:
     """Fit the disc of each view; the discs of views that show their rim help where a rim is out of view.
 
     The visible discs give a mean centre and a mean radius. The other discs are expected to scatter about them by 0.2
-    (centre) and 0.1 (radius) of the radius, as a Gaussian prior. If no view shows its rim, no disc gets help.
+    (centre) and 0.1 (radius) of the radius, as a Gaussian prior. If no view shows its rim, no disc gets help. Own
+    procedure.
 
     Parameters
     ----------
@@ -98,7 +99,8 @@ def visible_disc(view: View, expected: tuple[Array, Array] | None = None) -> Dis
     """Fit the disc that best separates the stars present from those absent, by maximum likelihood.
 
     The probability that a star is visible is a logistic function of its distance from the rim. If the stars are not on
-    a grid, absent stars are unknown; the centre's sigma is then infinite.
+    a grid, absent stars are unknown; the centre's sigma is then infinite. The model is logistic regression (Cox, 1958)
+    with a probability of wrong observations (Copas, 1988).
 
     Parameters
     ----------
@@ -181,6 +183,8 @@ def without_guard_band(view: View, disc: Disc, share: float) -> View:
 def inside_guard_band(view: View, disc: Disc, share: float) -> NDArray[np.bool_]:
     """Tell which stars lie inside the guard band, that is, within a share of the disc's radius.
 
+    Own rule: the distance from the disc's centre is at most the share of its radius.
+
     Parameters
     ----------
     view
@@ -232,7 +236,11 @@ def _negative_log_likelihood(
     softness: float,
     expected: tuple[Array, Array] | None,
 ) -> tuple[float, Array]:
-    """Return the negative log likelihood of presence, absence and the expected disc, and its (3,) gradient."""
+    """Return the negative log likelihood of presence, absence and the expected disc, and its (3,) gradient.
+
+    With p = 1 / (1 + exp(-(radius - distance) / softness)), a star is present with probability q + (1 - 2 q) p: the
+    contaminated logistic model of Copas (1988), where q is the probability of a wrong observation.
+    """
     away = nodes - disc[:2]
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
     inside = 1.0 / (1.0 + np.exp(-np.clip((disc[2] - distance) / softness, -40.0, 40.0)))
@@ -257,7 +265,11 @@ def _negative_log_likelihood(
 
 
 def _information(disc: Array, nodes: Array, softness: float) -> Array:
-    """Return the (3, 3) Fisher information of centre and radius, 1 / mm^2."""
+    """Return the (3, 3) Fisher information of centre and radius, 1 / mm^2.
+
+    Sum of p (1 - p) g g^T, as in logistic regression (Cox, 1958), with the derivatives g of the exponent; wrong
+    observations are neglected.
+    """
     away = nodes - disc[:2]
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
     inside = 1.0 / (1.0 + np.exp(-np.clip((disc[2] - distance) / softness, -40.0, 40.0)))

@@ -159,6 +159,8 @@ class CameraModel:
     def project(self, points: Array) -> Array:
         """Project points to the image.
 
+        Pinhole projection: Hartley and Zisserman (2004), section 6.1. Distortion: `calib.model.lens`.
+
         Parameters
         ----------
         points
@@ -175,6 +177,9 @@ class CameraModel:
 
     def project_with_jacobians(self, points: Array) -> tuple[Array, Array, Array]:
         """Project points to the image and return the derivatives.
+
+        Projection: Hartley and Zisserman (2004), section 6.1, as in `project`. The derivatives are this project's own,
+        by the chain rule; the derivative along a ray is zero.
 
         Parameters
         ----------
@@ -206,7 +211,8 @@ class CameraModel:
     def rays(self, points_px: Array) -> Array:
         """Return the unit rays that are seen at image points: the inverse of `project`.
 
-        The distortion is inverted by Newton's method.
+        The distortion is inverted by Newton's method. Own derivation: the step is J^-1 (wanted - distorted), with the
+        inverse of the 2 x 2 Jacobian written out.
 
         Parameters
         ----------

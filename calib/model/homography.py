@@ -53,6 +53,8 @@ def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> ND
 def fit_affine(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fit an affine map by least squares.
 
+    Linear least squares for the affine map of Hartley and Zisserman (2004), section 2.4.
+
     Parameters
     ----------
     grid
@@ -76,7 +78,7 @@ def view_homography(view: View) -> Array:
     The algorithm is the normalised direct linear transform (Hartley, 1997; Hartley and Zisserman, 2004, algorithm 4.2).
     It is repeated with lower weights for outliers (iteratively reweighted least squares). H is scaled to determinant 1.
     With this scale H = lambda K [r1 r2 -Rc] has the same lambda in all views of a collimator, because det H = lambda^3
-    det(K) r.
+    det(K) r. The weights 1 / (1 + (e / s)^2) are those of the Cauchy loss (Holland and Welsch, 1977).
 
     Parameters
     ----------
@@ -118,6 +120,8 @@ def view_homography(view: View) -> Array:
 def apply_homography(h: Array, points: Array) -> Array:
     """Map points by a homography.
 
+    Source: Hartley and Zisserman (2004), section 2.3.
+
     Parameters
     ----------
     h
@@ -146,7 +150,10 @@ def _normalised(points: Array, where: str) -> tuple[Array, Array]:
 
 
 def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Array:
-    """Minimise the weighted algebraic error of normalised points; return the (3, 3) homography."""
+    """Minimise the weighted algebraic error of normalised points; return the (3, 3) homography.
+
+    Source: Hartley and Zisserman (2004), section 4.1.
+    """
     homogeneous = np.column_stack([source, np.ones(len(source))]) * weights[:, None]
     rows = np.zeros((2, len(source), 9))
     rows[0, :, 0:3] = rows[1, :, 3:6] = homogeneous
@@ -158,7 +165,10 @@ def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Arr
 
 
 def _oriented(h: Array, view: View) -> Array:
-    """Scale a homography to determinant 1, with the target in front of the camera."""
+    """Scale a homography to determinant 1, with the target in front of the camera.
+
+    Own normalisation, explained in `view_homography`.
+    """
     where = f"view {view.name}"
     depth = view.target_mm @ h[2, :2] + h[2, 2]
     h = h * np.sign(np.median(depth))

@@ -23,6 +23,8 @@ FISHEYE = ("kb1", "kb2", "kb3", "kb4")
 def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
     """Distort normalised points; the names of the coefficients select the lens family.
 
+    Brown (1971) with OpenCV's rational denominator, or Kannala and Brandt (2006).
+
     Parameters
     ----------
     points
@@ -42,6 +44,9 @@ def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
 
 def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> tuple[Array, Array, Array]:
     """Distort normalised points and return the derivatives.
+
+    The models are those of `distort`: Brown (1971), or Kannala and Brandt (2006). The derivatives are this project's
+    own, by the product and the chain rule.
 
     Parameters
     ----------
@@ -83,7 +88,10 @@ def _ordered(coefficients: Mapping[str, float], family: tuple[str, ...]) -> Arra
 
 
 def _radial_terms(points: Array, k: Array) -> tuple[Array, Array, Array, Array]:
-    """Return r^2, numerator, denominator and radial factor of the rational distortion, (N,) each."""
+    """Return r^2, numerator, denominator and radial factor of the rational distortion, (N,) each.
+
+    OpenCV's rational model: (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
+    """
     r2 = points[:, 0] ** 2 + points[:, 1] ** 2
     numerator = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
@@ -104,7 +112,10 @@ def _brown(points: Array, k: Array) -> Array:
 
 
 def _brown_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Distort points; return also the derivatives by the points (N, 2, 2) and by all 8 coefficients (N, 2, 8)."""
+    """Distort points; return also the derivatives by the points (N, 2, 2) and by all 8 coefficients (N, 2, 8).
+
+    Own derivatives of `_brown`: Brown (1971), with OpenCV's rational radial factor.
+    """
     x, y = points[:, 0], points[:, 1]
     r2, numerator, denominator, radial = _radial_terms(points, k)
     p1, p2 = k[2], k[3]
@@ -143,7 +154,10 @@ def _fisheye(points: Array, k: Array) -> Array:
 
 
 def _fisheye_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Distort points; return also the derivatives by the points (N, 2, 2) and by all 4 coefficients (N, 2, 4)."""
+    """Distort points; return also the derivatives by the points (N, 2, 2) and by all 4 coefficients (N, 2, 4).
+
+    Own derivatives of `_fisheye`: Kannala and Brandt (2006).
+    """
     r, theta = _angles(points)
     powers = theta[:, None] ** np.array([3, 5, 7, 9])
     bent = theta + powers @ k

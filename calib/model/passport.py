@@ -163,6 +163,9 @@ class Passport:
     def prior(self, names: Sequence[str]) -> Prior | None:
         """Return some of the parameters as a prior of the adjustment.
 
+        The information is the inverse of the covariance. Own floor: the square of 1e-9 times each value (of 1e-3 at
+        least) is added to its variance, so that the covariance of exact values can be inverted.
+
         Parameters
         ----------
         names

@@ -63,7 +63,10 @@ def zhang_matrix(
 
 
 def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
-    """Return the factor of w_ij in a^T w b."""
+    """Return the factor of w_ij in a^T w b.
+
+    Source: Zhang (2000), section 3.1.
+    """
     i, j = ij
     return float(a[i] * b[j] + (a[j] * b[i] if i != j else 0.0))
 

@@ -17,6 +17,8 @@ Quaternion = tuple[float, float, float, float]
 def skew(vectors: Array) -> Array:
     """Return the cross product matrices [v]x, for which [v]x w = v x w.
 
+    Source: Hartley and Zisserman (2004), appendix 4.
+
     Parameters
     ----------
     vectors
@@ -38,6 +40,8 @@ def skew(vectors: Array) -> Array:
 def exp_map(vectors: Array) -> Array:
     """Return the rotation matrices of rotation vectors (Rodrigues' formula).
 
+    Source: Diebel (2006); computed by SciPy.
+
     Parameters
     ----------
     vectors
@@ -56,6 +60,8 @@ def exp_map(vectors: Array) -> Array:
 
 def log_map(matrices: Array) -> Array:
     """Return the rotation vectors of rotation matrices: the inverse of `exp_map`.
+
+    Source: Diebel (2006); computed by SciPy.
 
     Parameters
     ----------
@@ -132,7 +138,10 @@ def euler_zxy(pan_deg: float, tilt_deg: float, roll_deg: float = 0.0) -> Array:
 
 
 def _quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return p q, the rotation q followed by p; quaternions are (x, y, z, w)."""
+    """Return p q, the rotation q followed by p; quaternions are (x, y, z, w).
+
+    Source: Diebel (2006).
+    """
     return (
         p[3] * q[0] + q[3] * p[0] + (p[1] * q[2] - p[2] * q[1]),
         p[3] * q[1] + q[3] * p[1] + (p[2] * q[0] - p[0] * q[2]),

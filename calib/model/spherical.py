@@ -119,7 +119,11 @@ def two_view_solutions(homographies: Array, image_size: tuple[int, int]) -> list
 def _solution_from_entries(
     image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
 ) -> ClosedFormSolution | None:
-    """Return the solution with these entries of K K^T, (2, 2) = 1, and of the right side; None if it is not real."""
+    """Return the solution with these entries of K K^T, (2, 2) = 1, and of the right side; None if it is not real.
+
+    Own solution of arXiv:2512.16092, eq. 5: fx^2 = w11 - w13^2 and fy^2 = w22 - w23^2 with W = K K^T; r^2 is the mean
+    of its two values on the right side.
+    """
     cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
     squares = np.array([image[0, 0] - cx**2, image[1, 1] - cy**2])
     right = np.zeros((3, 3))
@@ -191,7 +195,10 @@ def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Ar
 
 
 def _image_conditioning(image_size: tuple[int, int]) -> Array:
-    """Return the (3, 3) similarity that maps the centre of the image to 0 and half its diagonal to 1."""
+    """Return the (3, 3) similarity that maps the centre of the image to 0 and half its diagonal to 1.
+
+    Own conditioning, with the aim of Hartley (1997): unknowns of similar size.
+    """
     width, height = image_size
     scale = 2.0 / np.hypot(width, height)
     return np.array(
@@ -200,7 +207,10 @@ def _image_conditioning(image_size: tuple[int, int]) -> Array:
 
 
 def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Array:
-    """Return the (3, 3) similarity of the target plane that maps units to mm about the point the cameras look at."""
+    """Return the (3, 3) similarity of the target plane that maps units to mm about the point the cameras look at.
+
+    Own conditioning, with the aim of Hartley (1997): unknowns of similar size.
+    """
     centre = np.array([(image_size[0] - 1) / 2, (image_size[1] - 1) / 2, 1.0])
     looked_at = np.linalg.inv(homographies) @ centre
     middle = np.median(looked_at[:, :2] / looked_at[:, 2:], axis=0)
@@ -210,7 +220,10 @@ def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Arr
 
 
 def _equations(g: Array, unknown: Sequence[tuple[int, int]]) -> Array:
-    """Return the rows g W g^T - B for the chosen entries of W, then those of B; 6 rows for each view."""
+    """Return the rows g W g^T - B for the chosen entries of W, then those of B; 6 rows for each view.
+
+    They are the linear equations of arXiv:2512.16092, eq. 5.
+    """
     columns = []
     for i, j in unknown:
         basis = np.zeros((3, 3))

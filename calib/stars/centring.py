@@ -151,7 +151,10 @@ def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
 
 @njit(cache=True, error_model="numpy")
 def _spline_weights(a: float) -> tuple[float, float, float, float]:
-    """Return the cubic B-spline at the four pixels around a point that lies ``a`` px beyond the second one."""
+    """Return the cubic B-spline at the four pixels around a point that lies ``a`` px beyond the second one.
+
+    Cubic B-spline: Unser (1999).
+    """
     b = 1.0 - a
     return (
         b * b * b / 6.0,
@@ -163,7 +166,10 @@ def _spline_weights(a: float) -> tuple[float, float, float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _spline_slopes(a: float) -> tuple[float, float, float, float]:
-    """Return the derivatives of `_spline_weights`, 1/px."""
+    """Return the derivatives of `_spline_weights`, 1/px.
+
+    Derivative of the cubic B-spline of Unser (1999).
+    """
     b = 1.0 - a
     return (-0.5 * b * b, -2.0 * a + 1.5 * a * a, 2.0 * b - 1.5 * b * b, 0.5 * a * a)
 
@@ -173,7 +179,8 @@ def _smooth_sample(image: Any, x: float, y: float) -> tuple[float, float, float]
     """Return the image, as a cubic B-spline of its pixels, and its derivatives along x and y; nan outside.
 
     The spline blurs a little more than bilinear interpolation, but it has no kinks at pixels. Bilinear values would
-    pull edges that run along the pixel grid towards the grid.
+    pull edges that run along the pixel grid towards the grid. Cubic B-spline: Unser (1999), with the pixels as
+    coefficients.
     """
     if not (1.0 <= x < image.shape[1] - 2 and 1.0 <= y < image.shape[0] - 2):
         return np.nan, np.nan, np.nan
@@ -208,7 +215,8 @@ def _normal_equations(
     """Compute J^T J and J^T r of the symmetry residuals in place; return the mean of r^2, nan if too few are inside.
 
     The unknowns are the centre (x, y), px, and ``slopes``: the relative slope g, 1/pitch, and the absolute slope b,
-    brightness/pitch.
+    brightness/pitch. Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of the
+    module gives the equations.
     """
     normal[:] = 0.0
     right[:] = 0.0
@@ -244,7 +252,8 @@ def _normal_equations(
 def _solvable(normal: Any) -> bool:
     """Return whether the image determines every unknown; a flat image does not.
 
-    The matrix is scaled to a unit diagonal first, because the unit of some unknowns is the grey value.
+    The matrix is scaled to a unit diagonal first, because the unit of some unknowns is the grey value. The scaling is
+    that of van der Sluis (1969).
     """
     scale, scaled = np.empty(SYMMETRY_UNKNOWNS), np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
     for k in range(SYMMETRY_UNKNOWNS):
@@ -262,6 +271,9 @@ def refine_by_symmetry(
     image: Any, guesses: Any, local_map: LocalMap, samples: Any, reach_px: float
 ) -> SymmetryFit:
     """Find the centre of each star by symmetry, with Gauss-Newton steps.
+
+    The cost is that of Schöps et al. (2020), arXiv:1912.02908, with this project's own additions; the head of the
+    module gives the equations.
 
     Parameters
     ----------

@@ -249,7 +249,8 @@ def _best_centres(
     """Locate the stars by likelihood too, and return what scatters less: (N, 2) px and (N, 2, 2) px^2.
 
     Symmetry is best if the image has many shades of grey and little noise, likelihood if it is nearly black and white.
-    Stars on which the two contradict each other are nan.
+    Stars on which the two contradict each other are nan. Own rule: centres agree if d^T (V + W)^-1 d <= 6^2, with their
+    difference d and their covariances V and W.
     """
     nodes, points = candidates
     nominal = fit.mean_square[:, None, None] * np.linalg.inv(fit.information)
@@ -270,7 +271,10 @@ def _best_centres(
 
 
 def _uneven_light(light_slope: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (N, 2, 2) px^2 covariances of the shifts by light that falls off across a star."""
+    """Return the (N, 2, 2) px^2 covariances of the shifts by light that falls off across a star.
+
+    Own model: sigma = `UNEVEN_LIGHT_PX` times the slope of the light.
+    """
     return np.asarray((UNEVEN_LIGHT_PX * light_slope[:, None, None]) ** 2 * np.eye(2))
 
 
@@ -303,7 +307,10 @@ def _refined(
 def _without_outliers(
     grid: NDArray[np.float64], points: NDArray[np.float64], good: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which of the good stars, (N,) bool, lie on the smooth map of the others."""
+    """Return which of the good stars, (N,) bool, lie on the smooth map of the others.
+
+    Own rule: residuals of at most `OUTLIER_SIGMAS` standard deviations, or of at most `OUTLIER_PX`.
+    """
     if np.count_nonzero(good) < MIN_STARS:
         return good
     fitted, residuals = fit_grid_map(grid[good], points[good])

@@ -68,7 +68,7 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Reduce an image to at most `LEVELS` levels of brightness.
 
     If the image has no more values than that, each value is a level. Otherwise the levels have equal shares of the
-    pixels.
+    pixels. Levels of equal shares are those of histogram equalisation (Gonzalez and Woods, 2018).
 
     Parameters
     ----------
@@ -101,6 +101,9 @@ def gather_edge_pixels(
     levels: NDArray[np.uint8], centres: NDArray[np.float64], local_map: LocalMap, edge_map: EdgeMap
 ) -> EdgePixels:
     """Collect the pixels near edges of all stars.
+
+    Own derivation: a pixel at q belongs to the place s in the star with q = c + A s + B(s, s). It is found by s0 = A^-1
+    (q - c) and then s = A^-1 (q - c - B(s0, s0)).
 
     Parameters
     ----------
@@ -143,7 +146,9 @@ def _gather(
 ) -> None:
     """Interpolate tau and its derivatives at each pixel of each star's cell, and store those near an edge.
 
-    ``inverse`` is (N, 2, 2), pitches per px; ``reach`` is (N, 2), px, half the sides of the cells' bounding boxes.
+    ``inverse`` is (N, 2, 2), pitches per px; ``reach`` is (N, 2), px, half the sides of the cells' bounding boxes. The
+    interpolation is bilinear (Abramowitz and Stegun, 1972, section 25.2). Own derivatives: tau changes by -grad tau
+    A^-1 with the centre, by 1 with the threshold, and by s with its slope.
     """
     m = 0
     scale = edge_map.samples_per_pitch
@@ -179,7 +184,10 @@ def _gather(
 
 @njit(cache=True, error_model="numpy")
 def _tau_bin(pixels: EdgePixels, m: int, unknowns: Any, limit_px: float) -> float:
-    """Return the bin of tau of a pixel, with its fraction, for the current unknowns of its star."""
+    """Return the bin of tau of a pixel, with its fraction, for the current unknowns of its star.
+
+    Own linearisation: tau + slope . unknowns.
+    """
     tau = pixels.tau[m]
     for p in range(EDGE_UNKNOWNS):
         tau += pixels.slope[m, p] * unknowns[p]
@@ -189,6 +197,8 @@ def _tau_bin(pixels: EdgePixels, m: int, unknowns: Any, limit_px: float) -> floa
 @njit(cache=True, error_model="numpy")
 def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
     """Count the levels of all pixels over tau. Each pixel is shared between the two nearest bins.
+
+    This is linear binning (Wand, 1994).
 
     Parameters
     ----------
@@ -221,6 +231,8 @@ def edge_scores(
     pixels: EdgePixels, unknowns: Any, tables: ScoreTables, limit_px: float, edges: int
 ) -> tuple[Any, Any]:
     """Sum the scores and the Fisher information of the unknowns over the pixels of each edge of each star.
+
+    Scores and information are those of Fisher scoring (Osborne, 1992), each times the derivatives of tau.
 
     Parameters
     ----------

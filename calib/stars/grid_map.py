@@ -35,7 +35,9 @@ def predict_locally(
 ) -> NDArray[np.float64]:
     """Predict image points of grid positions from a homography and the nearest stars' deviations from it.
 
-    The deviations are fitted by a local polynomial of degree two, with weights that fall with the distance.
+    The deviations are fitted by a local polynomial of degree two, with weights that fall with the distance. Locally
+    weighted regression (Cleveland, 1979) with a ridge (Hoerl and Kennard, 1970). The weights 1 / (1 + distance^2) are
+    this project's own.
 
     Parameters
     ----------
@@ -98,6 +100,8 @@ class GridMap:
     def apply(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map grid positions to image points.
 
+        Homography: Hartley and Zisserman (2004), section 2.3. Own addition: a polynomial in scaled grid coordinates.
+
         Parameters
         ----------
         grid
@@ -113,6 +117,8 @@ class GridMap:
 
     def local_map(self, grid: NDArray[np.float64]) -> LocalMap:
         """Expand the map to second order around grid positions, by central differences.
+
+        The differences are those of Abramowitz and Stegun (1972), section 25.3.
 
         Parameters
         ----------
@@ -146,7 +152,8 @@ def fit_grid_map(
     """Fit the map of a whole view. Outliers do not take part in the fit.
 
     The scale of the residuals is the median length over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional
-    vector of standard normal components.
+    vector of standard normal components. Own procedure: linear least squares, repeated without the stars beyond
+    `OUTLIER_SIGMAS`; sigma is enlarged by (1 - terms / stars)^(-1/2) for the terms fitted.
 
     Parameters
     ----------

@@ -140,6 +140,8 @@ def grow_star_grid(
 ) -> StarGrid:
     """Find the first stars, then those around them, until no more are found.
 
+    Growth of this kind is that of Schöps et al. (2020), arXiv:1912.02908.
+
     Parameters
     ----------
     image
@@ -188,6 +190,8 @@ def _refitted(h: NDArray[np.float64], start: GrowthStart, grown: StarGrid) -> ND
 
 def linear_at(h: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the Jacobian of a homography.
+
+    Own derivation, by the quotient rule: with [p q w] = H [x y 1], du/dx = (h11 - u h31) / w, and so on.
 
     Parameters
     ----------

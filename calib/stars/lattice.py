@@ -56,6 +56,9 @@ class _Candidates(NamedTuple):
 def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | None:
     """Find a star with neighbours on all four sides.
 
+    The response is a circular harmonic of the image (Hsu and Arsenault, 1982); the search for a square of neighbours is
+    this project's own.
+
     Parameters
     ----------
     image
@@ -83,7 +86,10 @@ def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | Non
 
 
 def _candidates_by_pitch(image: NDArray[np.float32], segments: int) -> list[_Candidates]:
-    """Return the candidates of each pitch with five or more of them, the pitch with the largest total first."""
+    """Return the candidates of each pitch with five or more of them, the pitch with the largest total first.
+
+    Own criterion: the sum of the squared responses times the squared pitch.
+    """
     found: list[_Candidates] = []
     for pitch in reversed(PITCHES_PX):  # the coarsest first, because it costs least
         scale = SMALL_PITCH_PX / pitch
@@ -101,7 +107,11 @@ def _candidates_by_pitch(image: NDArray[np.float32], segments: int) -> list[_Can
 
 
 def _response(image: NDArray[np.float32], scale: float, segments: int) -> NDArray[np.float32]:
-    """Return the response of the reduced image at each place, 0 to 1."""
+    """Return the response of the reduced image at each place, 0 to 1.
+
+    Magnitude of the mean of I exp(i n phi) over the ring (circular harmonic; Hsu and Arsenault, 1982). Own
+    normalisation by the standard deviation of I there.
+    """
     small = image if scale >= 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     reach = int(np.ceil(RING[1] * SMALL_PITCH_PX))
     x, y = np.meshgrid(np.arange(-reach, reach + 1.0), np.arange(-reach, reach + 1.0))
@@ -127,7 +137,10 @@ def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _steps_to_neighbours(places: NDArray[np.float64], number: int) -> NDArray[np.float64] | None:
-    """Return the steps to the right and to the lower neighbour as columns, (2, 2); None without four neighbours."""
+    """Return the steps to the right and to the lower neighbour as columns, (2, 2); None without four neighbours.
+
+    Own rule: a neighbour lies within `SQUARENESS` pitches of each corner of a square.
+    """
     off = places - places[number]
     distance = np.linalg.norm(off, axis=1)
     distance[number] = np.inf

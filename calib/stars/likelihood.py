@@ -90,6 +90,9 @@ def refine_by_likelihood(
 ) -> LikelihoodFit:
     """Move stars to their most likely centres.
 
+    Fisher scoring: Osborne (1992). Covariances: Cramér-Rao bound (Rao, 1945). The head of the module gives the
+    likelihood, which is this project's own.
+
     Parameters
     ----------
     levels
@@ -130,8 +133,9 @@ def refine_by_likelihood(
 def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the prior precision of the unknowns, (N, 5).
 
-    Slopes are small nearly everywhere and large at the rim of the disc. Their prior is a bivariate Cauchy
-    distribution, by the weights of iteratively reweighted least squares.
+    Slopes are small nearly everywhere and large at the rim of the disc. Their prior is a bivariate Cauchy distribution,
+    by the weights of iteratively reweighted least squares. The Cauchy distribution is Student's with one degree of
+    freedom; in two dimensions its weight is 3 / (s^2 + b^2) (Lange, Little and Taylor, 1989).
     """
     prior = np.zeros_like(unknowns)
     prior[:, 2] = SHIFT_SIGMA**-2
@@ -150,6 +154,7 @@ def _best_edge_map(
     """Return the edge map with the blur that has most information about the centres of some of the stars.
 
     The information rises with the blur up to the right one and falls beyond it, so the search ends at the first fall.
+    Own criterion: the trace of the Fisher information of the centres.
     """
     some = slice(None, None, max(1, len(centres) // BLUR_STARS))
     unknowns = np.zeros((len(centres[some]), EDGE_UNKNOWNS))
@@ -200,7 +205,11 @@ def _overdispersion(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> 
 
 
 def _score_tables(counts: NDArray[np.float64], bandwidth_bins: float) -> ScoreTables:
-    """Turn (LEVELS, bins) counts into P(level | tau), smoothed over tau by a Gaussian, and P into scores."""
+    """Turn (LEVELS, bins) counts into P(level | tau), smoothed over tau by a Gaussian, and P into scores.
+
+    The shares are a kernel regression of the levels on tau (Nadaraya, 1964; Watson, 1964). Score: P' / P. Fisher
+    information: sum over the levels of P'^2 / P.
+    """
     reach = int(4 * bandwidth_bins) + 1
     steps = np.arange(-reach, reach + 1)
     kernel = np.exp(-0.5 * (steps / bandwidth_bins) ** 2)

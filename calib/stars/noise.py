@@ -39,6 +39,9 @@ def stencil_residuals(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compare each star that has all eight neighbours with them.
 
+    The stencil is the mask of Immerkær (1996). The covariance of e is the sum of w^2 V over the stars, with their
+    weights w and covariances V (JCGM 100:2008, section 5.1).
+
     Parameters
     ----------
     nodes
@@ -73,7 +76,7 @@ def variance_factor(
     """Estimate the factor of the covariances from the scatter of neighbouring stars.
 
     A first value is the median of the normalised squares over 2 ln 2, the median of chi-square with two degrees of
-    freedom. The result is the mean of those squares that are not far above it.
+    freedom. The result is the mean of those squares that are not far above it. Own estimator.
 
     Parameters
     ----------

@@ -86,14 +86,20 @@ class _Observations(NamedTuple):
     nodes: Sequence[Array]
 
     def grid(self, values: Array, reading_deg: Mapping[str, float]) -> Array:
-        """Return the (3, 3) homography of a view for values of the unknowns."""
+        """Return the (3, 3) homography of a view for values of the unknowns.
+
+        It is H of the head of the module: arXiv:2512.16092, eqs. 1 to 3.
+        """
         rotation = exp_map(values[_MOUNTING]) @ _gimbal_rotation(reading_deg) @ exp_map(values[_BASE])
         centre = np.array([*values[_CENTRE], -np.exp(values[_LOG_R])])
         matrix = _matrix(float(np.exp(values[_LOG_F])), self.image_size)
         return grid_homography(matrix, rotation, centre, self.pitch_mm)
 
     def residuals(self, values: Array) -> Array:
-        """Return the weighted residuals of all points of all views, and of the prior of the mounting."""
+        """Return the weighted residuals of all points of all views, and of the prior of the mounting.
+
+        Own weights: a view counts as `POINTS_PER_VIEW` points of standard deviation `MODEL_SIGMA_PX`.
+        """
         sigma_px = MODEL_SIGMA_PX * np.sqrt(len(self.points) / POINTS_PER_VIEW)
         views = [
             (apply_homography(self.grid(values, reading), nodes) - self.points).ravel() / sigma_px
@@ -118,6 +124,9 @@ def predict_grid(
     pitch_mm: float,
 ) -> PredictedGrid:
     """Predict the grid of stars from a reading of the gimbal.
+
+    Robot-world and hand-eye calibration: Dornaika and Horaud (1998). The parametrisation is this project's own; the
+    head of the module gives the equations.
 
     Parameters
     ----------
@@ -171,7 +180,10 @@ def _image_points(image_size: tuple[int, int]) -> Array:
 
 
 def _matrix(focal_px: float, image_size: tuple[int, int]) -> Array:
-    """Return the (3, 3) camera matrix K."""
+    """Return the (3, 3) camera matrix K.
+
+    Source: Hartley and Zisserman (2004), section 6.1.
+    """
     cx, cy = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
     return np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
 
@@ -202,7 +214,10 @@ def _first_values(first: LabelledView, observed: _Observations, focal_px: float)
 
 
 def _fitted(observed: _Observations, values: Array) -> _Fit:
-    """Minimise the sum of squares by the method of Levenberg and Marquardt (Marquardt 1963)."""
+    """Minimise the sum of squares by the method of Levenberg and Marquardt (Marquardt 1963).
+
+    The covariance is the inverse of J^T J, times the mean square of the residuals if it exceeds 1 (Birge, 1932).
+    """
     residuals = observed.residuals(values)
     cost, damping = float(residuals @ residuals), 1e-3
     for _ in range(_MAX_STEPS):
@@ -225,7 +240,10 @@ def _fitted(observed: _Observations, values: Array) -> _Fit:
 
 
 def _predicted(observed: _Observations, fit: _Fit, reading_deg: Mapping[str, float]) -> PredictedGrid:
-    """Return the grid at a reading, with its uncertainty propagated from the fit."""
+    """Return the grid at a reading, with its uncertainty propagated from the fit.
+
+    Propagation: JCGM 100:2008, section 5.2.
+    """
     grid = observed.grid(fit.values, reading_deg)
     nodes = apply_homography(np.asarray(np.linalg.inv(grid)), observed.points)
     jacobian = _jacobian(lambda v: apply_homography(observed.grid(v, reading_deg), nodes).ravel(), fit.values)
@@ -236,6 +254,9 @@ def _predicted(observed: _Observations, fit: _Fit, reading_deg: Mapping[str, flo
 
 
 def _jacobian(function: Callable[[Array], Array], values: Array) -> Array:
-    """Return the derivatives of a function of the unknowns, by forward differences."""
+    """Return the derivatives of a function of the unknowns, by forward differences.
+
+    Source: Abramowitz and Stegun (1972), section 25.3.
+    """
     here = function(values)
     return np.column_stack([(function(values + 1e-6 * e) - here) / 1e-6 for e in np.eye(len(values))])

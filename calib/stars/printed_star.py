@@ -84,7 +84,7 @@ def blurred_edge_map(sharp: NDArray[np.float64], segments: int, pitch_px: float,
     """Blur a printed star, and compute the distances from its edges from the blurred brightness.
 
     A straight edge blurred by a Gaussian of standard deviation sigma has the brightness Phi(tau / sigma) at distance
-    tau, so tau = sigma Phi^-1(brightness).
+    tau, so tau = sigma Phi^-1(brightness). Own derivation: the Gaussian is integrated over the white side of the edge.
 
     Parameters
     ----------

@@ -50,7 +50,8 @@ class TagDetection:
 def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> TagDetection | None:
     """Find the target's tag, at any roll and with either contrast.
 
-    The detector gets the image reduced, blurred, unchanged and median filtered, until it finds the tag.
+    The detector gets the image reduced, blurred, unchanged and median filtered, until it finds the tag. Detector:
+    Garrido-Jurado et al. (2014). Tags: Olson (2011).
 
     Parameters
     ----------
@@ -165,8 +166,10 @@ def _refined_corners(
 ) -> NDArray[np.float64]:
     """Fit lines to the outer edges of the border, and return their (4, 2) intersections.
 
-    The edge is black inside and white outside. The black border and the white ring are both half a pitch wide, which
-    is one module of a tag of four squares. The old corners are returned if an intersection is far from its corner.
+    The edge is black inside and white outside. The black border and the white ring are both half a pitch wide, which is
+    one module of a tag of four squares. The old corners are returned if an intersection is far from its corner. Own
+    procedure: a step filter finds the edge on each profile. Lines through points and their intersections are cross
+    products (Hartley and Zisserman, 2004, section 2.2).
     """
     module = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean() / TAG_MODULES
     offsets = np.linspace(-1.4, 1.4, 113) * module

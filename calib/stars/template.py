@@ -77,7 +77,10 @@ class StarTemplate(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _sample(image: Any, x: float, y: float) -> float:
-    """Return the bilinear value of the image at a point; nan outside."""
+    """Return the bilinear value of the image at a point; nan outside.
+
+    Source: Abramowitz and Stegun (1972), section 25.2.
+    """
     if not (0.0 <= x < image.shape[1] - 1 and 0.0 <= y < image.shape[0] - 1):
         return np.nan
     c, r = int(x), int(y)
@@ -89,7 +92,10 @@ def _sample(image: Any, x: float, y: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _correlation(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> float:
-    """Return the correlation coefficient of the image with a star at (x, y); nan if too much of it lies outside."""
+    """Return the correlation coefficient of the image with a star at (x, y); nan if too much of it lies outside.
+
+    Normalised cross-correlation (Lewis, 1995); the variance of the template, of values +1 and -1, is taken as 1.
+    """
     total = squares = product = balance = 0.0
     n = 0
     for i in range(template.values.size):
@@ -115,6 +121,8 @@ def search_stars(
     image: Any, guesses: Any, linear: Any, reach_px: Any, template: StarTemplate, sign: float
 ) -> tuple[Any, Any]:
     """Find the best place of a star around each guess, in steps of one pixel.
+
+    Criterion: normalised cross-correlation (Lewis, 1995).
 
     Parameters
     ----------
@@ -158,6 +166,8 @@ def star_contrasts(
     image: Any, centres: Any, linear: Any, template: StarTemplate, sign: float
 ) -> tuple[Any, Any]:
     """Measure how well each star correlates with its pattern, and its contrast in each octant.
+
+    Correlation: Lewis (1995). The contrast by octants is this project's own.
 
     Parameters
     ----------

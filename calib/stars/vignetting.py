@@ -27,6 +27,8 @@ _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j)
 def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
     """Find the stars that lack a neighbour although the neighbour would lie inside the frame.
 
+    Own rule.
+
     Parameters
     ----------
     view
@@ -60,6 +62,8 @@ def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
 
 def downweight_vignetted(view: View, target: StarTarget, sigma_px: float = VIGNETTED_SIGMA_PX) -> View:
     """Increase the covariances of the vignetted stars of a view.
+
+    Own model of the shift, as an independent error: variances add up.
 
     Parameters
     ----------

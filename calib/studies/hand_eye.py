@@ -76,7 +76,8 @@ def check_hand_eye(
 ) -> HandEyeCheck:
     """Compare the readings of a gimbal with the rotations of a calibration.
 
-    The unknown rotations and scales are estimated by generalised least squares (Gauss-Newton).
+    The unknown rotations and scales are estimated by generalised least squares (Gauss-Newton). Robot-world and hand-eye
+    equation: Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936).
 
     Parameters
     ----------
@@ -163,7 +164,11 @@ def _linearised(
     base_from_target: Array,
     free: Sequence[int],
 ) -> tuple[Array, Array]:
-    """Return (3 n,) seen minus read, rad, and the (3 n, 6 + s) derivatives by A, B and the scales."""
+    """Return (3 n,) seen minus read, rad, and the (3 n, 6 + s) derivatives by A, B and the scales.
+
+    Own derivation: with R = A G B, a rotation vector a on the left of A turns R by a, and b on the left of B turns it
+    by A G b. The derivatives by the scales are forward differences.
+    """
     heads = _heads(angles, scales)
     read = camera_from_head @ heads @ base_from_target
     off = log_map(rotations @ np.swapaxes(read, 1, 2)).reshape(-1)

@@ -100,6 +100,8 @@ def run_monte_carlo(
 ) -> MonteCarloStudy:
     """Calibrate predicted views many times, each time with new noise.
 
+    Repeated draws from the stated distributions: JCGM 101:2008.
+
     Parameters
     ----------
     bench

@@ -52,6 +52,8 @@ class Forecast:
 def forecast(bench: ExpectedBench, poses_deg: Sequence[Mapping[str, float]]) -> Forecast:
     """Return the expected uncertainty of a calibration from a set of poses.
 
+    The covariance is the inverse of the sum of the views' Fisher information: the Cramér-Rao bound (Rao, 1945).
+
     Parameters
     ----------
     bench
@@ -86,6 +88,8 @@ def next_poses(
     count: int = 1,
 ) -> tuple[Mapping[str, float], ...]:
     """Return the poses that lower the worst projection uncertainty most, chosen one after the other (greedy).
+
+    Criterion: G-optimality (Kiefer and Wolfowitz, 1960). The greedy choice is this project's own.
 
     Parameters
     ----------
@@ -165,7 +169,11 @@ def _map(bench: ExpectedBench, covariance: Array) -> ProjectionMap:
 
 
 def _worst(bench: ExpectedBench, information: Array) -> float:
-    """Return the worst projection uncertainty, px; with too little information, a large number that falls with it."""
+    """Return the worst projection uncertainty, px; with too little information, a large number that falls with it.
+
+    G-optimality: Kiefer and Wolfowitz (1960). Own substitute if the information is singular: a large number minus the
+    sum of the logarithms of the eigenvalues.
+    """
     try:
         return _map(bench, _covariance(bench, information)).worst_px
     except DegenerateViews:

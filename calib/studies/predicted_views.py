@@ -57,6 +57,8 @@ class ExpectedBench:
 def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -> tuple[View, Array]:
     """Return the stars that a pose will show, without noise, and its rotation.
 
+    Spherical motion: arXiv:2512.16092, eq. 2.
+
     Parameters
     ----------
     bench
@@ -96,7 +98,10 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
 
 
 def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the image points of target points, (N, 2) px, and which are visible, (N,) bool."""
+    """Return the image points of target points, (N, 2) px, and which are visible, (N,) bool.
+
+    Image point of R (P - c) (arXiv:2512.16092, eq. 2). Own model of the beam: a disc of radius r tan(half angle).
+    """
     centre = bench.collimator.centre
     pixels = bench.camera.project(
         (np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre) @ rotation.T

@@ -87,6 +87,8 @@ class RelativeRotation:
 def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotation:
     """Estimate the rotation second <- first from all poses that both cameras saw, by generalised least squares.
 
+    Generalised least squares: Aitken (1936), for the rotation vectors of R_second R_first^T.
+
     Parameters
     ----------
     first, second
@@ -140,7 +142,10 @@ def _joint(covariance: Array, views: list[int]) -> Array:
 
 
 def _rotated(covariance: Array, turns: Array) -> Array:
-    """Transform a (3 n, 3 n) covariance from the first camera's side to the second one's."""
+    """Transform a (3 n, 3 n) covariance from the first camera's side to the second one's.
+
+    Linear propagation, T C T^T (JCGM 100:2008, section 5.2).
+    """
     carrier = np.zeros_like(covariance)
     for i, turn in enumerate(turns):
         carrier[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = turn

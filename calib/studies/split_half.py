@@ -51,6 +51,9 @@ class SplitHalf:
 def split_half(views: Sequence[View], options: CalibrationOptions | None = None) -> SplitHalf:
     """Calibrate every other view, and the rest, and compare.
 
+    Own statistic: the expected difference is the root of the mean of s1^2 + s2^2 over the sensor, with the projection
+    uncertainties s1 and s2.
+
     Parameters
     ----------
     views

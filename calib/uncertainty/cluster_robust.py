@@ -85,7 +85,10 @@ def cluster_robust_covariance(
 
 
 def _adjustment(noise: Array, remaining: Array) -> Array:
-    """Return the CR2 matrix B with B C B^T = M on the range of the score: M^1/2 (M^1/2 C M^1/2)^-1/2 M^1/2."""
+    """Return the CR2 matrix B with B C B^T = M on the range of the score: M^1/2 (M^1/2 C M^1/2)^-1/2 M^1/2.
+
+    Source: Bell and McCaffrey (2002). This solution is the geometric mean of M and C^-1 (Bhatia, 2007, chapter 4).
+    """
     root = _matrix_power(noise, 0.5)
     return np.asarray(root @ _matrix_power(root @ remaining @ root, -0.5) @ root)
 

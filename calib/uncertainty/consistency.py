@@ -26,7 +26,9 @@ _FALSE_ALARMS = 1e-4
 def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, passport: Passport) -> None:
     """Refuse a passport whose centre contradicts the views, by a chi-square test.
 
-    A single view, or views that do not determine the centre, cannot contradict it.
+    A single view, or views that do not determine the centre, cannot contradict it. Let d be the centre found minus the
+    passport's, with independent covariances V and P. Then d^T (V + P)^-1 d has a chi-square distribution if the errors
+    are normal (Rao, 1973).
 
     Parameters
     ----------

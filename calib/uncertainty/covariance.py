@@ -147,7 +147,10 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
 def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty) -> Array:
     """Return the joint covariance of the rotations of all views.
 
-    It holds the star noise of each view, and the shared uncertainty of camera and collimator.
+    It holds the star noise of each view, and the shared uncertainty of camera and collimator. Own derivation from the
+    block inverse of the normal equations (Schur complement; Triggs et al., 2000, section 6.1): let L be the block of
+    the local parameters, S their coupling to the shared ones, C the covariance of the shared ones, and v the variance
+    of star noise. Then the covariance is v L^-1 + L^-1 S^T C S L^-1.
 
     Parameters
     ----------
@@ -175,7 +178,10 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nomina
 
 
 def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
-    """Split the variances into those from the stars and those from the priors."""
+    """Split the variances into those from the stars and those from the priors.
+
+    Linear propagation (JCGM 100:2008, section 5.2): a prior of information P contributes C P C to the covariance C.
+    """
     variances = np.diag(covariance)
     if bundle.prior is None:
         return {"stars": variances}
@@ -194,7 +200,8 @@ def inflate(
     """Return the uncertainty, enlarged if the views are inconsistent.
 
     With fewer than five views the covariance is that of the variance components. From five views on, each sigma comes
-    from the scores of the views (`calib.uncertainty.cluster_robust`); correlations are kept.
+    from the scores of the views (`calib.uncertainty.cluster_robust`); correlations are kept. Variance components:
+    Patterson and Thompson (1971). Scores: Bell and McCaffrey (2002).
 
     Parameters
     ----------
@@ -250,7 +257,8 @@ def _from_scores(
     """Return the uncertainty with sigmas from the scores of the views, but not below those from the stars.
 
     `working` (n, G, G) is the working covariance of the scores; None for that of star noise. The degrees of freedom
-    differ from parameter to parameter; their median is used for all.
+    differ from parameter to parameter; their median is used for all. Source of the sigmas: Bell and McCaffrey (2002).
+    The lower limit and the scaling of the covariance to the sigmas are this project's own.
     """
     residuals = bundle.weighted_residuals(parameters)
     influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
@@ -280,7 +288,8 @@ def _birge(
 
     At the optimum the scores s_i of the views cancel. Star noise gives s_i the covariance variance * A_i, where A_i is
     the view's information on the shared parameters. The sum of s_i^T A_i^+ s_i has as many degrees of freedom as the
-    views determine directions, minus the number of shared parameters.
+    views determine directions, minus the number of shared parameters. Own extension of Birge (1932) from one measurand
+    to several, of which a view may determine only some.
     """
     residuals = bundle.weighted_residuals(parameters)
     influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
@@ -296,6 +305,9 @@ def _birge(
 
 def inverse_information(information: Array, names: Sequence[str]) -> Array:
     """Invert an information matrix, scaled to a unit diagonal.
+
+    The inverse of the information is the Cramér-Rao bound (Rao, 1945). The scaling reduces the condition number (van
+    der Sluis, 1969).
 
     Parameters
     ----------

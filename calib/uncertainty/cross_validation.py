@@ -63,6 +63,7 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     """Adjust without each view in turn, from the optimum of all views.
 
     With many views one Newton step replaces the full adjustment (compare Pregibon, 1981, on one-step deletion).
+    Cross-validation: Stone (1974).
 
     Parameters
     ----------
@@ -98,7 +99,8 @@ def _steps_without(
 ) -> Iterator[AdjustmentParameters]:
     """Yield, for each view, the parameters one Newton step from the optimum of all towards that without it.
 
-    Without view i, the reduced normal equations are H - A_i, and their right side is the missing score, -s_i.
+    Without view i, the reduced normal equations are H - A_i, and their right side is the missing score, -s_i. One-step
+    deletion: Pregibon (1981); the reduced equations are this project's own.
     """
     residuals = bundle.weighted_residuals(parameters)
     lengths = np.linalg.norm(residuals, axis=1)

@@ -25,7 +25,8 @@ def propagate_passport(
     """Return the uncertainty of all parameters if a passport held some of them.
 
     Star noise is multiplied by the Birge ratio of these views or of those from which the passport was made, whichever
-    is larger. Otherwise the small errors of a model would appear as knowledge.
+    is larger. Otherwise the small errors of a model would appear as knowledge. Consider covariance: Tapley, Schutz and
+    Born (2004), chapter 6. The factor on star noise is this project's own.
 
     Parameters
     ----------

@@ -81,7 +81,9 @@ class CameraDifference:
 def projection_uncertainty(camera: CameraModel, covariance: Array, points_across: int = 33) -> ProjectionMap:
     """Map the projection uncertainty of a camera: var(q) = dq/db var(b) dq/db^T, without the implied rotation.
 
-    The law of propagation is that of JCGM 100:2008, section 5.2.
+    The law of propagation is that of JCGM 100:2008, section 5.2. The implied rotation is an idea of mrcal (Kogan). Own
+    form for points at infinity: for a change db, the rotation t minimises the sum of |dq/db db - dq/dt t|^2 over the
+    grid.
 
     Parameters
     ----------
@@ -119,7 +121,8 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
 def camera_difference(first: CameraModel, second: CameraModel, points_across: int = 33) -> CameraDifference:
     """Compare two calibrations of one camera over its sensor.
 
-    The rotation between their frames is estimated by least squares over the sensor (Gauss-Newton).
+    The rotation between their frames is estimated by least squares over the sensor (Gauss-Newton). The implied
+    transformation is an idea of mrcal (Kogan); here it is a rotation, fitted with equal weights.
 
     Parameters
     ----------

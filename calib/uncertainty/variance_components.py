@@ -135,7 +135,11 @@ def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: 
 def _propagate(
     bundle: Bundle, equations: _FieldEquations, variances: Array, fisher: Array
 ) -> VarianceComponents:
-    """Propagate the variance components to the shared parameters."""
+    """Propagate the variance components to the shared parameters.
+
+    With the response A of the parameters to coefficients of variances D, the covariance is A D A^T (JCGM 100:2008,
+    section 5.2). Degrees of freedom of a variance V: 2 V^2 / Var(V) (Satterthwaite, 1946).
+    """
     inverse = equations.inverse
     response = inverse @ equations.coupling
     each = np.stack(
@@ -164,7 +168,10 @@ def _propagate(
 
 
 def _score_covariances(equations: _FieldEquations, variances: Array) -> Array:
-    """Return (n, G, G) the covariance of each view's score."""
+    """Return (n, G, G) the covariance of each view's score.
+
+    Own derivation: noise A + S D S^T, with the information A of the view.
+    """
     scores = equations.noise * equations.information
     for i in range(len(scores)):
         own = equations.view == i
@@ -197,7 +204,11 @@ def _estimate_variances(z: Array, parts: Sequence[Array], noise: float) -> tuple
 
 
 def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> _FieldEquations:
-    """Set up the equations of the field coefficients, with local and shared parameters eliminated."""
+    """Set up the equations of the field coefficients, with local and shared parameters eliminated.
+
+    Own derivation. Local parameters are eliminated by the Schur complement (Triggs et al., 2000, section 6.1), shared
+    ones in the same way.
+    """
     obs, residuals = bundle.observations, bundle.weighted_residuals(parameters)
     weights = loss.weights(np.linalg.norm(residuals, axis=1))
     count = len(bundle.names)
@@ -248,7 +259,7 @@ def _basis_fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[
 
     They are polynomials along each axis, orthogonal over the stars. The groups are the shift along X, the shift along
     Y, and the higher degrees. The last group is that of the rim: the model's own shapes, or those of a disc about the
-    stars' mean.
+    stars' mean. Own choice of the fields; they are made orthogonal by QR decomposition.
     """
     away = target_mm - target_mm.mean(axis=0)
     away /= np.linalg.norm(away, axis=1).max()
