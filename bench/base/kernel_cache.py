@@ -48,10 +48,10 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESID
 
 
 def remove_stale_kernels(root: Path = _ROOT) -> int:
-    """Remove compiled kernels that are older than their source, so that an update never loads them.
+    """Remove compiled kernels that are older than the source files in their folder, so that an update never loads them.
 
-    numba compares the age itself, but only after it has unpickled the index of the kernels; this fails where a class
-    that the index names has got another name since.
+    numba compares ages itself, with two gaps. It first unpickles the index of the kernels, which fails where a class
+    that the index names was renamed. And it does not see that another compiled function, which a kernel calls, changed.
 
     Parameters
     ----------
@@ -64,11 +64,20 @@ def remove_stale_kernels(root: Path = _ROOT) -> int:
         Number of kernels removed; files that cannot be removed are left.
     """
     removed = 0
-    for package in _PACKAGES_WITH_KERNELS:
-        for index in (root / package).glob("**/__pycache__/*.nbi"):
-            source = index.parent.parent / f"{index.name.partition('.')[0]}.py"
+    caches = (
+        cache for package in _PACKAGES_WITH_KERNELS for cache in (root / package).glob("**/__pycache__")
+    )
+    for cache in caches:
+        indexes = list(cache.glob("*.nbi"))
+        newest = (
+            max((source.stat().st_mtime for source in cache.parent.glob("*.py")), default=0.0)
+            if indexes
+            else 0.0
+        )
+        for index in indexes:
             with suppress(OSError):
-                if not source.exists() or index.stat().st_mtime < source.stat().st_mtime:
+                orphaned = not (cache.parent / f"{index.name.partition('.')[0]}.py").exists()
+                if orphaned or index.stat().st_mtime < newest:
                     index.unlink()
                     removed += 1
     return removed

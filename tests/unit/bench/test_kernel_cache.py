@@ -72,17 +72,18 @@ def test_the_command_line_asks_before_numba_is_imported():
     assert said.stdout.splitlines()[0] == "False"
 
 
-def test_kernels_older_than_their_source_or_without_one_are_removed(tmp_path):
+def test_kernels_older_than_a_source_beside_them_or_without_one_are_removed(tmp_path):
     cache = tmp_path / "calib" / "events" / "__pycache__"
     cache.mkdir(parents=True)
     source = cache.parent / "flicker.py"
     source.touch()
-    fresh, stale, orphan = (
-        cache / f"{name}.py311.nbi" for name in ("flicker.new-3", "flicker.old-9", "gone.fold-1")
-    )
-    for index, age_s in ((fresh, -10), (stale, 10), (orphan, -10)):
+    (cache.parent / "bursts.py").touch()
+    os.utime(cache.parent / "bursts.py", (source.stat().st_mtime - 60,) * 2)
+    names = ("flicker.new-3", "flicker.old-9", "bursts.calls_old-4", "gone.fold-1")
+    fresh, stale, caller, orphan = (cache / f"{name}.py311.nbi" for name in names)
+    for index, age_s in ((fresh, -10), (stale, 10), (caller, 10), (orphan, -10)):
         index.touch()
         os.utime(index, (source.stat().st_mtime - age_s,) * 2)
-    assert remove_stale_kernels(tmp_path) == 2
+    assert remove_stale_kernels(tmp_path) == 3
     assert list(cache.iterdir()) == [fresh]
     assert remove_stale_kernels(tmp_path / "nowhere") == 0
