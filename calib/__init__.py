@@ -14,6 +14,15 @@ simulators. A notebook needs only the names below. Each is loaded at its first u
 `CalibrationError`                                     base class of all errors of the engine
 =====================================================  =============================================================
 
+References
+----------
+- arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
+- Birge (1932), The calculation of errors by the method of least squares, Physical Review 40, 207.
+- Olson (2011), AprilTag: a robust and flexible visual fiducial system, ICRA.
+- Schöps, Larsson, Pollefeys and Sattler (2020), Why having 10,000 parameters in your camera model is better than
+  twelve, CVPR, arXiv:1912.02908.
+- Schwarz (1978), Estimating the dimension of a model, Annals of Statistics 6, 461.
+
 Examples
 --------
 A camera is calibrated from three predicted views with 0.02 px of noise on every star:

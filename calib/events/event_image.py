@@ -307,8 +307,8 @@ def _facts(
 ) -> SliceFacts:
     """Collect the properties of the slice.
 
-    ``window`` is its start and end, us, and number of periods; ``events`` are those inside and outside; ``bursts``
-    are the windows of the ON and the OFF burst.
+    ``window`` is its start and end, us, and number of periods; ``events`` are those inside and outside; ``bursts`` are
+    the windows of the ON and the OFF burst. Own definitions, those of `SliceFacts`.
     """
     start, end, periods = window
     lit = (sums.on_fired >= LIT_SHARE * periods) & (sums.off_fired >= LIT_SHARE * periods) & ~hot

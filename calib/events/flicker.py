@@ -68,6 +68,8 @@ class Flicker:
     def lag_us(self, other: Flicker) -> float:
         """Return how much later this light rises than another one. This compares two sources of one flicker.
 
+        Own definition: the difference of the phases, minus the nearest whole number of periods.
+
         Parameters
         ----------
         other
@@ -90,6 +92,8 @@ class Flicker:
 
     def rising_edges_us(self, start_us: float, end_us: float) -> NDArray[np.float64]:
         """Return the times of the rising edges within an interval.
+
+        They lie at phase + k period.
 
         Parameters
         ----------
@@ -119,7 +123,7 @@ def flicker_from_triggers(
 
     Rising edge k is expected at t = phase + k * period, and the falling edge after it at duty * period later. Period,
     phase and duty are fitted by least squares to the edges that fit. Missing edges are counted. Edges that do not fit
-    (bounces, crosstalk) are left out and counted. The selection of the edges is this project's own.
+    (bounces, crosstalk) are left out and counted. This model and the selection of the edges are this project's own.
 
     Parameters
     ----------
@@ -231,7 +235,8 @@ def flicker_from_events(
 def _period_guess(t: NDArray[np.float64], rising: NDArray[np.bool_], expected_hz: float | None) -> float:
     """Return the median distance of neighbouring edges of one direction, us.
 
-    If an expected frequency is given, only distances near its period count; a single edge gives that period.
+    If an expected frequency is given, only distances near its period count; a single edge gives that period. Own
+    estimate: the median is not changed by a few missing or additional edges.
     """
     distances = np.concatenate([np.diff(t[rising]), np.diff(t[~rising])])
     distances = distances[distances > 0]

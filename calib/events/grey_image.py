@@ -14,6 +14,8 @@ CLIPPED_SHARE = 0.005
 def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     """Stretch an image to 0..255 between its quantiles `CLIPPED_SHARE` and 1 - `CLIPPED_SHARE`.
 
+    Own linear stretch: 255 (value - low) / (high - low), cut at 0 and 255.
+
     Parameters
     ----------
     image

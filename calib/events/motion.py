@@ -51,7 +51,8 @@ class Motion(NamedTuple):
 def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, float]]:
     """Split the window of a slice into two halves of whole periods.
 
-    If the number of periods is odd, the middle period belongs to neither half.
+    If the number of periods is odd, the middle period belongs to neither half. Own rule: n periods give two halves of
+    floor(n / 2) periods.
 
     Parameters
     ----------

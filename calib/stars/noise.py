@@ -76,7 +76,7 @@ def variance_factor(
     """Estimate the factor of the covariances from the scatter of neighbouring stars.
 
     A first value is the median of the normalised squares over 2 ln 2, the median of chi-square with two degrees of
-    freedom. The result is the mean of those squares that are not far above it. Own estimator.
+    freedom. The result is the mean of those squares that are not far above it. This estimator is this project's own.
 
     Parameters
     ----------

@@ -49,6 +49,8 @@ class EdgeMap(NamedTuple):
 def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float64]:
     """Draw the print around a star that has all eight neighbours, on the grid of an `EdgeMap`.
 
+    The print is that of `calib.target.StarTarget.reflectance`.
+
     Parameters
     ----------
     target

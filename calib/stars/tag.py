@@ -150,7 +150,10 @@ def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDA
 def _modules_correlation(
     picture: NDArray[np.uint8], scale: float, homography: NDArray[np.float64], target: StarTarget
 ) -> float:
-    """Return the correlation of the 8 x 8 modules, at their centres, with the print."""
+    """Return the correlation of the 8 x 8 modules, at their centres, with the print.
+
+    It is Pearson's correlation coefficient (NumPy's ``corrcoef``).
+    """
     left, top = target.tag_corners_mm[0] / target.pitch_mm
     middles = (np.arange(TAG_MODULES) + 0.5) * (target.tag_squares / TAG_MODULES)
     u, v = np.meshgrid(left + middles, top + middles)

@@ -49,6 +49,8 @@ class StarTemplate(NamedTuple):
     def of(cls, segments: int, radii: tuple[float, ...] = TEMPLATE_RADII) -> StarTemplate:
         """Sample a star whose segments are counted from +Y, the first one white.
 
+        The pattern is that of `calib.target`, sampled at the shares `TEMPLATE_ACROSS` of each segment.
+
         Parameters
         ----------
         segments

@@ -27,7 +27,7 @@ _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j)
 def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
     """Find the stars that lack a neighbour although the neighbour would lie inside the frame.
 
-    Own rule.
+    Own rule. The neighbour must be expected more than `_BORDER_PITCHES` pitches from the border.
 
     Parameters
     ----------

@@ -94,7 +94,10 @@ def _adjustment(noise: Array, remaining: Array) -> Array:
 
 
 def _matrix_power(matrix: Array, power: float) -> Array:
-    """Return a power of a symmetric positive semidefinite matrix on its numerical range."""
+    """Return a power of a symmetric positive semidefinite matrix on its numerical range.
+
+    Powers of the eigenvalues above the limit; the others give zero, as in a pseudoinverse.
+    """
     eigenvalues, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     determined = eigenvalues > _DETERMINED * eigenvalues[-1]
     return np.asarray((vectors[:, determined] * eigenvalues[determined] ** power) @ vectors[:, determined].T)

@@ -109,7 +109,8 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
 
     The disc moves in proportion to the camera's turn, unless the camera's pupil stands on the turning point. A random
     part is added, as on a mount that is moved by hand. The edge departs from a circle by the rms of the truth, with 2
-    to 5 periods around it.
+    to 5 periods around it. Own model: the centre lies at (x, y) + offset + walk * tangents + wander * random function,
+    and the radius is r tan(half angle) (1 + breathing * random function).
 
     Parameters
     ----------
@@ -149,6 +150,8 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
 def relative_radius(cosine: float, sine: float, edge: FloatArray) -> float:
     """Return the radius of the disc in one direction, relative to the mean radius; at least 0.1.
 
+    Own model: the Fourier series 1 + sum over m >= 2 of a_m cos(m phi) + b_m sin(m phi).
+
     Parameters
     ----------
     cosine, sine
@@ -171,6 +174,8 @@ def relative_radius(cosine: float, sine: float, edge: FloatArray) -> float:
 @njit(cache=True, nogil=True)
 def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
     """Return the distance of a target point from the disc's centre, as a fraction of the radius in that direction.
+
+    Own definition: the distance divided by the radius in that direction.
 
     Parameters
     ----------
@@ -222,6 +227,8 @@ def _axis(rotation: FloatArray) -> tuple[float, float]:
 def aberrations_of(collimator: CollimatorTruth, rotation: FloatArray) -> Aberrations:
     """Return the errors of the collimator in a pose.
 
+    Own definition: b = (disc centre - (x, y)) / r, as in the head of the module.
+
     Parameters
     ----------
     collimator
@@ -265,6 +272,8 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
 
 def apparent_points(points_mm: FloatArray, aberrations: Aberrations) -> FloatArray:
     """Return the apparent positions of reticle points.
+
+    Own addition to P of `displacement`; the third-order terms are those of Born and Wolf, section 5.3.
 
     Parameters
     ----------
@@ -316,6 +325,8 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
 @njit(cache=True, nogil=True)
 def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
     """Return the reticle point that appears at (x, y): the inverse of ``apparent_points``, to about 1e-6 mm.
+
+    Own derivation: the fixed point of P <- (x, y) - displacement(P).
 
     Parameters
     ----------

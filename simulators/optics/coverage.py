@@ -47,6 +47,8 @@ def empty_picture(width: int, height: int, cells: int, margin: int) -> NDArray[n
 def add_edge(steps: NDArray[np.float32], x0: float, y0: float, x1: float, y1: float, weight: float) -> None:
     """Add an edge from (x0, y0) to (x1, y1), in cells from the upper left corner of the grid.
 
+    Source: the accumulation buffer of Levien (2016).
+
     Parameters
     ----------
     steps
@@ -75,7 +77,10 @@ def add_edge(steps: NDArray[np.float32], x0: float, y0: float, x1: float, y1: fl
 
 @njit(cache=True, nogil=True)
 def _add_span(steps: NDArray[np.float32], left: float, right: float, height: float) -> None:
-    """Add the part of an edge that lies in one row, between two abscissae."""
+    """Add the part of an edge that lies in one row, between two abscissae.
+
+    Source: the accumulation buffer of Levien (2016).
+    """
     last = steps.shape[0] - 1
     cell = int(min(max(left, 0.0), float(last)))
     covered, area = 0.0, _area_left_of(float(cell), left, right)  # of the cell to the left; left of this cell
@@ -99,6 +104,9 @@ def _area_left_of(x: float, left: float, right: float) -> float:
 
 def spread_kernel(sigma_px: float, cells: int) -> FloatArray:
     """Return the weights that join cells to a pixel: the pixel's own area convolved with a Gaussian point spread.
+
+    Own derivation: a cell at x has the weight Phi((x + 1/2) / s) - Phi((x - 1/2) / s), in pixels, where s^2 is sigma^2
+    minus 1/12 of the cell's squared width.
 
     Parameters
     ----------
@@ -135,6 +143,9 @@ def join_cells(
     margin: int,
 ) -> NDArray[np.float32]:
     """Join cells to pixels: light times covered area, after the point spread.
+
+    Own model: light times (shade 0 + shade 1 times covered area), summed with the kernel's weights along rows and
+    columns.
 
     Parameters
     ----------

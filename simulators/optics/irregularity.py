@@ -42,6 +42,9 @@ RIM_OUTWARDS: Final = 1.6
 def field_coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: int) -> FloatArray:
     """Return the coefficients of the displacement field in a pose.
 
+    Zernike polynomials: Noll (1976). Random functions: Shinozuka and Deodatis (1991). The field at the rim is this
+    project's own.
+
     Parameters
     ----------
     axis
@@ -95,7 +98,10 @@ def random_functions(axis: tuple[float, float], count: int, seed: int) -> FloatA
 
 @lru_cache(maxsize=16)
 def _waves(count: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Return wave vectors (count, WAVES, 2), and phases (count, WAVES)."""
+    """Return wave vectors (count, WAVES, 2), and phases (count, WAVES).
+
+    Wave vectors of random direction, with lengths spread about 2 pi / `WAVELENGTH`: this project's own choice.
+    """
     rng = np.random.default_rng((seed, count))
     lengths = 2.0 * math.pi / WAVELENGTH * rng.uniform(0.6, 1.4, (count, WAVES))
     directions = rng.uniform(0.0, 2.0 * math.pi, (count, WAVES))
@@ -132,7 +138,10 @@ def _radial(n: int, m: int) -> dict[int, float]:
 
 
 def _angular_terms(m: int, power: int) -> list[tuple[int, int, float]]:
-    """Return rho^power cos(m phi), or sin(|m| phi) if m < 0, as monomials (p, q, weight) of u^p v^q."""
+    """Return rho^power cos(m phi), or sin(|m| phi) if m < 0, as monomials (p, q, weight) of u^p v^q.
+
+    Own derivation: binomial series of (u + iv)^|m| and of (u^2 + v^2)^((power - |m|) / 2).
+    """
     angular, rest = abs(m), (power - abs(m)) // 2
     terms = []
     for k in range(angular + 1):  # (u + iv)^|m|
@@ -148,6 +157,9 @@ def _angular_terms(m: int, power: int) -> list[tuple[int, int, float]]:
 @njit(cache=True, nogil=True)
 def displacement_field(u: float, v: float, coefficients: FloatArray) -> tuple[float, float]:
     """Return the displacement at a point of the disc.
+
+    Own model: sum c_pq u^p v^q, and beyond rho = `RIM_FROM` also ((rho - `RIM_FROM`) / (1 - `RIM_FROM`))^`RIM_POWER`
+    times a Fourier series of the angle.
 
     Parameters
     ----------
@@ -186,7 +198,10 @@ def displacement_field(u: float, v: float, coefficients: FloatArray) -> tuple[fl
 
 @njit(cache=True, nogil=True)
 def _rim_field(cosine: float, sine: float, coefficients: FloatArray) -> tuple[float, float]:
-    """Return the rim's field at the disc's edge, in the direction of that cosine and sine."""
+    """Return the rim's field at the disc's edge, in the direction of that cosine and sine.
+
+    Own model: the Fourier series c_0 + sum over m of c_m cos(m phi) + s_m sin(m phi).
+    """
     x, y = coefficients[0]
     c, s = 1.0, 0.0
     for m in range(1, RIM_HARMONICS + 1):

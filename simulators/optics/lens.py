@@ -107,6 +107,9 @@ def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
 def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]:
     """Return the image point of a point in the camera's frame.
 
+    Pinhole projection: Hartley and Zisserman (2004), section 6.1. Distortion: Brown (1971), or Kannala and Brandt
+    (2006), as in `distort`.
+
     Parameters
     ----------
     x, y, z
@@ -128,7 +131,8 @@ def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]
 def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[FloatArray, FloatArray]:
     """Return undistorted normalised coordinates of distorted ones, to 1e-13.
 
-    The pinhole model is inverted by fixed-point iteration, the fisheye by Newton's method.
+    The pinhole model is inverted by fixed-point iteration, the fisheye by Newton's method. Own derivation: x <- x +
+    (x_d - distort(x)) for the pinhole model.
 
     Parameters
     ----------
@@ -223,6 +227,8 @@ def _not_invertible() -> ConfigError:
 @lru_cache(maxsize=8)
 def ray_grid(camera: CameraTruth, margin_px: int = 0) -> FloatArray:
     """Return rays through points of the image that are about `GRID_PX` apart.
+
+    Own derivation: the inverse of `image_point`, ((u - cx) / fx, (v - cy) / fy) without distortion.
 
     Parameters
     ----------

@@ -44,6 +44,8 @@ _BLACK: Final = black_polygons(TARGET)
 def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> FloatArray:
     """Return the rotation camera <- target of a gimbal pose, R = Rz(roll) Rx(tilt) Ry(pan) R0.
 
+    Rotations about the axes: Diebel (2006).
+
     Parameters
     ----------
     angles_deg
@@ -67,7 +69,10 @@ def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> Float
 
 
 def _rotation_matrix(rotation_vector: FloatArray | tuple[float, float, float]) -> FloatArray:
-    """Return the rotation matrix of a rotation vector in radians (Rodrigues' formula)."""
+    """Return the rotation matrix of a rotation vector in radians (Rodrigues' formula).
+
+    Source: Diebel (2006).
+    """
     x, y, z = (float(v) for v in rotation_vector)
     angle = math.sqrt(x * x + y * y + z * z)
     if angle == 0.0:
@@ -103,6 +108,8 @@ def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
 def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatArray:
     """Return the image points of target points.
 
+    Spherical motion: arXiv:2512.16092, eq. 2. Projection: Hartley and Zisserman (2004), section 6.1.
+
     Parameters
     ----------
     points_mm
@@ -126,6 +133,8 @@ def star_centres(
     truth: Truth, rotation: FloatArray, *, clearance: float = 0.0, border_px: float = 0.0
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Return the true image points of the stars that are visible in a pose.
+
+    Own rule of visibility; projection as in `project`.
 
     Parameters
     ----------
@@ -178,6 +187,8 @@ class Light(NamedTuple):
 def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArray[np.float32]:
     """Return the share of the full light that reaches each pixel in a pose.
 
+    Own model of the image; the head of the module describes it. The areas are exact (Levien, 2016).
+
     Parameters
     ----------
     truth
@@ -220,7 +231,8 @@ def _light(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the disc's brightness, and the distance from its centre in radii, at the corners of all pixels.
 
-    ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly.
+    ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly. Own model of the
+    light; the points are interpolated bilinearly.
     """
     brightness = np.zeros((height + 1, width + 1), np.float32)
     distance = np.ones((height + 1, width + 1), np.float32)
@@ -244,7 +256,10 @@ def _light(
 
 @njit(cache=True, nogil=True)
 def _disc_light(x: float, y: float, rho: float, light: Light) -> float:
-    """Return the disc's brightness at a point inside it, x and y in its radii."""
+    """Return the disc's brightness at a point inside it, x and y in its radii.
+
+    Own model: a linear gradient, times cos^2 of an angle that grows from 0 to pi / 2 over the rim.
+    """
     brightness = 1.0 + light.gradient_x * x + light.gradient_y * y
     if rho > 1.0 - light.rim:
         c = math.cos(0.5 * math.pi * (rho - 1.0 + light.rim) / light.rim)

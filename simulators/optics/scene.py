@@ -88,6 +88,8 @@ def board_of(screen: ScreenTruth) -> Checkerboard:
 def board_pose(screen: ScreenTruth, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the pose of the board in the camera's frame: X_cam = R P + t.
 
+    Own derivation: with the board's own rotation R0, position p and middle m, R = R_pose R0 and t = R_pose (p - R0 m).
+
     Parameters
     ----------
     screen

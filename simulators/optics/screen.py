@@ -59,6 +59,8 @@ def project_board(
 ) -> FloatArray:
     """Return the image points of the board's inner corners.
 
+    Projection: Hartley and Zisserman (2004), section 6.1.
+
     Parameters
     ----------
     board
@@ -103,6 +105,8 @@ def render_board(
     subsamples: int = 4,
 ) -> NDArray[np.float32]:
     """Return the share of the full light that reaches each pixel.
+
+    Areas: Levien (2016). Own model of the point spread: see `coverage.spread_kernel`.
 
     Parameters
     ----------
