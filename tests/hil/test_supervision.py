@@ -91,7 +91,7 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     assert "its light is off" in server.posts[0][1]["text"]
 
 
-def test_a_worker_whose_supervisor_is_killed_goes_on_says_so_and_is_found_again(tmp_path, night):
+def test_a_worker_whose_supervisor_is_killed_continues_reports_it_and_is_found_again(tmp_path, night):
     queue, folder, server = night
     process = start("batch", queue, "-o", folder, home=tmp_path / "home")
     run = folder / "runs" / "cam-001"
