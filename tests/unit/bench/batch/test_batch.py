@@ -141,7 +141,7 @@ def test_another_queue_is_refused_in_a_folder_that_has_one(tmp_path):
 
 
 def test_the_queue_in_the_documents_is_one_and_names_every_key():
-    document = (Path(__file__).parents[3] / "docs" / "batches.md").read_text(encoding="utf-8")
+    document = (Path(__file__).parents[4] / "docs" / "batches.md").read_text(encoding="utf-8")
     example, *_ = re.findall(r"```yaml\n(.*?)```", document, re.DOTALL)
     shown = check_document(example.encode(), "example", Queue).value
     items = by_priority(items_of(shown.jobs, datetime(2026, 3, 1, tzinfo=UTC)))

@@ -15,7 +15,7 @@ from bench.views.stored_image import StoredImage
 from bench.views.views_file import read_picture, read_views, views_file
 from calib.view import View
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "run-folder.md"
+DOCUMENT = Path(__file__).parents[4] / "docs" / "run-folder.md"
 RNG = np.random.default_rng(5)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from bench.base.kernel_cache import VARIABLE, remove_stale_kernels, set_kernel_cache
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from bench.evidence.keys import NAMESPACE, Signer, create_key, read_signers
 from bench.evidence.seal import make_manifest, seal
 from bench.evidence.sshsig import read_signature, sign
 from bench.evidence.verify import verify_run
-from tests.unit.bench.resealed import kinds, reseal
+from tests.unit.bench.evidence.resealed import kinds, reseal
 
 
 @pytest.fixture

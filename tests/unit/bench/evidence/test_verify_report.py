@@ -13,7 +13,7 @@ from bench.evidence.verify import verify_run
 from bench.records.journal import read_journal
 from bench.records.run_folder import RunFolder
 from bench.report.html import ReportData, render_report
-from tests.unit.bench.resealed import kinds
+from tests.unit.bench.evidence.resealed import kinds
 
 
 @pytest.fixture(scope="module")

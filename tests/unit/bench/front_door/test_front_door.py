@@ -12,7 +12,7 @@ from bench.front_door import ForeignPackageError
 from bench.front_door.own_packages import PACKAGES, require_own_packages
 from bench.results.run_reader import Pose, Run, load
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 DOORS = {"command": ["-c", "import starbench; starbench.main()"], "module": ["-m", "bench"]}
 
 

@@ -24,7 +24,7 @@ from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence
 
-SEQUENCES = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
+SEQUENCES = sorted((Path(__file__).parents[4] / "sequences").glob("*.yaml"))
 STATION_TEXT = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
 STATION = check_document(STATION_TEXT.encode(), "b.yaml", Station)
 HEAD = "format: starbench/sequence/1\nname: test\n"
