@@ -32,7 +32,7 @@ from bench.records.events import (
     StepDone,
     SupervisorLost,
 )
-from bench.records.history import History, replay, apply_entry
+from bench.records.history import History, apply_entry, replay
 from bench.records.journal import Journal
 
 _WITHOUT_HARDWARE = frozenset({"settling", "checking"})
