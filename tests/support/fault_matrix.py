@@ -211,24 +211,28 @@ def matrix(folder: Path):
 
 
 HEAD = """\
-# Faults, and what each one leads to
+# Faults, and how the run ends after each one
 
-Made by `python tests/support/fault_matrix.py > docs/faults.md`; the test `tests/unit/bench/test_fault_matrix.py` makes
-it anew.
-
-Each row is a fault. Each column is the state of the run in which the fault occurs. The letter says how the run ended:
+Each row is a fault. Each column is the state of the run in which the fault occurs. The letter shows how the run ended:
 
 | sign | meaning |
 | --- | --- |
-| **F** | failed: the run named the fault, the light was off, and nothing moved |
+| **F** | failed safely: the run reported the fault, the light was off, and nothing moved |
 | **A** | aborted safely |
-| **f** | finished: every pose was recorded, and the run reported the fault that it had overcome |
+| **f** | finished: every pose was recorded, although the fault had occurred; the run reported the fault |
 | **K** | the process ended at once |
-| **-** | the fault cannot occur in this state, because the run does not use that device then |
+| **-** | the fault cannot occur in this state, because the run does not use the device in it |
 
-After a run that did not finish, the cause was removed and the run was resumed. In every such cell, the run then ended
-with each pose recorded once, and every recording named in the journal was on the disk, byte for byte. The number is the
-time to the end of the run on the run's own clock, in seconds. An undisturbed run takes %(whole).0f s.
+The number is the time from the start to the end of the run, in seconds of the run's virtual clock. A run without a fault
+takes %(whole).0f s.
+
+If a run did not finish, the cause was removed and the run was resumed. In all these cases, the run then ended with each
+pose recorded once, and every recording named in the journal was on the disk, byte for byte.
+
+How the table is made: the code of a run works on virtual devices and a virtual clock, and the fault is reported as a
+driver reports it. Other tests check with the simulated devices that the drivers report these faults. The command is
+`python tests/support/fault_matrix.py > docs/faults.md`; the test `tests/unit/bench/test_fault_matrix.py` checks the
+table.
 """
 SIGNS = {"failed": "F", "aborted": "A", "finished": "f", "died": "K", "": "-"}
 

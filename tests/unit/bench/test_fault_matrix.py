@@ -10,8 +10,8 @@ from run_faults import FAULTS
 DOCUMENT = Path(__file__).parents[3] / "docs" / "faults.md"
 SOME = [
     ("stage unplugged", "slewing"),
-    ("camera gone for 20 s, waited for", "recording"),
-    ("recording broken off", "recording"),
+    ("camera lost for 20 s, interlock `device_lost`", "recording"),
+    ("recording interrupted", "recording"),
     ("events or triggers lost", "recording"),
     ("disk full", "checking"),
     ("process killed", "parking"),
