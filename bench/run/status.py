@@ -12,10 +12,20 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.events import Event
+from bench.records.events import (
+    Asked,
+    AttemptChecked,
+    Commanded,
+    Entering,
+    Event,
+    InterlockReleased,
+    LeftOff,
+    RunEnded,
+    RunResumed,
+)
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
@@ -93,6 +103,15 @@ class Status:
             Values that can be written as JSON.
         """
         return {"schema": "starbench/status/1", **asdict(self)}
+
+
+class _Plan(TypedDict):
+    """What a status needs of plan.json."""
+
+    poses: Sequence[Mapping[str, Any]]
+    steps: Sequence[Mapping[str, Any]]
+    duration_s: float
+    simulated: bool
 
 
 def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> Status:
@@ -187,11 +206,11 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
     )
 
 
-def _plan_of(folder: Path) -> Mapping[str, Any]:
+def _plan_of(folder: Path) -> _Plan:
     try:
         with storage_errors(folder / PLAN):
             plan: dict[str, Any] = json.loads((folder / PLAN).read_text(encoding="utf-8"))
-        return {name: plan[name] for name in ("poses", "steps", "duration_s", "simulated")}
+        return _Plan(**{name: plan[name] for name in _Plan.__annotations__})  # type: ignore[typeddict-item]
     except (StorageError, ValueError, KeyError, TypeError) as error:
         raise RunFolderError(
             f"{PLAN} cannot be read.",
@@ -200,7 +219,7 @@ def _plan_of(folder: Path) -> Mapping[str, Any]:
         ) from error
 
 
-def _left_s(history: History, plan: Mapping[str, Any], entries: Sequence[Entry], now: datetime) -> float:
+def _left_s(history: History, plan: _Plan, entries: Sequence[Entry], now: datetime) -> float:
     """Return the planned time after the last step done, less the time since then unless the run is held."""
     done_s = {step["number"]: step["done_after_s"] for step in plan["steps"]}
     begun_s = max((done_s.get(number, 0.0) for number in history.done_steps), default=0.0)
@@ -256,49 +275,49 @@ def line_text(entry: Entry) -> str:
     return f"{entry.utc[11:19]}  {text}" if text else ""
 
 
-def _resumed_text(data: Mapping[str, Any]) -> str:
+def _resumed_text(data: RunResumed) -> str:
     crash = data.get("crash")
     return f"the run was resumed{f' after a crash: {crash}' if crash else ''}"
 
 
-def _entering_text(data: Mapping[str, Any]) -> str:
+def _entering_text(data: Entering) -> str:
     if "rule" in data:
         return f"held by the {interlock_text(data['rule'])} interlock: {data['why']}"
     # The line of the run's end states its end state already.
-    return "" if data["state"] in END_STATES else f"{data['state']}{_at_pose(data)}"
+    return "" if data["state"] in END_STATES else f"{data['state']}{_at_pose(data.get('pose'))}"
 
 
-def _left_off_text(data: Mapping[str, Any]) -> str:
+def _left_off_text(data: LeftOff) -> str:
     return f"{data['state']} failed: {data['error']}" if "error" in data else ""
 
 
-def _attempt_text(data: Mapping[str, Any]) -> str:
+def _attempt_text(data: AttemptChecked) -> str:
     verdict = "accepted" if data["accepted"] else "; ".join(data["reasons"])
-    return f"attempt {data['attempt']}{_at_pose(data)}: {verdict}"
+    return f"attempt {data['attempt']}{_at_pose(data['pose'])}: {verdict}"
 
 
-def _command_text(data: Mapping[str, Any]) -> str:
+def _command_text(data: Commanded) -> str:
     refused = "" if data["taken"] else f", refused: {data['why']}"
     return f"{data['word']} by {data.get('by', 'an unknown person')}{refused}"
 
 
-def _end_text(data: Mapping[str, Any]) -> str:
+def _end_text(data: RunEnded) -> str:
     return f"{data['how']}{': ' if data['why'] else ''}{data['why']}"
 
 
-def _question_text(data: Mapping[str, Any]) -> str:
+def _question_text(data: Asked) -> str:
     return f"question: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
 
 
-def _interlock_released_text(data: Mapping[str, Any]) -> str:
+def _interlock_released_text(data: InterlockReleased) -> str:
     return f"the {interlock_text(data['rule'])} interlock cleared after {data['held_s']:.0f} s"
 
 
-def _at_pose(data: Mapping[str, Any]) -> str:
-    return f" at pose {data['pose']}" if data.get("pose") else ""
+def _at_pose(pose: int | None) -> str:
+    return f" at pose {pose}" if pose else ""
 
 
-_ENTRY_TEXTS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
+_ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.RUN_STARTED: lambda _data: "the run began",
     Event.RUN_RESUMED: _resumed_text,
     Event.ENTERING: _entering_text,
