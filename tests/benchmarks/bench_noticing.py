@@ -21,7 +21,7 @@ FAULTS = {
     "creeps after arriving": ("pan creep creep_deg_s=0.05", ""),
     "emergency stop": ("pan press_stop", ""),
     "busy without progress": ("pan no_progress", "4 of 5 wait for ever"),
-    "busy for ever, from before": ("pan stuck_busy", ""),
+    "busy, from before": ("pan stuck_busy", ""),
     "idle said once in mid-move": ("pan idle_flicker", ""),
     "cable pulled": ("pan unplug", ""),
     "another device in its place": ("pan exchange serial=777", ""),

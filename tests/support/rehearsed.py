@@ -42,7 +42,9 @@ class Scene:
     def __init__(self, folder, *, station="", poses=TWO, end="", attempts=2):
         self.folder = folder / "run"
         sequence = write_sequence(folder / "sequence.yaml", poses, attempts=attempts, end=end)
-        planned = make_plan(*load_documents(str(sequence), str(write_station(folder / "station.yaml", station))))
+        planned = make_plan(
+            *load_documents(str(sequence), str(write_station(folder / "station.yaml", station)))
+        )
         assert not planned.faults, [str(fault) for fault in planned.faults]
         self.task = Job.from_plan(planned, seed=1, operator=None)
         self.hook = lambda _name: None
