@@ -75,7 +75,12 @@ def results(views, *, simulated=True):
             "ratio": 0.89,
             "cameras": [TRUE, TRUE | {"fx": 3345.3, "fy": 3345.5, "k1": 0.0604}],
         },
-        "gimbal": {"rms_arcsec": 1.83, "scale": {"pan_deg": 1.000021}, "scale_sigma": {"pan_deg": 1.7e-05}},
+        "gimbal": {
+            "rms_arcsec": 1.83,
+            "scale": {"pan_deg": 1.000021},
+            "scale_sigma": {"pan_deg": 1.7e-05},
+            "agrees": True,
+        },
         "gates": _gates(),
         "deviations": ["Pose second was recorded twice: the first recording had 31 stars."],
         "failures": [
@@ -162,6 +167,7 @@ def _devices():
                 "firmware": "7.38",
             },
         ],
+        "camera_settings": {"biases": {"bias_diff_on": 0}, "trigger_in": True},
         "light": {"maker": "Starbench", "model": "SG1", "serial": "SG0042", "firmware": "1.0"},
     }
 
