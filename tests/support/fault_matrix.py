@@ -223,8 +223,8 @@ Each row is a fault. Each column is the state of the run in which the fault occu
 | **K** | the process ended at once |
 | **-** | the fault cannot occur in this state, because the run does not use the device in it |
 
-The number is the time from the start to the end of the run, in seconds of the run's virtual clock. A run without a fault
-takes %(whole).0f s.
+The number is the time from the start to the end of the run, in seconds of the run's virtual clock. A run without a
+fault takes %(whole).0f s.
 
 If a run did not finish, the cause was removed and the run was resumed. In all these cases, the run then ended with each
 pose recorded once, and every recording named in the journal was on the disk, byte for byte.
