@@ -46,7 +46,9 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
         return status
     if end.outcome is None:
         click.echo(f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}", err=True)
-        if not end.unsafe:
+        if not end.opened:
+            click.echo("No device was used; nothing was moved or switched.", err=True)
+        elif not end.unsafe:
             click.echo("The bench is safe: stage stopped, light off.", err=True)
         click.echo(f"All recordings are kept. To continue:\n  starbench resume {end.folder}", err=True)
         return status

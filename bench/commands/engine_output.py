@@ -76,7 +76,7 @@ def show_rig(rotation: RelativeRotation, skipped: Sequence[str], *, as_json: boo
     for view, residual in zip(rotation.views, rotation.residuals_arcsec, strict=True):
         click.echo(f"  {view}: residual {' '.join(f'{axis:.1f}' for axis in residual)} arcsec")
     verdict = (
-        "the rig is rigid"
+        "the views agree with a rigid rig"
         if rotation.rigid
         else "THE RIG IS NOT RIGID, or the cameras did not see the same poses"
     )
@@ -116,7 +116,11 @@ def show_study(study: MonteCarloStudy, *, as_json: bool) -> int:
             f"  {name:<3} error {study.scatter[name]:>9.4g} rms, stated {float(study.sigmas[:, at].mean()):>9.4g},"
             f" ratio {study.z_rms[name]:.2f}; within U {study.coverage[name]:.1%}"
         )
-    verdict = "the stated uncertainties hold" if held else "THE STATED UNCERTAINTIES DO NOT HOLD"
+    verdict = (
+        "no contradiction to the stated uncertainties found"
+        if held
+        else "THE STATED UNCERTAINTIES DO NOT HOLD"
+    )
     click.echo(
         f"A correct U (k = 2, or more) covers the error in {low:.1%} to {high:.1%} of calibrations: {verdict}."
     )

@@ -150,7 +150,8 @@ def verify_run(
     check = _Check(folder)
     with storage_errors(folder):
         manifest = check.signature(list(signers), when or datetime.now(UTC))
-        check.files(manifest)
+        if manifest is not None:
+            check.files(manifest)
         captures = check.journal()
         facts = check.results(captures, manifest, camera_serial)
         if not check.faults and facts is not _NO_RESULTS:
@@ -163,7 +164,7 @@ def verify_run(
         remarks=tuple(check.remarks),
         signer=check.signer,
         fingerprint=check.fingerprint,
-        files=len(manifest),
+        files=len(manifest or ()),
         run_id=facts.run_id,
         camera_serial=facts.camera_serial,
         simulated=facts.simulated,
@@ -183,13 +184,14 @@ class _Check:
     def fault(self, kind: str, where: str, what: str) -> None:
         self.faults.append(SealFault(kind, where, what))
 
-    def signature(self, signers: list[Signer], when: datetime) -> dict[str, str]:
-        """Check the signature of the list of files; return the list."""
+    def signature(self, signers: list[Signer], when: datetime) -> dict[str, str] | None:
+        """Check the signature of the list of files; return the list, or None if the folder is not sealed."""
         for name in (MANIFEST, SIGNATURE):
             path = self.folder / name
             if path.is_symlink() or not path.is_file():
-                self.fault("unsealed", name, "the file is missing: this folder is not sealed")
-                return {}
+                why = "this is a link, not a file" if path.is_symlink() else "the file is missing"
+                self.fault("unsealed", name, f"{why}; this folder is not sealed")
+                return None
             if self._too_large("manifest", name):
                 return {}
         manifest = (self.folder / MANIFEST).read_bytes()
@@ -256,7 +258,7 @@ class _Check:
         return {name: capture.sha256 for name, capture in captures.items()}
 
     def results(
-        self, captures: Mapping[str, str], manifest: Mapping[str, str], camera_serial: str | None
+        self, captures: Mapping[str, str], manifest: Mapping[str, str] | None, camera_serial: str | None
     ) -> _ResultFacts:
         """Check that results, journal and list of files name the same recordings."""
         path = self.folder / RESULTS
@@ -269,13 +271,16 @@ class _Check:
         except _NOT_RESULTS as error:
             self.fault("results", RESULTS, f"the file cannot be read ({error!r})")
             return _NO_RESULTS
+        sources = {"the journal": captures} | ({} if manifest is None else {MANIFEST: manifest})
         for name, sha256 in facts.captures:
-            for source, hashes in (("the journal", captures), (MANIFEST, manifest)):
+            for source, hashes in sources.items():
                 if hashes.get(name) != sha256:
                     self.fault("results", RESULTS, f"{source} does not name {name} with this hash")
         if camera_serial is not None and facts.camera_serial != camera_serial:
             self.fault(
-                "item", RESULTS, f"the results are of camera {facts.camera_serial}, not {camera_serial}"
+                "item",
+                RESULTS,
+                f"the results belong to camera {facts.camera_serial}; {camera_serial} was requested",
             )
         return facts
 

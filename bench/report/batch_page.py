@@ -265,5 +265,5 @@ def _verdict(trends: Sequence[Json], runs: int) -> str:
     if scattered:
         findings.append(f"{', '.join(scattered)} scattered more than the stated uncertainties predict")
     if not findings:
-        return f"All {runs} results agree within their uncertainties; no parameter changed during the batch."
+        return f"All {runs} results agree within their uncertainties; no significant change of a parameter."
     return f"{'; '.join(findings)}."

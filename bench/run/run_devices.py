@@ -22,6 +22,9 @@ from drivers.errors import DriverError, WrongDevice
 PROBE = "probe.raw"
 """File of a short recording in the dark; it is never kept."""
 
+NOT_REOPENED = "the devices were lost and could not be opened again; nothing confirmed a safe state"
+"""Fault of a run that ended while its devices were lost."""
+
 
 class RunDevices:
     """Stage, light and camera of a run, open or not.
@@ -30,6 +33,8 @@ class RunDevices:
     ----------
     unsafe
         Devices that did not confirm a safe state, as text.
+    was_opened
+        Whether the devices were open at some time.
 
     Parameters
     ----------
@@ -50,6 +55,7 @@ class RunDevices:
         say: Callable[[str], None],
     ) -> None:
         self.unsafe: list[str] = []
+        self.was_opened = False
         self._is_event_camera = job.camera_kind.name == "event"
         self._folder = folder
         self._log = log
@@ -85,6 +91,7 @@ class RunDevices:
         """
         if self._devices is None:
             self._devices = self._open_devices()
+            self.was_opened = True
         return self._devices
 
     def truth(self) -> Mapping[str, Any] | None:
@@ -133,10 +140,10 @@ class RunDevices:
 
         The second call does nothing. ``unsafe`` then lists the devices that did not confirm.
         """
-        if self._devices is None or self._made_safe:
+        if not self.was_opened or self._made_safe:
             return
         self._made_safe = True
-        self.unsafe = self._devices.make_safe()
+        self.unsafe = [NOT_REOPENED] if self._devices is None else self._devices.make_safe()
         for fault in self.unsafe:
             self._say(f"CHECK THE BENCH: {fault}")
 

@@ -60,6 +60,8 @@ class RunEnd:
         Devices that did not confirm a safe state, as text; empty if all did.
     failure
         Error that ended a failed run, with its place and remedy; None for other runs.
+    opened
+        Whether the devices were open at some time.
     """
 
     how: End
@@ -68,6 +70,7 @@ class RunEnd:
     outcome: Outcome | None
     unsafe: Sequence[str] = ()
     failure: Failure | None = None
+    opened: bool = False
 
 
 class Runner:
@@ -159,7 +162,7 @@ class Runner:
             with self._clock.shielded():
                 self._devices.make_safe()
                 self._devices.close()
-        return RunEnd("finished", "", self._folder.path, self._results.outcome, self._devices.unsafe)
+        return self._end("finished", "", outcome=self._results.outcome)
 
     def _do_remaining_steps(self) -> None:
         history = self._log.history
@@ -194,7 +197,13 @@ class Runner:
                 why = f"{why} In addition, the journal could not be written: {error}"
             finally:
                 self._devices.make_safe()
-        return RunEnd(how, why, self._folder.path, None, self._devices.unsafe, failure)
+        return self._end(how, why, failure=failure)
+
+    def _end(
+        self, how: End, why: str, *, outcome: Outcome | None = None, failure: Failure | None = None
+    ) -> RunEnd:
+        devices = self._devices
+        return RunEnd(how, why, self._folder.path, outcome, devices.unsafe, failure, devices.was_opened)
 
     def _write_end(self, how: End, why: str, failure: Failure | None, *, crashed: bool) -> None:
         if failure is None:

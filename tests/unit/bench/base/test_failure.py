@@ -2,6 +2,7 @@
 
 import inspect
 import json
+from dataclasses import replace
 
 import pytest
 from rehearsed import Scene
@@ -61,6 +62,28 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
     assert show_run(end, as_json=True) == 1
     said = json.loads(capsys.readouterr().out)["error"]
     assert said == {**SLIPPED, "message": "pan: The axis slipped. Tighten the clamp."}
+
+
+@pytest.mark.parametrize(
+    ("where", "opened", "text"),
+    [
+        ("open", False, "No device was used; nothing was moved or switched."),
+        ("stage.move_to", True, "The bench is safe: stage stopped, light off."),
+    ],
+)
+def test_a_failed_run_is_called_safe_only_if_devices_were_opened(tmp_path, capsys, where, opened, text):
+    def hook(name):
+        if name == where:
+            raise MoveFailed(SLIPPED["what"])
+
+    scene = Scene(tmp_path)
+    scene.hook = hook
+    end = scene.run()
+    assert (end.how, end.opened) == ("failed", opened)
+    assert show_run(end, as_json=False) == 1
+    assert text in capsys.readouterr().err.splitlines()
+    assert show_run(replace(end, unsafe=["the light"]), as_json=False) == 1
+    assert ("safe" in capsys.readouterr().err) is False
 
 
 def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):

@@ -102,7 +102,7 @@ def test_a_report_passed_off_for_another_camera_is_found(make_run, key, signers,
         seal(folder, key)
     found = verify_run(tmp_path / "run", signers, camera_serial="00050423")
     assert kinds(found) == [("item", "results.json")]
-    assert "camera 00050999, not 00050423" in str(found.faults[0])
+    assert "belong to camera 00050999; 00050423 was requested" in str(found.faults[0])
 
 
 @pytest.mark.parametrize("target", ["copy", "nowhere"])
@@ -116,7 +116,7 @@ def test_a_link_in_place_of_a_file_is_found(sealed, signers, tmp_path, target):
 @pytest.mark.parametrize("name", ["SHA256SUMS", "SHA256SUMS.sig"])
 def test_a_stripped_seal_is_found(sealed, signers, name):
     (sealed / name).unlink()
-    assert ("unsealed", name) in kinds(verify_run(sealed, signers))
+    assert kinds(verify_run(sealed, signers)) == [("unsealed", name)]
 
 
 @pytest.mark.parametrize("line", [b"../../etc/passwd", b"/etc/passwd", b"a/../b"])
@@ -175,7 +175,7 @@ def test_a_spoiled_signature_is_found(sealed, signers, content):
 def test_a_seal_that_is_a_link_is_found(sealed, signers, tmp_path, name):
     shutil.move(sealed / name, tmp_path / "elsewhere")
     (sealed / name).symlink_to(tmp_path / "elsewhere")
-    assert ("unsealed", name) in kinds(verify_run(sealed, signers))
+    assert kinds(verify_run(sealed, signers)) == [("unsealed", name)]
 
 
 def test_an_endless_seal_is_not_read(sealed, signers):

@@ -4,6 +4,7 @@ import pytest
 from rehearsed import Scene
 
 from bench.records.events import Event
+from bench.run.run_devices import NOT_REOPENED
 from drivers.errors import CameraLost, PortLost, PortNotFound, ReplyTimeout, WrongDevice
 
 LOST = [PortLost("gone"), CameraLost("gone"), ReplyTimeout("silent")]
@@ -54,6 +55,8 @@ def test_a_device_that_stays_lost_ends_the_run_in_time(tmp_path):
     end = scene.run()
     assert end.how == "failed"
     assert "device lost interlock has held the run for 12" in end.why
+    assert end.opened
+    assert end.unsafe == [NOT_REOPENED]
     assert scene.clock.monotonic() < 150
 
 
