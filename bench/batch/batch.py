@@ -131,14 +131,14 @@ class Batch:
             if self._rehearsal:
                 begun["rehearsal"] = True
             self._journal_event(BatchEvent.BEGUN, **begun)
-        else:
-            self._say(resume_text(self._record))
-        if self._record.rehearsal != self._rehearsal:
+        elif self._record.rehearsal != self._rehearsal:
             raise RunFolderError(
                 "A rehearsed batch and a real one cannot continue in the same folder.",
                 where=str(self.folder),
                 remedy="Choose another --output.",
             )
+        else:
+            self._say(resume_text(self._record))
         self._begun_s = self._clock.monotonic() - max(0.0, self._record.seconds(self._clock.utc_now()))
         if not self._rehearsal:
             self._messages.add_recipients(job.station for job in self._queue.value.jobs)

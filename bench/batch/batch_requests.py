@@ -24,7 +24,7 @@ from bench.records.folder_lock import is_locked
 from bench.records.inbox import Inbox, Poller
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
-from bench.records.run_index import QUEUE_COPY
+from bench.records.run_index import QUEUE_COPY, is_rehearsal
 from bench.records.storage import make_folder
 from sequences.queue import JobConfig, Key
 
@@ -168,7 +168,7 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
     Raises
     ------
     RunFolderError
-        When there is no batch in the folder.
+        When there is no batch in the folder, or it is a rehearsal that has ended.
     StorageError
         When the request cannot be written.
     """
@@ -177,6 +177,12 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
             "There is no batch in this folder.",
             where=str(folder),
             remedy="Give the --output folder of `starbench batch`.",
+        )
+    if not is_locked(folder) and is_rehearsal(folder):
+        raise RunFolderError(
+            "This batch is a rehearsal, which cannot be continued.",
+            where=str(folder),
+            remedy="Change the queue file, and rehearse it again.",
         )
     inbox = _inbox_of(folder)
     make_folder(inbox.folder)

@@ -235,7 +235,7 @@ def batch_status_text(status: BatchStatus) -> str:
     str
         Several lines.
     """
-    state = "running" if status.running else status.ended or "killed or cut off"
+    state = "running" if status.running else status.ended or "interrupted (killed or power lost)"
     state += f": {status.why}" if status.why else ""
     lines = [f"Batch {status.queue}{'  REHEARSAL' if status.rehearsal else ''}: {state}"]
     failed = [one for one in status.done if one[1] != "finished"]

@@ -30,6 +30,22 @@ BEGIN = click.option(
 )
 
 
+class _OfGroup(click.Context):
+    """Context of a command whose usage shows the name of its group, because people call it by that name."""
+
+    @property
+    def command_path(self) -> str:
+        """Name of the group."""
+        assert self.parent is not None
+        return self.parent.command_path
+
+
+class _Run(click.Command):
+    """The command behind ``batch QUEUE``."""
+
+    context_class = _OfGroup
+
+
 class _OrQueue(click.Group):
     """A group whose first argument may also be a queue file, which is then run."""
 
@@ -50,7 +66,7 @@ def batch() -> None:
     """
 
 
-@batch.command("run", hidden=True)
+@batch.command("run", cls=_Run, hidden=True)
 @_QUEUE
 @_OUTPUT
 @JSON

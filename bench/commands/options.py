@@ -158,7 +158,7 @@ class NewFile(_Path):
         """
         if path.exists() or path.is_symlink():
             raise UsageError(
-                "A file or folder of this name exists already.",
+                "A file or folder with this name already exists.",
                 where=str(path),
                 remedy="Choose another name.",
             )
@@ -248,11 +248,15 @@ class RunFolder(_Path):
 
 
 def _batch_remedy(path: Path) -> str:
-    """Return how to continue a batch, and where its runs are."""
+    """Return how to continue a batch if that is possible, and where its runs are."""
+    from bench.records.run_index import is_rehearsal
+
+    shown = f"`starbench status {path}` shows its runs; name one of them: {path / 'runs'}/..."
+    if is_rehearsal(path):
+        return f"This is a rehearsal. It cannot be continued. {shown}"
     return (
         f"To continue the batch: `starbench batch QUEUE.yaml --output {path}`, where QUEUE.yaml is the file it was"
-        f" begun with ({path / 'queue.yaml'} is a copy). `starbench status {path}` shows its runs;"
-        f" name one of them: {path / 'runs'}/..."
+        f" begun with ({path / 'queue.yaml'} is a copy). {shown}"
     )
 
 

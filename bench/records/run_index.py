@@ -112,6 +112,30 @@ def is_batch(folder: Path) -> bool:
     return (folder / QUEUE_COPY).is_file() and (folder / JOURNAL).is_file()
 
 
+def is_rehearsal(folder: Path) -> bool:
+    """Return whether the run or batch in a folder is a rehearsal.
+
+    Parameters
+    ----------
+    folder
+        A folder that holds a journal.
+
+    Returns
+    -------
+    bool
+        False also where the journal has no line yet.
+
+    Raises
+    ------
+    JournalBroken
+        If the hash chain of the journal is broken.
+    StorageError
+        If the journal cannot be read.
+    """
+    entries, _ = read_journal(folder / JOURNAL)
+    return bool(entries and entries[0].data.get("rehearsal", False))
+
+
 def run_folders(root: Path) -> list[Path]:
     """Find the run folders in a folder: the folder itself, its subfolders, and theirs.
 

@@ -221,3 +221,20 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
     assert [data["why"] for data in asked(tmp_path)] == [
         "the request cannot be processed: ZeroDivisionError: nobody foresaw this"
     ]
+
+
+def test_a_rehearsal_that_has_ended_takes_no_request(tmp_path):
+    clock = NightClock()
+    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, Workers(clock), rehearsal=True).run()
+    with pytest.raises(RunFolderError, match="is a rehearsal, which cannot be continued"):
+        send_request(tmp_path, withdraw("nobody"))
+    assert not list((tmp_path / REQUESTS).glob("*.json"))
+
+
+def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):
+    clock, said = NightClock(), []
+    Batch(tmp_path, queue(("a", "")), clock, said.append, Workers(clock), rehearsal=True).run()
+    said.clear()
+    with pytest.raises(RunFolderError, match="cannot continue in the same folder"):
+        Batch(tmp_path, queue(("a", "")), clock, said.append, Workers(clock)).run()
+    assert said == []
