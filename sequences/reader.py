@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from sequences.errors import DocumentFaults
-from sequences.settings import with_settings
+from sequences.settings import file_with_settings, with_settings
 from sequences.tree import DocumentPath, Fault, Spot, Tree, path_text
 from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, parse
@@ -119,7 +119,7 @@ def read_document(
         refuses.
     """
     data = with_settings(_bytes_of(Path(path)), str(path), settings or {})
-    return check_document(data, f"{path} with settings" if settings else str(path), model)
+    return check_document(data, file_with_settings(str(path), settings or {}), model)
 
 
 def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]:

@@ -16,6 +16,62 @@ from sequences.tree import Fault
 from sequences.yaml_text import parse
 
 
+class OptionSettings(dict[str, str]):
+    """Settings given by an option of a command; messages then name the option.
+
+    Parameters
+    ----------
+    values
+        YAML texts by path.
+    option
+        Name of the option.
+    """
+
+    def __init__(self, values: Mapping[str, str], option: str) -> None:
+        super().__init__(values)
+        self.option = option
+
+    def part(self, values: Mapping[str, str]) -> OptionSettings:
+        """Return other settings given by the same option.
+
+        Parameters
+        ----------
+        values
+            YAML texts by path.
+
+        Returns
+        -------
+        OptionSettings
+            The settings.
+        """
+        return OptionSettings(values, self.option)
+
+
+def file_with_settings(file: str, settings: Mapping[str, str]) -> str:
+    """Return the name of a file in messages; it says so if settings replace values of the file.
+
+    Parameters
+    ----------
+    file
+        The file.
+    settings
+        Settings by path; may be empty.
+
+    Returns
+    -------
+    str
+        Name without a line number.
+
+    Examples
+    --------
+    >>> file_with_settings("a.yaml", {}), file_with_settings("a.yaml", {"name": "B"})
+    ('a.yaml', 'a.yaml (with settings)')
+    """
+    if not settings:
+        return file
+    return f"{file} (with {settings.option if isinstance(settings, OptionSettings) else 'settings'})"
+
+
 class _Plain(yaml.SafeDumper):
     """Writes the values of a `Tree`: text, and an empty value for None."""
 

@@ -81,11 +81,11 @@ def write_station(path: Path, name: str, stage: str, camera: str | None, found: 
 
     if path.exists():
         raise UsageError(
-            "A file of this name exists already.", where=str(path), remedy="Choose another name."
+            "A file with this name already exists.", where=str(path), remedy="Choose another name."
         )
     write_atomic(path, draft_station(name, found, stage=stage, camera=camera).encode())
     click.echo(
-        f"Written: {path}. Replace every {UNKNOWN_SERIAL}, check scales and limits, then:"
+        f"Written: {path}. Replace every placeholder (such as {UNKNOWN_SERIAL}), check scales and limits, then:"
         f" starbench plan three_pose -s {path}"
     )
     return 0

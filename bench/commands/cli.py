@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -100,7 +100,7 @@ def run(
 @click.option("--dry-run", is_flag=True, help="Only print what would be done.")
 @JSON
 def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
-    """Continue a RUN that was stopped, failed, was killed or lost power. It first prints what it will do."""
+    """Continue a RUN that was stopped, failed or was interrupted. It first prints what it will do."""
     from bench.base.clock import BenchClock
     from bench.commands.calibration_output import show_run
     from bench.commands.evidence_output import ask_passphrase
@@ -135,7 +135,7 @@ def plan(
     """Check a SEQUENCE against a station, or check a queue file, without using any device.
 
     For a sequence: shows all faults of both files, the poses, the time and disk space of a run, and the uncertainty
-    to expect. For a queue: shows when each run will begin and end, and which runs there is no time for.
+    to expect. For a queue: shows when each run will begin and end, and for which runs there is no time.
     """
     from bench.batch.batch_plan import is_queue
     from bench.commands.plan_output import show_plan
@@ -294,12 +294,15 @@ for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
 complete(cli)
 
 
-def _settings(texts: tuple[str, ...]) -> dict[str, str]:
+def _settings(texts: tuple[str, ...]) -> Mapping[str, str]:
     """Split PATH=VALUE arguments."""
+    from sequences.settings import OptionSettings
+
     for text in texts:
         if "=" not in text:
             raise click.BadParameter(f"{text!r} does not have the form PATH=VALUE.", param_hint="--set")
-    return {path.strip(): value for path, _, value in (text.partition("=") for text in texts)}
+    pairs = (text.partition("=") for text in texts)
+    return OptionSettings({path.strip(): value for path, _, value in pairs}, "--set")
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -210,6 +210,12 @@ def _runs_text(runs: Sequence[IndexedRun]) -> str:
     return "\n".join(lines)
 
 
+def _signed(number: float) -> str:
+    """Write a number with its sign and two decimals; zero has no sign."""
+    text = f"{number:+.2f}"
+    return "0.00" if float(text) == 0 else text
+
+
 def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> str:
     lines = [f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model; ± is 1 sigma."]
     for parameter in compared:
@@ -217,9 +223,8 @@ def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -
         lines.append(f"{parameter.name}: mean {mean} ± {sigma}, Birge ratio {parameter.birge:.2f}")
         for run, deviation in zip(runs, parameter.deviations, strict=True):
             value, own = with_uncertainty(*run.parameters[parameter.name])
-            lines.append(
-                f"  {run.begun_utc[:16].replace('T', ' ')}  {value:>12} ± {own:<8} {deviation:+6.2f} sigma  {run.id}"
-            )
+            begun = run.begun_utc[:16].replace("T", " ")
+            lines.append(f"  {begun}  {value:>12} ± {own:<8} {_signed(deviation):>6} sigma  {run.id}")
     return "\n".join(lines)
 
 

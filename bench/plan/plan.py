@@ -36,6 +36,7 @@ from sequences.script import (
     Step,
     WaitStep,
 )
+from sequences.settings import OptionSettings
 from sequences.tree import Fault
 
 SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
@@ -230,15 +231,21 @@ def load_documents(
     return read_sequence, read_station
 
 
-def _by_document(settings: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+def _by_document(settings: Mapping[str, str]) -> tuple[Mapping[str, str], Mapping[str, str]]:
     """Separate the settings of the sequence from those of the station."""
     found: dict[str, dict[str, str]] = {"sequence": {}, "station": {}}
     for path, text in settings.items():
         document, _, rest = path.partition(".")
         if document not in found or not rest:
-            raise ScriptError([f"setting {path}: the path must begin with sequence. or station."])
+            given_by = settings.option if isinstance(settings, OptionSettings) else "setting"
+            raise ScriptError(
+                [f"{given_by} {path}={text}: the path must begin with 'sequence.' or 'station.'."]
+            )
         found[document][rest] = text
-    return found["sequence"], found["station"]
+    of_sequence, of_station = found["sequence"], found["station"]
+    if isinstance(settings, OptionSettings):
+        return settings.part(of_sequence), settings.part(of_station)
+    return of_sequence, of_station
 
 
 def make_plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:

@@ -14,18 +14,19 @@ from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.studies.planning import Forecast, forecast, next_poses
 from calib.studies.predicted_views import ExpectedBench
+from sequences.reader import Located
 
 _CENTRE = 0.5
 _CANDIDATES_AN_AXIS = 13
 
 
-def expected_bench(station: Station, *, noise_px: float | None = None) -> ExpectedBench:
+def expected_bench(station: Located[Station], *, noise_px: float | None = None) -> ExpectedBench:
     """Return the bench that a station file expects: approximate values, sufficient for planning.
 
     Parameters
     ----------
     station
-        The station.
+        The station file.
     noise_px
         Standard uncertainty of a star for each axis, px; None for the station's value.
 
@@ -39,11 +40,11 @@ def expected_bench(station: Station, *, noise_px: float | None = None) -> Expect
     UsageError
         When the station file has no ``expected`` section.
     """
-    expected = station.expected
+    expected = station.value.expected
     if expected is None:
         raise UsageError(
             "The station file has no expected section, so nothing can be predicted.",
-            where=station.name,
+            where=station.file,
             remedy="Add one: expected: {focal_px, r_mm, half_angle_deg}.",
         )
     width, height = expected.image_size
@@ -55,7 +56,7 @@ def expected_bench(station: Station, *, noise_px: float | None = None) -> Expect
         (width, height),
         {"k1": expected.k1, "k2": expected.k2},
     )
-    target = station.target.pattern()
+    target = station.value.target.pattern()
     x, y = target.tag_centre_mm
     return ExpectedBench(
         camera,
@@ -86,7 +87,7 @@ def expected_uncertainty(planned: Plan) -> Forecast | None:
         return None
     poses = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
     try:
-        return forecast(expected_bench(station), poses)
+        return forecast(expected_bench(planned.station), poses)
     except (TooFewStars, DegenerateViews):
         return None
 
@@ -120,4 +121,4 @@ def suggest_poses(planned: Plan, count: int) -> list[dict[str, float]]:
         for name, axis in station.axes.items()
     }
     candidates = [dict(zip(steps, map(float, angles), strict=True)) for angles in product(*steps.values())]
-    return [dict(pose) for pose in next_poses(expected_bench(station), taken, candidates, count)]
+    return [dict(pose) for pose in next_poses(expected_bench(planned.station), taken, candidates, count)]

@@ -17,11 +17,12 @@ from bench.results.forecasts import expected_bench
 from bench.stations.station import Station
 from calib.calibration import CalibrationOptions
 from calib.studies.monte_carlo import MonteCarloStudy, run_monte_carlo
+from sequences.reader import Located
 
 _BINS = np.linspace(-4, 4, 33)
 
 
-def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, float]], Station]:
+def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, float]], Located[Station]]:
     """Return the poses that a sequence records.
 
     Parameters
@@ -34,11 +35,11 @@ def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, floa
     Returns
     -------
     tuple
-        Poses with an angle in degrees for each axis, named as in the engine (``pan_deg``), and the station.
+        Poses with an angle in degrees for each axis, named as in the engine (``pan_deg``), and the station file.
     """
     planned = make_plan(*load_documents(sequence, station))
     poses = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
-    return poses, planned.station.value
+    return poses, planned.station
 
 
 def run_study(

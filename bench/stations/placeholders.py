@@ -8,9 +8,10 @@ from typing import Any
 from sequences.tree import DocumentPath, Fault, Tree, path_text
 
 UNKNOWN_SERIAL = "ASK-THE-LABEL"
+UNKNOWN_SCALE = "ASK-THE-DATA-SHEET"
 UNKNOWN_PORT = "/dev/serial/by-id/CHOOSE-A-PORT"
 UNKNOWN_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
-_ALL = frozenset({UNKNOWN_SERIAL, UNKNOWN_PORT, UNKNOWN_SOURCE})
+_ALL = frozenset({UNKNOWN_SERIAL, UNKNOWN_SCALE, UNKNOWN_PORT, UNKNOWN_SOURCE})
 
 
 def find_placeholders(station: Tree) -> list[Fault]:
@@ -27,7 +28,9 @@ def find_placeholders(station: Tree) -> list[Fault]:
         One fault for each placeholder, at its line.
     """
     return [
-        Fault(station.file, *station.spot(path), path_text(path), f"fill in this value (it is still {text}).")
+        Fault(
+            station.file, *station.spot(path), path_text(path), f"this value is missing (placeholder {text})."
+        )
         for path, text in _texts(station.value, ())
         if text in _ALL
     ]

@@ -7,7 +7,7 @@ a comment. A draft is a valid file, but no run starts until all placeholders are
 from __future__ import annotations
 
 from bench.stations.discovery import Discovery
-from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SERIAL, UNKNOWN_SOURCE
+from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SCALE, UNKNOWN_SERIAL, UNKNOWN_SOURCE
 
 _AXIS_END = "limits_deg: [-12, 12], speed_deg_s: 10, acceleration_deg_s2: 50"
 _SERIAL_NOTE = "# another device on this port is refused before anything moves"
@@ -15,9 +15,9 @@ STAGE_SECTIONS = {
     "zaber_ascii": f"""\
   driver: zaber_ascii
   port: {{stage_port}}
-  axes:   # microsteps_per_deg from the data sheet; never guess it
-    pan: {{{{device: 1, serial: {UNKNOWN_SERIAL}, microsteps_per_deg: 6400, {_AXIS_END}}}}}
-    tilt: {{{{device: 2, serial: {UNKNOWN_SERIAL}, microsteps_per_deg: 6400, {_AXIS_END}}}}}
+  axes:   # microsteps_per_deg: from the data sheet of the stage; never guess it
+    pan: {{{{device: 1, serial: {UNKNOWN_SERIAL}, microsteps_per_deg: {UNKNOWN_SCALE}, {_AXIS_END}}}}}
+    tilt: {{{{device: 2, serial: {UNKNOWN_SERIAL}, microsteps_per_deg: {UNKNOWN_SCALE}, {_AXIS_END}}}}}
 """,
     "ximc": f"""\
   driver: ximc

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 from pydantic_core import PydanticCustomError
 
+from bench.stations.placeholders import UNKNOWN_SCALE
 from bench.stations.station_fields import Port, Serial
 from drivers.stage import AxisLimits
 from sequences.schema import Angle, Axis, StrictModel
@@ -19,6 +20,11 @@ def _not_zero(scale: float) -> float:
     if scale == 0:
         raise PydanticCustomError("no_scale", "a scale of 0 moves nothing.")
     return scale
+
+
+def _accept_placeholder(scale: Any) -> Any:
+    """Replace the placeholder of a draft by 1, so that `plan` can read the file and name what is missing."""
+    return 1.0 if scale == UNKNOWN_SCALE else scale
 
 
 Scale = Annotated[float, AfterValidator(_not_zero)]
@@ -83,7 +89,9 @@ class ZaberAxisConfig(AxisConfig):
     axis: Annotated[int, Field(ge=1, le=9)] = 1
     serial: Serial
     microsteps_per_deg: Annotated[
-        Scale, Field(description="Negative if the counter decreases while the angle increases.")
+        Scale,
+        BeforeValidator(_accept_placeholder),
+        Field(description="Negative if the counter decreases while the angle increases."),
     ]
     encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
 

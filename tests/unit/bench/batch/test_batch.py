@@ -51,7 +51,7 @@ def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path
     path.write_bytes(jobs.text)
     assert plan_of(read_queue(path).value.jobs[0]).station.value.camera.biases.bias_diff_on == 20
     path.write_bytes(jobs.text.replace(b"bias_diff_on", b"bias_dif"))
-    with pytest.raises(ScriptError, match=r"with settings:\d+:\d+: camera.biases.bias_dif: unknown key"):
+    with pytest.raises(ScriptError, match=r"\(with settings\):\d+:\d+: camera.biases.bias_dif: unknown key"):
         read_queue(path)
     path.write_bytes(jobs.text.replace(b"station.camera", b"camera"))
     with pytest.raises(ScriptError, match="settings"):

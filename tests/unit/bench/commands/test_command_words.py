@@ -18,6 +18,7 @@ from bench.batch.batch_plan import plan_batch
 from bench.commands.cli import cli, main
 from bench.commands.help_text import EXAMPLES
 from bench.commands.output import print_error
+from bench.commands.run_output import _signed
 from sequences.queue import Queue
 from sequences.reader import check_document
 
@@ -334,3 +335,21 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
     ):
         print_error(StorageError("No permission.", where=str(where)), as_json=False, debug=False)
         assert ("STARBENCH_HOME" in capsys.readouterr().err) is told
+
+
+def test_the_usage_of_a_batch_names_the_command_that_the_help_lists(say, tmp_path):
+    (tmp_path / "night.yaml").write_text("")
+    _, _, err = say("batch", "night.yaml")
+    assert "Usage: starbench batch [OPTIONS] QUEUE" in err
+
+
+@pytest.mark.parametrize("words", [("plan", "three_pose"), ("run", "three_pose")])
+def test_a_fault_of_a_setting_names_the_option(say, words):
+    _, _, err = say(*words, "-s", "simulated", "--set", "foo=3")
+    assert "--set foo=3: the path must begin with 'sequence.' or 'station.'." in err
+    _, _, err = say(*words, "-s", "simulated", "--set", "station.nme=3")
+    assert re.search(r"simulated\.yaml \(with --set\):\d+:\d+: nme: unknown key", err)
+
+
+def test_a_deviation_of_zero_has_no_sign():
+    assert [_signed(number) for number in (-0.004, 0.004, -0.006, 1.0)] == ["0.00", "0.00", "-0.01", "+1.00"]

@@ -10,7 +10,7 @@ from bench.commands.cli import station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
-from bench.stations.placeholders import UNKNOWN_SERIAL
+from bench.stations.placeholders import UNKNOWN_SCALE, UNKNOWN_SERIAL
 from bench.stations.station import load_station
 from bench.stations.station_cameras import CameraConfig
 from bench.stations.station_draft import CAMERA_SECTIONS, STAGE_SECTIONS, draft_station
@@ -108,12 +108,12 @@ def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path):
     path = tmp_path / "bench.yaml"
     path.write_text(draft_station("Cellar", Discovery((), (), ()), stage="zaber_ascii"))
     told = [str(fault) for fault in make_plan(*load_documents("three_pose", str(path))).faults]
-    assert len(told) == 6  # two ports, four serial numbers
+    assert len(told) == 8  # two ports, four serial numbers, two scales
     column = path.read_text().splitlines()[8].index(UNKNOWN_SERIAL) + 1
     assert (
-        f"{path}:9:{column}: stage.axes.pan.serial: fill in this value (it is still {UNKNOWN_SERIAL})."
+        f"{path}:9:{column}: stage.axes.pan.serial: this value is missing (placeholder {UNKNOWN_SERIAL})."
         in told
     )
     filled = path.read_text().replace(UNKNOWN_SERIAL, "00051").replace("CHOOSE-A-PORT", "usb-0")
-    path.write_text(filled)
+    path.write_text(filled.replace(UNKNOWN_SCALE, "6400"))
     assert make_plan(*load_documents("three_pose", str(path))).faults == ()
