@@ -58,9 +58,10 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
 def _check(views: Sequence[View], fewest: int) -> None:
     """Refuse views that do not belong together, or are too few."""
     if len(views) < fewest:
+        or_passport = ", or give a collimator's passport" if len(views) == 1 else ""
         raise DegenerateViews(
             f"{len(views)} view{'s' if len(views) != 1 else ''} given; at least {fewest} needed.",
-            remedy="Record the target from more angles.",
+            remedy=f"Record the target from more angles{or_passport}.",
         )
     sizes = sorted({view.image_size for view in views})
     if len(sizes) > 1:

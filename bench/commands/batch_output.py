@@ -251,7 +251,7 @@ def do_rehearsal(
 
 
 def show_night(queue: Path, *, begin: datetime | None, as_json: bool) -> int:
-    """Print when each run of a queue begins and ends, and the runs that there is no time for.
+    """Print when each run of a queue begins and ends, and for which runs there is no time.
 
     The expected uncertainty of each job is printed too.
 

@@ -97,7 +97,8 @@ def show_keys() -> int:
     else:
         key = load_key(home, ask_passphrase=ask_passphrase)
         click.echo(
-            f"Key:         {home / KEY_FILE}\nFingerprint: {key.fingerprint}\nLine for those who verify:"
+            f"Key:         {home / KEY_FILE}\nFingerprint: {key.fingerprint}\n"
+            "Line for the allowed_signers file of those who verify:"
         )
         click.echo(f"  {key.signers_line}")
     if (home / SIGNERS_FILE).exists():
@@ -133,7 +134,8 @@ def make_key(principal: str | None, *, protect: bool) -> int:
     key = create_key(
         home_folder(), principal=principal, passphrase=passphrase.encode() if passphrase else None
     )
-    click.echo(f"Created {key.fingerprint}. Line for those who verify:\n  {key.signers_line}")
+    click.echo(f"Created {key.fingerprint}. Line for the allowed_signers file of those who verify:")
+    click.echo(f"  {key.signers_line}")
     return 0
 
 

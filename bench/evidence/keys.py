@@ -266,7 +266,7 @@ def trust(folder: Path, line: str) -> Signer:
     Raises
     ------
     EvidenceError
-        When the line does not name a trusted Ed25519 key.
+        When this is not a line of an Ed25519 key for reports.
     StorageError
         When the file cannot be read or written.
     """
@@ -321,8 +321,8 @@ def read_signers(path: Path) -> list[Signer]:
 
 def _read_signer(line: str) -> Signer:
     bad = EvidenceError(
-        "This line does not name a trusted Ed25519 key.",
-        remedy='A line reads: name@place namespaces="' + NAMESPACE + '" ssh-ed25519 AAAA...',
+        "This is not a line of an Ed25519 key for reports.",
+        remedy='Expected form: name@place namespaces="' + NAMESPACE + '" ssh-ed25519 AAAA...',
     )
     before, found, after = line.partition(f" {KEY_TYPE.decode()} ")
     principal, _, options_text = before.partition(" ")

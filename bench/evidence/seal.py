@@ -34,15 +34,15 @@ To check it you need OpenSSH (8.1 or newer) and sha256sum, nothing else. In this
     ssh-keygen -Y verify -f allowed_signers -I {principal} -n {namespace} -s SHA256SUMS.sig < SHA256SUMS
     sha256sum --strict --quiet -c SHA256SUMS
 
-Both must end with status 0. They do not see files that were added, or links; that is a third check,
-which must print "complete":
+Both must end with status 0. They do not find added files or links. A third check finds them; it must
+print "complete":
 
     test -z "$(find . -type l)" && \\
         test "$(find . ! -type d | wc -l)" -eq "$(($(wc -l < SHA256SUMS) + 2))" && echo complete
 
-allowed_signers is the list of keys that you trust. It is not part of this folder, for whoever could
-change the folder could change it too: get it from the laboratory by another way. The key that signed
-here has the fingerprint
+allowed_signers is the list of keys that you trust. It is not part of this folder, because a person who
+can change the folder could change the list too. Get the list from the laboratory in another way. The
+key that signed here has the fingerprint
 
     {fingerprint}
 

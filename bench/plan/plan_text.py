@@ -100,7 +100,7 @@ def _steps(plan: Plan) -> str:
     if len(rows) > MOST_LINES:
         kept = MOST_LINES // 2
         rows = [*rows[:kept], f"      ... {len(rows) - 2 * kept} steps ...", *rows[-kept:]]
-    return "\n".join([f"{'step':>5}  {'':<52}{'takes':>10}{'done after':>12}", *rows])
+    return "\n".join([f"{'step':>5}  {'':<52}{'takes':>10}{'elapsed':>12}", *rows])
 
 
 def _row(planned: PlannedStep) -> str:

@@ -51,8 +51,14 @@ def read_passport(path: Path) -> Passport:
         shape: Any = json.loads(text)
         return Passport.from_dict(shape if isinstance(shape, dict) else {})
     except (ValueError, RecursionError, InputMismatch) as error:
-        what = error.what if isinstance(error, InputMismatch) else f"Not JSON: {error}."
-        raise UsageError(what, where=str(path), remedy="Make one with `starbench passport make`.") from error
+        what = (
+            error.what
+            if isinstance(error, InputMismatch)
+            else f"The file is not a passport (not JSON: {error})."
+        )
+        raise UsageError(
+            what, where=str(path), remedy="Make a passport with `starbench passport make`."
+        ) from error
 
 
 def write_passport(path: Path, passport: Passport) -> None:
@@ -74,7 +80,7 @@ def write_passport(path: Path, passport: Passport) -> None:
     """
     if path.exists():
         raise UsageError(
-            "A file of this name exists already.", where=str(path), remedy="Choose another name."
+            "A file with this name already exists.", where=str(path), remedy="Choose another name."
         )
     write_atomic(path, (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode())
 

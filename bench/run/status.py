@@ -242,13 +242,16 @@ def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> s
     if sealed:
         return f"Finished and sealed. To check the seal: starbench verify {folder}"
     if running and history.interlock:
-        return "Nothing to do: the run continues by itself when this is over, or ends safely if it holds for too long."
+        return (
+            "No action is needed: the run continues by itself when this is over, or ends safely if it holds for too"
+            " long."
+        )
     if running and history.question:
         return f"The run asks: {history.question} To answer: starbench answer {folder} yes (or no)"
     if running and history.holder:
         return f"Held by {history.holder}. To continue: starbench release {folder}"
     if running:
-        return f"Nothing to do. To stop the run safely: starbench abort {folder}"
+        return f"No action is needed. To stop the run safely: starbench abort {folder}"
     return f"No process works on this run. To continue: starbench resume {folder}"
 
 
@@ -358,7 +361,7 @@ def status_text(status: Status) -> str:
             if status.question
             else ""
         )
-        left = "" if status.left_s is None else f", {clock_text(status.left_s)} left"
+        left = "" if status.left_s is None else f", about {clock_text(status.left_s)} left"
         head = f"running: {status.state}{at}{held}{left}"
     elif status.ended:
         head = f"{status.ended}{': ' if status.why else ''}{status.why}"

@@ -14,6 +14,8 @@ from rich.text import Text
 from bench.terminal.duration import clock_text
 
 _BAR_WIDTH, _LEAST_BAR = 24, 8
+_ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
+"""States without a remaining time: the rest of the plan is not done."""
 
 
 class Progress:
@@ -114,13 +116,16 @@ class Progress:
         return f"pose {self._pose} of {self._poses}" + (f" ({self._detail})" if self._detail else "")
 
     def _plain(self) -> str:
-        return f"{self._state:<11}  {self._where():<28}  {clock_text(self.left_s()):>6} left"
+        left = self._left()
+        return f"{self._state:<11}  {self._where():<28}  {left:>11}".rstrip()
+
+    def _left(self) -> str:
+        return "" if self._state in _ENDING_EARLY else f"{clock_text(self.left_s())} left"
 
     def _line(self) -> Text:
         """Return one line that fits the terminal. On a narrow one the bar is left out, then the end of the text."""
-        text = Text.assemble(
-            (f"{self._state:<11}", "bold"), f"  {clock_text(self.left_s())} left  {self._where()}".rstrip()
-        )
+        parts = "  ".join(filter(None, (self._left(), self._where())))
+        text = Text.assemble((f"{self._state:<11}", "bold"), f"  {parts}".rstrip())
         width = min(_BAR_WIDTH, self._console.width - text.cell_len - 2)
         if width < _LEAST_BAR:
             text.truncate(self._console.width, overflow="ellipsis")

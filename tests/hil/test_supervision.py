@@ -115,7 +115,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from bench.base.clock import BenchClock
 from bench.run.control import CommandInbox
-from bench.run.heartbeat import Pulse
+from bench.run.heartbeat import HeartbeatWriter
 from bench.records.events import Event
 from bench.records.run_log import RunLog
 from bench.records.journal import Journal
@@ -123,9 +123,9 @@ from bench.records.run_folder import RunFolder
 clock = BenchClock()
 with RunFolder.create(Path(sys.argv[1])) as folder:
     with Journal.create(folder.journal_path, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
-        pulse = Pulse(folder.path, clock)
-        with CommandInbox(folder.path, RunLog(journal), {}, clock, (pulse.beat,)):
-            pulse.entering("recording")
+        heartbeat = HeartbeatWriter(folder.path, clock)
+        with CommandInbox(folder.path, RunLog(journal), {}, clock, (heartbeat.beat,)):
+            heartbeat.entering("recording")
             clock.sleep(1.5)
             journal.append(Event.DEVIATION, what="hangs now")
             os.read(os.pipe()[0], 1)  # a driver that never returns, while all threads go on

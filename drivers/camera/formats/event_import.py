@@ -18,6 +18,7 @@ from drivers.camera.formats.event_files import CD_TYPE
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 _AGAIN: Final = "Export it again from the RAW recording."
+_EVENT_FILES: Final = "Give a Metavision HDF5, a plain HDF5 or an .npz file of events."
 
 _UNREADABLE: Final = (
     *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError),
@@ -90,16 +91,16 @@ def import_events(path: Path | str) -> ImportedEvents:
             where=str(path),
             remedy="Check the path and the file.",
         ) from error
-    raise _not_events(path, "the file is neither HDF5 nor .npz")
+    raise NotARecording(
+        "The format of this file is unknown: it is not RAW, HDF5 or .npz.",
+        where=str(path),
+        remedy=_EVENT_FILES,
+    )
 
 
 def _not_events(path: Path, why: str) -> NotARecording:
     """Build the error of a file without readable events."""
-    return NotARecording(
-        f"The file holds no readable events: {why}.",
-        where=str(path),
-        remedy="Give a Metavision HDF5, a plain HDF5 or an .npz file of events.",
-    )
+    return NotARecording(f"The file holds no readable events: {why}.", where=str(path), remedy=_EVENT_FILES)
 
 
 def _from_numpy(path: Path) -> ImportedEvents:

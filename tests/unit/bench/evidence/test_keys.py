@@ -209,7 +209,7 @@ def test_options_of_a_trusted_key_are_heeded(tmp_path, options, rejection):
     ],
 )
 def test_a_line_that_is_not_understood_is_named(tmp_path, line):
-    with pytest.raises(EvidenceError, match=r"signers:3: This line does not name"):
+    with pytest.raises(EvidenceError, match=r"signers:3: This is not a line"):
         read_one(tmp_path, line)
 
 
@@ -225,7 +225,7 @@ def test_a_further_key_is_trusted_once(tmp_path):
     for _ in range(2):
         assert trust(tmp_path, f"bench2@lab {LINE}\n").principal == "bench2@lab"
     assert [s.principal for s in read_signers(tmp_path / "allowed_signers")][1:] == ["bench2@lab"]
-    with pytest.raises(EvidenceError, match="does not name a trusted"):
+    with pytest.raises(EvidenceError, match="not a line of an Ed25519 key for reports"):
         trust(tmp_path, "nonsense")
 
 

@@ -248,3 +248,16 @@ def test_what_was_typed_before_the_question_does_not_count():
         )
         assert asked == Reply("abort", "time-out")
     os.close(keyboard)
+
+
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+@pytest.mark.parametrize("state", ["aborting", "aborted", "failed"])
+def test_a_run_that_ends_early_has_no_remaining_time(monkeypatch, state, stream):
+    monkeypatch.setenv("TERM", "xterm")
+    shown = stream()
+    with Progress(lambda: 0.0, total_s=90.0, poses=3, stream=shown) as progress:
+        progress.show(state, pose=2, detail="upper left")
+    assert state in shown.getvalue()
+    assert "pose 2 of 3 (upper left)" in shown.getvalue()
+    assert "left  " not in shown.getvalue().replace("upper left", "")
+    assert "1:30" not in shown.getvalue()
