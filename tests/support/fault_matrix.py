@@ -231,7 +231,7 @@ pose recorded once, and every recording named in the journal was on the disk, by
 
 How the table is made: the code of a run works on virtual devices and a virtual clock, and the fault is reported as a
 driver reports it. Other tests check with the simulated devices that the drivers report these faults. The command is
-`python tests/support/fault_matrix.py > docs/faults.md`; the test `tests/unit/bench/test_fault_matrix.py` checks the
+`python tests/support/fault_matrix.py > docs/faults.md`; the test `tests/unit/bench/run/test_fault_matrix.py` checks the
 table.
 """
 SIGNS = {"failed": "F", "aborted": "A", "finished": "f", "died": "K", "": "-"}

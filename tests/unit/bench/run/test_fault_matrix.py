@@ -7,7 +7,7 @@ import pytest
 from fault_matrix import SIGNS, STATES, matrix, patched, strike, text
 from run_faults import FAULTS
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "faults.md"
+DOCUMENT = Path(__file__).parents[4] / "docs" / "faults.md"
 SOME = [
     ("stage unplugged", "slewing"),
     ("camera lost for 20 s, interlock `device_lost`", "recording"),
