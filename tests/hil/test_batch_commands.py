@@ -5,11 +5,17 @@ import io
 import json
 import os
 from pathlib import Path
+from shutil import copyfile
 from types import SimpleNamespace
 
 import pytest
 
+from bench.base.clock import BenchClock
+from bench.batch.batch_events import BatchEvent
 from bench.commands.cli import main
+from bench.records.journal import Journal
+from bench.records.run_folder import JOURNAL
+from bench.records.run_index import QUEUE_COPY
 
 ROOT = Path(__file__).parents[2]
 QUEUE = """\
@@ -106,12 +112,23 @@ def test_a_finished_batch_is_looked_at_summed_up_and_its_runs_are_listed(night):
     assert runs.returncode == 0, runs.stderr
 
 
-def test_a_job_is_noted_for_a_batch_that_is_not_at_work(night):
+def test_a_job_is_stored_for_a_batch_that_no_process_works_on(night, tmp_path):
     folder, _ = night
-    said = starbench("batch", "add", folder / "out", folder / "job.yaml", home=folder / "home")
+    copyfile(folder / "out" / QUEUE_COPY, tmp_path / QUEUE_COPY)
+    clock = BenchClock()
+    with Journal.create(tmp_path / JOURNAL, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
+        journal.append(BatchEvent.BEGUN, queue="Night", files={})
+    said = starbench("batch", "add", tmp_path, folder / "job.yaml", home=folder / "home")
     assert said.returncode == 0, said.stderr
     assert "when it continues" in said.stdout
-    assert len(list((folder / "out" / "requests").iterdir())) == 1
+    assert len(list((tmp_path / "requests").iterdir())) == 1
+
+
+def test_a_request_to_a_rehearsal_or_to_no_batch_is_refused(night):
+    folder, _ = night
+    said = starbench("batch", "add", folder / "out", folder / "job.yaml", home=folder / "home")
+    assert said.returncode == 1
+    assert "is a rehearsal" in said.stderr
     nowhere = starbench("batch", "withdraw", folder, "a", home=folder / "home")
     assert nowhere.returncode == 1
     assert "There is no batch in this folder" in nowhere.stderr
