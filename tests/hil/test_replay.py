@@ -60,7 +60,7 @@ def test_recordings_of_another_camera_are_refused_before_anything_moves(first, t
     folder = tmp_path / "refused"
     said = starbench("run", "three_pose", "-s", station, "-o", folder, home=home)
     assert said.returncode == 1
-    assert "It was recorded by camera 00050423, not 00099999" in said.stderr
+    assert "This file was recorded by camera 00050423, not 00099999" in said.stderr
     events = [json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines()]
     assert not any(line.get("state") in {"homing", "slewing"} for line in events)
 
