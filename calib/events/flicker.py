@@ -132,8 +132,8 @@ def flicker_from_triggers(
     value
         (N,) int, 1 for a rising edge, 0 for a falling one.
     expected_hz
-        Frequency set at the light, Hz, if known. Then one edge is enough, and a train that differs from this
-        frequency by more than `EDGE_TOLERANCE` is refused.
+        Frequency set at the light, Hz; None if it is not known. If it is given, one edge is enough, and edges whose
+        frequency differs from it by more than `EDGE_TOLERANCE` are refused.
 
     Returns
     -------

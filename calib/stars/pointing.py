@@ -77,7 +77,7 @@ class PredictedGrid(NamedTuple):
 
 
 class _Observations(NamedTuple):
-    """Earlier views: readings of the gimbal, and the (25, 2) grid positions in each that lie at the points, px."""
+    """Earlier views: gimbal readings, and the (25, 2) grid positions that each view shows at the image points."""
 
     image_size: tuple[int, int]
     pitch_mm: float
