@@ -1,0 +1,131 @@
+"""The readings of a gimbal, and what they are worth as measurements.
+
+Readings measure the rotations of the views. They determine the focal length if the collimator's radius is unknown. Two
+errors imitate a change of the focal length and do not show in the residuals: a scale error of the encoder, and
+parallax. Parallax needs both a collimator out of focus and an entrance pupil off the pivot: the pupil then moves across
+the beam when the camera turns, and the pattern moves with it. This module holds data only; `calib.adjustment` uses it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InputMismatch
+
+Array = NDArray[np.float64]
+
+#: Names of the axes in readings, in the order of the rotations Ry(pan), Rx(tilt), Rz(roll).
+AXES = ("pan_deg", "tilt_deg", "roll_deg")
+
+
+@dataclass(frozen=True)
+class ParallaxBound:
+    """What bounds the parallax of a gimbal before a collimator.
+
+    Parameters
+    ----------
+    defocus, defocus_sigma
+        The collimator's defocus and its standard uncertainty, dimensionless. When the camera moves across the beam by
+        s, the pattern appears to move by -defocus s on the target. A target at the finite distance D has the defocus
+        r / D; an ideal collimator has 0.
+    pupil_off_pivot_mm, pupil_off_pivot_sigma_mm
+        Distance of the entrance pupil in front of the pivot, and its standard uncertainty, mm.
+
+    Raises
+    ------
+    InputMismatch
+        If an uncertainty is negative, or a number is not finite.
+    """
+
+    defocus: float
+    defocus_sigma: float
+    pupil_off_pivot_mm: float
+    pupil_off_pivot_sigma_mm: float
+
+    def __post_init__(self) -> None:
+        for name in ("defocus_sigma", "pupil_off_pivot_sigma_mm"):
+            if not getattr(self, name) >= 0:
+                raise InputMismatch(f"{name} is {getattr(self, name)}; it must not be negative.")
+        if not np.isfinite(
+            [self.defocus, self.defocus_sigma, self.pupil_off_pivot_mm, self.pupil_off_pivot_sigma_mm]
+        ).all():
+            raise InputMismatch("The bound of the parallax contains a number that is not finite.")
+
+    def mean_and_sigma(self, r_mm: float) -> tuple[float, float]:
+        """Return the expected parallax and its standard uncertainty.
+
+        The pupil moves across the beam by off_pivot times the tangent of the turn, and the pattern by -defocus times
+        that. Uncertainty of a product of two independent quantities: Goodman (1960).
+
+        Parameters
+        ----------
+        r_mm
+            Radius of the collimator, mm.
+
+        Returns
+        -------
+        tuple of float
+            Displacement of the pattern per unit tangent of the turn, as a share of r; and its 1-sigma.
+        """
+        d, off = self.defocus, self.pupil_off_pivot_mm
+        sigma = np.sqrt(
+            (d * self.pupil_off_pivot_sigma_mm) ** 2
+            + (off * self.defocus_sigma) ** 2
+            + (self.defocus_sigma * self.pupil_off_pivot_sigma_mm) ** 2
+        )
+        return -d * off / r_mm, float(sigma / r_mm)
+
+
+@dataclass(frozen=True)
+class GimbalReadings:
+    """Readings of all views, with their uncertainty.
+
+    Parameters
+    ----------
+    angles_deg
+        For each view the readings of its axes, degrees: any of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
+    reading_sigma_deg
+        Standard uncertainty of a reading, degrees; wobble of the axes included. It holds for the rotation about every
+        axis of the head, also about one that the gimbal does not have.
+    scale_sigma
+        Standard uncertainty of each axis's scale (true angle over reading).
+    eccentricity_deg
+        Standard uncertainty of the amplitude of the encoder's error of one period a turn, degrees. Over a small range
+        of angles it acts as a scale error.
+    parallax
+        What bounds the parallax; None if nothing does. The readings are then compared with the result, but do not
+        enter it.
+    source
+        Where these numbers come from: a certificate, a data sheet, a measurement.
+
+    Raises
+    ------
+    InputMismatch
+        If an uncertainty is not positive (or negative, for scale and eccentricity), or an axis is unknown.
+    """
+
+    angles_deg: tuple[Mapping[str, float], ...]
+    reading_sigma_deg: float
+    scale_sigma: float = 0.0
+    eccentricity_deg: float = 0.0
+    parallax: ParallaxBound | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.reading_sigma_deg < np.inf:
+            raise InputMismatch(f"reading_sigma_deg is {self.reading_sigma_deg}; it must be positive.")
+        for name in ("scale_sigma", "eccentricity_deg"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputMismatch(f"{name} is {getattr(self, name)}; it must not be negative.")
+        unknown = sorted({axis for reading in self.angles_deg for axis in reading} - set(AXES))
+        if unknown:
+            raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
+
+    @property
+    def angles(self) -> Array:
+        """(n, 3) float64 pan, tilt, roll of each view, degrees; axes without a reading are zero."""
+        return np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in self.angles_deg])
