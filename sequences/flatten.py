@@ -10,12 +10,16 @@ import math
 from collections.abc import Iterator, Mapping
 from collections.abc import Sequence as List
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, cast
 
 from sequences.errors import DocumentFaults
 from sequences.reader import Located
 from sequences.schema import (
     AXES,
+    DISTORTION_SETS,
+    LENS_FAMILIES,
+    DistortionSet,
+    DistortionTerm,
     Grid,
     LightConfig,
     MoveConfig,
@@ -238,7 +242,8 @@ class _Unfolding:
         if word == "solve":
             settings = merged(given, self.sequence.defaults.solve)
             limits = {name: limit for name, limit in settings.pop("limits").items() if limit is not None}
-            return SolveStep(**place, **settings, limits=limits)
+            distortion = distortion_terms(settings.pop("distortion"))
+            return SolveStep(**place, **settings, distortion=distortion, limits=limits)
         if word == "wait":
             return WaitStep(**place, **dict(given))
         if word == "prompt":
@@ -285,6 +290,33 @@ def axes_named(sequence: Sequence) -> tuple[str, ...]:
         ):
             named.update(_axes_of_set(step.repeat.poses))
     return tuple(axis for axis in AXES if axis in named)
+
+
+def distortion_terms(
+    chosen: DistortionSet | tuple[DistortionTerm, ...],
+) -> tuple[DistortionTerm, ...] | Literal["auto"]:
+    """Return the lens coefficients that a solve step estimates.
+
+    Parameters
+    ----------
+    chosen
+        Name of a set, or coefficients of one lens model in any order.
+
+    Returns
+    -------
+    tuple of str, or "auto"
+        The coefficients in the order of their lens model; ``auto`` if the data are to choose them.
+
+    Examples
+    --------
+    >>> distortion_terms("k1k2p1p2"), distortion_terms(("k2", "k1")), distortion_terms("none")
+    (('k1', 'k2', 'p1', 'p2'), ('k1', 'k2'), ())
+    """
+    if chosen == "auto":
+        return "auto"
+    terms = DISTORTION_SETS[chosen] if isinstance(chosen, str) else chosen
+    ordered = (term for family in LENS_FAMILIES for term in family if term in terms)
+    return cast("tuple[DistortionTerm, ...]", tuple(ordered))
 
 
 def merged(given: StrictModel, default: StrictModel) -> dict[str, Any]:

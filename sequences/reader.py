@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -36,12 +36,39 @@ class Located(Generic[Model]):
         The file's name, as the caller gave it.
     tree
         The document as text, with places.
+    folder
+        Folder of the file; None for a document that is not in a file.
+    set_paths
+        Dotted paths whose values were given by settings, not by the file.
     """
 
     value: Model
     text: bytes
     file: str
     tree: Tree
+    folder: Path | None = None
+    set_paths: tuple[str, ...] = ()
+
+    def file_at(self, path: DocumentPath, name: str) -> Path:
+        """Return the file that a value of the document names.
+
+        Parameters
+        ----------
+        path
+            The value's path.
+        name
+            Path of a file, as the value gives it.
+
+        Returns
+        -------
+        Path
+            The path, relative to the document's folder; relative to the working directory if a setting gave the value,
+            or if the document is not in a file.
+        """
+        dotted = ".".join(map(str, path)) + "."
+        if self.folder is None or any(dotted.startswith(f"{given}.") for given in self.set_paths):
+            return Path(name)
+        return self.folder / name
 
     def position(self, path: DocumentPath) -> Spot:
         """Return where the value at a path begins.
@@ -119,7 +146,8 @@ def read_document(
         refuses.
     """
     data = with_settings(_bytes_of(Path(path)), str(path), settings or {})
-    return check_document(data, file_with_settings(str(path), settings or {}), model)
+    read = check_document(data, file_with_settings(str(path), settings or {}), model)
+    return replace(read, folder=Path(path).parent, set_paths=tuple(settings or {}))
 
 
 def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from sequences.schema import (
     Answer,
@@ -17,6 +17,7 @@ from sequences.schema import (
     ImageKind,
     Loss,
     OnFailure,
+    Readings,
     Waveform,
 )
 from sequences.tree import DocumentPath
@@ -193,17 +194,24 @@ class PromptStep:
 class SolveStep:
     """Calibrate from the poses recorded so far.
 
-    With ``huber_px`` None the engine chooses the threshold. ``limits`` are the upper limits of the named results.
+    With ``model`` None the bench chooses: ``auto`` with a passport or the gimbal's readings, else ``spherical``.
+    ``distortion`` holds coefficients in the order of their lens model, or ``auto``. With ``huber_px`` None the engine
+    chooses the threshold. ``passport`` is a file as the document names it, ``none`` for no passport, or None for the
+    station's. ``limits`` are the upper limits of the named results.
     """
 
     number: int
     where: str
     path: DocumentPath
-    model: CalibrationModel
-    distortion: tuple[DistortionTerm, ...]
+    model: CalibrationModel | None
+    distortion: tuple[DistortionTerm, ...] | Literal["auto"]
     loss: Loss
     huber_px: float | None
     limits: Mapping[str, float]
+    passport: str | None = None
+    readings: Readings = "auto"
+    guard_band: float = 1.0
+    drift_mm: float = 0.3
 
 
 @dataclass(frozen=True)

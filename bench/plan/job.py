@@ -339,6 +339,13 @@ def calibration_options(step: SolveStep) -> CalibrationOptions:
     Returns
     -------
     CalibrationOptions
-        Model, distortion and loss.
+        Model, distortion, loss, guard band and drift.
     """
-    return CalibrationOptions(step.model, step.distortion, step.loss, step.huber_px)
+    return CalibrationOptions(
+        step.model or "spherical",
+        step.distortion,
+        step.loss,
+        step.huber_px,
+        guard_band=step.guard_band,
+        drift_mm=step.drift_mm,
+    )

@@ -123,7 +123,8 @@ def _what(step: Step) -> str:
         case PromptStep():
             what = f"ask: {step.text} [{step.default}]"
         case SolveStep():
-            what = f"solve {step.model}, {' '.join(step.distortion) or 'no distortion'}, {step.loss}"
+            lens = step.distortion if isinstance(step.distortion, str) else " ".join(step.distortion)
+            what = f"solve {step.model or 'with the default model'}, {lens or 'no distortion'}, {step.loss}"
         case _:
             what = type(step).__name__.removesuffix("Step").lower()
     return what

@@ -56,11 +56,12 @@ def test_bare_words_stand_for_steps_with_their_defaults():
     assert (record.window_ms, record.image, record.attempts) == (33, "auto", 2)
     assert record.gates == Gates(min_stars=40, max_event_rate_mev_s=200, require_triggers=True)
     assert (solve.model, solve.distortion, solve.loss, solve.huber_px) == (
-        "spherical",
+        None,
         ("k1", "k2"),
         "huber",
         None,
     )
+    assert (solve.passport, solve.readings, solve.guard_band, solve.drift_mm) == (None, "auto", 1.0, 0.3)
     assert isinstance(report, ReportStep)
 
 

@@ -38,7 +38,29 @@ def read(text: str) -> Sequence:
             "steps: [{solve: {distortion: [k1, k1]}}]",
             "steps[0].solve.distortion: a distortion term is given twice.",
         ),
-        ("steps: [{solve: {distortion: k1}}]", "steps[0].solve.distortion: must be a list (got 'k1')."),
+        (
+            "steps: [{solve: {distortion: [k1, kb1]}}]",
+            "steps[0].solve.distortion: no lens model has all these terms; use terms of k1 k2 p1 p2 k3 k4 k5 k6 or",
+        ),
+        (
+            "steps: [{solve: {distortion: k2k1}}]",
+            "steps[0].solve.distortion: must be 'none', 'k1', 'k1k2', 'k1k2k3', 'k1k2p1p2', 'k1k2k3p1p2', 'rational', ",
+        ),
+        (
+            "steps: [{solve: {distortion: [k1, q]}}]",
+            "steps[0].solve.distortion[1]: must be 'k1', 'k2', 'p1', ",
+        ),
+        ("steps: [{solve: {distortion: }}]", "steps[0].solve.distortion: must be a list (got nothing)."),
+        (
+            "steps: [{solve: {model: sphere}}]",
+            "steps[0].solve.model: must be 'spherical', 'radial', 'pupil', ",
+        ),
+        ("steps: [{solve: {passport: ''}}]", "steps[0].solve.passport: must not be empty (got '')."),
+        (
+            "steps: [{solve: {readings: always}}]",
+            "steps[0].solve.readings: must be 'auto' or 'witness' (got ",
+        ),
+        ("steps: [{solve: {guard_band: 0}}]", "steps[0].solve.guard_band: must be more than 0 (got '0')."),
         ("steps: [{light: of}]", "steps[0].light: must be 'on' or 'off' (got 'of'). Did you mean 'off'?"),
         (
             "steps: [{light: {duty_percent: 100}}]",

@@ -288,7 +288,7 @@ def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
         "  - wait\n"  # 13 duration missing
         "  - prompt: {text: x, default: perhaps}\n"  # 14
         "  - repeat: {steps: [move]}\n"  # 15 neither poses nor times
-        "  - solve: {distortion: [k1, k4], loss: &l1 l1}\n"  # 16, 17, 18 anchor
+        "  - solve: {distortion: [k1, k7], loss: &l1 l1}\n"  # 16, 17, 18 anchor
     )
     station = tmp_path / "station.yaml"
     station.write_text(
