@@ -16,10 +16,6 @@ from sequences.errors import DocumentFaults
 from sequences.reader import Located
 from sequences.schema import (
     AXES,
-    DISTORTION_SETS,
-    LENS_FAMILIES,
-    DistortionSet,
-    DistortionTerm,
     Grid,
     LightConfig,
     MoveConfig,
@@ -27,7 +23,6 @@ from sequences.schema import (
     RepeatConfig,
     Sequence,
     StepConfig,
-    StrictModel,
 )
 from sequences.script import (
     Flicker,
@@ -43,6 +38,8 @@ from sequences.script import (
     Step,
     WaitStep,
 )
+from sequences.solve_schema import DISTORTION_SETS, LENS_FAMILIES, DistortionSet, DistortionTerm
+from sequences.strict_model import StrictModel
 from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
 

@@ -13,7 +13,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from sequences.schema import Name, StrictModel
+from sequences.schema import Name
+from sequences.strict_model import StrictModel
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
 SettingPath = Annotated[str, Field(max_length=200, pattern=r"^(sequence|station)(\.[A-Za-z0-9_]+)+$")]

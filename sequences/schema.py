@@ -7,33 +7,19 @@ module opens no file and no device. The fields of each model are explained in ``
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Discriminator,
-    Field,
-    GetJsonSchemaHandler,
-    Tag,
-    field_validator,
-    model_validator,
-)
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticCustomError
+from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+from sequences.solve_schema import SolveConfig
+from sequences.strict_model import StrictModel
 
 AXES = ("pan", "tilt", "roll")
 
 Axis = Literal["pan", "tilt", "roll"]
 Waveform = Literal["square", "sine", "steady"]
 ImageKind = Literal["auto", "last_polarity", "any", "count", "fired_per_edge", "lock_in", "on_latency"]
-CalibrationModel = Literal["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
-DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "kb1", "kb2", "kb3", "kb4"]
-DistortionSet = Literal[
-    "none", "k1", "k1k2", "k1k2k3", "k1k2p1p2", "k1k2k3p1p2", "rational", "fisheye", "auto"
-]
-Readings = Literal["auto", "witness"]
-Loss = Literal["huber", "l2", "cauchy"]
 Answer = Literal["continue", "abort"]
 OnFailure = Literal["fail", "skip", "hold"]
 
@@ -41,30 +27,7 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S(.*\S)?$")]
 
 
-Limit = Annotated[float, Field(gt=0)] | None
 NotNegative = Annotated[float, Field(ge=0)]
-
-
-class StrictModel(BaseModel):
-    """A mapping of a document: no unknown keys, finite numbers only, immutable."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
-
-    bare_words: ClassVar[tuple[str, ...]] = ()
-    """Single words that may be written in place of the whole mapping."""
-
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        """Allow the bare words in the exported schema too."""
-        reference = handler(core_schema)
-        if cls.bare_words:
-            schema = handler.resolve_ref_schema(reference)
-            mapping = dict(schema)
-            schema.clear()
-            schema["anyOf"] = [{"enum": list(cls.bare_words)}, mapping]
-        return reference
 
 
 class FlickerConfig(StrictModel):
@@ -287,102 +250,6 @@ class PromptConfig(StrictModel):
     timeout_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 600.0
 
 
-class LimitConfig(StrictModel):
-    """Upper limits of the result. Above a limit the result fails; within a tenth below it, it is marginal."""
-
-    rms_px: Limit = None
-    mean_px: Limit = None
-    sigma_fx_px: Limit = None
-    sigma_fy_px: Limit = None
-    sigma_cx_px: Limit = None
-    sigma_cy_px: Limit = None
-    sigma_k1: Limit = None
-    sigma_k2: Limit = None
-    sigma_p1: Limit = None
-    sigma_p2: Limit = None
-    sigma_k3: Limit = None
-    sigma_k4: Limit = None
-    sigma_k5: Limit = None
-    sigma_k6: Limit = None
-    sigma_kb1: Limit = None
-    sigma_kb2: Limit = None
-    sigma_kb3: Limit = None
-    sigma_kb4: Limit = None
-    sigma_x_mm: Limit = None
-    sigma_y_mm: Limit = None
-    sigma_r_mm: Limit = None
-    expanded_fx_px: Limit = None
-    expanded_fy_px: Limit = None
-    worst_corner_px: Limit = None
-
-
-LENS_FAMILIES: tuple[tuple[str, ...], ...] = (
-    ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    ("kb1", "kb2", "kb3", "kb4"),
-)
-"""Coefficients of each lens model; coefficients of two models cannot be estimated together."""
-DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
-    "none": (),
-    "k1": ("k1",),
-    "k1k2": ("k1", "k2"),
-    "k1k2k3": ("k1", "k2", "k3"),
-    "k1k2p1p2": ("k1", "k2", "p1", "p2"),
-    "k1k2k3p1p2": ("k1", "k2", "p1", "p2", "k3"),
-    "rational": LENS_FAMILIES[0],
-    "fisheye": LENS_FAMILIES[1],
-}
-"""Coefficients by the name of their set."""
-
-
-def _set_or_list(value: Any) -> str:
-    return "set" if isinstance(value, str) else "list"
-
-
-class SolveConfig(StrictModel):
-    """Calibrate from the poses recorded so far."""
-
-    model: Annotated[
-        CalibrationModel | None,
-        Field(description="Default: auto with a passport or the gimbal's readings, else spherical."),
-    ] = None
-    distortion: Annotated[
-        Annotated[DistortionSet, Tag("set")] | Annotated[tuple[DistortionTerm, ...], Tag("list")],
-        Discriminator(_set_or_list),
-    ] = ("k1", "k2")
-    loss: Loss = "huber"
-    huber_px: Annotated[float, Field(gt=0, le=100)] | None = None
-    passport: Annotated[
-        str | None,
-        Field(
-            min_length=1,
-            max_length=4096,
-            description="Passport file of the collimator, instead of the station's; none: use no passport.",
-        ),
-    ] = None
-    readings: Annotated[
-        Readings, Field(description="witness: the gimbal's readings never enter the adjustment.")
-    ] = "auto"
-    guard_band: Annotated[float, Field(gt=0, le=1, description="Share of the beam's radius to use.")] = 1.0
-    drift_mm: Annotated[
-        float, Field(gt=0, le=1000, description="Expected drift of the centre per view, model drift.")
-    ] = 0.3
-    limits: LimitConfig = LimitConfig()
-
-    @field_validator("distortion")
-    @classmethod
-    def _one_lens_each_term_once(cls, terms: str | tuple[str, ...]) -> str | tuple[str, ...]:
-        if isinstance(terms, str):
-            return terms
-        if len(set(terms)) != len(terms):
-            raise PydanticCustomError("term_twice", "a distortion term is given twice.")
-        if not any(set(terms) <= set(family) for family in LENS_FAMILIES):
-            known = " or ".join(" ".join(family) for family in LENS_FAMILIES)
-            raise PydanticCustomError(
-                "two_lenses", "no lens model has all these terms; use terms of {known}.", {"known": known}
-            )
-        return terms
-
-
 class ReportConfig(StrictModel):
     """Write the report and seal the run."""
 
@@ -452,5 +319,5 @@ class Sequence(StrictModel):
     name: Name
     description: Annotated[str, Field(max_length=2000)] = ""
     defaults: DefaultConfig = DefaultConfig()
-    poses: dict[Name, PoseSet] = {}
+    poses: Annotated[dict[Name, PoseSet], Field(default_factory=dict)]
     steps: Annotated[list[StepConfig], Field(min_length=1)]

@@ -9,17 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from sequences.schema import (
-    Answer,
-    CalibrationModel,
-    DistortionTerm,
-    GateConfig,
-    ImageKind,
-    Loss,
-    OnFailure,
-    Readings,
-    Waveform,
-)
+from sequences.schema import Answer, GateConfig, ImageKind, OnFailure, Waveform
+from sequences.solve_schema import CalibrationModel, DistortionTerm, Loss, Readings
 from sequences.tree import DocumentPath
 
 

@@ -25,7 +25,8 @@ from bench.stations.station_stages import AxisConfig, StageConfig
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from sequences.reader import Located, find_document, read_document
-from sequences.schema import Name, StrictModel
+from sequences.schema import Name
+from sequences.strict_model import StrictModel
 
 SHIPPED_STATIONS = Path(__file__).parent
 

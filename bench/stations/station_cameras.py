@@ -9,7 +9,7 @@ from pydantic import Field
 
 from bench.stations.station_fields import Port, Serial, Text
 from drivers.camera.frames import FrameSettings
-from sequences.schema import StrictModel
+from sequences.strict_model import StrictModel
 
 NotNegative = Annotated[int, Field(ge=0, le=8191)]
 Pixels = Annotated[int, Field(gt=0, le=8192)]

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import Positive, Text
-from sequences.schema import StrictModel
+from sequences.strict_model import StrictModel
 
 Hold = Annotated[
     float,

@@ -10,8 +10,8 @@ from pydantic_core import PydanticCustomError
 from bench.stations.station_fields import Port, Positive, Serial, Text
 from drivers.light import LightSettings
 from drivers.light.scpi_dialects import DialectName, Load
-from sequences.schema import StrictModel
 from sequences.script import Flicker
+from sequences.strict_model import StrictModel
 
 Volts = Annotated[float, Field(ge=-20, le=20)]
 

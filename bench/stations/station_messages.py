@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import Text
-from sequences.schema import StrictModel
+from sequences.strict_model import StrictModel
 
 Occasion = Literal["failure", "hold", "end"]
 Address = Annotated[str, Field(max_length=254, pattern=r"^[^\s@<>\"]+@[^\s@<>\"]+$")]

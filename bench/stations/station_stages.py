@@ -13,7 +13,8 @@ from pydantic_core import PydanticCustomError
 from bench.stations.placeholders import UNKNOWN_SCALE
 from bench.stations.station_fields import Port, Serial
 from drivers.stage import AxisLimits
-from sequences.schema import Angle, Axis, StrictModel
+from sequences.schema import Angle, Axis
+from sequences.strict_model import StrictModel
 
 
 def _not_zero(scale: float) -> float:

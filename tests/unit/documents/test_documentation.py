@@ -15,13 +15,12 @@ from sequences.schema import (
     DefaultConfig,
     FlickerConfig,
     GateConfig,
-    LimitConfig,
     RecordConfig,
     Sequence,
     SettleConfig,
-    SolveConfig,
     StepConfig,
 )
+from sequences.solve_schema import LimitConfig, SolveConfig
 
 ROOT = Path(__file__).parents[3]
 DOCS = {

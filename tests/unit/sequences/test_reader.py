@@ -11,7 +11,8 @@ from pydantic import Field
 
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document, find_document, read_document
-from sequences.schema import Sequence, StrictModel
+from sequences.schema import Sequence
+from sequences.strict_model import StrictModel
 from sequences.yaml_text import MOST_BYTES
 
 SHIPPED = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))

@@ -7,7 +7,7 @@ import pytest
 from bench.plan.job import calibration_options
 from calib.calibration import LossName, ModelName
 from calib.model.camera import BROWN, DISTORTION_SETS, FISHEYE
-from sequences import schema
+from sequences import solve_schema as schema
 from sequences.flatten import flatten
 from sequences.reader import check_document
 from sequences.schema import Sequence
