@@ -1,0 +1,213 @@
+"""Type B terms of the uncertainty budget: what is stated about the bench, as data.
+
+A type B term is an uncertainty that comes from a certificate, a data sheet or experience, not from the views of this
+calibration (JCGM 100:2008, section 4.3). `calib.uncertainty.type_b` propagates the terms to the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InputMismatch
+
+Array = NDArray[np.float64]
+
+TermKind = Literal[
+    "print_scale", "print_bow", "thermal", "collimator_thermal", "effective_radius", "wavefront"
+]
+Distribution = Literal["normal", "rectangular", "triangular", "u-shaped"]
+
+#: Half width over standard uncertainty of each distribution (JCGM 100:2008, 4.3.7 and 4.3.9; JCGM 101:2008, table 1).
+DIVISORS: Mapping[Distribution, float] = {
+    "normal": 1.0,
+    "rectangular": float(np.sqrt(3.0)),
+    "triangular": float(np.sqrt(6.0)),
+    "u-shaped": float(np.sqrt(2.0)),
+}
+#: Unit of the value of each kind; a relative value has the unit 1.
+UNITS: Mapping[TermKind, str] = {
+    "print_scale": "1",
+    "print_bow": "mm",
+    "thermal": "1",
+    "collimator_thermal": "1",
+    "effective_radius": "1",
+    "wavefront": "urad",
+}
+#: Kinds that scale the target.
+SCALES: tuple[TermKind, ...] = ("print_scale", "thermal")
+#: Kinds that change the radius of a certificate.
+RADII: tuple[TermKind, ...] = ("effective_radius", "collimator_thermal")
+
+
+@dataclass(frozen=True)
+class TypeBTerm:
+    """A type B term.
+
+    Parameters
+    ----------
+    name
+        Name of the source of uncertainty, as results and report print it.
+    kind
+        What the term changes. ``print_scale``: relative error of the scale of the printed target. ``print_bow``: height
+        of a bowed target, mm, at `radius_mm` from the collimator's axis. ``thermal``: relative thermal expansion of the
+        target. ``effective_radius``: relative difference between the radius of a certificate, which holds on the axis,
+        and the effective radius over the beam. ``collimator_thermal``: relative change of that radius with temperature.
+        ``wavefront``: RMS error of the slope of the collimator's wavefront, urad.
+    value
+        Half width of the distribution, in the unit of the kind; for ``normal``, `coverage_factor` times the standard
+        uncertainty.
+    source
+        Where the value comes from: a certificate, a drawing, a data sheet, a measurement.
+    distribution
+        ``normal``, ``rectangular``, ``triangular`` or ``u-shaped``.
+    coverage_factor
+        The k of a normal distribution whose expanded uncertainty is stated.
+    degrees_of_freedom
+        Degrees of freedom of the value; infinite if it is exactly known.
+    correction
+        Known relative change, which is applied to the data before the fit; for the kinds in `SCALES` and `RADII`.
+    radius_mm
+        Distance from the axis at which a bow has its stated height, mm; required for ``print_bow``.
+    correlation_mm
+        Distance on the target over which slopes of the wavefront are alike, mm; None for half the radius of the area
+        that the stars cover.
+
+    Raises
+    ------
+    InputMismatch
+        If a number is out of range, a word is unknown, or the source is missing.
+    """
+
+    name: str
+    kind: TermKind
+    value: float
+    source: str
+    distribution: Distribution = "normal"
+    coverage_factor: float = 1.0
+    degrees_of_freedom: float = float("inf")
+    correction: float = 0.0
+    radius_mm: float | None = None
+    correlation_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        for what, given, known in (
+            ("kind", self.kind, get_args(TermKind)),
+            ("distribution", self.distribution, get_args(Distribution)),
+        ):
+            if given not in known:
+                raise self._fault(f"Unknown {what} {given!r}.", f"Known: {', '.join(known)}.")
+        if not self.source.strip():
+            raise self._fault("It has no source.", "State where its value comes from.")
+        if not 0 <= self.value < np.inf:
+            raise self._fault(f"Its value is {self.value}; it must not be negative.")
+        if not np.isfinite(self.correction):
+            raise self._fault(f"Its correction is {self.correction}; it must be finite.")
+        if self.correction and self.kind not in (*SCALES, *RADII):
+            raise self._fault(f"A term of the kind {self.kind} cannot have a correction.")
+        for name in ("coverage_factor", "degrees_of_freedom", "radius_mm", "correlation_mm"):
+            number = getattr(self, name)
+            if number is not None and not number > 0:
+                raise self._fault(f"Its {name} is {number}; it must be positive.")
+        if self.kind == "print_bow" and self.radius_mm is None:
+            raise self._fault(
+                "Its radius_mm is missing.", "State the distance from the axis at which it is so high."
+            )
+
+    def _fault(self, what: str, remedy: str = "") -> InputMismatch:
+        """Return the error that names this term."""
+        return InputMismatch(what, where=f"budget term {self.name}", remedy=remedy)
+
+    @classmethod
+    def thermal(
+        cls,
+        kind: Literal["thermal", "collimator_thermal"],
+        name: str,
+        source: str,
+        *,
+        expansion_per_c: float,
+        expansion_sigma_per_c: float,
+        difference_c: float,
+        difference_sigma_c: float,
+    ) -> TypeBTerm:
+        """Return the term of a thermal expansion, with the expected expansion as its correction.
+
+        Product of a coefficient of expansion and a difference of temperatures (JCGM 100:2008, annex H.1): its variance
+        has the first-order terms and, since the difference may be zero, the product of both variances.
+
+        Parameters
+        ----------
+        kind
+            ``thermal`` for the target, ``collimator_thermal`` for the radius of a certificate.
+        name
+            Name of the source of uncertainty.
+        source
+            Where the numbers come from.
+        expansion_per_c, expansion_sigma_per_c
+            Coefficient of expansion and its standard uncertainty, 1 / degree Celsius.
+        difference_c, difference_sigma_c
+            Measured minus reference temperature, and its standard uncertainty, degrees Celsius.
+
+        Returns
+        -------
+        TypeBTerm
+            Term with the standard uncertainty of the expansion and a normal distribution.
+        """
+        parts = (
+            expansion_per_c * difference_sigma_c,
+            expansion_sigma_per_c * difference_c,
+            expansion_sigma_per_c * difference_sigma_c,
+        )
+        sigma = float(np.linalg.norm(parts))
+        return cls(name, kind, sigma, source, correction=expansion_per_c * difference_c)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value."""
+        return UNITS[self.kind]
+
+    @property
+    def divisor(self) -> float:
+        """Value over standard uncertainty."""
+        return self.coverage_factor if self.distribution == "normal" else DIVISORS[self.distribution]
+
+    @property
+    def standard_uncertainty(self) -> float:
+        """Standard uncertainty, in the unit of the kind."""
+        return self.value / self.divisor
+
+
+def target_scale(terms: Sequence[TypeBTerm]) -> float:
+    """Return the factor by which the terms' corrections enlarge the printed target.
+
+    Parameters
+    ----------
+    terms
+        Terms of the budget.
+
+    Returns
+    -------
+    float
+        True over nominal positions of the stars; 1 without corrections.
+    """
+    return float(np.prod([1.0 + term.correction for term in terms if term.kind in SCALES]))
+
+
+def radius_scale(terms: Sequence[TypeBTerm]) -> float:
+    """Return the factor by which the terms' corrections change the radius of a certificate.
+
+    Parameters
+    ----------
+    terms
+        Terms of the budget.
+
+    Returns
+    -------
+    float
+        Radius during the calibration over radius of the certificate; 1 without corrections.
+    """
+    return float(np.prod([1.0 + term.correction for term in terms if term.kind in RADII]))
