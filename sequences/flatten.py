@@ -20,11 +20,14 @@ from sequences.schema import (
     LightConfig,
     MoveConfig,
     PoseConfig,
+    RecordConfig,
     RepeatConfig,
     Sequence,
     StepConfig,
+    UntilConfig,
 )
 from sequences.script import (
+    ChooseStep,
     Flicker,
     Gates,
     LightStep,
@@ -36,15 +39,18 @@ from sequences.script import (
     SettleStep,
     SolveStep,
     Step,
+    Until,
     WaitStep,
 )
-from sequences.solve_schema import DISTORTION_SETS, LENS_FAMILIES, DistortionSet, DistortionTerm
+from sequences.solve_schema import DISTORTION_SETS, LENS_FAMILIES, DistortionSet, DistortionTerm, SolveConfig
 from sequences.strict_model import StrictModel
 from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
 
 MOST_STEPS = 100_000
 """Steps that a script may have at most: about a night with one pose a second."""
+POSES_FAILED = 10
+"""An ``until`` ends when this number of its chosen poses failed all attempts."""
 MOST_FAULTS = 1000
 """Faults that are collected at most: each round of a repeat has the same faults again."""
 
@@ -168,6 +174,8 @@ class _Unfolding:
             self._repeat(given, spot, here)
         elif isinstance(given, MoveConfig):
             self._move(given, spot, here)
+        elif isinstance(given, UntilConfig):
+            self._until(given, spot)
         elif step.word == "record":
             self._record(given, spot)
         else:
@@ -198,6 +206,58 @@ class _Unfolding:
             return []
         return [_Place(None, angles) for angles in grid_angles(poses)]
 
+    def _until(self, given: UntilConfig, path: DocumentPath) -> None:
+        """Unfold an ``until``: the poses of its start, then rounds of choose, move, settle and record.
+
+        There are enough rounds for all accepted recordings and all failed poses; the run leaves out those it does not
+        need. So steps and poses have numbers before anything is recorded.
+        """
+        starts = [] if given.start is None else self._places(given.start, (*path, "start"))
+        if len(starts) > given.at_most:
+            self.fault(
+                (*path, "start"), f"start has {len(starts)} poses, more than at_most ({given.at_most})."
+            )
+            return
+        rounds = given.at_most + POSES_FAILED - 1
+        first, first_pose = len(self.steps) + 1, self._recordings + 1
+        until = Until(
+            first,
+            first + 3 * len(starts) + 4 * rounds,
+            given.goals(),
+            given.at_most,
+            given.minutes,
+            range(first_pose, first_pose + len(starts) + rounds),
+            len(starts),
+        )
+        record = self._record_settings_of(given)
+        settle = merged(given.settle, self.sequence.defaults.settle)
+        for place in starts:
+            self._move(MoveConfig(), path, place)
+            self.steps.append(SettleStep(**self._number((*path, "settle")), **settle))
+            self._record(record, (*path, "record"))
+        for round_number in range(1, rounds + 1):
+            self._recordings += 1
+            pose = Pose(self._recordings, self._unique(f"chosen {round_number}"), {}, chosen_in_run=True)
+            self._choose(until, pose, path)
+            self.steps.append(MoveStep(**self._number(path), pose=pose))
+            self.steps.append(SettleStep(**self._number((*path, "settle")), **settle))
+            self.steps.append(self._record_step(record, (*path, "record"), pose))
+        self._choose(until, None, path)
+        self._pose = None
+
+    def _choose(self, until: Until, pose: Pose | None, path: DocumentPath) -> None:
+        place = self._number(path)
+        solve = self._plain("solve", SolveConfig(), place)
+        assert isinstance(solve, SolveStep)
+        self.steps.append(ChooseStep(**place, until=until, pose=pose, solve=solve))
+
+    def _record_settings_of(self, given: UntilConfig) -> RecordConfig:
+        """Return the settings of the recordings of an ``until``; by default, a pose that fails is skipped."""
+        stated = {*given.record.model_fields_set, *self.sequence.defaults.record.model_fields_set}
+        return (
+            given.record if "on_failure" in stated else given.record.model_copy(update={"on_failure": "skip"})
+        )
+
     def _move(self, given: MoveConfig, path: DocumentPath, here: _Place | None) -> None:
         angles = given.angles_deg()
         place = _Place(given.name, angles) if angles else here
@@ -225,9 +285,12 @@ class _Unfolding:
             self.steps[self._move_step.number - 1] = self._move_step
         else:
             self._pose = replace(self._pose, index=self._recordings, name=self._unique(self._name))
+        self.steps.append(self._record_step(given, path, self._pose))
+
+    def _record_step(self, given: StrictModel, path: DocumentPath, pose: Pose) -> RecordStep:
         settings = merged(given, self.sequence.defaults.record)
         settings["gates"] = Gates.from_settings(settings["gates"])
-        self.steps.append(RecordStep(**self._number(path), pose=self._pose, **settings))
+        return RecordStep(**self._number(path), pose=pose, **settings)
 
     def _plain(self, word: str, given: StrictModel, place: dict[str, Any]) -> Step:
         if isinstance(given, LightConfig):
@@ -280,12 +343,9 @@ def axes_named(sequence: Sequence) -> tuple[str, ...]:
     for step in _every_step(sequence.steps):
         if step.move is not None:
             named.update(step.move.angles_deg())
-        if (
-            step.repeat is not None
-            and step.repeat.poses is not None
-            and not isinstance(step.repeat.poses, str)
-        ):
-            named.update(_axes_of_set(step.repeat.poses))
+        for poses in (step.repeat and step.repeat.poses, step.until and step.until.start):
+            if poses is not None and not isinstance(poses, str):
+                named.update(_axes_of_set(poses))
     return tuple(axis for axis in AXES if axis in named)
 
 

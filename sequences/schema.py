@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from sequences.solve_schema import SolveConfig
+from sequences.solve_schema import Limit, SolveConfig
 from sequences.strict_model import StrictModel
 
 AXES = ("pan", "tilt", "roll")
@@ -254,6 +254,39 @@ class ReportConfig(StrictModel):
     """Write the report and seal the run."""
 
 
+class UntilConfig(StrictModel):
+    """Record poses, and choose each next one, until the uncertainties meet their goals or a bound ends the step."""
+
+    expanded_fx_px: Annotated[Limit, Field(description="Goal: expanded uncertainty of fx.")] = None
+    worst_corner_px: Annotated[
+        Limit, Field(description="Goal: largest expanded uncertainty of a corner of the image.")
+    ] = None
+    at_most: Annotated[
+        int, Field(ge=2, le=500, description="Accepted recordings of this step, those of start included.")
+    ] = 25
+    minutes: Annotated[float, Field(gt=0, le=10_080, description="Time that the step works.")] | None = None
+    start: Annotated[PoseSetOrName | None, Field(description="Poses to record first.")] = None
+    settle: SettleConfig = SettleConfig()
+    record: RecordConfig = RecordConfig()
+
+    @model_validator(mode="after")
+    def _has_a_goal(self) -> UntilConfig:
+        if not self.goals():
+            raise PydanticCustomError("no_goal", "an until needs a goal: expanded_fx_px or worst_corner_px.")
+        return self
+
+    def goals(self) -> dict[str, float]:
+        """Return the goals that are given.
+
+        Returns
+        -------
+        dict
+            Largest expanded uncertainty allowed, px, by the name of the goal.
+        """
+        given = {"expanded_fx_px": self.expanded_fx_px, "worst_corner_px": self.worst_corner_px}
+        return {name: goal for name, goal in given.items() if goal is not None}
+
+
 class RepeatConfig(StrictModel):
     """Repeat steps: once for each pose (``poses``), or a number of times (``times``)."""
 
@@ -283,6 +316,7 @@ class StepConfig(StrictModel):
     solve: SolveConfig | None = None
     report: ReportConfig | None = None
     repeat: RepeatConfig | None = None
+    until: UntilConfig | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -47,12 +47,15 @@ class Pose:
     name
         Unique among the poses of a run.
     angles_deg
-        Angle by axis, for every axis that the sequence names anywhere.
+        Angle by axis, for every axis that the sequence names anywhere; empty for a pose that the run will choose.
+    chosen_in_run
+        Whether the run chooses the angles while it measures (``until``).
     """
 
     index: int
     name: str
     angles_deg: Mapping[str, float]
+    chosen_in_run: bool = False
 
     @property
     def key(self) -> str:
@@ -100,6 +103,35 @@ class Gates:
         limits = {name: limit for name, limit in settings.items() if limit is not None}
         stars, rate = limits.pop("min_stars"), limits.pop("max_event_rate_mev_s")
         return cls(stars, rate, limits.pop("require_triggers"), limits)
+
+
+@dataclass(frozen=True)
+class Until:
+    """What an ``until`` step asks for, and the steps and poses that it unfolds into.
+
+    Attributes
+    ----------
+    first, last
+        Numbers of its first and last step.
+    goals
+        Largest expanded uncertainties allowed, px: ``expanded_fx_px``, ``worst_corner_px``.
+    at_most
+        Largest number of accepted recordings.
+    minutes
+        Time after which no further pose is chosen, minutes; None for no limit.
+    poses
+        Numbers of its poses: first those of its ``start``, then those that the run may choose.
+    starts
+        How many of the poses are those of its ``start``.
+    """
+
+    first: int
+    last: int
+    goals: Mapping[str, float]
+    at_most: int
+    minutes: float | None
+    poses: range
+    starts: int
 
 
 # Every step has the same first three fields:
@@ -200,9 +232,26 @@ class SolveStep:
     huber_px: float | None
     limits: Mapping[str, float]
     passport: str | None = None
+    other_collimator: Literal["refuse", "accept"] = "refuse"
     readings: Readings = "auto"
     guard_band: float = 1.0
     drift_mm: float = 0.3
+
+
+@dataclass(frozen=True)
+class ChooseStep:
+    """Calibrate from the poses so far, and choose the next pose of an ``until``, or end it.
+
+    ``pose`` is the pose to choose, with its number and name, but without angles; None after the last one, when the
+    step can only end the ``until``. ``solve`` holds the options of the calibration.
+    """
+
+    number: int
+    where: str
+    path: DocumentPath
+    until: Until
+    pose: Pose | None
+    solve: SolveStep
 
 
 @dataclass(frozen=True)
@@ -214,4 +263,14 @@ class ReportStep:
     path: DocumentPath
 
 
-Step = LightStep | MoveStep | SettleStep | RecordStep | WaitStep | PromptStep | SolveStep | ReportStep
+Step = (
+    LightStep
+    | MoveStep
+    | SettleStep
+    | RecordStep
+    | WaitStep
+    | PromptStep
+    | SolveStep
+    | ChooseStep
+    | ReportStep
+)
