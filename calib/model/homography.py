@@ -1,22 +1,30 @@
 """The homography of one view: from the target plane to the image, fitted to stars on both.
 
-Lens distortion is ignored, so a homography is only a starting value. No camera is needed.
+Lens distortion is ignored, so a homography is only a starting value. No camera is needed. Stars that contradict their
+neighbours are found here too, because they spoil a homography (`gross_errors`).
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
+from calib.model.local_consistency import contradicts_neighbours
 from calib.view import View
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 MIN_STARS = 4
 _REWEIGHTING_ROUNDS = 15
 #: A residual above this multiple of the typical one is an outlier: distortion alone does not cause it.
 _OUTLIER_RATIO = 4.0
+#: Samples of four stars for the least median. The chance that each holds a wrong star is 1e-36 if 30 % are wrong.
+_SAMPLES = 300
+_SAMPLES_SEED = 0
 
 
 def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -78,7 +86,8 @@ def view_homography(view: View) -> Array:
     The algorithm is the normalised direct linear transform (Hartley, 1997; Hartley and Zisserman, 2004, algorithm 4.2).
     It is repeated with lower weights for outliers (iteratively reweighted least squares). H is scaled to determinant 1.
     With this scale H = lambda K [r1 r2 -Rc] has the same lambda in all views of a collimator, because det H = lambda^3
-    det(K) r. The weights 1 / (1 + (e / s)^2) are those of the Cauchy loss (Holland and Welsch, 1977).
+    det(K) r. The weights 1 / (1 + (e / s)^2) are those of the Cauchy loss (Holland and Welsch, 1977). Stars with gross
+    errors take no part (`gross_errors`).
 
     Parameters
     ----------
@@ -99,14 +108,77 @@ def view_homography(view: View) -> Array:
     InputMismatch
         If the image shows the target mirrored.
     """
+    h, wrong = _fit_without_gross_errors(view)
+    return _oriented(h, view if not wrong.any() else _part(view, ~wrong))
+
+
+def gross_errors(view: View) -> Bools:
+    """Return which stars of a view have a gross error: a point or an id that the neighbours on the target contradict.
+
+    The rule is that of `calib.model.local_consistency.contradicts_neighbours`. If a star contradicts its neighbours,
+    the homography is found again by the least median of squares (Rousseeuw, 1984), which up to half of the stars
+    cannot spoil, and the stars are tested again.
+
+    Parameters
+    ----------
+    view
+        Stars of one pose, at least 4.
+
+    Returns
+    -------
+    Bools
+        (N,) bool; all False for fewer than 8 stars, which cannot be compared.
+
+    Raises
+    ------
+    TooFewStars
+        If the view has fewer than 4 stars.
+    DegenerateViews
+        If all stars lie on one line, on the target or in the image.
+    """
+    return _fit_without_gross_errors(view)[1]
+
+
+def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
+    """Return the (3, 3) homography of any scale, and which stars were left out of it, (N,) bool."""
     where = f"view {view.name}"
     if len(view) < MIN_STARS:
         raise TooFewStars(
             f"{len(view)} stars; at least {MIN_STARS} are needed.", where=where, remedy="Leave this view out."
         )
-    target, to_target = _normalised(view.target_mm, where)
-    image, to_image = _normalised(view.points_px, where)
-    weights = np.ones(len(view))
+    h = _reweighted_homography(view.target_mm, view.points_px, where)
+    wrong = _wrong_about(h, view)
+    if not wrong.any():
+        return h, wrong
+    h = _least_median_homography(view.target_mm, view.points_px, where)
+    wrong = _wrong_about(h, view)
+    if len(view) - np.count_nonzero(wrong) < MIN_STARS:
+        return h, np.zeros(len(view), bool)
+    return _reweighted_homography(view.target_mm[~wrong], view.points_px[~wrong], where), wrong
+
+
+def _wrong_about(h: Array, view: View) -> Bools:
+    """Return which stars contradict their neighbours after subtraction of a homography, (N,) bool."""
+    mapped = apply_homography(h, view.target_mm)
+    return contradicts_neighbours(view.target_mm, mapped, view.points_px)
+
+
+def _part(view: View, kept: Bools) -> View:
+    """Return the view with some of its stars."""
+    return replace(
+        view,
+        ids=view.ids[kept],
+        points_px=view.points_px[kept],
+        target_mm=view.target_mm[kept],
+        covariances_px2=view.covariances_px2[kept],
+    )
+
+
+def _reweighted_homography(target_mm: Array, points_px: Array, where: str) -> Array:
+    """Return the homography of least squares, with lower weights for outliers (Holland and Welsch, 1977)."""
+    target, to_target = _normalised(target_mm, where)
+    image, to_image = _normalised(points_px, where)
+    weights = np.ones(len(target))
     for _ in range(_REWEIGHTING_ROUNDS):
         h = _direct_linear_transform(target, image, weights)
         residuals = np.linalg.norm(apply_homography(h, target) - image, axis=1)
@@ -114,7 +186,40 @@ def view_homography(view: View) -> Array:
         if residuals.max() < _OUTLIER_RATIO * scale:
             break
         weights = 1.0 / (1.0 + (residuals / scale) ** 2)
-    return _oriented(np.linalg.inv(to_image) @ h @ to_target, view)
+    return np.asarray(np.linalg.inv(to_image) @ h @ to_target)
+
+
+def _least_median_homography(target_mm: Array, points_px: Array, where: str) -> Array:
+    """Return the homography through four stars with the least median residual (Rousseeuw, 1984).
+
+    The samples are drawn with a fixed seed, so that the same stars give the same result.
+    """
+    target, to_target = _normalised(target_mm, where)
+    image, to_image = _normalised(points_px, where)
+    rng = np.random.default_rng(_SAMPLES_SEED)
+    four = np.array([rng.choice(len(target), MIN_STARS, replace=False) for _ in range(_SAMPLES)])
+    x, y = target[four, 0], target[four, 1]
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    u, v = image[four, 0], image[four, 1]
+    rows = np.concatenate(
+        [
+            np.stack([x, y, one, zero, zero, zero, -u * x, -u * y], axis=-1),
+            np.stack([zero, zero, zero, x, y, one, -v * x, -v * y], axis=-1),
+        ],
+        axis=1,
+    )
+    # Four stars nearly on a line give a near-singular system: they are passed over.
+    sound = np.abs(np.linalg.det(rows)) > 1e-9
+    entries = np.linalg.solve(rows[sound], np.concatenate([u, v], axis=1)[sound][:, :, None])[:, :, 0]
+    maps = np.concatenate([entries, np.ones((len(entries), 1))], axis=1).reshape(-1, 3, 3)
+    homogeneous = np.column_stack([target, np.ones(len(target))])
+    mapped = np.einsum("sij,nj->sni", maps, homogeneous)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lengths = np.linalg.norm(mapped[..., :2] / mapped[..., 2:] - image, axis=2)
+    medians = np.median(np.where(np.isfinite(lengths), lengths, np.inf), axis=1)
+    if not len(medians):
+        return _reweighted_homography(target_mm, points_px, where)
+    return np.asarray(np.linalg.inv(to_image) @ maps[int(medians.argmin())] @ to_target)
 
 
 def apply_homography(h: Array, points: Array) -> Array:

@@ -1,0 +1,193 @@
+"""Stars that contradict their neighbours: gross errors of points or ids, found without any camera.
+
+An image of a plane through any lens is smooth, so the neighbours of a star predict its point. The module compares each
+star with the prediction of its neighbours. It works on arrays and knows nothing of views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+#: Fewer stars than this cannot be compared with their neighbours.
+MIN_STARS = 8
+#: A star contradicts its neighbours beyond this many robust standard deviations per axis, and beyond this many pixels.
+LIMIT_SIGMAS = 8.0
+LIMIT_PX = 0.5
+#: Number of neighbours that predict a star; on a lattice they lie within about two pitches.
+_NEIGHBOURS = 14
+#: Neighbours that differ by more than this share of their distance do not belong to one patch. Stars are compared with
+#: neighbours within `_BESIDE` times the spacing of the stars.
+_PATCH_SHARE = 0.5
+_BESIDE = 1.5
+#: Median length of a two-dimensional vector of standard normal components: sqrt(2 ln 2).
+_RAYLEIGH_MEDIAN = 1.1774100225154747
+_ROUNDS = 6
+#: The least limit is larger by this factor times the mean offset of the neighbours, in spacings of the stars.
+_RIM_FACTOR = 4.0
+#: If more than this share of the stars is suspicious, all stars are tested.
+_MANY = 0.25
+#: A prediction needs this number of trusted neighbours.
+_FEWEST = 3
+_ROUNDING_PX = 1e-6
+#: Cut of the biweight in robust standard deviations: the usual value, 4.685, times the root of the two components.
+_CUT = 6.6
+
+
+@dataclass(frozen=True)
+class _Neighbours:
+    """The neighbours of N stars.
+
+    Attributes
+    ----------
+    which
+        (N, K) int64 indices of the nearest stars on the target.
+    design
+        (N, K, 3) float64: 1 and the position of the neighbour from the star, in spacings.
+    """
+
+    which: NDArray[np.int64]
+    design: Array
+
+    @property
+    def one_sidedness(self) -> Array:
+        """(N,) float64 distance of the neighbours' mean from the star, in spacings: 0 inside, about 1 at the rim."""
+        return np.asarray(np.linalg.norm(self.design[:, :, 1:].mean(axis=1), axis=1))
+
+    def of(self, stars: NDArray[np.int64]) -> _Neighbours:
+        """Return the neighbours of some of the stars."""
+        return _Neighbours(self.which[stars], self.design[stars])
+
+
+def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools:
+    """Return which stars lie far from where their neighbours predict them.
+
+    A rough map of the plane is subtracted first, so that little but distortion and errors remains. Two tests follow.
+    First: stars that agree with the stars beside them form patches. A patch is wrong if it lies beside the largest one
+    and does not agree with it. Second: a local affine map of the neighbours, fitted robustly, predicts each star.
+    Iteratively reweighted least squares with Tukey's biweight (Holland and Welsch, 1977), started from the median of
+    the neighbours. The limit is the larger of `LIMIT_SIGMAS` robust standard deviations and `LIMIT_PX`. The deviations
+    are those of all stars or of the neighbours, whichever are larger. `LIMIT_PX` is enlarged by `_RIM_FACTOR` where
+    the neighbours lie on one side: at the rim of a real beam, aberrations move a star by up to 2 px against its
+    neighbours. Own procedure.
+
+    Parameters
+    ----------
+    target
+        (N, 2) positions on the target, any unit.
+    mapped
+        (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
+    points
+        (N, 2) image points found, px.
+
+    Returns
+    -------
+    Bools
+        (N,) bool; all False for fewer than 8 stars.
+    """
+    if len(target) < MIN_STARS:
+        return np.zeros(len(target), bool)
+    from scipy.spatial import cKDTree
+
+    off = points - mapped
+    count = min(_NEIGHBOURS, len(target) - 1)
+    distance, near = (found[:, 1:] for found in cKDTree(target).query(target, count + 1))
+    spacing = max(float(np.median(distance[:, 0])), np.finfo(float).tiny)
+    offsets = (target[near] - target[:, None]) / spacing
+    neighbours = _Neighbours(near, np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2))
+    apart = _outside_the_largest_patch(mapped, off, distance, near, spacing)
+    wrong = apart.copy()
+    least = LIMIT_PX * (1.0 + _RIM_FACTOR * neighbours.one_sidedness)
+    plain = _plain_deviations(neighbours, off)
+    suspects = np.flatnonzero(wrong | ~(plain <= least))
+    if len(suspects) > _MANY * len(off):
+        suspects = np.arange(len(off))
+    for _ in range(_ROUNDS if len(suspects) else 0):
+        deviations, local = _robust_deviations(neighbours.of(suspects), off, suspects, ~wrong)
+        some = deviations if len(suspects) == len(off) else plain
+        general = float(np.median(some[~wrong])) / _RAYLEIGH_MEDIAN if not wrong.all() else 0.0
+        beyond = deviations > np.maximum(LIMIT_SIGMAS * np.maximum(local, general), least[suspects])
+        # A star is trusted again if enough trusted neighbours now predict it.
+        certain = np.count_nonzero(~wrong[near[suspects]], axis=1) >= _FEWEST
+        now = apart[suspects] | beyond | (wrong[suspects] & ~certain)
+        if (wrong[suspects] == now).all():
+            break
+        wrong[suspects] = now
+    return wrong
+
+
+def _plain_deviations(neighbours: _Neighbours, off: Array) -> Array:
+    """Return (N,) distances between stars and least squares predictions, in units of equal variance."""
+    solution, leverage = _solve(neighbours.design, off[neighbours.which], np.ones(neighbours.which.shape))
+    return np.asarray(np.linalg.norm(off - solution[:, 0], axis=1) / np.sqrt(1.0 + leverage))
+
+
+def _robust_deviations(
+    neighbours: _Neighbours, off: Array, stars: NDArray[np.int64], trusted: Bools
+) -> tuple[Array, Array]:
+    """Return the distances between some stars and robust predictions, and the spread of their neighbours.
+
+    Both have the shape of `stars`; distances are in units of equal variance, spreads are standard deviations per axis.
+    """
+    values, usable = off[neighbours.which], trusted[neighbours.which]
+    # A star whose neighbours are all distrusted is compared with all of them.
+    usable[usable.sum(axis=1) < _FEWEST] = True
+    centre = np.stack([_row_medians(values[:, :, axis], usable) for axis in (0, 1)], axis=1)
+    lengths = np.linalg.norm(values - centre[:, None], axis=2)
+    leverage = np.zeros(len(stars))
+    for _ in range(_ROUNDS):
+        local = _row_medians(lengths, usable) / _RAYLEIGH_MEDIAN
+        cut = _CUT * np.maximum(local, _ROUNDING_PX)[:, None]
+        weights = usable * np.maximum(1.0 - (lengths / cut) ** 2, 0.0) ** 2
+        solution, leverage = _solve(neighbours.design, values, weights)
+        centre = solution[:, 0]
+        lengths = np.linalg.norm(values - neighbours.design @ solution, axis=2)
+    local = _row_medians(lengths, usable) / _RAYLEIGH_MEDIAN
+    return np.linalg.norm(off[stars] - centre, axis=1) / np.sqrt(1.0 + leverage), local
+
+
+def _solve(design: Array, values: Array, weights: Array) -> tuple[Array, Array]:
+    """Return weighted local fits, (N, 3, 2), and the (N,) variances of their constants for unit weights.
+
+    Normal equations with a small ridge on the slopes, for neighbours on one line (Hoerl and Kennard, 1970).
+    """
+    weighted = design * weights[:, :, None]
+    ridge = np.diag([1e-9, 1e-3, 1e-3])
+    inverse = np.linalg.inv(np.swapaxes(weighted, 1, 2) @ design + ridge)
+    return inverse @ (np.swapaxes(weighted, 1, 2) @ values), np.maximum(inverse[:, 0, 0], 0.0)
+
+
+def _row_medians(numbers: Array, usable: Bools) -> Array:
+    """Return the (N,) lower medians of the usable numbers of each row; each row has at least one."""
+    ordered = np.sort(np.where(usable, numbers, np.inf), axis=1)
+    return np.asarray(ordered[np.arange(len(ordered)), (usable.sum(axis=1) - 1) // 2])
+
+
+def _outside_the_largest_patch(
+    mapped: Array, off: Array, distance: Array, near: NDArray[np.int64], spacing: float
+) -> Bools:
+    """Return which stars belong to a patch beside the largest one that does not agree with it.
+
+    Patches are the connected components of the graph of agreeing neighbours. Own rule.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    one, which = np.nonzero(distance <= _BESIDE * spacing)
+    other = near[one, which]
+    apart = np.linalg.norm(mapped[one] - mapped[other], axis=1)
+    agree = np.linalg.norm(off[one] - off[other], axis=1) <= _PATCH_SHARE * apart
+    n = len(off)
+    _, patch = connected_components(
+        coo_array((np.ones(agree.sum()), (one[agree], other[agree])), shape=(n, n)), directed=False
+    )
+    largest = int(np.bincount(patch).argmax())
+    touching = (patch[one] == largest) & (patch[other] != largest)
+    touching_back = (patch[other] == largest) & (patch[one] != largest)
+    beside = np.union1d(patch[other[touching]], patch[one[touching_back]])
+    return np.isin(patch, beside)

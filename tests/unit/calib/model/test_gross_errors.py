@@ -1,0 +1,138 @@
+"""Gross errors of stars: found by their neighbours, and without influence on the homography."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.model.homography import apply_homography, gross_errors, view_homography
+from calib.model.local_consistency import LIMIT_PX, contradicts_neighbours
+from calib.view import View
+from tests.unit.calib.conftest import TARGET, Bench
+
+SHARES = st.floats(0.01, 0.2)
+SEEDS = st.integers(0, 10_000)
+
+
+def view_of_bench(seed, sigma_px=0.05, pose=0):
+    return Bench().views(np.random.default_rng(seed), sigma_px)[pose]
+
+
+def moved(view, shifts):
+    return replace(view, points_px=view.points_px + shifts)
+
+
+def some(view, share, rng):
+    return rng.choice(len(view), max(1, int(share * len(view))), replace=False)
+
+
+@settings(max_examples=40, deadline=None)
+@given(share=SHARES, seed=SEEDS, pose=st.integers(0, 2), smallest=st.floats(20, 300))
+def test_every_star_far_from_its_place_is_found_and_no_other(share, seed, pose, smallest):
+    rng, clean = np.random.default_rng(seed), view_of_bench(seed, pose=pose)
+    wrong = some(clean, share, rng)
+    angles, lengths = rng.uniform(0, 2 * np.pi, len(wrong)), smallest * rng.uniform(1, 1.5, len(wrong))
+    shifts = np.zeros((len(clean), 2))
+    shifts[wrong] = lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    found = gross_errors(moved(clean, shifts))
+    assert found[wrong].all()
+    # Wrong stars crowd around a few right ones at the rim; a right star may be lost, hardly ever two.
+    assert found.sum() - len(wrong) <= 2
+
+
+@settings(max_examples=30, deadline=None)
+@given(share=st.floats(0.02, 0.2), seed=SEEDS)
+def test_swapped_ids_are_gross_errors(share, seed):
+    rng, clean = np.random.default_rng(seed), view_of_bench(seed)
+    pairs = rng.choice(len(clean), (max(1, int(share * len(clean)) // 2), 2), replace=False)
+    points = clean.points_px.copy()
+    points[pairs] = clean.points_px[pairs[:, ::-1]]
+    found = gross_errors(replace(clean, points_px=points))
+    assert found[pairs].all()
+    assert found.sum() - pairs.size <= 2
+
+
+@settings(max_examples=30, deadline=None)
+@given(share=st.floats(0.05, 0.2), seed=SEEDS)
+def test_a_block_of_stars_labelled_one_column_off_is_found(share, seed):
+    rng, clean = np.random.default_rng(seed), view_of_bench(seed)
+    middle = clean.target_mm[rng.integers(len(clean))]
+    block = np.argsort(np.linalg.norm(clean.target_mm - middle, axis=1))[: int(share * len(clean))]
+    h, next_column = view_homography(clean), clean.target_mm + np.array([TARGET.pitch_mm, 0.0])
+    shifts = np.zeros((len(clean), 2))
+    shifts[block] = (apply_homography(h, next_column) - apply_homography(h, clean.target_mm))[block]
+    found = gross_errors(moved(clean, shifts))
+    assert found[block].all()
+    assert found.sum() - len(block) <= 2
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=SEEDS, sigma=st.sampled_from([0.0, 0.01, 0.1, 0.5, 2.0]), pose=st.integers(0, 2))
+def test_noise_alone_is_no_gross_error(seed, sigma, pose):
+    assert not gross_errors(view_of_bench(seed, sigma, pose)).any()
+
+
+@pytest.mark.parametrize("focal", [300.0, 700.0])
+def test_strong_distortion_is_no_gross_error(focal):
+    class Fisheye(Bench):
+        def project(self, target_mm, turn, centre):
+            matrix = np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+            points = (np.column_stack([target_mm, np.zeros(len(target_mm))]) - centre)[:, None]
+            bent = np.array([-0.03, 0.02, 0.0, 0.0])
+            return cv2.fisheye.projectPoints(points, cv2.Rodrigues(turn)[0], np.zeros(3), matrix, bent)[0][
+                :, 0
+            ]
+
+    bench = Fisheye(fx=focal, fy=focal, half_angle_deg=35.0, poses=((-25, 10), (30, 5, 20), (0, 0)))
+    for view in bench.views(np.random.default_rng(3), 0.05):
+        assert not gross_errors(view).any()
+
+
+def test_a_rim_that_bends_by_a_pixel_is_no_gross_error():
+    view = view_of_bench(4)
+    radius = np.linalg.norm(view.points_px - [640, 360], axis=1) / 700.0
+    bent = moved(view, 1.5 * (np.maximum(radius - 0.8, 0) / 0.2)[:, None] ** 4 * [1.0, 0.5])
+    assert not gross_errors(bent).any()
+
+
+def test_real_recordings_hold_no_gross_error(collimator_recordings):
+    total = 0
+    for number in range(1, 21):
+        rows = np.loadtxt(collimator_recordings / f"image{number}.txt")
+        view = View(str(number), (2448, 2048), rows[:, 4].astype(np.int64), *_points(rows))
+        total += int(gross_errors(view).sum())
+    assert total <= 8  # 0.1 % of 8892 stars
+
+
+def _points(rows):
+    return rows[:, :2] - 0.5, rows[:, 2:4], np.tile(np.eye(2), (len(rows), 1, 1))
+
+
+@settings(max_examples=30, deadline=None)
+@given(share=st.floats(0.05, 0.3), seed=SEEDS, size=st.floats(30, 1000))
+def test_gross_errors_do_not_move_the_homography(share, seed, size):
+    rng, clean = np.random.default_rng(seed), view_of_bench(seed)
+    wrong = some(clean, share, rng)
+    shifts = np.zeros((len(clean), 2))
+    shifts[wrong] = size * rng.uniform(0.5, 1.0, (len(wrong), 2)) * rng.choice([-1, 1], (len(wrong), 2))
+    spoilt = view_homography(moved(clean, shifts))
+    corners = clean.target_mm[[clean.points_px[:, 0].argmin(), clean.points_px[:, 0].argmax()]]
+    expected = apply_homography(view_homography(clean), corners)
+    assert np.abs(apply_homography(spoilt, corners) - expected).max() < 0.5
+
+
+def test_few_stars_are_not_judged():
+    target = TARGET.positions_mm(TARGET.ids[:7])
+    assert not contradicts_neighbours(target, target, target + np.eye(7)[:, :2] * 500).any()
+
+
+def test_small_deviations_are_left_to_the_robust_loss():
+    view = view_of_bench(5, 0.001)
+    middle = np.argmin(np.linalg.norm(view.points_px - [300, 200], axis=1))
+    for size, expected in ((0.5 * LIMIT_PX, False), (2.0 * LIMIT_PX, True)):
+        shifts = np.zeros((len(view), 2))
+        shifts[middle] = size, 0.0
+        assert gross_errors(moved(view, shifts))[middle] == expected
