@@ -36,6 +36,8 @@ class Event(StrEnum):
     """The camera could not complete a recording; nothing was stored."""
     SOLVED = "solved"
     """A calibration stands: its main numbers."""
+    UNTIL_DECIDED = "until_decided"
+    """What an ``until`` found so far, and the next pose that it chose, or why it ended."""
     RECOVERED = "recovered"
     """What a crash had left of the run folder."""
     ASKED = "asked"
@@ -239,6 +241,73 @@ class Solved(TypedDict):
     rms_px: float
     values: Mapping[str, float]
     sigma: Mapping[str, float]
+
+
+UntilEnd = Literal["met", "unreachable", "at_most", "minutes", "failures", "no_pose"]
+"""How an ``until`` ended: its goals are met, or cannot be met; a bound was reached; or no pose is left to choose."""
+
+
+class ChosenPose(TypedDict):
+    """The pose that an ``until`` chose.
+
+    ``expected`` holds the uncertainties that the choice predicts with this pose added, px; ``why`` the reason in words.
+    """
+
+    pose: int
+    pose_name: str
+    angles_deg: Mapping[str, float]
+    expected: Mapping[str, float]
+    why: str
+
+
+class UntilDecided(TypedDict):
+    """Payload of ``until_decided``: the uncertainties after the poses so far, and either ``chosen`` or ``ended``.
+
+    Attributes
+    ----------
+    step
+        Number of the step that decided.
+    until, until_last
+        Numbers of the first and the last step of the ``until``.
+    recorded
+        Accepted recordings of the ``until``.
+    poses
+        Accepted recordings in the calibration: those before the ``until`` too.
+    worked_s
+        Time that the ``until`` has worked, s.
+    wanted
+        Goals: largest expanded uncertainties allowed, px, by name.
+    now
+        Expanded uncertainties reached, px, by name; empty if the poses do not determine the camera yet.
+    fixed
+        For each goal, source of the part of the uncertainty that no further pose lowers, and this part, px, expanded.
+    coverage_factor
+        The k of the expanded uncertainties; None without a calibration.
+    model
+        Name of the model of the calibration; empty without one.
+    lacks
+        What the poses lack besides information: ``rim``, ``roll``, or nothing.
+    chosen
+        The next pose.
+    ended, why
+        How the ``until`` ended, and the reason in words.
+    """
+
+    step: int
+    until: int
+    until_last: int
+    recorded: int
+    poses: int
+    worked_s: float
+    wanted: Mapping[str, float]
+    now: Mapping[str, float]
+    fixed: Mapping[str, Mapping[str, float]]
+    coverage_factor: float | None
+    model: str
+    lacks: Literal["", "rim", "roll"]
+    chosen: NotRequired[ChosenPose]
+    ended: NotRequired[UntilEnd]
+    why: NotRequired[str]
 
 
 class Recovered(TypedDict):

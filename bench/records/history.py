@@ -23,6 +23,7 @@ from bench.records.events import (
     MeasuredFacts,
     RunStarted,
     Solved,
+    UntilDecided,
 )
 from bench.records.journal_entry import Entry
 
@@ -111,6 +112,11 @@ class History:
     """Its place in the laboratory's ledger (`bench.records.ledger`)."""
     solved: Solved = field(default_factory=lambda: cast("Solved", {}))
     """Main numbers of its calibration; empty while it has none."""
+    decisions: list[UntilDecided] = field(default_factory=list)
+    """What each ``until`` decided, in order."""
+    worked_s: dict[int, float] = field(default_factory=dict)
+    """Time worked, s, by number of the step: from entering a state for the step to the next state, without holds.
+    Time after the last line of a process that was stopped is not known and does not count."""
     holder: str = ""
     """Operator who holds the run; empty while none does."""
     interlock: str = ""
@@ -125,8 +131,48 @@ class History:
         # Places in the list of attempts, by pose index; needed at every step.
         self._places_of_pose: dict[int, list[int]] = {}
         self._accepted: dict[int, Attempt] = {}
+        self._at_step: int | None = None
+        self._last_mono_s = 0.0
         for attempt in stored:
             self.add(attempt)
+
+    @property
+    def chosen(self) -> Mapping[int, Mapping[str, float]]:
+        """Angles of the poses that were chosen in the run, degrees, by pose index."""
+        return {d["chosen"]["pose"]: d["chosen"]["angles_deg"] for d in self.decisions if "chosen" in d}
+
+    def is_left_out(self, step: int) -> bool:
+        """Return whether a step is not needed, because its ``until`` ended before it.
+
+        Parameters
+        ----------
+        step
+            Number of the step.
+
+        Returns
+        -------
+        bool
+            True if it must not be done.
+        """
+        return any("ended" in d and d["step"] < step <= d["until_last"] for d in self.decisions)
+
+    def count_time(self, entry: Entry) -> None:
+        """Count the time since the previous journal line for the step at work.
+
+        Parameters
+        ----------
+        entry
+            The next line.
+        """
+        if entry.event == Event.RUN_RESUMED:  # another process, whose clock begins anew
+            self._at_step = None
+        elif self._at_step is not None:
+            passed_s = entry.mono_s - self._last_mono_s
+            self.worked_s[self._at_step] = self.worked_s.get(self._at_step, 0.0) + passed_s
+        self._last_mono_s = entry.mono_s
+        if entry.event == Event.ENTERING:
+            held = entry.data["state"] == "holding"
+            self._at_step = None if held else entry.data.get("step")
 
     def add(self, attempt: Attempt) -> None:
         """Add a stored recording.
@@ -269,6 +315,7 @@ def apply_entry(history: History, entry: Entry) -> None:
         If the line is incomplete.
     """
     data = entry.data
+    history.count_time(entry)
     match entry.event:
         case Event.RUN_STARTED:
             history.started, history.started_utc = cast("RunStarted", data), entry.utc
@@ -291,6 +338,8 @@ def apply_entry(history: History, entry: Entry) -> None:
             history.deviations.append(str(data["what"]))
         case Event.SOLVED:
             history.solved = cast("Solved", data)
+        case Event.UNTIL_DECIDED:
+            history.decisions.append(cast("UntilDecided", data))
         case Event.COMMANDED:
             _apply_command(history, cast("Commanded", data))
         case Event.RUN_ENDED:

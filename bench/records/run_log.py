@@ -31,6 +31,7 @@ from bench.records.events import (
     Solved,
     StepDone,
     SupervisorLost,
+    UntilDecided,
 )
 from bench.records.history import History, apply_entry, replay
 from bench.records.journal import Journal
@@ -83,6 +84,8 @@ class RunLog:
     def write(self, event: Literal[Event.ATTEMPT_LOST], **data: Unpack[AttemptLost]) -> None: ...
     @overload
     def write(self, event: Literal[Event.SOLVED], **data: Unpack[Solved]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.UNTIL_DECIDED], **data: Unpack[UntilDecided]) -> None: ...
     @overload
     def write(self, event: Literal[Event.RECOVERED], **data: Unpack[Recovered]) -> None: ...
     @overload
