@@ -1,7 +1,7 @@
 """Configuration of the simulated bench: its devices, and the world they stand in.
 
 This module defines every key, its default and its range; an error is one sentence that names the key. `truth_config`
-reads the sections camera, collimator, optics, noise, thermal, mount and screen.
+reads the sections camera, collimator, reticle, optics, noise, thermal, mount, gimbal and screen.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ LIGHT_KINDS: Final = ("keysight", "rigol", "siglent", "gardasoft")
 
 _PORTS: Final = ("pty", "tcp")
 
-_TRUTH_SECTIONS: Final = ("camera", "collimator", "optics", "noise", "thermal", "mount", "screen")
+_TRUTH_SECTIONS: Final = (
+    *("camera", "collimator", "reticle", "optics", "noise", "thermal", "mount", "gimbal", "screen"),
+)
 _AXES: Final[tuple[AxisName, ...]] = ("pan", "tilt", "roll")
 
 
@@ -135,12 +137,16 @@ class BenchConfig:
         Returns
         -------
         Truth
-            With the mounting drawn from the seed, if the configuration asks for that.
+            With the mounting drawn from the seed, if the configuration asks for that, and with this seed for the
+            gimbal's errors, unless they have their own.
         """
+        truth = self.truth
+        if truth.gimbal.seed == 0:
+            truth = replace(truth, gimbal=replace(truth.gimbal, seed=seed))
         if not self.mounting_from_seed:
-            return self.truth
+            return truth
         drawn = np.random.default_rng((seed, _MOUNTING_STREAM)).normal(_MOUNTING_DEG, _MOUNTING_SPREAD_DEG)
-        return replace(self.truth, optics=replace(self.truth.optics, mounting_deg=tuple(drawn.tolist())))
+        return replace(truth, optics=replace(truth.optics, mounting_deg=tuple(drawn.tolist())))
 
 
 _MOUNTING_STREAM = 1
@@ -158,7 +164,8 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     Parameters
     ----------
     given
-        Sections ``camera``, ``collimator``, ``optics``, ``noise``, ``thermal``, ``mount`` and ``screen`` (see `truth`);
+        Sections ``camera``, ``collimator``, ``reticle``, ``optics``, ``noise``, ``thermal``, ``mount``, ``gimbal`` and
+        ``screen`` (see `truth`);
         ``stage``, a mapping of the axes pan, tilt and roll in the order of their addresses, with an optional ``kind``;
         ``light``; ``faults``, a list of fault orders (see `faults`) that are carried out from the start; and the values
         ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by

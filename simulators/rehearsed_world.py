@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError
-from simulators.optics.picture import pose_rotation, star_centres
+from simulators.optics.picture import star_centres, true_rotation
 from simulators.world.truth import Truth
 
 Mishap = Literal["", "covered", "lost"]
@@ -161,7 +161,7 @@ class RehearsedWorld:
         drawn = np.random.default_rng((self._seed, before, *_words(angles_deg), round(on_s * 1000)))
         mishap = self._mishap(float(drawn.random()))
         truth = self.truth(on_s)
-        rotation = pose_rotation(angles_deg, truth.optics)
+        rotation = true_rotation(angles_deg, truth)
         ids, points = star_centres(truth, rotation, clearance=_CLEARANCE_SQUARES, border_px=_BORDER_PX)
         if mishap == "lost":
             ids, points = ids[:0], points[:0]

@@ -9,10 +9,13 @@ aberration along b; Born and Wolf, Principles of Optics, section 5.3):
     defocus b + spherical |b|^2 b + coma (|b|^2 h + 2 (h.b) b)
     + astigmatism 2 (h.b) h + field_curvature 2 |h|^2 b + distortion |h|^2 h
 
-Defocus is finite collimation: all points move together, as if c moved with the disc. A curved reticle acts as
-distortion. Two effects are added. Towards the disc's edge the camera's pupil is only partly filled, and points move
-outwards (or inwards) with the fourth power of their distance from the disc's centre. Random displacements that follow
-no aberration polynomial come from `irregularity`.
+Defocus is finite collimation: all points move together, as if c moved with the disc. A bowed reticle acts as
+distortion: where it stands z nearer to the camera, a point moves outwards by z h. With z = bow (|P - (x, y)| / R)^2 the
+coefficient is bow r / R^2. A print of another size moves points in proportion to h.
+
+Two effects are added. Towards the disc's edge the camera's pupil is only partly filled, and points move outwards (or
+inwards) with the fourth power of their distance from the disc's centre. Random displacements that follow no aberration
+polynomial come from `irregularity`.
 
 This module works in the target plane only; it uses no camera and no image. `Aberrations` holds all coefficients of a
 pose; positions of single points follow from it alone.
@@ -28,7 +31,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.optics.irregularity import displacement_field, field_coefficients, random_functions
-from simulators.world.truth import CollimatorTruth
+from simulators.world.truth import CollimatorTruth, ReticleTruth
 
 FloatArray = NDArray[np.float64]
 
@@ -70,7 +73,9 @@ class Aberrations(NamedTuple):
     b_x, b_y
         Centre of the disc relative to (x, y), in units of r.
     defocus, spherical, coma, astigmatism, field_curvature, distortion
-        Third-order coefficients, dimensionless.
+        Third-order coefficients, dimensionless; the reticle's bow is part of the distortion.
+    print_scale
+        Relative error of the printed lengths.
     roll_mm
         Outward displacement at the disc's edge.
     disc_x, disc_y, disc_radius
@@ -90,6 +95,7 @@ class Aberrations(NamedTuple):
     astigmatism: float
     field_curvature: float
     distortion: float
+    print_scale: float
     roll_mm: float
     disc_x: float
     disc_y: float
@@ -97,9 +103,11 @@ class Aberrations(NamedTuple):
     irregular: FloatArray
 
 
+PERFECT_PRINT: Final = ReticleTruth()
+
 _NOTHING: Final = np.zeros((0, 2))
 NO_ABERRATIONS: Final = Aberrations(
-    *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 1.0), _NOTHING
+    *(0.0, 0.0, 1.0), *(0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 0.0, 1.0), _NOTHING
 )
 """No collimator, or an ideal one: nothing is displaced."""
 
@@ -130,7 +138,7 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     edge = CIRCLE
     if collimator.disc_unevenness != 0.0:
         scale = collimator.disc_unevenness * math.sqrt(2.0 / EDGE_TERMS)
-        edge = scale * random_functions(along, EDGE_TERMS, collimator.glass_seed)
+        edge = scale * random_functions(_glass(collimator, along), EDGE_TERMS, collimator.glass_seed)
     if collimator.disc_wander_mm != 0.0 or collimator.disc_breathing != 0.0:
         wander = random_functions(along, 3, collimator.glass_seed)
         x, y = (
@@ -218,14 +226,21 @@ def radius_fractions(points_mm: FloatArray, disc: Disc) -> FloatArray:
     return out
 
 
+def _glass(collimator: CollimatorTruth, along: tuple[float, float]) -> tuple[float, float]:
+    """Return the place in the glass through which the camera looks, as the random functions take it."""
+    return collimator.glass_change * along[0], collimator.glass_change * along[1]
+
+
 def _axis(rotation: FloatArray) -> tuple[float, float]:
     """Return the tangents of the camera's turn: where its optical axis points in the target's frame."""
     axis = rotation[2]
     return float(axis[0] / axis[2]), float(axis[1] / axis[2])
 
 
-def aberrations_of(collimator: CollimatorTruth, rotation: FloatArray) -> Aberrations:
-    """Return the errors of the collimator in a pose.
+def aberrations_of(
+    collimator: CollimatorTruth, rotation: FloatArray, reticle: ReticleTruth = PERFECT_PRINT
+) -> Aberrations:
+    """Return the errors of the collimator and its reticle in a pose.
 
     Own definition: b = (disc centre - (x, y)) / r, as in the head of the module.
 
@@ -235,6 +250,8 @@ def aberrations_of(collimator: CollimatorTruth, rotation: FloatArray) -> Aberrat
         Coefficients and disc.
     rotation
         (3, 3), camera <- target.
+    reticle
+        Errors of the print.
 
     Returns
     -------
@@ -253,7 +270,8 @@ def aberrations_of(collimator: CollimatorTruth, rotation: FloatArray) -> Aberrat
         collimator.coma,
         collimator.astigmatism,
         collimator.field_curvature,
-        collimator.distortion,
+        collimator.distortion + reticle.bow_mm * collimator.r / reticle.bow_radius_mm**2,
+        reticle.print_scale,
         collimator.rim_roll_mm,
         disc.x,
         disc.y,
@@ -267,7 +285,8 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
     c = collimator
     if c.irregularity_mm == 0.0 and c.rim_irregularity_mm == 0.0:
         return _NOTHING
-    return field_coefficients(_axis(rotation), c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
+    place = _glass(c, _axis(rotation))
+    return field_coefficients(place, c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
 
 
 def apparent_points(points_mm: FloatArray, aberrations: Aberrations) -> FloatArray:
@@ -308,6 +327,8 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
     tuple of float
         dx and dy, mm.
     """
+    larger_x, larger_y = e.print_scale * (x_mm - e.x), e.print_scale * (y_mm - e.y)
+    x_mm, y_mm = x_mm + larger_x, y_mm + larger_y
     h_x, h_y = (x_mm - e.x) / e.r, (y_mm - e.y) / e.r
     hh, bb, hb = h_x * h_x + h_y * h_y, e.b_x * e.b_x + e.b_y * e.b_y, h_x * e.b_x + h_y * e.b_y
     along_b = e.defocus + e.spherical * bb + 2.0 * e.coma * hb + 2.0 * e.field_curvature * hh
@@ -315,7 +336,7 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
     dx, dy = e.r * (along_b * e.b_x + along_h * h_x), e.r * (along_b * e.b_y + along_h * h_y)
     from_x, from_y = x_mm - e.disc_x, y_mm - e.disc_y
     own_x, own_y = displacement_field(from_x / e.disc_radius, from_y / e.disc_radius, e.irregular)
-    dx, dy = dx + own_x, dy + own_y
+    dx, dy = dx + own_x + larger_x, dy + own_y + larger_y
     rho = math.sqrt(from_x * from_x + from_y * from_y)
     near = min(rho / e.disc_radius, ROLL_TO)
     roll = e.roll_mm * near**3 / e.disc_radius
@@ -368,6 +389,7 @@ def is_ideal(e: Aberrations) -> bool:
         and e.astigmatism == 0.0
         and e.field_curvature == 0.0
         and e.distortion == 0.0
+        and e.print_scale == 0.0
         and e.roll_mm == 0.0
         and e.irregular.shape[0] == 0
     )

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -31,20 +32,25 @@ from simulators.optics.coverage import empty_picture, join_cells, spread_kernel
 from simulators.optics.lens import lens_of, ray_grid
 from simulators.optics.print_outline import black_polygons
 from simulators.optics.projection import Cells, Projection, draw, image_points, plane_points
-from simulators.world.truth import OpticsTruth, Truth
+from simulators.world.gimbal import GimbalTruth, gimbal_rotation, rotation_matrix
+from simulators.world.truth import CollimatorTruth, OpticsTruth, Truth
 
 FloatArray = NDArray[np.float64]
 
 TARGET: Final = StarTarget()
 """The printed target behind the collimator."""
 
+PERFECT_GIMBAL: Final = GimbalTruth()
+
 _BLACK: Final = black_polygons(TARGET)
 
 
-def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> FloatArray:
-    """Return the rotation camera <- target of a gimbal pose, R = Rz(roll) Rx(tilt) Ry(pan) R0.
+def pose_rotation(
+    angles_deg: Mapping[Any, float], optics: OpticsTruth, gimbal: GimbalTruth = PERFECT_GIMBAL
+) -> FloatArray:
+    """Return the rotation camera <- target of a gimbal pose, R = Rz(roll) Rx(tilt) Ry(pan) R0 without errors.
 
-    Rotations about the axes: Diebel (2006).
+    Rotations about the axes: Diebel (2006). ``gimbal`` has the equation with errors.
 
     Parameters
     ----------
@@ -52,33 +58,58 @@ def pose_rotation(angles_deg: Mapping[Any, float], optics: OpticsTruth) -> Float
         "pan" about the camera's y axis, "tilt" about its x axis, "roll" about its z axis; missing = 0.
     optics
         Holds the mounting rotation R0.
+    gimbal
+        Errors between these angles and the direction in which the camera points.
 
     Returns
     -------
     (3, 3) float64
         Rotation matrix R.
     """
-    pan, tilt, roll = (math.radians(angles_deg.get(name, 0.0)) for name in ("pan", "tilt", "roll"))
-    mounting = np.radians(np.asarray(optics.mounting_deg, np.float64))
-    return (
-        _rotation_matrix((0, 0, roll))
-        @ _rotation_matrix((tilt, 0, 0))
-        @ _rotation_matrix((0, pan, 0))
-        @ _rotation_matrix(mounting)
-    )
+    return gimbal_rotation(angles_deg, gimbal) @ rotation_matrix(np.radians(optics.mounting_deg))
 
 
-def _rotation_matrix(rotation_vector: FloatArray | tuple[float, float, float]) -> FloatArray:
-    """Return the rotation matrix of a rotation vector in radians (Rodrigues' formula).
+def true_rotation(angles_deg: Mapping[Any, float], truth: Truth) -> FloatArray:
+    """Return the true rotation camera <- target when the axes read certain angles.
 
-    Source: Diebel (2006).
+    All simulated cameras and the rehearsed world use this function. Rotations: Diebel (2006).
+
+    Parameters
+    ----------
+    angles_deg
+        Angles of the loads by axis, "pan", "tilt" and "roll", degrees; missing = 0. With backlash they differ from the
+        readings; see ``gimbal.load_angles_deg``.
+    truth
+        Mounting of the camera, and errors of the gimbal.
+
+    Returns
+    -------
+    (3, 3) float64
+        Rotation matrix R.
     """
-    x, y, z = (float(v) for v in rotation_vector)
-    angle = math.sqrt(x * x + y * y + z * z)
-    if angle == 0.0:
-        return np.eye(3)
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
-    return np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
+    return pose_rotation(angles_deg, truth.optics, truth.gimbal)
+
+
+def beam_of(truth: Truth) -> CollimatorTruth:
+    """Return the collimator as the shifted camera sees it: the disc of light moves against the camera.
+
+    Own definition: the entrance pupil moves by ``mount.shift_mm``, and the disc of light by the opposite amount.
+
+    Parameters
+    ----------
+    truth
+        Collimator and mount.
+
+    Returns
+    -------
+    CollimatorTruth
+        The same object if the camera is not shifted.
+    """
+    x, y = truth.mount.shift_mm
+    if x == y == 0.0:
+        return truth.collimator
+    c = truth.collimator
+    return replace(c, disc_x=c.disc_x - x, disc_y=c.disc_y - y)
 
 
 def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
@@ -96,12 +127,12 @@ def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
     Projection
         Lens, rotation, centre and collimator errors for the compiled functions.
     """
-    c = truth.collimator
+    c = beam_of(truth)
     return Projection(
         lens_of(truth.camera),
         np.ascontiguousarray(rotation, np.float64),
         np.array([c.x, c.y, -c.r]),
-        aberrations_of(c, rotation),
+        aberrations_of(c, rotation, truth.reticle),
     )
 
 
@@ -157,7 +188,7 @@ def star_centres(
     ids = TARGET.ids
     positions = np.asarray(TARGET.positions_mm(ids), np.float64)
     points = project(positions, rotation, truth)
-    collimator, camera = truth.collimator, truth.camera
+    collimator, camera = beam_of(truth), truth.camera
     disc = disc_of(collimator, rotation)
     bright = 1.0 - collimator.rim - clearance * TARGET.pitch_mm / disc.radius
     low, high = border_px - 0.5, np.array([camera.width, camera.height]) - 0.5 - border_px
@@ -203,7 +234,7 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     (height, width) float32
         About 0 to 1: printed brightness x disc x illumination, after the point spread.
     """
-    optics, camera, disc = truth.optics, truth.camera, disc_of(truth.collimator, rotation)
+    optics, camera, disc = truth.optics, truth.camera, disc_of(beam_of(truth), rotation)
     kernel, rim_kernel = (spread_kernel(sigma, subsamples) for sigma in (optics.psf_px, optics.psf_rim_px))
     cells = Cells(subsamples, math.ceil((max(kernel.size, rim_kernel.size) / subsamples - 1) / 2))
     steps = empty_picture(camera.width, camera.height, cells.per_px, cells.margin_px)

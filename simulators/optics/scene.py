@@ -41,7 +41,7 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
     SimulationMisuse
         If a screen is not wholly in front of the camera.
     """
-    rotation = optics.pose_rotation(angles_deg, truth.optics)
+    rotation = optics.true_rotation(angles_deg, truth)
     if truth.screen.columns == 0:
         return optics.render(truth, rotation, subsamples=subsamples)
     board, (turn, position) = board_of(truth.screen), board_pose(truth.screen, rotation)
@@ -65,7 +65,7 @@ def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
     (columns * rows, 2) float64
         Image points, px, row by row.
     """
-    rotation = optics.pose_rotation(angles_deg, truth.optics)
+    rotation = optics.true_rotation(angles_deg, truth)
     return project_board(board_of(truth.screen), truth.camera, *board_pose(truth.screen, rotation))
 
 

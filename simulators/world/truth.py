@@ -1,15 +1,18 @@
 """True parameters of the simulated world: those that a calibration shall find, and those that disturb it.
 
-This module holds the parameters of camera, collimator, optics, sensor noise, temperature, mount and screen, with their
-defaults and profiles. It computes nothing with them; ``optics``, ``pixels``, ``temperature`` and ``mount`` do.
+This module holds the parameters of camera, collimator, reticle, optics, sensor noise, temperature, mount and screen,
+with their defaults and profiles; those of the gimbal are in ``gimbal``. It computes nothing with them; ``optics``,
+``pixels``, ``temperature``, ``mount`` and ``gimbal`` do.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
+
+from simulators.world.gimbal import GimbalTruth
 
 PITCH_MM: Final = 144.5 / 36.0
 """Side of a square of the printed target, mm."""
@@ -74,12 +77,14 @@ class CollimatorTruth:
     disc_breathing
         Random change of the disc's radius, as a share of it, 1 sigma.
     disc_unevenness
-        Root mean square deviation of the disc's edge from a circle, as a share of its radius; it differs between
-        poses.
+        Root mean square deviation of the disc's edge from a circle, as a share of its radius.
     irregularity_mm
         Root mean square of the random displacements; see ``irregularity``.
     rim_irregularity_mm
         Root mean square, in x and in y, of the random displacements that are added at the disc's edge.
+    glass_change
+        How much edge and random displacements differ between poses: they are functions of this share of the tangents
+        of the camera's turn. 0: they are the same in every pose.
     glass_seed
         Identifies the collimator: seed of its random errors.
     """
@@ -104,7 +109,28 @@ class CollimatorTruth:
     disc_unevenness: float = 0.0
     irregularity_mm: float = 0.0
     rim_irregularity_mm: float = 0.0
+    glass_change: float = 1.0
     glass_seed: int = 1
+
+
+@dataclass(frozen=True)
+class ReticleTruth:
+    """Errors of the printed target.
+
+    Attributes
+    ----------
+    bow_mm
+        Distance by which the target stands towards the camera at ``bow_radius_mm`` from (x, y), compared with (x, y).
+        It grows with the square of the distance. Negative: away from the camera.
+    bow_radius_mm
+        Radius at which the bow is stated, mm.
+    print_scale
+        Relative error of the printed lengths: a printed length is (1 + print_scale) times the nominal one.
+    """
+
+    bow_mm: float = 0.0
+    bow_radius_mm: float = 40.0
+    print_scale: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -224,10 +250,13 @@ class ScreenTruth:
 
 @dataclass(frozen=True)
 class MountTruth:
-    """Motion of the camera's mount; see ``mount``.
+    """Place and motion of the camera's mount; see ``mount``.
 
     Attributes
     ----------
+    shift_mm
+        Displacement of the camera's entrance pupil across the beam, along the target's X and Y, mm; the disc of light
+        moves by the opposite amount.
     vibration_arcsec, vibration_hz
         Amplitude of the vibration about the pan and the tilt axis, and its frequency.
     drift_arcsec_per_min
@@ -237,6 +266,7 @@ class MountTruth:
     vibration_arcsec: float = 0.0
     vibration_hz: float = 30.0
     drift_arcsec_per_min: tuple[float, float] = (0.0, 0.0)
+    shift_mm: tuple[float, float] = (0.0, 0.0)
 
 
 CAMERAS: Final[Mapping[str, CameraTruth]] = {
@@ -245,24 +275,34 @@ CAMERAS: Final[Mapping[str, CameraTruth]] = {
 }
 """Cameras by the projection of their lens."""
 
+_LIKE_REAL: Final = CollimatorTruth(
+    half_angle_deg=12.5,
+    disc_y=5.0,
+    disc_walk=(-44.0, -18.0),
+    disc_wander_mm=8.5,
+    disc_breathing=0.06,
+    disc_unevenness=0.07,
+    defocus=0.066,
+    coma=0.084,
+    astigmatism=-0.0105,
+    field_curvature=-0.062,
+    distortion=0.1085,
+    rim_roll_mm=-0.415,
+    irregularity_mm=0.0077,
+    rim_irregularity_mm=0.032,
+)
+
+_STEADY_DISC: Final = replace(_LIKE_REAL, disc_wander_mm=0.0, disc_breathing=0.0)
+
 COLLIMATORS: Final[Mapping[str, CollimatorTruth]] = {
     "ideal": CollimatorTruth(),
-    "like-real": CollimatorTruth(
-        half_angle_deg=12.5,
-        disc_y=5.0,
-        disc_walk=(-44.0, -18.0),
-        disc_wander_mm=8.5,
-        disc_breathing=0.06,
-        disc_unevenness=0.07,
-        defocus=0.066,
-        coma=0.084,
-        astigmatism=-0.0105,
-        field_curvature=-0.062,
-        distortion=0.1085,
-        rim_roll_mm=-0.415,
-        irregularity_mm=0.0077,
-        rim_irregularity_mm=0.032,
+    "like-real": _LIKE_REAL,
+    "like-bench": replace(
+        _LIKE_REAL, disc_walk=(-2.0, -2.0), disc_wander_mm=0.05, disc_breathing=0.0, glass_change=0.0
     ),
+    "S1": _LIKE_REAL,
+    "S2": _STEADY_DISC,
+    "S3": replace(_STEADY_DISC, disc_walk=(0.0, 0.0)),
 }
 """Collimators by the name of their profile.
 
@@ -286,7 +326,9 @@ f by free centres, by spherical model,  -2.0 %,      -2.0 +- 0.3,
 against the field model's               +0.4 %       +0.1 +- 0.1
 ======================================  ===========  ============================
 
-``docs/simulated-bench.md`` explains the effect of each parameter.
+"S1" is "like-real" by another name. "S2" is the same with a disc that neither wanders nor breathes, and "S3" is "S2"
+with the entrance pupil on the pivot. "like-bench" is the glass of "like-real" before a gimbal: the entrance pupil is
+2 mm in front of the pivot and always looks through the same glass. ``docs/simulated-bench.md`` explains each parameter.
 """
 
 NOISE_LEVELS: Final[Mapping[str, NoiseTruth]] = {
@@ -315,9 +357,13 @@ class Truth:
     thermal
         Temperature and its effects.
     mount
-        Vibration and drift.
+        Place, vibration and drift.
     screen
         Checkerboard in place of the collimator.
+    reticle
+        Errors of the print.
+    gimbal
+        Errors between readings and pointing.
     """
 
     camera: CameraTruth = field(default_factory=CameraTruth)
@@ -327,6 +373,8 @@ class Truth:
     thermal: ThermalTruth = field(default_factory=ThermalTruth)
     mount: MountTruth = field(default_factory=MountTruth)
     screen: ScreenTruth = field(default_factory=ScreenTruth)
+    reticle: ReticleTruth = field(default_factory=ReticleTruth)
+    gimbal: GimbalTruth = field(default_factory=GimbalTruth)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all parameters as plain numbers, by section: the content of ``truth.json``.
@@ -340,6 +388,7 @@ class Truth:
         """
         values = dataclasses.asdict(self)
         values["thermal"]["law"] = dict(LAW)
+        values["gimbal"] = self.gimbal.to_dict()
         if self.camera.projection == "fisheye":
             renamed = {"k1": "kb1", "k2": "kb2", "k3": "kb3", "k4": "kb4"}
             values["camera"] = {

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any, Final, TypeVar
 
 from simulators.errors import ConfigError
+from simulators.world.gimbal import AXES, GimbalTruth
 from simulators.world.truth import (
     CAMERAS,
     COLLIMATORS,
@@ -20,13 +21,23 @@ from simulators.world.truth import (
     MountTruth,
     NoiseTruth,
     OpticsTruth,
+    ReticleTruth,
     ScreenTruth,
     ThermalTruth,
     Truth,
 )
 
 _Section = TypeVar(
-    "_Section", CameraTruth, CollimatorTruth, OpticsTruth, NoiseTruth, ThermalTruth, MountTruth, ScreenTruth
+    "_Section",
+    CameraTruth,
+    CollimatorTruth,
+    ReticleTruth,
+    OpticsTruth,
+    NoiseTruth,
+    ThermalTruth,
+    MountTruth,
+    GimbalTruth,
+    ScreenTruth,
 )
 
 
@@ -38,7 +49,8 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
     config
         Every section and every key in it is optional; other sections are ignored. ``noise`` is the name of a level, or
         a mapping over the typical level. ``collimator`` may be the name of a profile, or a mapping that names it as
-        ``profile`` beside the keys that differ from it.
+        ``profile`` beside the keys that differ from it. ``scale`` and ``backlash_deg`` of the ``gimbal`` are numbers
+        for all axes, or mappings by axis.
 
     Returns
     -------
@@ -68,12 +80,51 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
     return Truth(
         camera=_camera(config.get("camera", {})),
         collimator=_collimator(config.get("collimator", {})),
+        reticle=_section("reticle", ReticleTruth(), config.get("reticle", {})),
         optics=_section("optics", OpticsTruth(), config.get("optics", {})),
         noise=level,
         thermal=_section("thermal", ThermalTruth(), config.get("thermal", {})),
         mount=_section("mount", MountTruth(), config.get("mount", {})),
+        gimbal=_gimbal(config.get("gimbal", {})),
         screen=_screen(config.get("screen", {})),
     )
+
+
+def _gimbal(given: object) -> GimbalTruth:
+    """Read the section of the gimbal; two of its keys may differ between the axes."""
+    if isinstance(given, Mapping):
+        given = {
+            key: _by_axis(value, f"gimbal.{key}") if key in {"scale", "backlash_deg"} else value
+            for key, value in given.items()
+        }
+    gimbal = _section("gimbal", GimbalTruth(), given)
+    for name, play in zip(AXES, gimbal.backlash_deg, strict=True):
+        if play < 0.0:
+            raise ConfigError(
+                f"{play!r} is negative.",
+                where=f"gimbal.backlash_deg.{name}",
+                remedy="Give a number of at least 0.",
+            )
+    for name, scale in zip(AXES, gimbal.scale, strict=True):
+        if abs(scale) > _LARGEST_SCALE:
+            raise ConfigError(
+                f"{scale!r} is no small error of a scale.",
+                where=f"gimbal.scale.{name}",
+                remedy="Give the relative error: 0.001 turns 6 degrees into 6.006.",
+            )
+    return gimbal
+
+
+def _by_axis(value: object, where: str) -> object:
+    """Return three numbers, for pan, tilt and roll, from one number or from a mapping by axis."""
+    if not isinstance(value, Mapping):
+        return (_number(value, where),) * len(AXES)
+    for name in value:
+        if name not in AXES:
+            raise ConfigError(
+                "Unknown axis.", where=f"{where}.{name}", remedy=f"Known are: {', '.join(AXES)}."
+            )
+    return tuple(_number(value.get(name, 0.0), f"{where}.{name}") for name in AXES)
 
 
 def _screen(given: object) -> ScreenTruth:
@@ -168,7 +219,17 @@ def _like(default: object, value: object, where: str) -> object:
     return number
 
 
-_POSITIVE: Final = {"screen.square_mm", "camera.fx", "camera.fy", "collimator.r", "collimator.half_angle_deg"}
+_LARGEST_SCALE: Final = 0.2
+"""Largest relative error of an axis's scale; larger numbers are factors that were given by mistake."""
+
+_POSITIVE: Final = {
+    "screen.square_mm",
+    "camera.fx",
+    "camera.fy",
+    "collimator.r",
+    "collimator.half_angle_deg",
+    "reticle.bow_radius_mm",
+}
 _NOT_NEGATIVE: Final = {
     "collimator.rim",
     "collimator.disc_wander_mm",
@@ -176,6 +237,10 @@ _NOT_NEGATIVE: Final = {
     "collimator.disc_unevenness",
     "collimator.irregularity_mm",
     "collimator.rim_irregularity_mm",
+    "collimator.glass_change",
+    "gimbal.wobble_deg",
+    "gimbal.eccentricity_deg",
+    "gimbal.reading_sigma_deg",
     "optics.psf_px",
     "optics.psf_rim_px",
     "optics.black",

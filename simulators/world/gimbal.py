@@ -1,0 +1,307 @@
+"""Errors of the gimbal: where the camera really points when the axes read certain angles.
+
+With the reading a of an axis, the true angle is
+
+    a' = (1 + scale) a + eccentricity (sin(a + phase) - sin(phase)) + noise(a)
+
+The axis itself tilts by a small angle that depends on a (wobble), and the tilt axis is not square to the pan axis. The
+rotation camera <- target is
+
+    R = M Rz(roll') Wroll Ru(tilt') Wtilt Ry(pan') Wpan R0
+
+with u = (cos n, -sin n, 0), n the non-orthogonality, and M the camera on its head. Apart from the noise, all errors are
+zero at the readings 0. Errors of an encoder and of bearings are described so in ISO 230-7 and by Slocum, Precision
+Machine Design (1992); their size and random numbers are this project's own.
+
+The backlash acts in the gear, before these errors; see `load_angles_deg`. This module uses no devices and no optics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+AXES: Final = ("pan", "tilt", "roll")
+
+LAW: Final[Mapping[str, str]] = {
+    "true angle": "(1 + scale) a + eccentricity_deg (sin(a + phase) - sin(phase)) + noise(a), a the load's angle",
+    "load's angle": "reading -+ backlash_deg / 2, behind the motor on the side that the load came from",
+    "wobble": "each of two tilts: w(a) - w(0), w = sqrt(2) wobble_deg (first sin(a + first phase) "
+    "+ second sin(2 a + second phase))",
+    "rotation": "camera <- target = M Rz(roll) Wroll Ru(tilt) Wtilt Ry(pan) Wpan R0, "
+    "u = (cos n, -sin n, 0), n = nonorthogonality_deg, M = camera_on_head_deg, R0 = optics.mounting_deg",
+}
+"""Equations of the gimbal's errors, as ``truth.json`` holds them."""
+
+NOISE_STEP_DEG: Final = 0.02
+"""Distance of readings beyond which their errors are independent."""
+_STREAM: Final = 2
+
+
+@dataclass(frozen=True)
+class GimbalTruth:
+    """Errors between the readings of the axes and the direction in which the camera points.
+
+    Attributes
+    ----------
+    wobble_deg
+        Tilt of each axis about each of the two other directions, root mean square over a turn, degrees.
+    eccentricity_deg
+        Amplitude of each encoder's error of one period a turn, degrees.
+    scale
+        Relative errors of the scales of pan, tilt and roll: the true angle is (1 + scale) times the reading.
+    backlash_deg
+        Play of the gears of pan, tilt and roll, degrees.
+    nonorthogonality_deg
+        Angle between tilt axis and pan axis, minus 90 degrees.
+    reading_sigma_deg
+        Standard deviation of the readings' errors, degrees. The same reading always has the same error.
+    camera_on_head_deg
+        Rotation vector of the camera on the last axis (M), degrees.
+    seed
+        Seed of the phases, the wobble and the readings' errors; 0: the bench's seed.
+    """
+
+    wobble_deg: float = 0.0
+    eccentricity_deg: float = 0.0
+    scale: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    backlash_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    nonorthogonality_deg: float = 0.0
+    reading_sigma_deg: float = 0.0
+    camera_on_head_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seed: int = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all errors as plain numbers, with the random numbers and the law: a section of ``truth.json``.
+
+        Returns
+        -------
+        dict
+            Errors by name; ``scale`` and ``backlash_deg`` by axis.
+        """
+        return {
+            "wobble_deg": self.wobble_deg,
+            "eccentricity_deg": self.eccentricity_deg,
+            "scale": dict(zip(AXES, self.scale, strict=True)),
+            "backlash_deg": dict(zip(AXES, self.backlash_deg, strict=True)),
+            "nonorthogonality_deg": self.nonorthogonality_deg,
+            "reading_sigma_deg": self.reading_sigma_deg,
+            "camera_on_head_deg": list(self.camera_on_head_deg),
+            "seed": self.seed,
+            "drawn": {
+                name: {
+                    "phase_deg": math.degrees(drawn.phase),
+                    "wobble": [
+                        {
+                            "first": first,
+                            "first_phase_deg": math.degrees(first_phase),
+                            "second": second,
+                            "second_phase_deg": math.degrees(second_phase),
+                        }
+                        for first, first_phase, second, second_phase in drawn.wobble
+                    ],
+                }
+                for name, drawn in zip(AXES, drawn_errors(self.seed), strict=True)
+            },
+            "law": dict(LAW),
+        }
+
+
+class DrawnErrors(NamedTuple):
+    """Random numbers of one axis.
+
+    Attributes
+    ----------
+    phase
+        Phase of the encoder's error of one period a turn, radians.
+    wobble
+        For each of the two tilts of the axis: share and phase (radians) of one period a turn, then of two periods. The
+        squares of the two shares add up to 1.
+    """
+
+    phase: float
+    wobble: tuple[tuple[float, float, float, float], ...]
+
+
+@lru_cache(maxsize=64)
+def drawn_errors(seed: int) -> tuple[DrawnErrors, DrawnErrors, DrawnErrors]:
+    """Return the random numbers of pan, tilt and roll.
+
+    Parameters
+    ----------
+    seed
+        Seed of the gimbal.
+
+    Returns
+    -------
+    tuple of DrawnErrors
+        For pan, tilt and roll.
+    """
+    rng = np.random.default_rng((seed, _STREAM))
+
+    def one() -> DrawnErrors:
+        phase, *rest = rng.uniform(0.0, 2.0 * math.pi, 7).tolist()
+        wobble = tuple(
+            (math.cos(mix), first, math.sin(mix), second) for mix, first, second in (rest[:3], rest[3:])
+        )
+        return DrawnErrors(phase, wobble)
+
+    return one(), one(), one()
+
+
+def true_angles_deg(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> tuple[float, float, float]:
+    """Return the true angles of the axes.
+
+    Own model; the head of the module has the equation.
+
+    Parameters
+    ----------
+    angles_deg
+        Angles of the loads as read: "pan", "tilt" and "roll", degrees; missing = 0.
+    gimbal
+        Errors.
+
+    Returns
+    -------
+    tuple of float
+        Pan, tilt and roll, degrees.
+
+    Examples
+    --------
+    >>> true_angles_deg({"pan": 6.0}, GimbalTruth(scale=(0.001, 0.0, 0.0)))[0]
+    6.006
+    """
+    pan, tilt, roll = (_true_angle_deg(angles_deg.get(name, 0.0), k, gimbal) for k, name in enumerate(AXES))
+    return pan, tilt, roll
+
+
+def _true_angle_deg(angle_deg: float, axis: int, gimbal: GimbalTruth) -> float:
+    """Return the true angle of one axis, by its index."""
+    phase = drawn_errors(gimbal.seed)[axis].phase
+    turned = math.sin(math.radians(angle_deg) + phase) - math.sin(phase)
+    noise = (
+        gimbal.reading_sigma_deg * _noise(angle_deg, axis, gimbal.seed) if gimbal.reading_sigma_deg else 0.0
+    )
+    return (1.0 + gimbal.scale[axis]) * angle_deg + gimbal.eccentricity_deg * turned + noise
+
+
+def _noise(angle_deg: float, axis: int, seed: int) -> float:
+    """Return a continuous random function of an angle, of variance 1 everywhere.
+
+    Own model: independent normal numbers at multiples of `NOISE_STEP_DEG`; between two of them, both with weights
+    whose squares add up to 1.
+    """
+    place = angle_deg / NOISE_STEP_DEG
+    knot = math.floor(place)
+    between = 0.5 * math.pi * (place - knot)
+    return math.cos(between) * _knot(seed, axis, knot) + math.sin(between) * _knot(seed, axis, knot + 1)
+
+
+@lru_cache(maxsize=4096)
+def _knot(seed: int, axis: int, knot: int) -> float:
+    """Return the normal number of a knot; seeds must not be negative, so knots are counted from far below."""
+    return float(np.random.default_rng((seed, _STREAM, axis, knot + 2**40)).standard_normal())
+
+
+def gimbal_rotation(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> FloatArray:
+    """Return the rotation of the camera by the gimbal: R R0^T of the head of the module.
+
+    Rotations about the axes: Diebel (2006). Errors: own model.
+
+    Parameters
+    ----------
+    angles_deg
+        Angles of the loads as read: "pan" about y, "tilt" about x and "roll" about z, degrees; missing = 0.
+    gimbal
+        Errors.
+
+    Returns
+    -------
+    (3, 3) float64
+        Rz(roll) Rx(tilt) Ry(pan) if there are no errors.
+    """
+    pan, tilt, roll = (math.radians(angle) for angle in true_angles_deg(angles_deg, gimbal))
+    skew = math.radians(gimbal.nonorthogonality_deg)
+    rotation = rotation_matrix((0.0, 0.0, roll)) @ _wobble(angles_deg, 2, gimbal)
+    rotation = rotation @ rotation_matrix((tilt * math.cos(skew), -tilt * math.sin(skew), 0.0))
+    rotation = rotation @ _wobble(angles_deg, 1, gimbal)
+    rotation = rotation @ rotation_matrix((0.0, pan, 0.0)) @ _wobble(angles_deg, 0, gimbal)
+    return rotation_matrix(np.radians(gimbal.camera_on_head_deg)) @ rotation
+
+
+_TILTED_ABOUT: Final = ((0, 2), (1, 2), (0, 1))
+"""For pan (y), tilt (x) and roll (z): the two other directions."""
+
+
+def _wobble(angles_deg: Mapping[Any, float], axis: int, gimbal: GimbalTruth) -> FloatArray:
+    """Return the rotation by which an axis tilts at its reading."""
+    tilt = [0.0, 0.0, 0.0]
+    if gimbal.wobble_deg != 0.0:
+        a = math.radians(angles_deg.get(AXES[axis], 0.0))
+        size = math.sqrt(2.0) * math.radians(gimbal.wobble_deg)
+        for direction, (first, phase, second, other) in zip(
+            _TILTED_ABOUT[axis], drawn_errors(gimbal.seed)[axis].wobble, strict=True
+        ):
+            tilt[direction] = size * (
+                first * (math.sin(a + phase) - math.sin(phase))
+                + second * (math.sin(2.0 * a + other) - math.sin(other))
+            )
+    return rotation_matrix(tilt)
+
+
+def rotation_matrix(rotation_vector: FloatArray | tuple[float, float, float] | list[float]) -> FloatArray:
+    """Return the rotation matrix of a rotation vector (Rodrigues' formula).
+
+    Source: Diebel (2006).
+
+    Parameters
+    ----------
+    rotation_vector
+        (3,) radians.
+
+    Returns
+    -------
+    (3, 3) float64
+        Rotation matrix.
+    """
+    x, y, z = (float(v) for v in rotation_vector)
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle == 0.0:
+        return np.eye(3)
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
+    return np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
+
+
+def load_angles_deg(
+    angles_deg: Mapping[str, float], sides: Mapping[str, float], gimbal: GimbalTruth
+) -> dict[str, float]:
+    """Return the angles of the loads behind the play of their gears.
+
+    Own rule: a load stands half of the play behind its motor, on the side that it came from.
+
+    Parameters
+    ----------
+    angles_deg
+        Angles of the motors by axis, which controllers and encoders report.
+    sides
+        Direction of each axis's last motion: +1, -1, or 0 if it has not moved; missing = 0.
+    gimbal
+        Holds the play.
+
+    Returns
+    -------
+    dict
+        Angles by axis, degrees.
+    """
+    play = dict(zip(AXES, gimbal.backlash_deg, strict=True))
+    return {
+        name: angle - 0.5 * play.get(name, 0.0) * sides.get(name, 0.0) for name, angle in angles_deg.items()
+    }
