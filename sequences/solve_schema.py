@@ -96,6 +96,9 @@ class SolveConfig(StrictModel):
             description="Passport file of the collimator, instead of the station's; none: use no passport.",
         ),
     ] = None
+    other_collimator: Annotated[
+        Literal["refuse", "accept"], Field(description="Passport of another collimator than the station's.")
+    ] = "refuse"
     readings: Annotated[
         Readings, Field(description="witness: the gimbal's readings never enter the adjustment.")
     ] = "auto"

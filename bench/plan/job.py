@@ -6,20 +6,24 @@ A job holds the content of both files. It holds neither the history of the run n
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 from bench.base.errors import ScriptError
 from bench.plan.plan import Plan, load_documents, make_plan
+from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.views.camera_kinds import CameraKind, camera_kind
 from bench.views.gates import Gate, at_most
 from calib.calibration import CalibrationOptions
+from calib.model.gimbal_readings import GimbalReadings
+from calib.model.passport import Passport
 from calib.target import StarTarget
 from drivers.light import LightSettings
-from sequences.script import Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
+from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
 
 MAX_MOTION_DEG = 0.0005
 """Largest motion between the begin and the end of a recording, degrees: 0.03 px at f = 3345 px."""
@@ -42,7 +46,8 @@ class ParkStep:
 
 
 ScriptStep = Step | ParkStep
-DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ParkStep)
+PoseStep = TypeVar("PoseStep", MoveStep, RecordStep)
+DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep, ParkStep)
 
 
 def with_parking(steps: Sequence[Step]) -> tuple[ScriptStep, ...]:
@@ -119,6 +124,35 @@ class Job:
             With all faults of both files.
         """
         planned = make_plan(*load_documents(sequence, station, settings))
+        if planned.faults:
+            raise ScriptError([str(fault) for fault in planned.faults])
+        return cls.from_plan(planned, seed=seed, operator=operator)
+
+    @classmethod
+    def from_run_folder(cls, folder: Path, *, seed: int = 0, operator: str | None = None) -> Job:
+        """Read the task of a run that has begun from the copies in its folder.
+
+        Parameters
+        ----------
+        folder
+            The run folder, with the copies of sequence, station and passport.
+        seed
+            Random seed of a simulated bench.
+        operator
+            Name of the operator; that of the station file where None.
+
+        Returns
+        -------
+        Job
+            The task.
+
+        Raises
+        ------
+        ScriptError
+            With all faults of the copies.
+        """
+        documents = load_documents(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY))
+        planned = make_plan(*documents, passport_copy=folder / PASSPORT_COPY)
         if planned.faults:
             raise ScriptError([str(fault) for fault in planned.faults])
         return cls.from_plan(planned, seed=seed, operator=operator)
@@ -207,17 +241,17 @@ class Job:
         LightStep or None
             None before the first light step.
         """
-        return self._light_before.get(0 if step is None else id(step), self._light_before[0])
+        return self._light_before[None if step is None else step.number]
 
     @cached_property
-    def _light_before(self) -> dict[int, LightStep | None]:
-        """The light step before each step, by the step's identity; after the last step, by 0."""
+    def _light_before(self) -> dict[int | None, LightStep | None]:
+        """The light step before each step, by the step's number; after the last step, by None."""
         light: LightStep | None = None
-        found: dict[int, LightStep | None] = {}
+        found: dict[int | None, LightStep | None] = {}
         for step in self.steps:
-            found[id(step)] = light
+            found[step.number] = light
             light = step if isinstance(step, LightStep) else light
-        return {**found, 0: light}
+        return {**found, None: light}
 
     def frequency_hz(self, step: RecordStep) -> float:
         """Return the flicker frequency of a recording; a plan without faults always has one.
@@ -269,11 +303,39 @@ class Job:
         int
             Place, from 0.
         """
-        return self._indices[id(step)]
+        return self._indices[step.number]
 
     @cached_property
     def _indices(self) -> dict[int, int]:
-        return {id(step): index_of for index_of, step in enumerate(self.steps)}
+        return {step.number: index_of for index_of, step in enumerate(self.steps)}
+
+    def at_its_pose(self, step: PoseStep, chosen: Mapping[int, Mapping[str, float]]) -> PoseStep:
+        """Return a step with the angles that the stage takes.
+
+        Parameters
+        ----------
+        step
+            Step that moves or records.
+        chosen
+            Angles of the poses that the run has chosen so far, degrees, by pose index.
+
+        Returns
+        -------
+        MoveStep or RecordStep
+            The step. If the run chooses poses, a pose of the sequence has 0 degrees for the axes that it does not
+            name, because a chosen pose may have turned them.
+        """
+        if step.pose.chosen_in_run:
+            angles = chosen[step.pose.index]
+        elif self._chooses_poses:
+            angles = {**dict.fromkeys(self.station.axes, 0.0), **step.pose.angles_deg}
+        else:
+            return step
+        return replace(step, pose=replace(step.pose, angles_deg=angles))
+
+    @cached_property
+    def _chooses_poses(self) -> bool:
+        return any(isinstance(step, ChooseStep) for step in self.steps)
 
     def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
         """Judge whether the stage stood still during a recording.
@@ -308,11 +370,11 @@ class Job:
         float or None
             Time, s; None if the plan has none.
         """
-        return self._done_after_s.get(id(step))
+        return self._done_after_s.get(step.number)
 
     @cached_property
     def _done_after_s(self) -> dict[int, float]:
-        return {id(p.step): p.done_after_s for p in self.plan.steps}
+        return {p.step.number: p.done_after_s for p in self.plan.steps}
 
     def read_truth(self) -> dict[str, Any] | None:
         """Return the truth of the simulated world, for the final comparison.
@@ -328,24 +390,53 @@ class Job:
             return bench.truth()
 
 
-def calibration_options(step: SolveStep) -> CalibrationOptions:
+def documents_of(plan: Plan) -> dict[str, bytes]:
+    """Return the documents that a run folder keeps from its begin on, so that the run can be repeated from it.
+
+    Parameters
+    ----------
+    plan
+        The plan of the run.
+
+    Returns
+    -------
+    dict
+        Bytes by name of the file: sequence, station and, if the run uses one, the collimator's passport.
+    """
+    documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
+    if plan.passport.in_use is not None:
+        documents[PASSPORT_COPY] = plan.passport.in_use.data
+    return documents
+
+
+def calibration_options(
+    step: SolveStep, passport: Passport | None = None, gimbal: GimbalReadings | None = None
+) -> CalibrationOptions:
     """Return the engine's options for a solve step.
 
     Parameters
     ----------
     step
         The solve step.
+    passport
+        Passport of the collimator that the step uses (`bench.plan.plan.Plan.passport_for`).
+    gimbal
+        Readings of the gimbal, one for each view, if the step lets them enter the adjustment.
 
     Returns
     -------
     CalibrationOptions
-        Model, distortion, loss, guard band and drift.
+        Model, distortion, loss, passport, readings, guard band and drift. A step without a model is solved with
+        ``auto`` if a passport or the gimbal's readings determine the focal length, else with ``spherical``.
     """
+    enters = gimbal is not None and gimbal.parallax is not None
     return CalibrationOptions(
-        step.model or "spherical",
+        step.model or ("auto" if passport or enters else "spherical"),
         step.distortion,
         step.loss,
         step.huber_px,
+        passport=passport,
         guard_band=step.guard_band,
         drift_mm=step.drift_mm,
+        gimbal=gimbal,
     )

@@ -9,17 +9,20 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import ScriptError
+from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script
 from bench.stations.placeholders import find_placeholders
 from bench.stations.station import Station, load_station
 from bench.stations.station_cameras import FrameCameraConfig
 from bench.stations.station_stages import AxisConfig
 from bench.views.recording_window import recording_duration_s
+from calib.model.passport import Passport
 from sequences.errors import DocumentFaults
 from sequences.flatten import unfold
 from sequences.reader import Located, find_document, read_document
@@ -129,6 +132,8 @@ class Plan:
         Expected duration of the whole run with homing and parking, s.
     size_bytes, most_bytes
         Expected disk space; and the largest one, with all attempts at the highest event rate that the gates accept.
+    passport
+        The collimator's passport, and the solve steps that use it.
     """
 
     sequence: Located[Sequence]
@@ -139,6 +144,23 @@ class Plan:
     duration_s: float
     size_bytes: int
     most_bytes: int
+    passport: PassportChoice = field(default_factory=PassportChoice)
+
+    def passport_for(self, step: SolveStep) -> Passport | None:
+        """Return the collimator's passport that a solve step uses.
+
+        Parameters
+        ----------
+        step
+            A solve step of the sequence.
+
+        Returns
+        -------
+        Passport or None
+            None if the step uses none.
+        """
+        in_use = self.passport.in_use
+        return in_use.passport if in_use is not None and step.number in self.passport.steps else None
 
     @property
     def script(self) -> tuple[Step, ...]:
@@ -248,13 +270,23 @@ def _by_document(settings: Mapping[str, str]) -> tuple[Mapping[str, str], Mappin
     return of_sequence, of_station
 
 
-def make_plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
+def make_plan(
+    sequence: Located[Sequence],
+    station: Located[Station],
+    *,
+    passport_copy: Path | None = None,
+    today: date | None = None,
+) -> Plan:
     """Plan a run. Faults of the files do not raise an error; the plan lists them.
 
     Parameters
     ----------
     sequence, station
         The files, from `load_documents`.
+    passport_copy
+        Where the folder of a run that has begun keeps the passport; None for a new run.
+    today
+        Day of the run, for the validity of the passport; None for the current day, UTC.
 
     Returns
     -------
@@ -262,7 +294,9 @@ def make_plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
         The plan.
     """
     script, faults = unfold(sequence)
-    findings = check_script(sequence, script, station.value)
+    today = today or datetime.now(UTC).date()
+    passport = choose_passport(sequence, station, script, copy=passport_copy, today=today)
+    findings = check_script(sequence, script, station.value, passport.steps)
     estimate = _Estimate(station.value)
     last = next((step for step in reversed(script) if isinstance(step, SEQUENCE_DEVICE_STEPS)), None)
     elapsed_s = estimate.preparation_s() if last is not None else 0.0
@@ -277,11 +311,12 @@ def make_plan(sequence: Located[Sequence], station: Located[Station]) -> Plan:
         sequence=sequence,
         station=station,
         steps=tuple(steps),
-        faults=tuple(sorted({*faults, *findings.faults, *find_placeholders(station.tree)})),
-        remarks=findings.remarks,
+        faults=tuple(sorted({*faults, *findings.faults, *passport.faults, *find_placeholders(station.tree)})),
+        remarks=tuple(sorted({*findings.remarks, *passport.remarks})),
         duration_s=elapsed_s,
         size_bytes=estimate.size_bytes,
         most_bytes=estimate.most_bytes,
+        passport=passport,
     )
 
 

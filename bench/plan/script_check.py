@@ -9,6 +9,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from bench.plan.passports import NO_PASSPORT
+from bench.plan.places import setting_path
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraConfig
 from sequences.reader import Located
@@ -24,10 +26,13 @@ from sequences.script import (
     Step,
     WaitStep,
 )
+from sequences.solve_schema import LENS_FAMILIES
 from sequences.tree import DocumentPath, Fault, Tree
 
 FEWEST_POSES = 2
 """Fewest directions from which a focal length can be determined."""
+SOME_LENS_TERMS = tuple(term for family in LENS_FAMILIES for term in family)
+"""Coefficients that ``distortion: auto`` may choose."""
 WHOLE_PERIOD_SLACK = 0.02
 """A window may be shorter than a period by this fraction and still mean a whole period (16.6 ms at 60 Hz)."""
 
@@ -47,7 +52,12 @@ class Findings(NamedTuple):
     remarks: tuple[Fault, ...]
 
 
-def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Findings:
+def check_script(
+    document: Located[Sequence],
+    steps: tuple[Step, ...],
+    station: Station,
+    with_passport: frozenset[int] = frozenset(),
+) -> Findings:
     """Check the steps of a sequence against a station.
 
     Parameters
@@ -58,6 +68,8 @@ def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: 
         Its steps, with all repetitions written out.
     station
         The station.
+    with_passport
+        Numbers of the solve steps that use a passport of the collimator.
 
     Returns
     -------
@@ -68,8 +80,8 @@ def check_script(document: Located[Sequence], steps: tuple[Step, ...], station: 
         *angle_faults(document.tree, station),
         *_light_faults(document, steps, station),
         *_recording_faults(document, steps, station),
-        *_order_faults(document, steps),
-        *_limit_faults(document, steps),
+        *_order_faults(document, steps, with_passport),
+        *_solve_faults(document, steps),
     ]
     return Findings(
         tuple(sorted(set(faults))),
@@ -144,7 +156,7 @@ def _light_faults(document: Located[Sequence], steps: tuple[Step, ...], station:
         if isinstance(step, LightStep) and step.flicker is not None and _flickers(step.flicker, station):
             frequency = step.flicker.frequency_hz
             if not lowest <= frequency <= highest:
-                path = _setting_path(document, step.path, "frequency_hz", "light")
+                path = setting_path(document, step.path, "frequency_hz", "light")
                 message = f"{frequency:g} Hz is outside the range of the station's light, {lowest:g} to {highest:g} Hz."
                 yield document.fault(path, message)
 
@@ -179,18 +191,20 @@ def _recording_faults(
             continue
         periods = step.window_ms * 1e-3 * flicker.frequency_hz
         if periods < 1 - WHOLE_PERIOD_SLACK:
-            path = _setting_path(document, step.path, "window_ms", "record")
+            path = setting_path(document, step.path, "window_ms", "record")
             message = f"{step.window_ms:g} ms is shorter than a period of {flicker.frequency_hz:g} Hz"
             yield document.fault(path, f"{message}: use at least {1e3 / flicker.frequency_hz:.4g} ms.")
         if step.gates.require_triggers and not station.light.sync_output:
-            path = _setting_path(document, step.path, "gates", "record")
+            path = setting_path(document, step.path, "gates", "record")
             message = (
                 "sync triggers are required, but the station's light has no sync output (sync_output: false)."
             )
             yield document.fault(path, message)
 
 
-def _order_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
+def _order_faults(
+    document: Located[Sequence], steps: tuple[Step, ...], with_passport: frozenset[int]
+) -> Iterator[Fault]:
     directions: set[tuple[tuple[str, float], ...]] = set()
     solved = reported = False
     for step in steps:
@@ -202,9 +216,11 @@ def _order_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Itera
             solved = True
             if not directions:
                 yield document.fault(step.path, "no pose is recorded before this solve.")
-            elif len(directions) < FEWEST_POSES:
+            elif len(directions) < FEWEST_POSES and step.number not in with_passport:
                 yield document.fault(
-                    step.path, f"only one direction is recorded; at least {FEWEST_POSES} are needed."
+                    step.path,
+                    f"only one direction is recorded; at least {FEWEST_POSES} are needed without the collimator's "
+                    "passport or certificate.",
                 )
         elif isinstance(step, ReportStep):
             reported = True
@@ -214,16 +230,22 @@ def _order_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Itera
                 )
 
 
-def _limit_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
-    """Yield limits on parameters that the solve does not estimate."""
+def _solve_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
+    """Yield limits on parameters that the solve does not estimate, and passports that it cannot use."""
     for step in steps:
         if isinstance(step, SolveStep):
-            estimated = {"fx", "fy", "cx", "cy", *step.distortion}
+            if step.model == "planar" and step.passport not in (None, NO_PASSPORT):
+                yield document.fault(
+                    setting_path(document, step.path, "passport", "solve"),
+                    "the planar model has no collimator, so it cannot use a passport: use another model.",
+                )
+            lens = SOME_LENS_TERMS if step.distortion == "auto" else step.distortion
+            estimated = {"fx", "fy", "cx", "cy", *lens}
             estimated |= {"x", "y", "r"} if step.model != "planar" else set()
             for name in step.limits:
                 _, sigma, parameter = name.partition("sigma_")
                 if sigma and parameter.removesuffix("_px").removesuffix("_mm") not in estimated:
-                    path = (*_setting_path(document, step.path, "limits", "solve"), name)
+                    path = (*setting_path(document, step.path, "limits", "solve"), name)
                     yield document.fault(
                         path, "this solve does not estimate the parameter, so it has no uncertainty."
                     )
@@ -257,9 +279,3 @@ def _steady_remarks(
         flicker = step.flicker if isinstance(step, LightStep) else None
         if flicker is not None and flicker.waveform != "steady" and not _flickers(flicker, station):
             yield document.fault(step.path, "the station has a frame camera: the light is steady instead.")
-
-
-def _setting_path(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
-    """Return the path of a step's setting in the file: at the step, in the defaults, or else the step itself."""
-    places = ((*path, key), ("defaults", word, key))
-    return next((place for place in places if place in document.tree.values), path)

@@ -16,12 +16,12 @@ from typing import Any
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
-from bench.plan.job import Job, calibration_options
+from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.plan import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load_documents, make_plan
 from bench.records.events import Event, MeasuredFacts, Solved
 from bench.records.history import History, replay
 from bench.records.journal import Journal
-from bench.records.run_folder import JOURNAL, PLAN, RESULTS, SEQUENCE_COPY, STATION_COPY, RunFolder
+from bench.records.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
 from bench.records.run_log import RunLog
 from bench.records.unsynced_journal import UnsyncedJournal
 from bench.rehearsal.virtual_devices import VirtualDevices, read_view
@@ -132,9 +132,8 @@ class RehearsedResults(ResultWriter):
             measured.get(index) or self._measure_again(attempt)
             for index, attempt in sorted(history.accepted().items())
         ]
-        self._calibration = calibrate(
-            [m.view for m in found if m.view is not None], calibration_options(step)
-        )
+        options = calibration_options(step, self._job.plan.passport_for(step))
+        self._calibration = calibrate([m.view for m in found if m.view is not None], options)
         return main_numbers(self._calibration)
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
@@ -270,12 +269,8 @@ def rehearse_job(
             return Runner(job, held, journal, open_devices, clock, progress, results=results).run()
 
 
-def _documents(plan: Plan) -> dict[str, bytes]:
-    return {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
-
-
 def _write_documents(folder: RunFolder, plan: Plan) -> None:
-    for name, text in _documents(plan).items():
+    for name, text in documents_of(plan).items():
         folder.write_atomic(name, text)
     folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
 
@@ -291,7 +286,7 @@ def _journal_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, ag
         rehearsal=True,
         sequence=plan.sequence.value.name,
         station=plan.station.value.name,
-        sha256={name: hashlib.sha256(text).hexdigest() for name, text in _documents(plan).items()},
+        sha256={name: hashlib.sha256(text).hexdigest() for name, text in documents_of(plan).items()},
         seed=job.seed,
         operator=job.operator,
         simulated=True,

@@ -13,7 +13,7 @@ from typing import Any
 
 from bench.base.errors import BenchError
 from bench.plan.job import Job, calibration_options
-from bench.records.run_folder import RESULTS, SEQUENCE_COPY, STATION_COPY
+from bench.records.run_folder import RESULTS
 from bench.results.offline import calibrate_paths
 from bench.results.offline_options import OfflineOptions
 from calib.errors import CalibrationError
@@ -45,7 +45,7 @@ def differences(folder: Path) -> list[str]:
     JournalBroken
         When its journal is not intact.
     """
-    job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
+    job = Job.from_run_folder(folder)
     solve = [step for step in job.steps if isinstance(step, SolveStep)][-1]
     stored = json.loads((folder / RESULTS).read_bytes())["calibration"]
     try:

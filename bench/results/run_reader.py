@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import RunFolderError
-from bench.records.run_folder import JOURNAL, REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY
+from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.collimator import CENTRE, Collimator
 from calib.view import View
@@ -288,7 +288,7 @@ def _solve_again(folder: Path) -> tuple[dict[str, Any], list[StoredView], list[R
         raise RunFolderError(
             "This run was rehearsed: it has no recordings.", where=str(folder), remedy="Load a real run."
         )
-    job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
+    job = Job.from_run_folder(folder)
     solve_steps = [step for step in job.steps if isinstance(step, SolveStep)]
     options = calibration_options(solve_steps[-1]) if solve_steps else CalibrationOptions()
     found = calibrate_paths([folder], OfflineOptions(options=options))

@@ -17,7 +17,7 @@ from bench.plan.job import Job
 from bench.records.captures import stored_captures
 from bench.records.history import replay
 from bench.records.journal import read_journal
-from bench.records.run_folder import JOURNAL, SEQUENCE_COPY, STATION_COPY
+from bench.records.run_folder import JOURNAL
 from bench.results.offline_options import OfflineOptions
 from bench.results.point_files import read_point_file
 from bench.views.expected_grid import grid_from_journal
@@ -102,7 +102,7 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the accepted recordings of a run, to be measured with the settings of its own sequence and station."""
     entries, _ = read_journal(folder / JOURNAL)
     history = replay(entries)
-    job = Job.from_files(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY), seed=0, operator=None)
+    job = Job.from_run_folder(folder)
     accepted = history.accepted()
     if not accepted:
         raise BenchError(

@@ -23,7 +23,7 @@ from bench.evidence.keys import ensure_key
 from bench.evidence.seal import seal
 from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
-from bench.plan.job import Job
+from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
 from bench.records.events import Event, LedgerPlace
 from bench.records.history import History, replay
@@ -35,8 +35,6 @@ from bench.records.run_folder import (
     PLAN,
     REPORT,
     RESULTS,
-    SEQUENCE_COPY,
-    STATION_COPY,
     RunFolder,
     require_resumable,
 )
@@ -123,7 +121,7 @@ def start_run(
     folder_path = output or default_folder(plan, launch.clock.utc_now())
     needed = plan.size_bytes + int(plan.station.value.disk.min_free_gb * 1e9)
     with RunFolder.create(folder_path, bytes_needed=needed) as folder:
-        documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
+        documents = documents_of(plan)
         for name, text in documents.items():
             folder.write_atomic(name, text)
         folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
@@ -239,12 +237,7 @@ def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
             remedy="Start a new run.",
         )
     _refuse_changed(folder, history.started["sha256"])
-    job = Job.from_files(
-        str(folder / SEQUENCE_COPY),
-        str(folder / STATION_COPY),
-        seed=history.started["seed"],
-        operator=history.started["operator"],
-    )
+    job = Job.from_run_folder(folder, seed=history.started["seed"], operator=history.started["operator"])
     return job, history
 
 

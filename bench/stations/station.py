@@ -1,8 +1,8 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
-The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`; `devices` opens the
-devices. docs/stations.md describes every key. A simulated bench and a real one differ in the station file only; the
-same sequences run on both.
+The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`, those of the collimator and
+of the gimbal's readings in `station_collimator`; `devices` opens the devices. docs/stations.md describes every key. A
+simulated bench and a real one differ in the station file only; the same sequences run on both.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
-from bench.stations.station_fields import SIMULATED_PREFIX, Positive, Serial, Text
+from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
+from bench.stations.station_fields import SIMULATED_PREFIX, Positive, Text
 from bench.stations.station_interlocks import InterlocksConfig
 from bench.stations.station_lights import LightConfig
 from bench.stations.station_messages import MessagesConfig
@@ -70,14 +71,6 @@ class TargetConfig(StrictModel):
         )
 
 
-class CollimatorConfig(StrictModel):
-    """Prior knowledge of the collimator. It is printed in the report; no estimator uses it."""
-
-    serial: Serial | None = None
-    nominal_r_mm: Positive | None = None
-    certificate: Text | None = None
-
-
 class ExpectedConfig(StrictModel):
     """Approximate properties of the bench, for plans and studies only; no estimator uses them."""
 
@@ -126,6 +119,7 @@ class Station(StrictModel):
     camera: CameraConfig
     target: TargetConfig = TargetConfig()
     collimator: CollimatorConfig = CollimatorConfig()
+    gimbal: GimbalConfig | None = None
     expected: ExpectedConfig | None = None
     disk: DiskConfig = DiskConfig()
     messages: MessagesConfig = MessagesConfig()

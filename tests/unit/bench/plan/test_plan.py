@@ -171,7 +171,10 @@ def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
     text = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: PAN}}, settle, record, solve, report]\n"
     assert faults(text.replace("PAN", "2")) == []
     (fault,) = faults(text.replace("PAN", "1"))
-    assert fault == "s.yaml:3:92: steps[7].solve: only one direction is recorded; at least 2 are needed."
+    assert fault == (
+        "s.yaml:3:92: steps[7].solve: only one direction is recorded; at least 2 are needed without the collimator's "
+        "passport or certificate."
+    )
 
 
 def test_a_setting_of_the_defaults_is_blamed_where_it_is_written():

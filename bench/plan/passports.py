@@ -1,0 +1,414 @@
+"""The collimator's passport of a run: which one the documents name, its file, and whether it suits the bench.
+
+The passport of a solve step is the file that the sequence names, else the station's passport or certificate. A run
+keeps the bytes of its passport in its folder. A resumed or repeated run reads that copy, not the file that the
+documents name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any, Literal
+
+from bench.base.errors import BenchError, UsageError
+from bench.plan.places import setting_path
+from bench.records.run_folder import PASSPORT_COPY
+from bench.records.storage import storage_errors
+from bench.stations.station import Station
+from bench.stations.station_collimator import CertificateConfig, CollimatorConfig
+from calib.errors import InputMismatch
+from calib.model.aberrations import EXPECTED_SIGMA
+from calib.model.passport import Passport
+from sequences.reader import Located
+from sequences.schema import Sequence
+from sequences.script import SolveStep, Step
+from sequences.tree import DocumentPath, Fault
+
+NO_PASSPORT = "none"
+"""Word in a sequence: use no passport, not even the station's."""
+MOST_DEGREES_APART = 5.0
+"""Largest difference between the temperatures of passport and bench without a caution, degrees Celsius."""
+_LARGEST_BYTES = 1_000_000
+
+PassportSource = Literal["sequence", "station", "station certificate"]
+
+
+@dataclass(frozen=True)
+class PassportInUse:
+    """The passport that a run's solve steps use.
+
+    Attributes
+    ----------
+    passport
+        The collimator's parameters and their covariance.
+    data
+        Bytes of the passport file.
+    source
+        What named it: the sequence, the station, or the values of a certificate in the station file.
+    name
+        Name of the file, without its folder.
+    other_accepted
+        Whether the sequence accepts a passport of another collimator.
+    """
+
+    passport: Passport
+    data: bytes
+    source: PassportSource
+    name: str
+    other_accepted: bool = False
+
+    @property
+    def serial(self) -> str | None:
+        """Serial number or name of the collimator, if the passport states it."""
+        return _text(self.passport.conditions.get("collimator"))
+
+    @property
+    def valid_until(self) -> date | None:
+        """Last day of validity, if the passport states it."""
+        return _date(self.passport.conditions.get("valid_until"))
+
+    @property
+    def temperature_c(self) -> float | None:
+        """Temperature for which the passport holds, degrees Celsius, if the passport states it."""
+        found = self.passport.conditions.get("temperature_c")
+        return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what results.json states about the passport.
+
+        Returns
+        -------
+        dict
+            Origin, identity and validity of the passport, its values and standard uncertainties by name, and the hash
+            of its file.
+        """
+        stated, passport = self.passport.conditions, self.passport
+        sigma = {name: float(passport.covariance[i, i] ** 0.5) for i, name in enumerate(passport.names)}
+        return {
+            "source": self.source,
+            "name": self.name,
+            "collimator": self.serial,
+            "number": _text(stated.get("certificate")),
+            "date": _text(stated.get("issued")) or (_text(stated.get("made_utc")) or "")[:10] or None,
+            "valid_until": _text(stated.get("valid_until")),
+            "temperature_c": self.temperature_c,
+            "values": dict(passport.values_by_name),
+            "sigma": sigma,
+            "sha256": hashlib.sha256(self.data).hexdigest(),
+        }
+
+    def cautions(self, collimator: CollimatorConfig, on: date) -> list[str]:
+        """Return what speaks against using the passport on a bench.
+
+        Parameters
+        ----------
+        collimator
+            What the station file states about the collimator.
+        on
+            Day of the run.
+
+        Returns
+        -------
+        list of str
+            A sentence for each: expired, another temperature, another collimator, no collimator named.
+        """
+        found = []
+        if self.valid_until is not None and self.valid_until < on:
+            found.append(f"The collimator's passport expired on {self.valid_until}; the run is of {on}.")
+        found += self._temperature_caution(collimator.temperature_c)
+        if collimator.serial is None:
+            return found
+        if self.serial is None:
+            found.append(
+                "The collimator's passport does not name its collimator, so nothing shows that it belongs to "
+                f"{collimator.serial}."
+            )
+        elif self.serial != collimator.serial:
+            found.append(
+                f"The passport belongs to the collimator {self.serial}; the station's is {collimator.serial}. "
+                "The sequence accepts it (other_collimator: accept)."
+            )
+        return found
+
+    def _temperature_caution(self, bench_c: float | None) -> list[str]:
+        if self.temperature_c is None:
+            return []
+        if bench_c is None:
+            what = f"The collimator's passport holds at {self.temperature_c:g} °C; the station does not state the "
+            return [what + "temperature of the bench (collimator: {temperature_c})."]
+        apart = abs(self.temperature_c - bench_c)
+        if apart <= MOST_DEGREES_APART:
+            return []
+        what = (
+            f"The collimator's passport holds at {self.temperature_c:g} °C; the bench is at {bench_c:g} °C, "
+        )
+        return [f"{what}{apart:.3g} °C apart. Its focal length differs by the thermal expansion."]
+
+
+@dataclass(frozen=True)
+class PassportChoice:
+    """The passport of a run, and what was found while it was read.
+
+    Attributes
+    ----------
+    in_use
+        The passport; None if no solve step uses one, or if it cannot be used.
+    steps
+        Numbers of the solve steps that use it.
+    faults, remarks
+        Why it cannot be used, and what speaks against it.
+    """
+
+    in_use: PassportInUse | None = None
+    steps: frozenset[int] = frozenset()
+    faults: tuple[Fault, ...] = ()
+    remarks: tuple[Fault, ...] = ()
+
+
+def read_passport_file(path: Path) -> tuple[Passport, bytes]:
+    """Read a passport file.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    tuple of Passport and bytes
+        The passport, and the bytes of the file.
+
+    Raises
+    ------
+    UsageError
+        When there is no such file, or it is not a passport; the message says why.
+    StorageError
+        When it cannot be read.
+    """
+    if path.is_dir():
+        raise UsageError("This is a folder, not a passport file.", where=str(path), remedy="Name the file.")
+    if not path.is_file():
+        raise UsageError("There is no such passport file.", where=str(path), remedy="Check the path.")
+    with storage_errors(path):
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise UsageError("The file is too large for a passport.", where=str(path))
+        data = path.read_bytes()
+    return parse_passport(data, str(path)), data
+
+
+def parse_passport(data: bytes, where: str) -> Passport:
+    """Read the bytes of a passport.
+
+    Parameters
+    ----------
+    data
+        Bytes of a passport file.
+    where
+        Name of the file, for messages.
+
+    Returns
+    -------
+    Passport
+        The collimator's parameters and their covariance.
+
+    Raises
+    ------
+    UsageError
+        When it is not a passport, or has a parameter that the engine does not know; the message says why.
+    """
+    remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
+    try:
+        shape: Any = json.loads(data)
+        passport = Passport.from_dict(shape if isinstance(shape, dict) else {})
+    except json.JSONDecodeError as error:
+        what = (
+            f"The file is not a passport: not JSON, line {error.lineno}, column {error.colno}: {error.msg}."
+        )
+        raise UsageError(what, where=where, remedy=remedy) from error
+    except (ValueError, RecursionError) as error:
+        raise UsageError(
+            f"The file is not a passport (not JSON: {error}).", where=where, remedy=remedy
+        ) from error
+    except InputMismatch as error:
+        raise UsageError(error.what, where=where, remedy=remedy) from error
+    unknown = [name for name in passport.terms if name not in EXPECTED_SIGMA]
+    if unknown:
+        raise UsageError(
+            f"The passport has the unknown parameter {unknown[0]!r}.", where=where, remedy=remedy
+        )
+    if not passport.values_by_name["r"] > 0:
+        raise UsageError("The passport's radius r is not positive.", where=where, remedy=remedy)
+    return passport
+
+
+def passport_bytes(passport: Passport) -> bytes:
+    """Return the bytes of a passport's file.
+
+    Parameters
+    ----------
+    passport
+        The passport.
+
+    Returns
+    -------
+    bytes
+        JSON; the same passport gives the same bytes.
+    """
+    return (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode()
+
+
+def certificate_passport(collimator: CollimatorConfig, certificate: CertificateConfig) -> Passport:
+    """Return the passport that a station's certificate stands for.
+
+    Parameters
+    ----------
+    collimator
+        The station's section about the collimator.
+    certificate
+        Its certificate.
+
+    Returns
+    -------
+    Passport
+        Passport of the focal length alone, with number, dates and temperature of the certificate.
+    """
+    stated: Mapping[str, Any] = {
+        "certificate": certificate.number,
+        "issued": certificate.date and certificate.date.isoformat(),
+        "valid_until": certificate.valid_until and certificate.valid_until.isoformat(),
+        "collimator": collimator.serial,
+        "temperature_c": certificate.temperature_c,
+    }
+    known = {key: value for key, value in stated.items() if value is not None}
+    return Passport.of_radius(certificate.r_mm, certificate.sigma_mm, known)
+
+
+def choose_passport(
+    sequence: Located[Sequence],
+    station: Located[Station],
+    steps: tuple[Step, ...],
+    *,
+    copy: Path | None,
+    today: date,
+) -> PassportChoice:
+    """Find, read and check the passport that the solve steps use.
+
+    Parameters
+    ----------
+    sequence, station
+        The documents.
+    steps
+        Steps of the sequence.
+    copy
+        Copy in the folder of a run that has begun; it is read in place of the file that the documents name. None for a
+        new run.
+    today
+        Day of the run.
+
+    Returns
+    -------
+    PassportChoice
+        The passport, and all faults and remarks.
+    """
+    named = {step.number: _named(sequence, station, step) for step in steps if isinstance(step, SolveStep)}
+    used = {number: one for number, one in named.items() if one is not None}
+    if not used:
+        return PassportChoice()
+    first, *others = dict.fromkeys(used.values())
+    if others:
+        fault = others[0].fault("the solve steps use different passports; a run uses one.")
+        return PassportChoice(faults=(fault,))
+    try:
+        in_use = first.read(copy)
+    except BenchError as error:
+        where = f"{error.where}: " if error.where else ""
+        remedy = f" {error.remedy}" if error.remedy else ""
+        return PassportChoice(steps=frozenset(used), faults=(first.fault(f"{where}{error.what}{remedy}"),))
+    collimator = station.value.collimator
+    differs = in_use.serial is not None and collimator.serial not in (None, in_use.serial)
+    if differs and not in_use.other_accepted:
+        message = (
+            f"the passport belongs to the collimator {in_use.serial}; the station's is {collimator.serial}. Name the "
+            "right passport, or accept this one: solve: {other_collimator: accept}."
+        )
+        return PassportChoice(in_use, frozenset(used), (first.fault(message),))
+    remarks = tuple(first.fault(caution) for caution in in_use.cautions(collimator, today))
+    return PassportChoice(in_use, frozenset(used), remarks=remarks)
+
+
+@dataclass(frozen=True)
+class _Named:
+    """Where a document names a passport, and which."""
+
+    document: Located[Any]
+    path: DocumentPath
+    source: PassportSource
+    file: Path | None
+    certificate: Passport | None
+    other_accepted: bool
+
+    def __hash__(self) -> int:
+        return hash((self.source, self.file))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Named) and (self.source, self.file) == (other.source, other.file)
+
+    def fault(self, message: str) -> Fault:
+        return self.document.fault(self.path, message)
+
+    def read(self, copy: Path | None) -> PassportInUse:
+        """Read the copy if there is one, else the named file; raises UsageError or StorageError."""
+        name = self.file.name if self.file else "certificate"
+        if copy is not None:
+            if not copy.is_file():
+                raise UsageError(
+                    f"The run folder has no {PASSPORT_COPY}, which this run uses.",
+                    where=str(copy),
+                    remedy="Restore it from a copy of the run.",
+                )
+            passport, data = read_passport_file(copy)
+        elif self.file is not None:
+            passport, data = read_passport_file(self.file)
+        else:
+            assert self.certificate is not None
+            passport, data = self.certificate, passport_bytes(self.certificate)
+        return PassportInUse(passport, data, self.source, name, self.other_accepted)
+
+
+def _named(sequence: Located[Sequence], station: Located[Station], step: SolveStep) -> _Named | None:
+    """Return the passport that the documents name for a solve step."""
+    accepted = step.other_collimator == "accept"
+    if step.passport == NO_PASSPORT:
+        return None
+    if step.passport is not None:
+        path = setting_path(sequence, step.path, "passport", "solve")
+        file = sequence.file_at(path, step.passport)
+        return _Named(sequence, path, "sequence", file, None, accepted)
+    collimator = station.value.collimator
+    if step.model == "planar":  # it has no collimator
+        return None
+    if collimator.passport is not None:
+        path = ("collimator", "passport")
+        file = station.file_at(path, collimator.passport)
+        return _Named(station, path, "station", file, None, accepted)
+    if isinstance(collimator.certificate, CertificateConfig):
+        made = certificate_passport(collimator, collimator.certificate)
+        return _Named(station, ("collimator", "certificate"), "station certificate", None, made, accepted)
+    return None
+
+
+def _text(value: Any) -> str | None:
+    """Return a stated fact as text; a passport is written by people too."""
+    return None if value is None or value == "" else str(value)
+
+
+def _date(value: Any) -> date | None:
+    try:
+        return date.fromisoformat(str(value))
+    except ValueError:
+        return None

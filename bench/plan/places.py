@@ -1,0 +1,30 @@
+"""Where a step's setting stands in a sequence file."""
+
+from __future__ import annotations
+
+from sequences.reader import Located
+from sequences.schema import Sequence
+from sequences.tree import DocumentPath
+
+
+def setting_path(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
+    """Return the path of a step's setting in the file.
+
+    Parameters
+    ----------
+    document
+        The sequence.
+    path
+        Path of the step.
+    key
+        Name of the setting.
+    word
+        Word of the step, which names its defaults.
+
+    Returns
+    -------
+    DocumentPath
+        The setting at the step, else in the defaults, else the step itself.
+    """
+    places = ((*path, key), ("defaults", word, key))
+    return next((place for place in places if place in document.tree.values), path)
