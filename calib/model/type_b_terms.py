@@ -7,13 +7,15 @@ calibration (JCGM 100:2008, section 4.3). `calib.uncertainty.type_b` propagates 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
+from calib.model.passport import Passport
+from calib.view import View
 
 Array = NDArray[np.float64]
 
@@ -181,33 +183,46 @@ class TypeBTerm:
         return self.value / self.divisor
 
 
-def target_scale(terms: Sequence[TypeBTerm]) -> float:
-    """Return the factor by which the terms' corrections enlarge the printed target.
+def corrected_views(views: Sequence[View], terms: Sequence[TypeBTerm]) -> list[View]:
+    """Return views whose stars have their true positions on the target, as the terms' corrections give them.
 
     Parameters
     ----------
+    views
+        Views with the nominal positions of the stars.
     terms
-        Terms of the budget.
+        Terms of the budget; those of a scale act here.
 
     Returns
     -------
-    float
-        True over nominal positions of the stars; 1 without corrections.
+    list of View
+        The same views, with a target that is larger or smaller.
     """
-    return float(np.prod([1.0 + term.correction for term in terms if term.kind in SCALES]))
+    scale = _product(terms, SCALES)
+    return [view if scale == 1.0 else replace(view, target_mm=scale * view.target_mm) for view in views]
 
 
-def radius_scale(terms: Sequence[TypeBTerm]) -> float:
-    """Return the factor by which the terms' corrections change the radius of a certificate.
+def corrected_passport(passport: Passport, terms: Sequence[TypeBTerm]) -> Passport:
+    """Return a passport with the radius that the collimator has during the calibration.
 
     Parameters
     ----------
+    passport
+        Passport of the collimator.
     terms
-        Terms of the budget.
+        Terms of the budget; those of a certificate's radius act here.
 
     Returns
     -------
-    float
-        Radius during the calibration over radius of the certificate; 1 without corrections.
+    Passport
+        The same passport if it holds more than the radius: it was then made with the same collimator and target.
     """
-    return float(np.prod([1.0 + term.correction for term in terms if term.kind in RADII]))
+    scale = _product(terms, RADII)
+    if passport.names != ("r",) or scale == 1.0:
+        return passport
+    return replace(passport, values=scale * passport.values)
+
+
+def _product(terms: Sequence[TypeBTerm], kinds: Sequence[TermKind]) -> float:
+    """Return the product of the relative changes that terms of some kinds state as known."""
+    return float(np.prod([1.0 + term.correction for term in terms if term.kind in kinds]))

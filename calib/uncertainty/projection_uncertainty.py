@@ -101,21 +101,54 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
     """
     grid = sensor_grid(camera.image_size, points_across)
     pixels = grid.reshape(-1, 2)
-    rays = camera.rays(pixels)
-    seen = np.isfinite(rays).all(axis=1)
-    _, by_ray, by_parameters = camera.project_with_jacobians(rays[seen])
-    by_turn = -by_ray @ skew(rays[seen])
-    turn = np.linalg.lstsq(by_turn.reshape(-1, 3), by_parameters.reshape(-1, len(covariance)), rcond=None)[0]
-    left = by_parameters - by_turn @ turn
+    left, by_ray, rays, seen = _without_turn(camera, pixels)
     variance = left @ covariance @ np.swapaxes(left, 1, 2)
 
     sigma_px, sigma_arcsec = np.full(len(pixels), np.nan), np.full(len(pixels), np.nan)
     sigma_px[seen] = _larger(variance)
-    across = by_ray @ _across(rays[seen])
+    across = by_ray @ _across(rays)
     to_angle = np.linalg.inv(across)
     sigma_arcsec[seen] = ARCSEC * _larger(to_angle @ variance @ np.swapaxes(to_angle, 1, 2))
     shape = grid.shape[:2]
     return ProjectionMap(grid, sigma_px.reshape(shape), sigma_arcsec.reshape(shape))
+
+
+def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tuple[Array, Array]:
+    """Return how image points over the sensor follow the camera's parameters, without the implied rotation.
+
+    They are the derivatives that `projection_uncertainty` uses.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    points_across
+        Number of grid points along the width of the sensor.
+
+    Returns
+    -------
+    tuple of Array
+        (P, 2) image points of the grid, px, without those beyond the fold of the distortion; (P, 2, K) derivatives, px
+        per unit of each parameter, in the order of `CameraModel.parameter_names`.
+    """
+    pixels = sensor_grid(camera.image_size, points_across).reshape(-1, 2)
+    left, _, _, seen = _without_turn(camera, pixels)
+    return pixels[seen], left
+
+
+def _without_turn(camera: CameraModel, pixels: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Return the derivatives of image points by parameters without the implied rotation, and what they rest on.
+
+    (P, 2, K) derivatives, (P, 2, 3) derivatives by the rays, (P, 3) rays, and (N,) bool, which of the pixels have a
+    ray.
+    """
+    rays = camera.rays(pixels)
+    seen = np.asarray(np.isfinite(rays).all(axis=1))
+    _, by_ray, by_parameters = camera.project_with_jacobians(rays[seen])
+    by_turn = -by_ray @ skew(rays[seen])
+    flat = by_parameters.reshape(-1, by_parameters.shape[2])
+    turn = np.linalg.lstsq(by_turn.reshape(-1, 3), flat, rcond=None)[0]
+    return by_parameters - by_turn @ turn, by_ray, rays[seen], seen
 
 
 def camera_difference(first: CameraModel, second: CameraModel, points_across: int = 33) -> CameraDifference:

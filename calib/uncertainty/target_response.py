@@ -1,0 +1,250 @@
+"""Response of the estimates to displacements of the target, and to a radius that a certificate gives.
+
+Displaced stars move the image points by du, and the estimated parameters follow by H^-1 J^T W du, with the rotations of
+the views eliminated. This linear response holds for every model: a radial term that is estimated takes up most of a
+bow, for example. The sensitivities are therefore those of one calibration, with its views, priors and passport.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import Loss
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.model.type_b_terms import RADII, SCALES, TypeBTerm
+
+Array = NDArray[np.float64]
+
+_MICRO = 1e-6
+
+
+@dataclass(frozen=True)
+class TargetResponse:
+    """Response of the estimates to displacements of the target, and to a held radius.
+
+    Attributes
+    ----------
+    names
+        Names of the G parameters.
+    stars_mm
+        (M, 2) float64 nominal positions of the stars that the views show, mm.
+    axis_mm, r_mm
+        Foot of the collimator's axis on the target, and its radius, mm.
+    shared
+        (G, 3, M) float64 change of each parameter by the displacement of a star along X, Y and Z, per mm.
+    turns
+        (3 n, 3, M) float64 change of the rotation vectors of n views on the camera's side, rad / mm.
+    shared_by_radius, turns_by_radius
+        (G,) and (3 n,) float64 changes by a relative change of 1 of the radius of a certificate; zero if no certificate
+        determines the radius.
+    has_certificate
+        Whether a certificate determines the radius.
+    """
+
+    names: tuple[str, ...]
+    stars_mm: Array
+    axis_mm: tuple[float, float]
+    r_mm: float
+    shared: Array
+    turns: Array
+    shared_by_radius: Array
+    turns_by_radius: Array
+    has_certificate: bool
+
+    def by_term(self, term: TypeBTerm) -> tuple[Array, Array]:
+        """Return the response to a term by one unit of its value.
+
+        Parameters
+        ----------
+        term
+            A term that is not random from star to star: any kind but ``wavefront``.
+
+        Returns
+        -------
+        tuple of Array
+            (G,) changes of the parameters and (3 n,) changes of the rotation vectors, rad, per unit of the term.
+        """
+        if term.kind in RADII:
+            return self.shared_by_radius, self.turns_by_radius
+        displaced = self._displacements(term)
+        return np.einsum("gkm,mk->g", self.shared, displaced), np.einsum("gkm,mk->g", self.turns, displaced)
+
+    def _displacements(self, term: TypeBTerm) -> Array:
+        """Return (M, 3) displacements of the stars, mm, by one unit of a term.
+
+        A scale displaces a star along its position vector. A bow is a paraboloid about the collimator's axis; that of
+        another axis differs by a shift and a tilt of the target only.
+        """
+        displaced = np.zeros((len(self.stars_mm), 3))
+        if term.kind in SCALES:
+            displaced[:, :2] = self.stars_mm
+        elif term.kind == "print_bow" and term.radius_mm is not None:
+            displaced[:, 2] = ((self.stars_mm - self.axis_mm) ** 2).sum(axis=1) / term.radius_mm**2
+        return displaced
+
+    def by_wavefront(self, term: TypeBTerm) -> tuple[Array, Array]:
+        """Return the covariance of the estimates by random slopes of the wavefront of 1 urad RMS.
+
+        Own model. The wavefront is a Gaussian random field over the beam with a Gaussian correlation function, so its
+        slopes are a random field without curl, alike over the correlation length. A slope s displaces a star by r s on
+        the target, in all views alike. The RMS is that over the stars after subtraction of the mean slope.
+
+        Parameters
+        ----------
+        term
+            A term of the kind ``wavefront``.
+
+        Returns
+        -------
+        tuple of Array
+            (G, G) covariance of the parameters and (3 n, 3 n) of the rotation vectors, rad^2, per urad^2.
+        """
+        length = term.correlation_mm or 0.5 * self.star_radius_mm
+        away = (self.stars_mm[:, None] - self.stars_mm) / length
+        alike = np.exp(-0.5 * (away**2).sum(axis=2))
+        blocks = [[((a == b) - away[:, :, a] * away[:, :, b]) * alike for b in (0, 1)] for a in (0, 1)]
+        count = len(self.stars_mm)
+        mean_square = sum(np.trace(own[i]) / count - own[i].mean() for i, own in enumerate(blocks))
+        # One star alone has no slope besides the mean.
+        scale = (_MICRO * self.r_mm) ** 2 / mean_square if mean_square > 0 else 0.0
+        answers = []
+        for each in (self.shared, self.turns):
+            pairs = ((each[:, a] @ blocks[a][b] @ each[:, b].T) for a in (0, 1) for b in (0, 1))
+            answers.append(scale * np.asarray(sum(pairs)))
+        return answers[0], answers[1]
+
+    @property
+    def star_radius_mm(self) -> float:
+        """Largest distance of a star from the middle of all stars, mm."""
+        return float(np.linalg.norm(self.stars_mm - self.stars_mm.mean(axis=0), axis=1).max())
+
+
+def target_response(
+    bundle: Bundle,
+    parameters: AdjustmentParameters,
+    loss: Loss,
+    names: Sequence[str],
+    information: Array | None = None,
+) -> TargetResponse:
+    """Return the response of the estimates to displacements of the target, at the optimum.
+
+    Linear propagation (JCGM 100:2008, section 5.1.3) through the normal equations, with local parameters eliminated by
+    the Schur complement (Triggs et al., 2000, section 6.1). Parameters that a passport holds do not respond.
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted.
+    parameters
+        Its optimum.
+    loss
+        Loss with the limit that the adjustment ended with.
+    names
+        Names of the parameters of which the response is wanted: the free ones of the bundle, and those held.
+    information
+        (G, G) information on the free parameters, in the order of the bundle's names, times the noise variance; None
+        for that of the bundle.
+
+    Returns
+    -------
+    TargetResponse
+        The response; that of a held parameter is zero, except to its own change.
+    """
+    obs = bundle.observations
+    residuals = bundle.weighted_residuals(parameters)
+    root = loss.curvature_root(residuals)
+    equations = bundle.normal_equations(parameters, residuals, root)
+    weight = obs.whitening if root is None else root @ obs.whitening
+    square = np.swapaxes(weight, 1, 2) @ weight
+    stars, index = np.unique(obs.target[:, :2], axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    count, views = len(bundle.names), len(obs.slices)
+    shared = np.zeros((count, 3, len(stars)))
+    local = np.zeros((views, equations.local.shape[1], 3, len(stars)))
+    # A displacement of a star moves its image as the centre does, with the opposite sign; the centre has Z = -r.
+    moving = replace(bundle, names=("x", "y", "r"), prior=None, free_centres=False)
+    derivatives = zip(obs.slices, bundle.jacobians(parameters), moving.jacobians(parameters), strict=True)
+    for i, (rows, jacobian, moves) in enumerate(derivatives):
+        along = moves[:3] * np.array([-1.0, -1.0, 1.0])[:, None, None]
+        weighted = np.einsum("mij,kjm->kim", square[rows], along)
+        gradients = np.einsum("gim,kim->gkm", jacobian, weighted)
+        local[i][:, :, index[rows]] = gradients[count:]
+        eliminated = np.linalg.solve(equations.local[i], gradients[count:].reshape(len(jacobian) - count, -1))
+        shared[:, :, index[rows]] += gradients[:count] - (equations.coupling[i] @ eliminated).reshape(
+            count, 3, -1
+        )
+    information = equations.reduced() if information is None else information
+    free = _solved(information, shared.reshape(count, -1)).reshape(shared.shape)
+    turns = _turns(equations.local, equations.coupling, local, free)
+    r = parameters.collimator.r
+    by_radius, has_certificate = _radius_gradient(bundle, names, free, information, r)
+    own = np.zeros(len(names))
+    if has_certificate and "r" not in bundle.names:
+        own[list(names).index("r")] = r
+    # A radius with a prior moves the rotations only through the other parameters.
+    turns_by_radius = -r * turns[:, 2].sum(axis=1)
+    if "r" in bundle.names:
+        still = np.zeros((*local.shape[:2], 1, 1))
+        turns_by_radius = _turns(equations.local, equations.coupling, still, by_radius[:, None, None])[
+            :, 0, 0
+        ]
+    return TargetResponse(
+        tuple(names),
+        stars,
+        (parameters.collimator.x, parameters.collimator.y),
+        r,
+        _spread(free, bundle.names, names),
+        turns,
+        own + _spread(by_radius, bundle.names, names),
+        turns_by_radius if has_certificate else np.zeros(len(turns)),
+        has_certificate,
+    )
+
+
+def _radius_gradient(
+    bundle: Bundle, names: Sequence[str], free: Array, information: Array, r: float
+) -> tuple[Array, bool]:
+    """Return the change (G,) of the free parameters by a relative change of the certificate's radius.
+
+    A held radius that grows acts as a target that moves towards the camera. A radius with a prior follows the mean of
+    the prior. The second entry is whether there is a certificate: a passport that holds or gives the radius alone.
+    """
+    held = [name for name in names if name not in bundle.names]
+    if held == ["r"]:
+        return -r * free[:, 2].sum(axis=1), True
+    prior = bundle.prior
+    if "r" in bundle.names and prior is not None and "r" in prior.names:
+        at = [bundle.names.index(name) for name in prior.names]
+        gradient = np.zeros((len(bundle.names), 1))
+        gradient[at, 0] = bundle.noise_variance * prior.information[:, prior.names.index("r")] * r
+        return _solved(information, gradient)[:, 0], True
+    return np.zeros(len(bundle.names)), False
+
+
+def _turns(local: Array, coupling: Array, gradients: Array, shared: Array) -> Array:
+    """Return (3 n, 3, M) the response of the rotations, by back-substitution (Triggs et al., 2000, section 6.1)."""
+    right = gradients - np.einsum("ngl,gkm->nlkm", coupling, shared)
+    answer = np.linalg.solve(local, right.reshape(*right.shape[:2], -1)).reshape(right.shape)
+    return np.asarray(answer[:, :3].reshape(-1, *right.shape[2:]))
+
+
+def _solved(information: Array, right: Array) -> Array:
+    """Solve the normal equations for the columns of `right`, scaled to a unit diagonal (van der Sluis, 1969)."""
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return np.asarray(
+        scale[:, None] * np.linalg.solve(information * np.outer(scale, scale), scale[:, None] * right)
+    )
+
+
+def _spread(values: Array, own: Sequence[str], names: Sequence[str]) -> Array:
+    """Return values of some parameters in the order of all names; zeros for the others."""
+    spread = np.zeros((len(names), *values.shape[1:]))
+    for name, value in zip(own, values, strict=True):
+        if name in names:
+            spread[list(names).index(name)] = value
+    return spread

@@ -1,0 +1,131 @@
+"""Rows of the uncertainty budget, their sums, and what is not included."""
+
+import numpy as np
+import pytest
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.observations import Observations
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.engine import CalibrationOptions
+from calib.fit import fit_model
+from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER
+from calib.model.passport import Passport
+from calib.model.type_b_terms import TypeBTerm
+from calib.uncertainty.budget_parts import covariance_parts
+from calib.uncertainty.budget_rows import budget_rows, not_included
+from calib.uncertainty.projection_uncertainty import projection_uncertainty
+from calib.uncertainty.type_b import apply_budget, forecast_budget
+
+CERTIFICATE = Passport.of_radius(255.0, 0.05)
+SCALE = TypeBTerm("scale of the print", "print_scale", 20e-6, "drawing 4711", "rectangular")
+BOW = TypeBTerm("bow", "print_bow", 0.01, "maker", "triangular", radius_mm=40.0)
+WAVES = TypeBTerm("wavefront", "wavefront", 5.0, "interferometer")
+
+
+def fitted(bench, model="spherical", passport=None):
+    options = CalibrationOptions(loss="l2", model=model, passport=passport)
+    return fit_model(bench.views(np.random.default_rng(31), 0.02), options, model)
+
+
+def budget_of(fit, terms):
+    applied = apply_budget(fit.bundle, fit.parameters, fit.loss, fit.uncertainty, terms)
+    parts = covariance_parts(fit.bundle, fit.parameters, fit.loss, fit.uncertainty)
+    return applied, budget_rows(fit.parameters.camera, applied, parts)
+
+
+@pytest.mark.parametrize("passport", [None, CERTIFICATE], ids=["free", "certificate"])
+@pytest.mark.parametrize("model", ["spherical", "radial"])
+def test_the_squares_of_the_contributions_add_up_to_those_of_the_result(bench, model, passport):
+    fit = fitted(bench, model, passport)
+    applied, rows = budget_of(fit, [SCALE, BOW, WAVES])
+    names, covariance = list(applied.uncertainty.names), applied.uncertainty.covariance
+    at = [names.index(name) for name in fit.parameters.camera.parameter_names]
+    sigmas = {name: covariance[names.index(name), names.index(name)] ** 0.5 for name in ROW_QUANTITIES[:4]}
+    sigmas[WORST_CORNER] = projection_uncertainty(fit.parameters.camera, covariance[np.ix_(at, at)]).worst_px
+    for name, sigma in sigmas.items():
+        assert np.linalg.norm([row.contribution[name] for row in rows]) == pytest.approx(sigma, rel=1e-6)
+        assert sum(row.share[name] for row in rows) == pytest.approx(1)
+
+
+def test_a_row_holds_value_divisor_sensitivity_and_contribution(bench):
+    _, rows = budget_of(fitted(bench, passport=CERTIFICATE), [SCALE, BOW, WAVES])
+    by_name = {row.name: row for row in rows}
+    scale = by_name["scale of the print"]
+    assert (scale.type, scale.value, scale.distribution, scale.source) == (
+        "B",
+        20e-6,
+        "rectangular",
+        "drawing 4711",
+    )
+    assert scale.divisor == pytest.approx(3**0.5)
+    assert scale.sensitivity["fx"] == pytest.approx(3345, rel=0.02)
+    for row in (scale, by_name["bow"], by_name["wavefront"], by_name["passport of the collimator"]):
+        for name in ROW_QUANTITIES:
+            expected = row.value / row.divisor * abs(row.sensitivity[name])
+            # The corner of a split covariance is that of the total; its parts are scaled to add up.
+            assert row.contribution[name] == pytest.approx(expected, rel=0.02, abs=1e-6)
+    assert by_name["bow"].unit == "mm at 40 mm"
+    assert by_name["passport of the collimator"].value == pytest.approx(0.05)
+    assert (by_name["stars"].type, by_name["stars"].sensitivity) == ("A", {})
+
+
+def test_the_source_of_a_row_can_be_named(bench):
+    fit = fitted(bench, passport=CERTIFICATE)
+    applied, _ = budget_of(fit, [])
+    parts = covariance_parts(fit.bundle, fit.parameters, fit.loss, fit.uncertainty)
+    rows = budget_rows(
+        fit.parameters.camera, applied, parts, {"passport of the collimator": "certificate 12-3"}
+    )
+    assert [row.source for row in rows if row.name == "passport of the collimator"] == ["certificate 12-3"]
+
+
+def test_what_nobody_stated_is_named_with_its_effect_on_these_views(bench, make_bench):
+    applied, _ = budget_of(fitted(bench), [SCALE])
+    camera = fitted(bench).parameters.camera
+    lines = not_included(camera, applied)
+    assert [line.split(":")[0] for line in lines] == [
+        "bow of the print",
+        "thermal expansion of the print",
+        "slopes of the collimator's wavefront",
+    ]
+    assert "would move fx by" in lines[0]
+    assert "less than 0.005 px" in lines[1]
+    narrow, _ = budget_of(fitted(make_bench(half_angle_deg=5)), [SCALE])
+    assert not_included(camera, narrow)[0] != lines[0]
+
+
+def test_with_a_certificate_its_own_sources_are_asked_for(bench):
+    fit = fitted(bench, passport=CERTIFICATE)
+    applied, rows = budget_of(fit, [])
+    assert rows[-1].name == "effective radius"
+    assert rows[-1].contribution["fx"] == pytest.approx(2.0, rel=0.03)
+    lines = not_included(fit.parameters.camera, applied)
+    assert any(line.startswith("thermal expansion of the collimator since its certificate") for line in lines)
+    assert not any("over the beam" in line for line in lines)
+
+
+def test_a_stated_term_without_effect_is_named(bench):
+    effective = TypeBTerm("effective radius", "effective_radius", 6e-4, "simulation")
+    fit = fitted(bench)
+    applied, rows = budget_of(fit, [effective])
+    assert "effective radius" not in [row.name for row in rows]
+    assert "has no effect" in not_included(fit.parameters.camera, applied)[-1]
+
+
+@pytest.mark.parametrize("passport", [None, CERTIFICATE], ids=["free", "certificate"])
+def test_the_forecast_from_predicted_views_is_the_budget_of_a_run(bench, passport):
+    fit = fitted(bench, passport=passport)
+    _, rows = budget_of(fit, [SCALE, BOW, WAVES])
+    views = bench.views(np.random.default_rng(1), 0.02)
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
+    bundle = Bundle(Observations.from_views(views), names)
+    parameters = AdjustmentParameters(
+        fit.parameters.camera, fit.parameters.collimator, bench.rotations, np.zeros((len(views), 3))
+    )
+    residuals = np.zeros((len(bundle.observations.view), 2))
+    information = bundle.normal_equations(parameters, residuals).reduced()
+    expected, parts = forecast_budget(bundle, parameters, information, passport, [SCALE, BOW, WAVES])
+    found = budget_rows(parameters.camera, expected, parts)
+    assert [row.name for row in found] == [row.name for row in rows]
+    for own, other in zip(found, rows, strict=True):
+        assert own.contribution["fx"] == pytest.approx(other.contribution["fx"], rel=0.05, abs=1e-3)
