@@ -103,7 +103,17 @@ class Bench:
             stack.callback(frame_camera.close)
             self._write_truth()
             self._bench_parts = BenchParts(
-                stage.controllers, ports, lines, stage.ports, light, lamp, camera, clock, frame_camera
+                stage.controllers,
+                ports,
+                lines,
+                stage.ports,
+                light,
+                lamp,
+                camera,
+                clock,
+                frame_camera,
+                self.world,
+                self.world.truth.mount.shift_mm,
             )
             self.endpoints = {name: port.address for name, port in ports.items()}
             self.endpoints |= {"camera": camera.address, "frame-camera": frame_camera.address}

@@ -16,6 +16,7 @@ import numpy as np
 
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import FaultOrder, fault_order
+from simulators.world.gimbal import GimbalTruth
 from simulators.world.truth import Truth
 from simulators.world.truth_config import truth_from_config
 from simulators.world.world import AxisName
@@ -51,7 +52,7 @@ class AxisConfig:
     settle_s
         Time constant of the load settling after a move.
     backlash_deg
-        Play of the gear.
+        Play of the gear; section ``gimbal`` may give it instead.
     encoder
         Whether there is an encoder on the shaft.
     """
@@ -137,12 +138,13 @@ class BenchConfig:
         Returns
         -------
         Truth
-            With the mounting drawn from the seed, if the configuration asks for that, and with this seed for the
-            gimbal's errors, unless they have their own.
+            With the mounting drawn from the seed, if the configuration asks for that; with this seed for the gimbal's
+            errors, unless they have their own; and with the backlash of the axes.
         """
-        truth = self.truth
-        if truth.gimbal.seed == 0:
-            truth = replace(truth, gimbal=replace(truth.gimbal, seed=seed))
+        gimbal, axes = self.truth.gimbal, self.axes
+        pan, tilt, roll = (axes[name].backlash_deg if name in axes else 0.0 for name in _AXES)
+        gimbal = replace(gimbal, seed=gimbal.seed or seed, backlash_deg=(pan, tilt, roll))
+        truth = replace(self.truth, gimbal=gimbal)
         if not self.mounting_from_seed:
             return truth
         drawn = np.random.default_rng((seed, _MOUNTING_STREAM)).normal(_MOUNTING_DEG, _MOUNTING_SPREAD_DEG)
@@ -202,10 +204,11 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
         )
     stage_kind, axes = _stage(given["stage"], default.axes) if "stage" in given else ("zaber", default.axes)
     light = _section("light", default.light, given.get("light", {}))
+    truth = truth_from_config(given)
     return BenchConfig(
-        truth=truth_from_config(given),
+        truth=truth,
         stage_kind=stage_kind,
-        axes=axes,
+        axes=_with_backlash(given.get("stage", {}), axes, truth.gimbal),
         light=replace(light, kind=_one_of(LIGHT_KINDS, light.kind, "light.kind")),
         faults=tuple(_order(index, one) for index, one in enumerate(orders)),
         camera_serial=_like(default.camera_serial, given.get("camera_serial", "00050423"), "camera_serial"),
@@ -214,6 +217,23 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
         ports=_one_of(_PORTS, given.get("ports", default.ports), "ports"),
         paced=_like(default.paced, given.get("paced", True), "paced"),
     )
+
+
+def _with_backlash(
+    stage: Mapping[str, Any], axes: Mapping[AxisName, AxisConfig], gimbal: GimbalTruth
+) -> Mapping[AxisName, AxisConfig]:
+    """Return the axes with the backlash of section ``gimbal``; an axis's own key gives it alike, but not both."""
+    play = dict(zip(_AXES, gimbal.backlash_deg, strict=True))
+    if not any(play.values()):
+        return axes
+    for name, section in stage.items():
+        if isinstance(section, Mapping) and "backlash_deg" in section:
+            raise ConfigError(
+                "The backlash is given twice, here and in section gimbal.",
+                where=f"stage.{name}.backlash_deg",
+                remedy="Remove this key, and give gimbal.backlash_deg by axis.",
+            )
+    return {name: replace(axis, backlash_deg=play[name]) for name, axis in axes.items()}
 
 
 def _order(index: int, given: Mapping[str, Any]) -> FaultOrder:

@@ -2,7 +2,8 @@
 
 It serves rehearsals on a virtual clock, in which a night passes in seconds: no pixels, no events, no devices. Star
 centres come from the optics of the simulated bench, with noise added. The camera warms up and follows its room, and
-the lens follows the camera. The same seed, pose and moment give the same stars.
+the lens follows the camera. The same seed, pose and moment give the same stars; with backlash, the direction from which
+each axis came matters too.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from numpy.typing import NDArray
 from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError
 from simulators.optics.picture import star_centres, true_rotation
+from simulators.world.gimbal import load_angles_deg
 from simulators.world.truth import Truth
+from simulators.world.world import mount_at
 
 Mishap = Literal["", "covered", "lost"]
 
@@ -106,6 +109,18 @@ class RehearsedWorld:
         self.bench: BenchConfig = bench_config(config)
         self._truth = self.bench.truth_for(seed)
         self._seed = seed
+        self._read_deg: dict[str, float] = {}
+        self._sides: dict[str, float] = {}
+
+    def shift_camera(self, shift_mm: tuple[float, float]) -> None:
+        """Move the camera across the beam, before the next recording.
+
+        Parameters
+        ----------
+        shift_mm
+            Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces an earlier one.
+        """
+        self._truth = mount_at(self._truth, shift_mm)
 
     def temperature_c(self, on_s: float) -> float:
         """Return the temperature of the camera.
@@ -147,7 +162,7 @@ class RehearsedWorld:
         Parameters
         ----------
         angles_deg
-            Angles of the axes by name.
+            Angles of the axes by name, as read.
         on_s
             Time since the camera was switched on.
         before
@@ -161,7 +176,7 @@ class RehearsedWorld:
         drawn = np.random.default_rng((self._seed, before, *_words(angles_deg), round(on_s * 1000)))
         mishap = self._mishap(float(drawn.random()))
         truth = self.truth(on_s)
-        rotation = true_rotation(angles_deg, truth)
+        rotation = true_rotation(self._load_angles_deg(angles_deg), truth)
         ids, points = star_centres(truth, rotation, clearance=_CLEARANCE_SQUARES, border_px=_BORDER_PX)
         if mishap == "lost":
             ids, points = ids[:0], points[:0]
@@ -169,6 +184,15 @@ class RehearsedWorld:
             ids, points = ids[:_COVERED_STARS], points[:_COVERED_STARS]
         noisy = points + drawn.normal(0.0, self.night.star_sigma_px, points.shape)
         return RehearsedView(ids, noisy, self.night.star_sigma_px, self.temperature_c(on_s), mishap)
+
+    def _load_angles_deg(self, angles_deg: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the angles of the loads, which came from the angles of the recording before; at first from 0."""
+        for name, angle in angles_deg.items():
+            way = angle - self._read_deg.get(name, 0.0)
+            if way != 0.0:
+                self._sides[name] = math.copysign(1.0, way)
+            self._read_deg[name] = angle
+        return load_angles_deg(angles_deg, self._sides, self._truth.gimbal)
 
     def _mishap(self, lot: float) -> Mishap:
         if lot < self.night.lost_share:

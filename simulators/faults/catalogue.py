@@ -1,6 +1,6 @@
 """Catalogue of the faults that the simulated bench can inject, and the format of an order for a fault.
 
-An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera or frame-camera),
+An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera, frame-camera or mount),
 ``fault``, optionally ``after_s``, and parameters of the fault. The same order as text is ``pan stall share=0.3``.
 This module checks orders against the catalogue; `fault_injection` carries them out.
 """
@@ -121,6 +121,12 @@ _FRAME_CAMERA: Final[Mapping[str, Fault]] = {
 }
 
 
+MOUNT_FAULTS: Final[Mapping[str, Fault]] = {
+    "shift": Fault("somebody moves the camera across the beam", {"x_mm": 0.0, "y_mm": 0.0}),
+    "mend": Fault("moves the camera back to where it stood at the start", {}),
+}
+
+
 @dataclass(frozen=True)
 class FaultOrder:
     """An order for one fault, checked against the catalogue.
@@ -165,6 +171,7 @@ def faults_of(device: str) -> Mapping[str, Fault]:
         "light": {**LIGHT_FAULTS, **LINE_FAULTS},
         "camera": CAMERA_FAULTS,
         "frame-camera": _FRAME_CAMERA,
+        "mount": MOUNT_FAULTS,
     }
     if device not in by_device:
         raise ConfigError(

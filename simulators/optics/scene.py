@@ -6,6 +6,7 @@ This module selects one of the two by the truth, and computes the pose of the sc
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -44,7 +45,7 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
     rotation = optics.true_rotation(angles_deg, truth)
     if truth.screen.columns == 0:
         return optics.render(truth, rotation, subsamples=subsamples)
-    board, (turn, position) = board_of(truth.screen), board_pose(truth.screen, rotation)
+    board, (turn, position) = board_of(truth.screen), board_pose(_screen_of(truth), rotation)
     psf = truth.optics.psf_px
     image = render_board(board, truth.camera, turn, position, psf_px=psf, subsamples=subsamples)
     return np.asarray(image + np.float32(truth.optics.stray))
@@ -66,7 +67,13 @@ def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
         Image points, px, row by row.
     """
     rotation = optics.true_rotation(angles_deg, truth)
-    return project_board(board_of(truth.screen), truth.camera, *board_pose(truth.screen, rotation))
+    return project_board(board_of(truth.screen), truth.camera, *board_pose(_screen_of(truth), rotation))
+
+
+def _screen_of(truth: Truth) -> ScreenTruth:
+    """Return the screen as the shifted camera sees it: it stands against the camera's shift."""
+    (x, y), (right, down, away) = truth.mount.shift_mm, truth.screen.position_mm
+    return replace(truth.screen, position_mm=(right - x, down - y, away))
 
 
 def board_of(screen: ScreenTruth) -> Checkerboard:

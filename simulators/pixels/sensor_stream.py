@@ -4,9 +4,10 @@ This module connects the world, the scene, the pixels and the words, in frames o
 socket.
 
 The content of a stream is a function of the seed, the resting pose, the settings of light and camera, and the number
-of earlier streams with exactly these; where they are simulated, also of the camera's temperature and the mount's drift.
-It does not depend on the moment of the request. For this, the sensor starts up to one period of the light after the
-request, when the light has the phase that was drawn from the seed; the light thus remains one physical clock.
+of earlier streams with exactly these; where they are simulated, also of the camera's temperature, and of the mount's
+drift and shift. It does not depend on the moment of the request. For this, the sensor starts up to one period of the
+light after the request, when the light has the phase that was drawn from the seed; the light thus remains one physical
+clock.
 
 The sensor's clock continues from stream to stream. A stream begins at a multiple of 102.4 ms, so that its words are the
 same at any time, except for the upper part of the clock.
@@ -30,7 +31,7 @@ from simulators.pixels.event_filters import FILTERS, EventFilters
 from simulators.pixels.evt3_writer import Evt3Writer
 from simulators.pixels.sensor import Sensor
 from simulators.world import mount, temperature
-from simulators.world.world import AxisName, LightState, World
+from simulators.world.world import AxisName, LightState, World, mount_at
 
 FRAME_US: Final = 2000
 """Sensor time of a frame, us."""
@@ -141,11 +142,13 @@ class SensorStream:
         now_s = self.covered_s
         angles = self._angles_now()
         light = self._world.light(now_s)
-        if angles == self._angles and light == self._light:
+        truth = mount_at(self._truth, self._world.camera_shift_mm(now_s))
+        moved = angles != self._angles or truth is not self._truth
+        if not moved and light == self._light:
             return
         picture = None
-        if angles != self._angles:
-            self._angles = angles
+        if moved:
+            self._angles, self._truth = angles, truth
             picture = self._picture(moving=True)
         if light != self._light:
             self._light = light
@@ -208,7 +211,8 @@ def sync_edges(
 def stream_key(world: World, camera: CameraState, at_s: float) -> str:
     """Return the text from which a stream's content is seeded.
 
-    It holds resting pose, light and camera settings; also temperature and drift of the mount, if they are simulated.
+    It holds resting pose, light and camera settings; also temperature, drift and shift of the mount, if they are
+    simulated.
 
     Parameters
     ----------
@@ -236,6 +240,8 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
         key["temperature_c"] = world.temperature_c(at_s)
     if mount.has_motion(world.truth.mount):
         key["crept"] = mount.drift_since_on_arcsec(world.truth.mount, world.on_s(at_s))
+    if (shift_mm := world.camera_shift_mm(at_s)) != (0.0, 0.0):
+        key["shift_mm"] = shift_mm
     return json.dumps(key, sort_keys=True)
 
 

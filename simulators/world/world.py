@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 import threading
 import time
-from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Generic, Literal, TypeVar
+from typing import Literal
 
-from simulators.errors import SimulationMisuse
 from simulators.world import temperature
+from simulators.world.history import History
 from simulators.world.sync_line import SyncLine
 from simulators.world.truth import Truth
 
@@ -155,37 +154,6 @@ class LightState:
         )
 
 
-_State = TypeVar("_State")
-
-
-class _History(Generic[_State]):
-    """A state over time: the state at a past moment can be looked up."""
-
-    def __init__(self, first: _State) -> None:
-        self._since: list[float] = [-math.inf]
-        self._states: list[_State] = [first]
-
-    def append(self, since_s: float, state: _State) -> None:
-        """Set the state from a moment on, which is not earlier than the previous one's."""
-        if since_s < self._since[-1]:
-            raise SimulationMisuse(
-                f"A state at {since_s} s cannot follow one at {self._since[-1]} s.",
-                remedy="Set states in order of time.",
-            )
-        self._since.append(since_s)
-        self._states.append(state)
-
-    def at(self, t_s: float) -> _State:
-        """Return the state at a moment."""
-        return self._states[bisect_right(self._since, t_s) - 1]
-
-    def forget_before(self, t_s: float) -> None:
-        """Drop states that ended before a moment."""
-        first = bisect_right(self._since, t_s) - 1
-        del self._since[:first]
-        del self._states[:first]
-
-
 class World:
     """Physical state of the simulated bench.
 
@@ -218,8 +186,9 @@ class World:
         self._clock = clock
         self._on_since_s = clock()
         self._lock = threading.Lock()
-        self._axes: dict[AxisName, _History[AxisMotion]] = {}
-        self._light = _History(LightState())
+        self._axes: dict[AxisName, History[AxisMotion]] = {}
+        self._light = History(LightState())
+        self._shift_mm = History(self.truth.mount.shift_mm)
 
     def now_s(self) -> float:
         """Return the world time.
@@ -249,7 +218,7 @@ class World:
         with self._lock:
             since = self.now_s() if since_s is None else since_s
             if name not in self._axes:
-                self._axes[name] = _History(motion)
+                self._axes[name] = History(motion)
                 return
             self._axes[name].append(since, motion)
             self._axes[name].forget_before(since - self.HISTORY_S)
@@ -270,7 +239,38 @@ class World:
             self._light.append(since, state)
             self._light.forget_before(since - self.HISTORY_S)
 
+    def shift_camera(self, shift_mm: tuple[float, float], *, since_s: float | None = None) -> None:
+        """Move the camera across the beam.
+
+        Parameters
+        ----------
+        shift_mm
+            Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces an earlier one.
+        since_s
+            World time of the move; None: now. A time before the previous move's is refused with `SimulationMisuse`.
+        """
+        with self._lock:
+            since = self.now_s() if since_s is None else since_s
+            self._shift_mm.append(since, shift_mm)
+            self._shift_mm.forget_before(since - self.HISTORY_S)
+
     # ------------------------------------------------------------- read by the camera
+
+    def camera_shift_mm(self, t_s: float) -> tuple[float, float]:
+        """Return where the camera stands across the beam at a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        tuple of float
+            Displacement along the target's X and Y, mm.
+        """
+        with self._lock:
+            return self._shift_mm.at(t_s)
 
     def angles_deg(self, t_s: float) -> Mapping[AxisName, float]:
         """Return the angles of all axes at a time.
@@ -374,7 +374,7 @@ class World:
         return temperature.temperature_c(self.truth.thermal, self.on_s(t_s))
 
     def truth_at(self, t_s: float) -> Truth:
-        """Return the truth at the temperature of a time.
+        """Return the truth at the temperature of a time, with the camera where it stands then.
 
         Parameters
         ----------
@@ -384,6 +384,27 @@ class World:
         Returns
         -------
         Truth
-            With focal lengths of that temperature.
+            With focal lengths of that temperature, and with the shift of the camera.
         """
-        return temperature.truth_at_temperature(self.truth, self.temperature_c(t_s))
+        truth = temperature.truth_at_temperature(self.truth, self.temperature_c(t_s))
+        return mount_at(truth, self.camera_shift_mm(t_s))
+
+
+def mount_at(truth: Truth, shift_mm: tuple[float, float]) -> Truth:
+    """Return the truth with the camera at another place across the beam.
+
+    Parameters
+    ----------
+    truth
+        All parameters.
+    shift_mm
+        Displacement along the target's X and Y, mm.
+
+    Returns
+    -------
+    Truth
+        The same object if the camera stands there already.
+    """
+    if shift_mm == truth.mount.shift_mm:
+        return truth
+    return replace(truth, mount=replace(truth.mount, shift_mm=shift_mm))

@@ -186,11 +186,20 @@ def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
     assert os.path.lexists(endpoints["gimbal"])
     assert say("roll stall") == {
         "ok": False,
-        "error": "device: This bench has no device 'roll'. Use one of: pan, tilt, gimbal, light, camera, frame-camera.",
+        "error": "device: This bench has no device 'roll'. "
+        "Use one of: pan, tilt, gimbal, light, camera, frame-camera, mount.",
     }
     assert not say("{")["ok"]
     assert not say("gimbal replaced pattern=(")["ok"]
     assert not say("light dim factor=-1")["ok"]
+    assert say("mount shift x_mm=3 y_mm=-1") == {
+        "ok": True,
+        "device": "mount",
+        "fault": "shift",
+        "after_s": 0.0,
+        "x_mm": 3.0,
+        "y_mm": -1.0,
+    }
     _, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (0, "")
 
@@ -210,6 +219,30 @@ def test_faults_of_the_configuration_happen(tmp_path):
         deadline = time.monotonic() + 10.0
         while bench.world.light(bench.world.now_s()).high > 0.0:
             assert time.monotonic() < deadline
+
+
+def test_the_configuration_can_shift_the_camera_during_a_run_and_the_truth_file_names_its_errors(tmp_path):
+    config = {
+        "gimbal": {"scale": 1e-3, "backlash_deg": {"pan": 0.02}},
+        "mount": {"shift_mm": [0.5, 0]},
+        "reticle": {"bow_mm": 0.01},
+        "collimator": "like-bench",
+        "faults": [{"device": "mount", "fault": "shift", "x_mm": 3, "after_s": 0.3}],
+    }
+    with Bench(tmp_path, bench_config(config), seed=6) as bench:
+        truth = json.loads(bench.truth_path.read_text(encoding="utf-8"))
+        assert truth["gimbal"]["scale"] == {"pan": 1e-3, "tilt": 1e-3, "roll": 1e-3}
+        assert truth["gimbal"]["backlash_deg"] == {"pan": 0.02, "tilt": 0.0, "roll": 0.0}
+        assert truth["gimbal"]["seed"] == 6
+        assert truth["mount"]["shift_mm"] == [0.5, 0.0]
+        assert truth["reticle"] == {"bow_mm": 0.01, "bow_radius_mm": 40.0, "print_scale": 0.0}
+        assert truth["collimator"]["disc_walk"] == [-2.0, -2.0]
+        shift = bench.world.camera_shift_mm
+        assert shift(bench.world.now_s() - 60.0) == (0.5, 0.0)
+        deadline = time.monotonic() + 10.0
+        while shift(bench.world.now_s()) != (3.0, 0.0):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
 
 
 def test_commands_at_the_ports_change_the_world(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +48,14 @@ class Camera:
         self.calls.append(message)
 
 
+class Mount:
+    def __init__(self) -> None:
+        self.shift_mm = (0.5, 0.0)
+
+    def shift_camera(self, shift_mm: tuple[float, float]) -> None:
+        self.shift_mm = shift_mm
+
+
 class Bench:
     """The parts of a bench without ports, on a clock that the test advances."""
 
@@ -60,12 +69,22 @@ class Bench:
         self.dialects = {**stage.dialects, "light": light}
         self.ports = {name: Port() for name in self.dialects}
         self.camera = Camera()
+        self.mount = Mount()
         lines = {
             name: FaultLine(one, lambda: self.now_s, np.random.default_rng(1))
             for name, one in self.dialects.items()
         }
         self.parts = BenchParts(
-            stage.controllers, self.ports, lines, stage.ports, light, lamp, self.camera, lambda: self.now_s
+            stage.controllers,
+            self.ports,
+            lines,
+            stage.ports,
+            light,
+            lamp,
+            self.camera,
+            lambda: self.now_s,
+            mount=self.mount,
+            start_shift_mm=self.mount.shift_mm,
         )
 
     def order(self, text: str) -> None:
@@ -169,10 +188,28 @@ def test_faults_of_the_camera_reach_it(bench: Bench):
     assert not bench.camera.stream_faults.overflows
 
 
+def test_somebody_moves_the_camera_across_the_beam_and_back(bench: Bench):
+    bench.order("mount shift x_mm=3 y_mm=-0.5")
+    assert bench.mount.shift_mm == (3.0, -0.5)
+    bench.order("mount shift x_mm=1")
+    assert bench.mount.shift_mm == (1.0, 0.0)
+    bench.order("mount mend")
+    assert bench.mount.shift_mm == (0.5, 0.0)
+
+
+def test_a_bench_without_a_mount_that_moves_says_so(bench: Bench):
+    fixed = replace(bench.parts, mount=None)
+    with pytest.raises(ConfigError, match="no device 'mount'"):
+        fault_action(fault_order_from_text("mount shift x_mm=3"), fixed)
+
+
 @pytest.mark.parametrize(
     ("text", "where"),
     [
         ("roll stall", "device"),
+        ("mount shift x_mm=nan", "x_mm"),
+        ("mount shift x_mm=far", "x_mm"),
+        ("mount tilt", "fault"),
         ("gimbal-pan lost", "device"),
         ("light dim factor=0", "factor"),
         ("gimbal replaced pattern=(", "pattern"),

@@ -153,6 +153,22 @@ def test_one_section_of_the_configuration_holds_all_errors():
     )
 
 
+def test_backlash_stands_in_either_section_but_not_in_both():
+    own = bench_config({"stage": {"pan": {"backlash_deg": 0.03}, "tilt": {}}})
+    of_gimbal = bench_config({"stage": {"pan": {}, "tilt": {}}, "gimbal": {"backlash_deg": {"pan": 0.03}}})
+    for config in (own, of_gimbal):
+        assert [axis.backlash_deg for axis in config.axes.values()] == [0.03, 0.0]
+        assert config.truth_for(1).gimbal.backlash_deg == (0.03, 0.0, 0.0)
+    assert bench_config({"gimbal": {"backlash_deg": 0.01}}).truth_for(1).gimbal.backlash_deg == (
+        0.01,
+        0.01,
+        0.0,
+    )
+    with pytest.raises(ConfigError) as error:
+        bench_config({"stage": {"pan": {"backlash_deg": 0.03}}, "gimbal": {"backlash_deg": 0.01}})
+    assert error.value.where == "stage.pan.backlash_deg"
+
+
 def test_without_a_seed_of_its_own_the_gimbal_has_that_of_the_bench():
     config = bench_config({"gimbal": {"wobble_deg": 0.01}})
     one, other = config.truth_for(4), config.truth_for(5)

@@ -1,14 +1,29 @@
-"""The mount's own motion: it vibrates with its amplitude and frequency, and drifts at its rate."""
+"""The mount: it vibrates with its amplitude and frequency, drifts at its rate, and can be shifted across the beam."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from simulators.config import bench_config
 from simulators.errors import ConfigError
+from simulators.optics.collimator_errors import apparent_points, disc_of
+from simulators.optics.picture import beam_of, project, projection_of, true_rotation
+from simulators.optics.scene import corners
 from simulators.pixels.biases import FACTORY
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.world.mount import STEP_ARCSEC, drift_since_on_arcsec, true_angles_deg
-from simulators.world.truth import NOISE_LEVELS, CameraTruth, MountTruth, Truth
+from simulators.world.truth import (
+    NOISE_LEVELS,
+    CameraTruth,
+    CollimatorTruth,
+    MountTruth,
+    OpticsTruth,
+    ScreenTruth,
+    Truth,
+)
 from simulators.world.world import LightState, World
 
 POSE = {"pan": 1.0, "tilt": -2.0, "roll": 3.0}
@@ -74,3 +89,92 @@ def test_a_creeping_recording_is_the_same_only_where_it_has_crept_to():
     creeping = MountTruth(drift_arcsec_per_min=(60.0, 0.0))
     assert stream(creeping, 3.0) == stream(creeping, 3.01)
     assert stream(creeping, 3.0) != stream(creeping, 33.0)
+
+
+SHIFT = st.tuples(st.floats(-30.0, 30.0), st.floats(-30.0, 30.0))
+
+
+@given(SHIFT, st.floats(-0.2, 0.2), st.floats(-15.0, 15.0))
+def test_a_shifted_camera_sees_the_pattern_move_by_defocus_times_shift_over_r(shift_mm, defocus, pan):
+    truth = Truth(collimator=CollimatorTruth(defocus=defocus))
+    shifted = replace(truth, mount=MountTruth(shift_mm=shift_mm))
+    rotation = true_rotation({"pan": pan}, truth)
+    c = truth.collimator
+    points = np.array([[c.x, c.y], [c.x + 30.0, c.y - 20.0]])
+    still, moved = (apparent_points(points, projection_of(t, rotation).aberrations) for t in (truth, shifted))
+    # defocus > 0: the pattern moves against the camera's shift, as that of a near target does
+    np.testing.assert_allclose((moved - still) / c.r, [-defocus * np.array(shift_mm) / c.r] * 2, atol=1e-12)
+    discs = [np.array(disc_of(beam_of(t), rotation)[:3]) for t in (truth, shifted)]
+    np.testing.assert_allclose(discs[1] - discs[0], [-shift_mm[0], -shift_mm[1], 0.0], atol=1e-12)
+
+
+def test_a_pupil_in_front_of_the_pivot_acts_as_a_shift_of_the_camera():
+    tangent = np.tan(np.radians(5.0))
+    level = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
+    walking = Truth(collimator=CollimatorTruth(defocus=0.066, disc_walk=(-2.0, -2.0)), optics=level)
+    rotation = true_rotation({"pan": 5.0}, walking)
+    axis = rotation[2, 0] / rotation[2, 2]
+    assert abs(axis) == pytest.approx(tangent)
+    shifted = Truth(
+        collimator=CollimatorTruth(defocus=0.066), optics=level, mount=MountTruth(shift_mm=(2.0 * axis, 0.0))
+    )
+    points = np.array([[100.0, 140.0], [80.0, 150.0]])
+    np.testing.assert_allclose(
+        project(points, rotation, walking), project(points, rotation, shifted), atol=1e-9
+    )
+
+
+def test_a_shifted_camera_sees_a_screen_from_another_place():
+    shift = MountTruth(shift_mm=(5.0, -3.0))
+    level = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
+    truth = Truth(
+        CameraTruth(k1=0.0, k2=0.0),
+        optics=level,
+        screen=ScreenTruth(columns=4, rows=3, position_mm=(0, 0, 1000)),
+    )
+    moved = corners(replace(truth, mount=shift), {}) - corners(truth, {})
+    np.testing.assert_allclose(moved, [[-5e-3 * 3345.06, 3e-3 * 3345.27]] * 12, atol=1e-6)
+
+
+def test_the_shift_is_set_in_the_simulation_section_of_a_station():
+    assert bench_config({"mount": {"shift_mm": [3, -1]}}).truth.mount.shift_mm == (3.0, -1.0)
+    with pytest.raises(ConfigError) as error:
+        bench_config({"mount": {"shift_mm": 3}})
+    assert error.value.where == "mount.shift_mm"
+
+
+def shaded(shift_mm, *, later_mm=None):
+    """Words of 40 ms with a camera shifted before the recording, or in the middle of it."""
+    truth = Truth(
+        camera=CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, width=128, height=72),
+        collimator=CollimatorTruth(defocus=0.5),
+        noise=NOISE_LEVELS["none"],
+    )
+    now = [0.0]
+    world = World(truth, clock=lambda: now[0])
+    world.set_light(LightState(output=True))
+    world.shift_camera(shift_mm)
+    now[0] = 1.0
+    taken = SensorStream(world, CameraState(dict(FACTORY)), {})
+    words = [taken.next_frame() for _ in range(10)]
+    if later_mm is not None:
+        now[0] = 1.03
+        world.shift_camera(later_mm, since_s=taken.covered_s)
+    return words + [taken.next_frame() for _ in range(10)]
+
+
+def test_a_camera_can_be_shifted_before_and_during_a_recording():
+    still, shifted, pushed = shaded((0.0, 0.0)), shaded((4.0, 0.0)), shaded((0.0, 0.0), later_mm=(4.0, 0.0))
+    assert still == shaded((0.0, 0.0))
+    assert still != shifted
+    assert pushed[:10] == still[:10]
+    assert pushed[10] != still[10]
+
+
+def test_the_world_remembers_where_the_camera_stood():
+    now = [10.0]
+    world = World(Truth(mount=MountTruth(shift_mm=(1.0, 0.0))), clock=lambda: now[0])
+    world.shift_camera((2.0, -1.0), since_s=5.0)
+    assert [world.camera_shift_mm(t) for t in (4.9, 5.0)] == [(1.0, 0.0), (2.0, -1.0)]
+    assert world.truth_at(6.0).mount.shift_mm == (2.0, -1.0)
+    assert world.truth_at(4.0) is world.truth

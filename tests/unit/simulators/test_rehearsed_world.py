@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulators.errors import ConfigError
-from simulators.optics.picture import pose_rotation, star_centres
+from simulators.optics.picture import pose_rotation, star_centres, true_rotation
 from simulators.rehearsed_world import RehearsedWorld
 
 POSE = {"pan": 3.0, "tilt": -1.5}
@@ -54,6 +54,61 @@ def test_the_focal_length_follows_the_temperature_by_the_configured_coefficient(
     assert camera.fx == pytest.approx(3345.06 * (1 + 1e-3))  # 10 degrees above the reference of 40
     assert camera.fy / camera.fx == pytest.approx(3345.27 / 3345.06)
     assert world().truth(0.0).camera.fx == 3345.06
+
+
+def true_stars(found, angles):
+    truth = found.truth(50.0)
+    return star_centres(truth, true_rotation(angles, truth), clearance=1.0, border_px=6.0)[1]
+
+
+def test_the_camera_points_where_the_errors_of_the_gimbal_lead_it():
+    errors = {
+        "scale": 2e-3,
+        "wobble_deg": 0.02,
+        "eccentricity_deg": 0.05,
+        "nonorthogonality_deg": 0.2,
+        "seed": 8,
+    }
+    config = {"rehearsal": {"star_sigma_px": 0}, "gimbal": errors}
+    found = RehearsedWorld(config, 1)
+    np.testing.assert_array_equal(found.record(POSE, 50.0, 0).points_px, true_stars(found, POSE))
+    perfect = RehearsedWorld({"rehearsal": {"star_sigma_px": 0}}, 1)
+    seen, exact = found.record(POSE, 50.0, 0), perfect.record(POSE, 50.0, 0)
+    _, one, other = np.intersect1d(seen.ids, exact.ids, return_indices=True)
+    moved = np.abs(seen.points_px[one] - exact.points_px[other]).max()
+    assert 0.3 < moved < 40.0
+
+
+def test_with_backlash_the_side_from_which_an_axis_came_matters():
+    found = RehearsedWorld({"rehearsal": {"star_sigma_px": 0}, "gimbal": {"backlash_deg": {"pan": 0.04}}}, 1)
+    from_below = found.record({"pan": 3.0}, 50.0, 0).points_px
+    np.testing.assert_array_equal(from_below, true_stars(found, {"pan": 2.98}))
+    again = found.record({"pan": 3.0}, 60.0, 1).points_px
+    np.testing.assert_array_equal(again, from_below)  # it did not move
+    found.record({"pan": 5.0}, 60.0, 2)
+    from_above = found.record({"pan": 3.0}, 60.0, 3).points_px
+    np.testing.assert_array_equal(from_above, true_stars(found, {"pan": 3.02}))
+
+
+def test_the_camera_can_be_shifted_between_recordings():
+    config = {
+        "rehearsal": {"star_sigma_px": 0},
+        "collimator": {"defocus": 0.05},
+        "optics": {"mounting_deg": [0, 0, 0]},
+    }
+    config["camera"] = {"k1": 0, "k2": 0}
+    found = RehearsedWorld(config, 1)
+    still = found.record({}, 50.0, 0)
+    found.shift_camera((3.0, 0.0))
+    moved = found.record({}, 50.0, 1)
+    _, one, other = np.intersect1d(still.ids, moved.ids, return_indices=True)
+    assert len(one) > 100
+    expected = [-3345.06 * 0.05 * 3.0 / 255.0, 0.0]
+    np.testing.assert_allclose(
+        moved.points_px[other] - still.points_px[one], [expected] * len(one), atol=1e-9
+    )
+    configured = RehearsedWorld({**config, "mount": {"shift_mm": [3, 0]}}, 1).record({}, 50.0, 1)
+    np.testing.assert_array_equal(configured.points_px, moved.points_px)
 
 
 def test_mishaps_are_as_frequent_as_configured():

@@ -1,0 +1,121 @@
+"""The collimators by name: what each has in common with "like-real", and how their discs behave on a gimbal."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from simulators.optics.collimator_errors import apparent_points, disc_of, radius_fractions
+from simulators.optics.picture import projection_of, true_rotation
+from simulators.world.truth import COLLIMATORS, CollimatorTruth, Truth
+from simulators.world.truth_config import truth_from_config
+
+LIKE_REAL = COLLIMATORS["like-real"]
+POSES = [{"pan": pan, "tilt": tilt} for pan in (-6.0, 0.0, 6.0) for tilt in (-4.0, 0.0, 4.0)]
+
+
+def differences(name):
+    own, real = asdict(COLLIMATORS[name]), asdict(LIKE_REAL)
+    return {key: own[key] for key in own if own[key] != real[key]}
+
+
+def test_like_real_is_as_fitted():
+    assert (
+        CollimatorTruth(
+            half_angle_deg=12.5,
+            disc_y=5.0,
+            disc_walk=(-44.0, -18.0),
+            disc_wander_mm=8.5,
+            disc_breathing=0.06,
+            disc_unevenness=0.07,
+            defocus=0.066,
+            coma=0.084,
+            astigmatism=-0.0105,
+            field_curvature=-0.062,
+            distortion=0.1085,
+            rim_roll_mm=-0.415,
+            irregularity_mm=0.0077,
+            rim_irregularity_mm=0.032,
+        )
+        == LIKE_REAL
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("S1", {}),
+        ("S2", {"disc_wander_mm": 0.0, "disc_breathing": 0.0}),
+        ("S3", {"disc_wander_mm": 0.0, "disc_breathing": 0.0, "disc_walk": (0.0, 0.0)}),
+        (
+            "like-bench",
+            {"disc_walk": (-2.0, -2.0), "disc_wander_mm": 0.05, "disc_breathing": 0.0, "glass_change": 0.0},
+        ),
+    ],
+)
+def test_a_profile_is_like_real_but_for_what_it_says(name, expected):
+    assert differences(name) == expected
+    assert truth_from_config({"collimator": name}).collimator == COLLIMATORS[name]
+
+
+def discs(name):
+    truth = Truth(collimator=COLLIMATORS[name])
+    return [disc_of(truth.collimator, true_rotation(pose, truth)) for pose in POSES]
+
+
+def test_the_edge_of_a_bench_is_the_same_in_every_pose_and_moves_against_the_pupil():
+    first, *others = discs("like-bench")
+    axes = [true_rotation(pose, Truth())[2] for pose in POSES]
+    for disc, axis in zip(others, axes[1:], strict=True):
+        np.testing.assert_array_equal(disc.edge, first.edge)
+        assert disc.radius == first.radius
+        tangents = axis[:2] / axis[2] - axes[0][:2] / axes[0][2]
+        # 2 mm in front of the pivot, the pupil moves by 2 mm per unit tangent; wander adds .05 mm rms in each pose
+        np.testing.assert_allclose(np.subtract(disc[:2], first[:2]), -2.0 * tangents, atol=0.4)
+    assert np.std(first.edge) > 0.0
+
+
+def test_like_real_and_the_profiles_drawn_from_it_show_another_edge_in_every_pose():
+    for name in ("S1", "S2", "S3"):
+        edges = np.array([disc.edge for disc in discs(name)])
+        assert edges.std(axis=0).min() > 1e-3
+
+
+def test_on_the_pivot_the_disc_stands_still():
+    places = np.array([disc[:3] for disc in discs("S3")])
+    assert np.ptp(places, axis=0).max() == 0.0
+    assert np.ptp([disc[0] for disc in discs("S2")]) == pytest.approx(
+        44.0 * 2 * np.tan(np.radians(6.0)), rel=0.02
+    )
+
+
+def test_the_random_displacements_of_a_bench_belong_to_the_reticle_and_not_to_the_pose():
+    glass = replace(COLLIMATORS["like-bench"], disc_walk=(0.0, 0.0), disc_wander_mm=0.0, irregularity_mm=0.05)
+    points = np.random.default_rng(2).uniform([60.0, 100.0], [140.0, 180.0], (50, 2))
+
+    def seen(collimator, pose):
+        truth = Truth(collimator=collimator)
+        return apparent_points(points, projection_of(truth, true_rotation(pose, truth)).aberrations)
+
+    here, there = (seen(glass, pose) for pose in (POSES[0], POSES[-1]))
+    np.testing.assert_array_equal(here, there)
+    here, there = (seen(replace(glass, glass_change=1.0), pose) for pose in (POSES[0], POSES[-1]))
+    assert np.abs(here - there).max() > 0.01
+
+
+def test_glass_change_sets_how_far_one_must_turn_to_see_other_glass():
+    one = CollimatorTruth(disc_unevenness=0.05)
+    fast = replace(one, glass_change=2.0)
+
+    def rotation(tangent):
+        axis = np.array([tangent, 0.0, 1.0]) / np.hypot(tangent, 1.0)
+        return np.array([[axis[2], 0.0, -axis[0]], [0.0, 1.0, 0.0], axis])
+
+    np.testing.assert_allclose(
+        disc_of(fast, rotation(0.05)).edge, disc_of(one, rotation(0.1)).edge, atol=1e-12
+    )
+    around = np.array([[one.x + 50.0, one.y], [one.x, one.y + 50.0]])
+    still = disc_of(replace(one, glass_change=0.0), rotation(0.1))
+    np.testing.assert_array_equal(
+        radius_fractions(around, still), radius_fractions(around, disc_of(one, rotation(0.0)))
+    )
