@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from bench.stations.station_budget import BudgetConfig
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
 from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
 from bench.stations.station_fields import SIMULATED_PREFIX, Positive, Text
@@ -120,6 +121,7 @@ class Station(StrictModel):
     target: TargetConfig = TargetConfig()
     collimator: CollimatorConfig = CollimatorConfig()
     gimbal: GimbalConfig | None = None
+    budget: BudgetConfig = BudgetConfig()
     expected: ExpectedConfig | None = None
     disk: DiskConfig = DiskConfig()
     messages: MessagesConfig = MessagesConfig()

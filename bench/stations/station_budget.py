@@ -1,0 +1,236 @@
+"""Section `budget` of the station file: uncertainties that no view can show, each with its distribution and source.
+
+The section gives the type B terms of the uncertainty budget; `calib.uncertainty.type_b` propagates them to the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from bench.stations.station_collimator import Celsius, CertificateConfig, CollimatorConfig
+from bench.stations.station_fields import Positive, Text
+from calib.model.type_b_terms import Distribution, TermKind, TypeBTerm
+from sequences.strict_model import StrictModel
+
+#: Reference temperature of dimensional measurements, degrees Celsius (ISO 1).
+_REFERENCE_C = 20.0
+_Degrees = Annotated[
+    float | None, Field(gt=0, le=1e6, description="Degrees of freedom; without it infinite.")
+]
+_Share = Annotated[float, Field(ge=0, le=0.1)]
+
+
+def _not_blank(text: str) -> str:
+    """Refuse a text of spaces."""
+    if not text.strip():
+        raise PydanticCustomError("blank", "must not be empty.")
+    return text
+
+
+_Source = Annotated[
+    Text,
+    AfterValidator(_not_blank),
+    Field(description="Certificate, drawing, data sheet or measurement of these values."),
+]
+
+
+class _StatedConfig(StrictModel):
+    """What every term of the budget states besides its value."""
+
+    distribution: Annotated[
+        Distribution,
+        Field(description="The value is the half width; for normal, k times the standard uncertainty."),
+    ] = "normal"
+    k: Annotated[float, Field(ge=1, le=10, description="Coverage factor of a normal distribution.")] = 1.0
+    degrees_of_freedom: _Degrees = None
+    source: _Source
+
+    @model_validator(mode="after")
+    def _k_of_a_normal_distribution(self) -> _StatedConfig:
+        if self.k != 1 and self.distribution != "normal":
+            raise PydanticCustomError(
+                "k_without_normal",
+                "k applies to a normal distribution only; a half width needs no k.",
+            )
+        return self
+
+
+class PrintScaleConfig(_StatedConfig):
+    """Relative error of the scale of the printed target."""
+
+    value: Annotated[_Share, Field(description="Relative uncertainty of the scale.")]
+    correction: Annotated[
+        float, Field(ge=-0.1, le=0.1, description="Known relative error: true over nominal size, minus 1.")
+    ] = 0.0
+
+
+class PrintBowConfig(_StatedConfig):
+    """Bow of the printed target: its height at a distance from the axis."""
+
+    value_mm: Annotated[float, Field(ge=0, le=100, description="Height over the middle.")]
+    radius_mm: Annotated[
+        Positive, Field(description="Distance from the axis at which the target is so high.")
+    ]
+
+
+class EffectiveRadiusConfig(_StatedConfig):
+    """Difference between the focal length of a certificate, on the axis, and the effective one over the beam."""
+
+    relative: Annotated[_Share, Field(description="Relative uncertainty.")]
+
+
+class WavefrontConfig(StrictModel):
+    """Slopes of the collimator's wavefront that differ over the beam."""
+
+    urad_rms: Annotated[float, Field(ge=0, le=1e5, description="RMS slope, its mean subtracted.")]
+    correlation_mm: Annotated[
+        Positive | None, Field(description="Distance on the target over which slopes are alike.")
+    ] = None
+    source: _Source
+
+
+class ThermalConfig(StrictModel):
+    """Thermal expansion between the reference temperature and that of the bench."""
+
+    expansion_per_c: Annotated[float, Field(ge=-1e-3, le=1e-3, description="Coefficient of expansion.")]
+    expansion_sigma_per_c: Annotated[
+        float, Field(ge=0, le=1e-3, description="Standard uncertainty of the coefficient.")
+    ] = 0.0
+    reference_c: Annotated[
+        Celsius | None, Field(description="Temperature for which the nominal size holds.")
+    ] = None
+    temperature_c: Annotated[
+        Celsius | None, Field(description="Temperature on the bench; without it, that of the collimator.")
+    ] = None
+    sigma_c: Annotated[
+        float, Field(ge=0, le=100, description="Standard uncertainty of the temperature difference.")
+    ]
+    source: _Source
+
+
+class BudgetConfig(StrictModel):
+    """Uncertainties that no view can show. What is not stated is listed in the results as not included."""
+
+    print_scale: PrintScaleConfig | None = None
+    print_bow: PrintBowConfig | None = None
+    thermal: ThermalConfig | None = None
+    collimator_thermal: ThermalConfig | None = None
+    effective_radius: EffectiveRadiusConfig | None = None
+    wavefront: WavefrontConfig | None = None
+
+    def terms(self, collimator: CollimatorConfig) -> tuple[TypeBTerm, ...]:
+        """Return the terms for the calibration.
+
+        The temperature on the bench is that of the collimator, unless the section states another one. Without any, the
+        target and the collimator are taken to be at their reference temperatures.
+
+        Parameters
+        ----------
+        collimator
+            Section `collimator` of the station: its temperature, and that of its certificate.
+
+        Returns
+        -------
+        tuple of TypeBTerm
+            One term for each part of the section.
+        """
+        certificate = collimator.certificate
+        certificate_c = certificate.temperature_c if isinstance(certificate, CertificateConfig) else None
+        temperature_c = collimator.temperature_c
+        parts = (
+            _print_scale(self.print_scale),
+            _print_bow(self.print_bow),
+            _thermal("thermal", "thermal expansion of the print", self.thermal, temperature_c, None),
+            _thermal(
+                "collimator_thermal",
+                "thermal expansion of the collimator",
+                self.collimator_thermal,
+                temperature_c,
+                certificate_c,
+            ),
+            _effective_radius(self.effective_radius),
+            _wavefront(self.wavefront),
+        )
+        return tuple(term for term in parts if term is not None)
+
+
+def _print_scale(stated: PrintScaleConfig | None) -> TypeBTerm | None:
+    """Return the term of a scale; None if it is not stated."""
+    if stated is None:
+        return None
+    term = _stated_term(stated, "scale of the print", "print_scale", stated.value)
+    return replace(term, correction=stated.correction)
+
+
+def _print_bow(stated: PrintBowConfig | None) -> TypeBTerm | None:
+    """Return the term of a bow; None if it is not stated."""
+    if stated is None:
+        return None
+    return _stated_term(stated, "bow of the print", "print_bow", stated.value_mm, stated.radius_mm)
+
+
+def _effective_radius(stated: EffectiveRadiusConfig | None) -> TypeBTerm | None:
+    """Return the term of the effective radius; None if it is not stated."""
+    if stated is None:
+        return None
+    return _stated_term(stated, "effective radius", "effective_radius", stated.relative)
+
+
+def _wavefront(stated: WavefrontConfig | None) -> TypeBTerm | None:
+    """Return the term of the wavefront; None if it is not stated."""
+    if stated is None:
+        return None
+    return TypeBTerm(
+        "slopes of the wavefront",
+        "wavefront",
+        stated.urad_rms,
+        stated.source,
+        correlation_mm=stated.correlation_mm,
+    )
+
+
+def _stated_term(
+    stated: _StatedConfig, name: str, kind: TermKind, value: float, radius_mm: float | None = None
+) -> TypeBTerm:
+    """Return a term with its distribution and source."""
+    return TypeBTerm(
+        name,
+        kind,
+        value,
+        stated.source,
+        stated.distribution,
+        stated.k,
+        stated.degrees_of_freedom or float("inf"),
+        radius_mm=radius_mm,
+    )
+
+
+def _thermal(
+    kind: Literal["thermal", "collimator_thermal"],
+    name: str,
+    stated: ThermalConfig | None,
+    temperature_c: float | None,
+    reference_c: float | None,
+) -> TypeBTerm | None:
+    """Return the term of an expansion; None if it is not stated.
+
+    The section's own temperatures count before those of the collimator and of its certificate.
+    """
+    if stated is None:
+        return None
+    references = (stated.reference_c, reference_c, _REFERENCE_C)
+    reference = next(one for one in references if one is not None)
+    measured = next((one for one in (stated.temperature_c, temperature_c) if one is not None), reference)
+    return TypeBTerm.thermal(
+        kind,
+        name,
+        stated.source,
+        expansion_per_c=stated.expansion_per_c,
+        expansion_sigma_per_c=stated.expansion_sigma_per_c,
+        difference_c=measured - reference,
+        difference_sigma_c=stated.sigma_c,
+    )

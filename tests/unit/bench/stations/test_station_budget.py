@@ -1,0 +1,110 @@
+"""Section `budget` of the station file: the terms it gives, and what is refused."""
+
+import pytest
+
+from bench.stations.station import SHIPPED_STATIONS, Station
+from sequences.errors import DocumentFaults
+from sequences.reader import check_document
+
+SIMULATED = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
+WITHOUT_COLLIMATOR = "\n".join(line for line in SIMULATED.splitlines() if not line.startswith("collimator:"))
+FULL = """
+budget:
+  print_scale: {value: 20e-6, distribution: rectangular, source: "maker's drawing", correction: 1e-4}
+  print_bow: {value_mm: 0.01, radius_mm: 40, distribution: triangular, source: drawing}
+  thermal: {expansion_per_c: 9e-6, expansion_sigma_per_c: 1e-6, sigma_c: 1, reference_c: 20, source: glass}
+  collimator_thermal: {expansion_per_c: 2e-5, sigma_c: 0.5, source: aluminium}
+  effective_radius: {relative: 6e-4, k: 2, degrees_of_freedom: 8, source: twenty views}
+  wavefront: {urad_rms: 5, correlation_mm: 30, source: interferometer}
+"""
+
+
+def station(more: str) -> Station:
+    return check_document((SIMULATED + more).encode(), "b.yaml", Station).value
+
+
+def faults(more: str) -> list[str]:
+    with pytest.raises(DocumentFaults) as caught:
+        station(more)
+    return [str(fault) for fault in caught.value.faults]
+
+
+def terms(more: str):
+    read = station(more)
+    return {term.kind: term for term in read.budget.terms(read.collimator)}
+
+
+def with_collimator(section: str) -> str:
+    assert "collimator:" not in WITHOUT_COLLIMATOR
+    read = check_document(f"{WITHOUT_COLLIMATOR}\n{FULL}{section}".encode(), "b.yaml", Station).value
+    return {term.kind: term for term in read.budget.terms(read.collimator)}
+
+
+def test_a_station_without_a_budget_states_nothing():
+    assert terms("") == {}
+    assert terms("\nbudget: {}\n") == {}
+
+
+def test_each_part_is_a_term_with_value_distribution_and_source():
+    found = terms(FULL)
+    assert list(found) == [
+        "print_scale",
+        "print_bow",
+        "thermal",
+        "collimator_thermal",
+        "effective_radius",
+        "wavefront",
+    ]
+    scale = found["print_scale"]
+    assert (scale.value, scale.distribution, scale.source, scale.correction) == (
+        20e-6,
+        "rectangular",
+        "maker's drawing",
+        1e-4,
+    )
+    assert scale.standard_uncertainty == pytest.approx(20e-6 / 3**0.5)
+    assert (found["print_bow"].value, found["print_bow"].radius_mm) == (0.01, 40)
+    assert found["effective_radius"].standard_uncertainty == pytest.approx(3e-4)
+    assert found["effective_radius"].degrees_of_freedom == 8
+    assert found["print_bow"].degrees_of_freedom == float("inf")
+    assert (found["wavefront"].value, found["wavefront"].correlation_mm) == (5, 30)
+
+
+def test_temperatures_come_from_the_section_then_from_the_collimator():
+    unknown = with_collimator("")
+    assert unknown["thermal"].correction == 0
+    assert unknown["thermal"].standard_uncertainty == pytest.approx((9e-6**2 + 1e-6**2) ** 0.5)
+    certificate = "{r_mm: 255, uncertainty_mm: 0.1, number: T-1, temperature_c: 22}"
+    warm = with_collimator(f"collimator: {{temperature_c: 25, certificate: {certificate}}}\n")
+    assert warm["thermal"].correction == pytest.approx(5 * 9e-6)
+    assert warm["thermal"].standard_uncertainty == pytest.approx((9e-6**2 + 5e-6**2 + 1e-6**2) ** 0.5)
+    assert warm["collimator_thermal"].correction == pytest.approx(3 * 2e-5)
+    own = terms("\nbudget:\n  thermal: {expansion_per_c: 9e-6, temperature_c: 30, sigma_c: 1, source: x}\n")
+    assert own["thermal"].correction == pytest.approx(10 * 9e-6)
+
+
+@pytest.mark.parametrize(
+    ("section", "column", "said"),
+    [
+        ("print_scale: {value: -1e-5, source: x}", 24, "must be 0 or more"),
+        ("print_scale: {value: 1e-5, distribution: gaussian, source: x}", 44, "triangular"),
+        ("print_scale: {value: 1e-5}", 16, "required, but it is missing"),
+        (
+            "print_scale: {value: 1e-5, source: x, distribution: rectangular, k: 2}",
+            16,
+            "k applies to a normal",
+        ),
+        ("print_bow: {value_mm: 0.01, source: x}", 14, "radius_mm"),
+        ("print_bow: {value_mm: -0.01, radius_mm: 40, source: x}", 25, "must be 0 or more"),
+        ("thermal: {expansion_per_c: 9e-6, sigma_c: -1, source: x}", 45, "must be 0 or more"),
+        ("wavefront: {urad_rms: .nan, source: x}", 25, "must be a number"),
+        ("wavefront: {urad_rms: 5, source: ''}", 36, "must not be empty"),
+        ("wavefront: {urad_rms: 5, source: '  '}", 36, "must not be empty"),
+        ("bow: {value_mm: 1}", 3, "bow"),
+    ],
+)
+def test_a_fault_names_line_and_column(section, column, said):
+    (fault,) = faults(f"\nbudget:\n  {section}\n")
+    line = SIMULATED.count("\n") + 3
+    assert fault.startswith(f"b.yaml:{line}:{column}: budget")
+    assert said in fault
