@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -10,18 +11,21 @@ import yaml
 
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, bench_config
 from simulators.faults.catalogue import fault_order, fault_order_from_text, faults_of
+from simulators.world.gimbal import GimbalTruth
+from simulators.world.truth import COLLIMATORS, CollimatorTruth, MountTruth, ReticleTruth
 
 TEXT = (Path(__file__).parents[3] / "docs" / "simulated-bench.md").read_text(encoding="utf-8")
 
 
-def names_in_first_column(title: str) -> set[str]:
+def names_in_first_column(title: str, name: str = r"`(\w+)`") -> set[str]:
     section = re.split(r"^##+ ", TEXT.split(f"\n### {title}", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
     cells = [line.split("|")[1] for line in section.splitlines() if line.startswith("|")]
-    return {word for cell in cells for word in re.findall(r"`(\w+)`", cell)}
+    return {word for cell in cells for word in re.findall(name, cell)}
 
 
 @pytest.mark.parametrize(
-    ("title", "device"), [("Of an axis", "pan"), ("Of a line", "gimbal"), ("Of the camera", "camera")]
+    ("title", "device"),
+    [("Of an axis", "pan"), ("Of a line", "gimbal"), ("Of the camera", "camera"), ("Of the mount", "mount")],
 )
 def test_every_fault_stands_in_its_table(title, device):
     assert names_in_first_column(title) == set(faults_of(device))
@@ -35,6 +39,16 @@ def test_every_fault_of_the_light_stands_in_its_table():
 def test_every_kind_of_device_is_documented():
     kinds = set(re.findall(r"^\| `(\w+)` \|", TEXT.split("\n## How a stage moves")[0], flags=re.MULTILINE))
     assert kinds == {*STAGE_KINDS, *LIGHT_KINDS}
+
+
+def test_every_collimator_stands_in_the_table_of_profiles():
+    assert names_in_first_column("Collimators by name", r"`([\w-]+)`") >= set(COLLIMATORS)
+
+
+@pytest.mark.parametrize("section", [GimbalTruth, ReticleTruth, MountTruth, CollimatorTruth])
+def test_every_key_of_collimator_reticle_mount_and_gimbal_is_documented(section):
+    words = set(re.findall(r"\w+", TEXT))
+    assert {one.name for one in fields(section)} <= words
 
 
 def test_the_example_is_a_valid_configuration():
@@ -62,4 +76,4 @@ def test_the_order_for_each_mishap_is_valid():
         for text in re.findall(r"`([^`]+)`", line)
     ]
     assert len(orders) > 40
-    assert {one.device for one in orders} == {"gimbal", "pan", "light", "camera"}
+    assert {one.device for one in orders} == {"gimbal", "pan", "light", "camera", "mount"}
