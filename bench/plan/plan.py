@@ -1,13 +1,12 @@
 """The plan of a run: its poses, moves, duration and disk space, and all faults of its files.
 
-A plan compares a sequence with a station. It uses no device and writes nothing. Durations follow from the speeds in the
-station file and from the allowances below; the journal of a run has the real ones.
+A plan compares a sequence with a station. It uses no device and writes nothing. Durations and sizes come from
+`bench.plan.estimate`; the journal of a run has the real ones.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
@@ -15,86 +14,32 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import ScriptError
+from bench.plan.estimate import Estimate
 from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script
 from bench.stations.placeholders import find_placeholders
 from bench.stations.station import Station, load_station
-from bench.stations.station_cameras import FrameCameraConfig
-from bench.stations.station_stages import AxisConfig
-from bench.views.recording_window import recording_duration_s
 from calib.model.passport import Passport
 from sequences.errors import DocumentFaults
 from sequences.flatten import unfold
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Sequence
 from sequences.script import (
+    ChooseStep,
     LightStep,
     MoveStep,
     Pose,
-    PromptStep,
     RecordStep,
-    ReportStep,
     SettleStep,
     SolveStep,
     Step,
-    WaitStep,
+    Until,
 )
 from sequences.settings import OptionSettings
 from sequences.tree import Fault
 
 SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
-SEQUENCE_DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep)
-
-# Allowances, measured on the simulated bench. The devices of a real bench need more.
-PREFLIGHT_S = 1.1
-HOMING_EXTRA_S = 0.5
-LIGHT_ON_S = 0.7
-LIGHT_OFF_S = 0.05
-MOVE_EXTRA_S = 0.1
-RECORD_EXTRA_S = 1.0
-CHECK_S = 0.5
-SOLVE_S = 0.3
-REPORT_S = 0.5
-RECORDING_BYTES_PER_S = 35e6
-"""Recording of a lit target with square flicker. The link of a camera carries about five times as much."""
-MOST_BYTES_PER_EVENT = 4
-PICTURE_S = 0.04
-PICTURE_SIZE = (1280, 720)
-"""Size of a frame camera's picture if the station has no ``expected`` section, px."""
-POSE_BYTES = 200_000
-"""Images, stars and logs of one pose."""
-REPORT_BYTES = 1_000_000
-
-
-def travel_s(distance_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> float:
-    """Return the duration of a move with a trapezoidal speed profile.
-
-    Parameters
-    ----------
-    distance_deg
-        Distance, deg; the sign does not matter.
-    speed_deg_s
-        Highest speed, deg/s.
-    acceleration_deg_s2
-        Acceleration and deceleration, deg/s^2.
-
-    Returns
-    -------
-    float
-        Duration, s.
-
-    Examples
-    --------
-    >>> travel_s(10, speed_deg_s=10, acceleration_deg_s2=100)
-    1.1
-    >>> travel_s(1, speed_deg_s=10, acceleration_deg_s2=100)
-    0.2
-    """
-    distance = abs(distance_deg)
-    ramps = speed_deg_s**2 / acceleration_deg_s2
-    if distance < ramps:  # too short to reach full speed
-        return 2 * math.sqrt(distance / acceleration_deg_s2)
-    return distance / speed_deg_s + speed_deg_s / acceleration_deg_s2
+SEQUENCE_DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep)
 
 
 @dataclass(frozen=True)
@@ -129,9 +74,10 @@ class Plan:
     remarks
         What the operator should know before the run.
     duration_s
-        Expected duration of the whole run with homing and parking, s.
+        Expected duration of the whole run with homing and parking, s; with an ``until``, the longest one.
     size_bytes, most_bytes
-        Expected disk space; and the largest one, with all attempts at the highest event rate that the gates accept.
+        Expected disk space, with all poses that an ``until`` allows; and the largest one, with all attempts at the
+        highest event rate that the gates accept.
     passport
         The collimator's passport, and the solve steps that use it.
     """
@@ -169,8 +115,19 @@ class Plan:
 
     @property
     def poses(self) -> tuple[Pose, ...]:
-        """The poses to record, in the order of recording."""
-        return tuple(step.pose for step in self.script if isinstance(step, RecordStep))
+        """The poses to record whose angles the sequence gives, in the order of recording."""
+        recorded = (step.pose for step in self.script if isinstance(step, RecordStep))
+        return tuple(pose for pose in recorded if not pose.chosen_in_run)
+
+    @property
+    def untils(self) -> tuple[Until, ...]:
+        """The steps that choose poses while they measure."""
+        return tuple({s.until.first: s.until for s in self.script if isinstance(s, ChooseStep)}.values())
+
+    @property
+    def most_poses(self) -> int:
+        """Largest number of accepted recordings."""
+        return len(self.poses) + sum(until.at_most - until.starts for until in self.untils)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as JSON carries it.
@@ -194,6 +151,19 @@ class Plan:
             "poses": [
                 {"index": pose.index, "name": pose.name, "angles_deg": dict(pose.angles_deg)}
                 for pose in self.poses
+            ],
+            "most_poses": self.most_poses,
+            "untils": [
+                {
+                    "first": until.first,
+                    "last": until.last,
+                    "goals": dict(until.goals),
+                    "at_most": until.at_most,
+                    "minutes": until.minutes,
+                    "starts": until.starts,
+                    "poses": [until.poses.start, until.poses.stop - 1],
+                }
+                for until in self.untils
             ],
             "steps": [self._step_dict(planned) for planned in self.steps],
         }
@@ -295,9 +265,10 @@ def make_plan(
     """
     script, faults = unfold(sequence)
     today = today or datetime.now(UTC).date()
-    passport = choose_passport(sequence, station, script, copy=passport_copy, today=today)
+    solving = [step.solve if isinstance(step, ChooseStep) else step for step in script]
+    passport = choose_passport(sequence, station, tuple(solving), copy=passport_copy, today=today)
     findings = check_script(sequence, script, station.value, passport.steps)
-    estimate = _Estimate(station.value)
+    estimate = Estimate(station.value)
     last = next((step for step in reversed(script) if isinstance(step, SEQUENCE_DEVICE_STEPS)), None)
     elapsed_s = estimate.preparation_s() if last is not None else 0.0
     steps: list[PlannedStep] = []
@@ -318,85 +289,6 @@ def make_plan(
         most_bytes=estimate.most_bytes,
         passport=passport,
     )
-
-
-class _Estimate:
-    """Estimates duration and disk space step by step; keeps the position of the stage and the state of the light.
-
-    Attributes
-    ----------
-    size_bytes, most_bytes
-        Disk space so far, as in a `Plan`.
-    """
-
-    def __init__(self, station: Station) -> None:
-        self.size_bytes = self.most_bytes = REPORT_BYTES
-        self._axes: Mapping[str, AxisConfig] = station.axes
-        camera = station.camera
-        self._pictures = camera.pictures if isinstance(camera, FrameCameraConfig) else 0
-        self._picture_bytes = math.prod(station.expected.image_size if station.expected else PICTURE_SIZE)
-        self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
-        self._frequency_hz: float | None = None
-
-    def preparation_s(self) -> float:
-        """Return the time before the first step, s: open and identify the devices, home over the whole range."""
-        ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
-        return PREFLIGHT_S + self._travel_s(ranges) + HOMING_EXTRA_S
-
-    def parking_s(self) -> float:
-        """Return the time after the last step that needs devices, s: light off, stage to 0 deg."""
-        return LIGHT_OFF_S + self._travel_s(self._at_deg) + MOVE_EXTRA_S
-
-    def add(self, step: Step) -> float:
-        """Return the duration of the next step, s, and add its disk space."""
-        match step:
-            case LightStep():
-                self._frequency_hz = step.flicker.frequency_hz if step.flicker else None
-                duration_s = LIGHT_ON_S if step.flicker else LIGHT_OFF_S
-            case MoveStep():
-                duration_s = self._move(step.pose.angles_deg)
-            case RecordStep():
-                duration_s = self._record(step) + RECORD_EXTRA_S + CHECK_S
-            case SettleStep() | WaitStep():
-                duration_s = step.duration_s
-            case PromptStep():
-                duration_s = step.timeout_s
-            case SolveStep():
-                duration_s = SOLVE_S
-            case ReportStep():
-                duration_s = REPORT_S
-        return duration_s
-
-    def _record(self, step: RecordStep) -> float:
-        if self._pictures:
-            pixel_bytes = self._pictures * self._picture_bytes
-            self.size_bytes += pixel_bytes + POSE_BYTES
-            self.most_bytes += 2 * pixel_bytes * step.attempts + POSE_BYTES  # 16 bit
-            return self._pictures * PICTURE_S
-        if self._frequency_hz is None:  # in the dark, which `check_script` forbids
-            recorded_s = step.window_ms * 1e-3
-        else:
-            recorded_s = recording_duration_s(step.window_ms, self._frequency_hz)
-        most_events = step.gates.max_event_rate_mev_s * 1e6 * recorded_s
-        self.size_bytes += int(recorded_s * RECORDING_BYTES_PER_S) + POSE_BYTES
-        self.most_bytes += int(most_events * MOST_BYTES_PER_EVENT * step.attempts) + POSE_BYTES
-        return recorded_s
-
-    def _move(self, target_deg: Mapping[str, float]) -> float:
-        distances = {name: angle - self._at_deg.get(name, 0.0) for name, angle in target_deg.items()}
-        self._at_deg |= target_deg
-        return self._travel_s(distances) + MOVE_EXTRA_S
-
-    def _travel_s(self, distances_deg: Mapping[str, float]) -> float:
-        """Return the time of the slowest axis, s. An axis that the station does not have is a fault of the script."""
-        return max(
-            (
-                travel_s(distance, self._axes[name].speed_deg_s, self._axes[name].acceleration_deg_s2)
-                for name, distance in distances_deg.items()
-                if name in self._axes
-            ),
-            default=0.0,
-        )
 
 
 def _fault_dict(fault: Fault) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bench.plan.plan import Plan, PlannedStep
+from bench.report.until_text import meaning_of_goal
 from sequences.script import (
     Flicker,
     LightStep,
@@ -96,16 +97,32 @@ def size_text(size_bytes: float) -> str:
 
 
 def _steps(plan: Plan) -> str:
-    rows = [_row(planned) for planned in plan.steps]
+    rows = [row for planned in plan.steps for row in _rows(planned, plan)]
     if len(rows) > MOST_LINES:
         kept = MOST_LINES // 2
         rows = [*rows[:kept], f"      ... {len(rows) - 2 * kept} steps ...", *rows[-kept:]]
     return "\n".join([f"{'step':>5}  {'':<52}{'takes':>10}{'elapsed':>12}", *rows])
 
 
-def _row(planned: PlannedStep) -> str:
-    takes, after = duration_text(planned.duration_s), duration_text(planned.done_after_s)
-    return f"{planned.step.number:>5}  {_what(planned.step):<52}{takes:>10}{after:>12}"
+def _rows(planned: PlannedStep, plan: Plan) -> list[str]:
+    """Return the lines of a step. The rounds of an ``until`` share two lines, at its first choice."""
+    step = planned.step
+    until = next((until for until in plan.untils if until.first <= step.number <= until.last), None)
+    if until is None or step.number < until.first + 3 * until.starts:
+        return [_row(step.number, _what(step), planned.duration_s, planned.done_after_s)]
+    if step.number > until.first + 3 * until.starts:
+        return []
+    rounds = [p for p in plan.steps if step.number <= p.step.number <= until.last]
+    minutes = "" if until.minutes is None else f", at most {until.minutes:g} min"
+    further = _count(until.at_most - until.starts, "pose")
+    goals = ", ".join(f"{meaning_of_goal(goal)} <= {most:g} px" for goal, most in until.goals.items())
+    what = f"choose and record up to {further}{minutes}"
+    longest_s = sum(p.duration_s for p in rounds)
+    return [_row(step.number, what, longest_s, rounds[-1].done_after_s), f"{'':>5}  until {goals}"]
+
+
+def _row(number: int, what: str, takes_s: float, after_s: float) -> str:
+    return f"{number:>5}  {what:<52}{duration_text(takes_s):>10}{duration_text(after_s):>12}"
 
 
 def _what(step: Step) -> str:
@@ -137,7 +154,10 @@ def _angles(angles_deg: Mapping[str, float]) -> str:
 def _totals(plan: Plan) -> str:
     poses = _count(len(plan.poses), "pose")
     size, most = size_text(plan.size_bytes), size_text(plan.most_bytes)
-    return f"{poses}, about {duration_text(plan.duration_s)}, about {size} on disk ({most} at most)."
+    about = "about"
+    if plan.untils:
+        poses, about = f"{len(plan.poses)} to {_count(plan.most_poses, 'pose')}", "at most about"
+    return f"{poses}, {about} {duration_text(plan.duration_s)}, {about} {size} on disk ({most} at most)."
 
 
 def _count(number: int, thing: str) -> str:

@@ -16,6 +16,7 @@ from bench.stations.station_cameras import FrameCameraConfig
 from sequences.reader import Located
 from sequences.schema import AXES, Sequence
 from sequences.script import (
+    ChooseStep,
     Flicker,
     LightStep,
     MoveStep,
@@ -80,7 +81,7 @@ def check_script(
         *angle_faults(document.tree, station),
         *_light_faults(document, steps, station),
         *_recording_faults(document, steps, station),
-        *_order_faults(document, steps, with_passport),
+        *_order_faults(document, steps, station, with_passport),
         *_solve_faults(document, steps),
     ]
     return Findings(
@@ -203,7 +204,7 @@ def _recording_faults(
 
 
 def _order_faults(
-    document: Located[Sequence], steps: tuple[Step, ...], with_passport: frozenset[int]
+    document: Located[Sequence], steps: tuple[Step, ...], station: Station, with_passport: frozenset[int]
 ) -> Iterator[Fault]:
     directions: set[tuple[tuple[str, float], ...]] = set()
     solved = reported = False
@@ -211,7 +212,15 @@ def _order_faults(
         if reported:
             yield document.fault(step.path, "no step may follow the report, which seals the run.")
         if isinstance(step, RecordStep):
-            directions.add(tuple(step.pose.angles_deg.items()))
+            chosen = (("number", float(step.pose.index)),) if step.pose.chosen_in_run else ()
+            directions.add((*step.pose.angles_deg.items(), *chosen))
+        elif isinstance(step, ChooseStep):
+            if len(directions) < FEWEST_POSES and station.expected is None:
+                yield document.fault(
+                    step.path,
+                    f"no pose can be chosen here: record at least {FEWEST_POSES} poses before (start:), or add an "
+                    "expected section to the station.",
+                )
         elif isinstance(step, SolveStep):
             solved = True
             if not directions:

@@ -16,8 +16,9 @@ from typing import Any
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
+from bench.plan.estimate import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S
 from bench.plan.job import Job, calibration_options, documents_of
-from bench.plan.plan import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load_documents, make_plan
+from bench.plan.plan import Plan, load_documents, make_plan
 from bench.records.events import Event, MeasuredFacts, Solved
 from bench.records.history import History, replay
 from bench.records.journal import Journal

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.base.clock import BenchClock
-from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
+from bench.plan.estimate import (
+    HOMING_EXTRA_S,
+    LIGHT_OFF_S,
+    LIGHT_ON_S,
+    MOVE_EXTRA_S,
+    RECORD_EXTRA_S,
+    travel_s,
+)
 from bench.simulated import make_rehearsed_world
 from bench.stations.devices import Devices
 from bench.stations.station import Station

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.base.clock import Aborted, VirtualClock
-from bench.plan.plan import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
+from bench.plan.estimate import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
 from bench.rehearsal.virtual_devices import FIRST_LINE, VirtualDevices, read_view
 from bench.stations.station import Station, load_station
 from calib.target import StarTarget

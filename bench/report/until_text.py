@@ -1,0 +1,91 @@
+"""An ``until`` in words: its goals, what it has reached, and how it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_MEANINGS = {"expanded_fx_px": "U(fx)", "worst_corner_px": "U at the corners"}
+
+
+def meaning_of_goal(name: str) -> str:
+    """Return a goal as people read it.
+
+    Parameters
+    ----------
+    name
+        Name of the goal: ``expanded_fx_px`` or ``worst_corner_px``.
+
+    Returns
+    -------
+    str
+        Its meaning; the name itself for an unknown goal.
+    """
+    return _MEANINGS.get(name, name)
+
+
+def goals_text(wanted: Mapping[str, float]) -> str:
+    """Return goals as text.
+
+    Parameters
+    ----------
+    wanted
+        Largest expanded uncertainties allowed, px, by name.
+
+    Returns
+    -------
+    str
+        For example ``U(fx) is at most 2 px``.
+
+    Examples
+    --------
+    >>> goals_text({"expanded_fx_px": 2.0, "worst_corner_px": 0.3})
+    'U(fx) is at most 2 px and U at the corners at most 0.3 px'
+    """
+    parts = [f"{meaning_of_goal(name)} at most {goal:.3g} px" for name, goal in wanted.items()]
+    return " and ".join(parts).replace(" at most", " is at most", 1)
+
+
+def reached_text(decided: Mapping[str, Any]) -> str:
+    """Return what an ``until`` has reached.
+
+    Parameters
+    ----------
+    decided
+        Payload of the journal line ``until_decided``.
+
+    Returns
+    -------
+    str
+        For example ``4 poses: U(fx) 3.1 px (wanted 2)``.
+    """
+    now = decided["now"]
+    poses = f"{decided['poses']} pose{'' if decided['poses'] == 1 else 's'}"
+    if not now:
+        return f"{poses}: the camera is not determined yet"
+    parts = [
+        f"{meaning_of_goal(name)} {now[name]:.3g} px (wanted {goal:.3g})"
+        for name, goal in decided["wanted"].items()
+    ]
+    return f"{poses}: {', '.join(parts)}"
+
+
+def decision_text(decided: Mapping[str, Any]) -> str:
+    """Return a decision of an ``until`` as one line.
+
+    Parameters
+    ----------
+    decided
+        Payload of the journal line ``until_decided``.
+
+    Returns
+    -------
+    str
+        What it has reached, and the pose that it chose or how it ended.
+    """
+    reached = reached_text(decided)
+    chosen = decided.get("chosen")
+    if chosen is None:
+        return f"{reached}. {decided.get('why', '')}".strip()
+    angles = ", ".join(f"{axis} {angle:g}" for axis, angle in chosen["angles_deg"].items())
+    return f"{reached}; next: pose {chosen['pose']} at {angles} deg"
