@@ -1,31 +1,43 @@
 """Hand-eye check: the gimbal's readings compared with the rotations that the camera saw.
 
-The camera is mounted on the gimbal's head with an unknown rotation A, and the gimbal's base stands before the target
-with an unknown rotation B: R = A Rz(roll) Rx(tilt) Ry(pan) B. This is the rotation part of the robot-world and hand-eye
-problem (Tsai and Lenz, 1989; Zhuang, Roth and Sudhakar, 1994). A scale of each axis that moved is estimated too if
-there are enough views. The readings never enter the calibration, because a scale error of the gimbal would become one
-of the focal length.
+The check is a witness: the readings do not enter the calibration here. It estimates how the camera is mounted, how the
+gimbal stands, and a scale of each axis that moved (`calib.studies.hand_eye_fit`). Pairs of poses give the same scales
+without these estimates (`calib.studies.gimbal_pairs`); a scale that they contradict is not stated. Faults of the gimbal
+are searched for (`calib.studies.gimbal_faults`), and the verdict names whose error it is
+(`calib.studies.gimbal_verdict`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
 from calib.errors import DegenerateViews, InputMismatch
-from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation
+from calib.model.gimbal_readings import AXES
+from calib.studies.gimbal_faults import GimbalFault, search_faults
+from calib.studies.gimbal_model import GimbalModel
+from calib.studies.gimbal_pairs import PairRatios, pair_ratios
+from calib.studies.gimbal_scatter import INCONSISTENT, Explanation, SeenRotations, first_explanation
+from calib.studies.gimbal_verdict import Findings, Verdict, judge
+from calib.studies.hand_eye_fit import GimbalFit, global_fit
 from calib.uncertainty.projection_uncertainty import ARCSEC
 
 Array = NDArray[np.float64]
 
-AXES = ("pan_deg", "tilt_deg", "roll_deg")
 _MIN_VIEWS = 3
 _MOVED_DEG = 0.5
-_STEPS = 50
+#: The scale of the fit contradicts the pairs beyond this many sigmas of their difference.
+_CONTRADICTED = 5.0
+#: Another minimum is a rival if its chi-square is larger by less than this (3 sigma).
+_RIVAL = 9.0
+#: Mirrored readings are better if the criterion is smaller by this (Raftery, 1995: very strong).
+_MIRRORED = 10.0
+#: Minima differ if their scales or mountings differ by this many sigmas.
+_DIFFERENT = 5.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +47,7 @@ class HandEyeCheck:
     Attributes
     ----------
     scale
-        True angle over reading, for each axis whose scale was estimated.
+        True angle over reading, for each axis whose scale may be stated; faults that were found are allowed for.
     scale_sigma
         1-sigma of the scales.
     camera_from_head
@@ -43,12 +55,22 @@ class HandEyeCheck:
     base_from_target
         (3, 3) float64 rotation B, gimbal's base <- target.
     residuals_arcsec
-        (n, 3) float64 rotation seen minus rotation read, as rotation vectors about the camera's axes, arc seconds.
+        (n, 3) float64 rotation seen minus rotation read without faults, as rotation vectors about the camera's axes,
+        arc seconds.
     sigma_arcsec
         (n, 3) float64 1-sigma of the rotations seen, arc seconds.
     chi_square, degrees_of_freedom
-        Chi-square of the residuals and its degrees of freedom; large if the gimbal repeats worse than the camera
-        measures.
+        Chi-square of the residuals by the stated covariance, without faults, and its degrees of freedom; large if the
+        gimbal repeats worse than the camera measures.
+    excess_arcsec
+        1-sigma of the scatter, for each component of a rotation, that the stated covariance and the faults do not
+        explain, arc seconds.
+    pairs
+        Ratios from the pairs of poses; None if no pair turned far enough.
+    faults
+        Faults found, claimed or not.
+    verdict
+        The result in one name, and in words.
     """
 
     scale: Mapping[str, float]
@@ -59,6 +81,10 @@ class HandEyeCheck:
     sigma_arcsec: Array
     chi_square: float
     degrees_of_freedom: int
+    excess_arcsec: float
+    pairs: PairRatios | None
+    faults: tuple[GimbalFault, ...]
+    verdict: Verdict
 
     @property
     def rms_arcsec(self) -> float:
@@ -68,16 +94,24 @@ class HandEyeCheck:
     @property
     def consistent(self) -> bool:
         """Whether the chi-square is below its 99.9 % quantile."""
-        return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), 0.001))
+        return bool(self.chi_square < special.chdtri(max(self.degrees_of_freedom, 1), INCONSISTENT))
 
 
 def check_hand_eye(
-    rotations: Array, covariance: Array, readings_deg: Sequence[Mapping[str, float]]
+    rotations: Array,
+    covariance: Array,
+    readings_deg: Sequence[Mapping[str, float]],
+    *,
+    focal_uncertainty: float | None = None,
+    birge_ratio: float = 1.0,
+    names: Sequence[str] = (),
+    seed: int = 0,
 ) -> HandEyeCheck:
     """Compare the readings of a gimbal with the rotations of a calibration.
 
-    The unknown rotations and scales are estimated by generalised least squares (Gauss-Newton). Robot-world and hand-eye
-    equation: Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936).
+    The unknown rotations and scales are estimated by generalised least squares. Robot-world and hand-eye equation:
+    Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936). Scatter beyond the stated
+    covariance: Paule and Mandel (1982).
 
     Parameters
     ----------
@@ -86,12 +120,22 @@ def check_hand_eye(
     covariance
         (3 n, 3 n) joint covariance of their rotation vectors, rad^2 (`Calibration.rotation_covariance`).
     readings_deg
-        For each view the readings of its axes, degrees: any of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
+        For each view the readings of its axes, degrees, in the order in which they were taken: any of ``pan_deg``,
+        ``tilt_deg``, ``roll_deg``.
+    focal_uncertainty
+        Expanded uncertainty U of the calibration's focal length as a share of it; None for twice the 1-sigma of the
+        scales.
+    birge_ratio
+        How many times more than star noise explains the views of the calibration differ (`Calibration.birge_ratio`).
+    names
+        Names of the poses, for the sentences of the verdict.
+    seed
+        Random seed of the random starts of the fit.
 
     Returns
     -------
     HandEyeCheck
-        Estimates, residuals and chi-square.
+        Estimates, residuals, chi-square, faults and verdict.
 
     Raises
     ------
@@ -109,38 +153,130 @@ def check_hand_eye(
             f"Cannot check the gimbal: {len(angles)} views, {moved.sum()} axes moved; "
             f"at least {_MIN_VIEWS} views and 1 moved axis are needed."
         )
-    free = [int(i) for i in np.flatnonzero(moved)] if 3 * len(angles) > 6 + moved.sum() else []
-    scales, base_from_target, camera_from_head = np.ones(3), np.eye(3), np.eye(3)
-    base_from_target = nearest_rotation(
-        np.mean(np.swapaxes(_heads(angles, scales), 1, 2) @ rotations, axis=0)
-    )
-    information = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
-    for _ in range(_STEPS):
-        off, jacobian = _linearised(rotations, angles, scales, camera_from_head, base_from_target, free)
-        normal = jacobian.T @ information @ jacobian
-        step = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ jacobian.T @ information @ off
-        camera_from_head, base_from_target = (
-            exp_map(step[:3]) @ camera_from_head,
-            exp_map(step[3:6]) @ base_from_target,
-        )
-        scales[free] += step[6:]
-        if np.abs(step).max() < 1e-13:
-            break
-    off, jacobian = _linearised(rotations, angles, scales, camera_from_head, base_from_target, free)
-    spread = np.sqrt(
-        np.diag(np.linalg.pinv(jacobian.T @ information @ jacobian, rcond=1e-12, hermitian=True))
-    )
-    rank = int(np.linalg.matrix_rank(jacobian, tol=1e-9))
+    given = tuple(i for i, axis in enumerate(AXES) if any(axis in reading for reading in readings_deg))
+    enough = 3 * len(angles) > 6 + moved.sum()
+    free = tuple(int(i) for i in np.flatnonzero(moved)) if enough else ()
+    model, seen = GimbalModel(angles, free), SeenRotations(rotations, covariance)
+    raw = pair_ratios(rotations, model, covariance)
+    ratio = raw.ratio if raw else 1.0
+    values = np.array([raw.by_axis.get(axis, ratio) if raw else 1.0 for axis in free])
+    first = first_explanation(seen, model, values, seed)
+    mirrored = False
+    if 2 in free and len(free) > 1:
+        other = first_explanation(seen, replace(model, angles=angles * (1.0, 1.0, -1.0)), values, seed)
+        mirrored = other.criterion < first.criterion - _MIRRORED
+        first = other if mirrored else first
+    last, faults = search_faults(seen, first, given)
+    pairs = _pairs_of(seen, last) or raw
+    found = _findings(seen, last, pairs, faults, mirrored, seed)
+    found = replace(found, names=tuple(names), focal_uncertainty=focal_uncertainty, birge_ratio=birge_ratio)
+    stated = seen.chi_square(first, 0.0)
     return HandEyeCheck(
-        {AXES[i]: float(scales[i]) for i in free},
-        {AXES[i]: float(spread[6 + k]) for k, i in enumerate(free)},
-        camera_from_head,
-        base_from_target,
-        ARCSEC * off.reshape(-1, 3),
+        {AXES[axis]: value for axis, value in found.scale.items()} if found.scale_known else {},
+        {AXES[axis]: value for axis, value in found.scale_sigma.items()} if found.scale_known else {},
+        last.fit.camera_from_head,
+        last.fit.base_from_target,
+        ARCSEC * first.fit.off.reshape(-1, 3),
         ARCSEC * np.sqrt(np.diag(covariance)).reshape(-1, 3),
-        float(off @ information @ off),
-        len(off) - rank,
+        stated,
+        first.fit.degrees_of_freedom(),
+        ARCSEC * last.excess_rad,
+        pairs,
+        faults,
+        judge(found),
     )
+
+
+def _pairs_of(seen: SeenRotations, last: Explanation) -> PairRatios | None:
+    """Return the ratios of the pairs of poses that are kept, with slips allowed for."""
+    model, count = last.fit.model, len(last.fit.model.free)
+    offsets = last.fit.values[count : count + len(model.slips)] if model.slips else None
+    return pair_ratios(seen.rotations[last.kept], model, last.metric.covariance, offsets)
+
+
+def _findings(
+    seen: SeenRotations,
+    last: Explanation,
+    pairs: PairRatios | None,
+    faults: tuple[GimbalFault, ...],
+    mirrored: bool,
+    seed: int,
+) -> Findings:
+    """Collect what the verdict is made of."""
+    fit, metric = last.fit, last.metric
+    free = fit.model.free
+    estimator = fit.estimator(metric)[6 : 6 + len(free)]
+    spread = estimator @ metric.covariance @ estimator.T
+    sigma = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    freedom = fit.degrees_of_freedom()
+    scatter = fit.off @ fit.off / max(freedom, 1)
+    own = np.sqrt(scatter * np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian))[6 : 6 + len(free)])
+    values = fit.values[: len(free)]
+    difference = 0.0
+    if len(free) > 1:
+        apart = np.zeros(len(free))
+        apart[int(values.argmax())] += 1.0
+        apart[int(values.argmin())] -= 1.0
+        difference = float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0)))
+    contradicted = False
+    for k, axis in enumerate(free):
+        if pairs is None or axis not in pairs.by_axis:
+            continue
+        row = estimator[k] - pairs.estimator[axis]
+        apart_sigma = float(np.sqrt(np.maximum(row @ metric.covariance @ row, 0.0)))
+        limit = _CONTRADICTED * apart_sigma + 0.1 * abs(pairs.by_axis[axis] - 1) + 1e-7
+        contradicted |= bool(abs(values[k] - pairs.by_axis[axis]) > limit)
+    whole = freedom == len(fit.off) - fit.jacobian.shape[1]
+    return Findings(
+        (),
+        {axis: float(values[k]) for k, axis in enumerate(free)},
+        {axis: float(sigma[k]) for k, axis in enumerate(free)},
+        {axis: float(own[k]) for k, axis in enumerate(free)},
+        difference,
+        pairs,
+        contradicted,
+        bool(free) and _ambiguous(seen, last, sigma, seed),
+        _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),
+        faults,
+        float(np.rad2deg(last.excess_rad)),
+        freedom,
+        None,
+        1.0,
+    )
+
+
+def _reversed_axes(free: set[int], backwards: bool, mirrored: bool) -> str:
+    """Return the axes of which the sign of one is reversed, in words; empty if no sign is.
+
+    Half a turn of the mounting about x reverses pan and roll, about y tilt and roll, about z pan and tilt. So a wrong
+    sign shows as a camera that looks backwards, or, with three axes, as readings that fit only if roll is mirrored.
+    """
+    if free >= {0, 1} and backwards != mirrored and not mirrored:
+        return "pan or of tilt" if 2 not in free else "roll and of one other axis"
+    if mirrored and free == {0, 1, 2}:
+        return "pan or of tilt" if backwards else "roll"
+    return "roll" if backwards and 2 in free and len(free) == 2 else ""
+
+
+def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array, seed: int) -> bool:
+    """Return whether another minimum with other scales, or another mounting, fits nearly as well."""
+    fit, metric, count = last.fit, last.metric, len(last.fit.model.free)
+    minima = global_fit(seen.rotations[last.kept], fit.model, metric, fit.values, seed)
+    mounted = fit.estimator(metric)[:3]
+    mounting = float(np.sqrt(np.trace(np.asarray(mounted @ metric.covariance @ mounted.T))))
+    whole = fit.degrees_of_freedom() == len(fit.off) - fit.jacobian.shape[1]
+
+    def differs(other: GimbalFit) -> bool:
+        ratio = other.values[:count] / fit.values[:count]
+        if ((ratio < 0.5) | (ratio > 2.0)).any() or other.chi_square > fit.chi_square + _RIVAL:
+            return False
+        if (np.abs(other.values[:count] - fit.values[:count]) > _DIFFERENT * sigma + 1e-6).any():
+            return True
+        cosine = 0.5 * (np.trace(other.camera_from_head @ fit.camera_from_head.T) - 1.0)
+        turned = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        return whole and turned > _DIFFERENT * mounting + 1e-4
+
+    return any(differs(other) for other in minima)
 
 
 def _angles(readings_deg: Sequence[Mapping[str, float]]) -> Array:
@@ -149,35 +285,3 @@ def _angles(readings_deg: Sequence[Mapping[str, float]]) -> Array:
     if unknown:
         raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
     return np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg])
-
-
-def _heads(angles: Array, scales: Array) -> Array:
-    """Return (n, 3, 3) rotations, gimbal's head <- base."""
-    return np.array([euler_zxy(*(scales * row)) for row in angles])
-
-
-def _linearised(
-    rotations: Array,
-    angles: Array,
-    scales: Array,
-    camera_from_head: Array,
-    base_from_target: Array,
-    free: Sequence[int],
-) -> tuple[Array, Array]:
-    """Return (3 n,) seen minus read, rad, and the (3 n, 6 + s) derivatives by A, B and the scales.
-
-    Own derivation: with R = A G B, a rotation vector a on the left of A turns R by a, and b on the left of B turns it
-    by A G b. The derivatives by the scales are forward differences.
-    """
-    heads = _heads(angles, scales)
-    read = camera_from_head @ heads @ base_from_target
-    off = log_map(rotations @ np.swapaxes(read, 1, 2)).reshape(-1)
-    by_camera_side = np.tile(np.eye(3), (len(angles), 1))
-    by_base_side = (camera_from_head @ heads).reshape(-1, 3)
-    columns = [by_camera_side, by_base_side]
-    for i in free:
-        step = np.zeros(3)
-        step[i] = 1e-6
-        shifted = camera_from_head @ _heads(angles, scales + step) @ base_from_target
-        columns.append(log_map(shifted @ np.swapaxes(read, 1, 2)).reshape(-1, 1) / 1e-6)
-    return off, np.hstack(columns)

@@ -1,0 +1,338 @@
+"""Fit of a gimbal's readings to the rotations that a camera saw: closed-form starts, refinement, global optimum.
+
+The camera is mounted on the gimbal's head with an unknown rotation A, and the gimbal's base stands before the target
+with an unknown rotation B: R = A Rz(roll) Rx(tilt) Rz(squareness) Ry(pan) B. This is the rotation part of the
+robot-world and hand-eye problem (Tsai and Lenz, 1989; Zhuang, Roth and Sudhakar, 1994). The sum of squares can have
+more than one minimum. So several starts are refined and the lowest minimum is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.rotation import exp_map, log_map, nearest_rotation
+from calib.studies.gimbal_model import GimbalModel
+
+Array = NDArray[np.float64]
+
+#: Eigenvalues of the covariance below this share of the largest are treated as exactly known combinations.
+_SINGULAR = 1e-12
+#: A direction of the parameters is determined if its singular value exceeds this share of the largest.
+_DETERMINED = 1e-7
+_STEPS = 60
+_ALTERNATIONS = 12
+_RANDOM_STARTS = 6
+#: Starts whose elements differ by less than this lead to the same minimum.
+_SAME = 1e-3
+#: Relative rotations above this angle have no reliable axis direction, degrees.
+_LARGEST_TURN_DEG = 160.0
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Covariance of the rotations, ready for weighting.
+
+    Parameters
+    ----------
+    eigenvalues
+        (3 n,) float64 eigenvalues of the stated covariance, rad^2.
+    vectors
+        (3 n, 3 n) float64 its eigenvectors, as columns.
+    excess
+        Additional variance of each component of each rotation, rad^2.
+    """
+
+    eigenvalues: Array
+    vectors: Array
+    excess: float = 0.0
+
+    @classmethod
+    def of(cls, covariance: Array) -> Metric:
+        """Return the metric of a covariance.
+
+        Parameters
+        ----------
+        covariance
+            (3 n, 3 n) covariance of the rotation vectors, rad^2.
+
+        Returns
+        -------
+        Metric
+            Without additional variance.
+        """
+        eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+        return cls(np.maximum(eigenvalues, 0.0), vectors)
+
+    @cached_property
+    def whitening(self) -> Array:
+        """(3 n, 3 n) float64 W with W^T W = inverse of the covariance; 1/rad."""
+        variances = self.eigenvalues + self.excess
+        known = variances > _SINGULAR * variances.max()
+        return np.asarray((self.vectors[:, known] / np.sqrt(variances[known])) @ self.vectors[:, known].T)
+
+    @property
+    def covariance(self) -> Array:
+        """(3 n, 3 n) float64 covariance with the additional variance, rad^2."""
+        return np.asarray((self.vectors * (self.eigenvalues + self.excess)) @ self.vectors.T)
+
+
+@dataclass(frozen=True, eq=False)
+class GimbalFit:
+    """A minimum of the sum of squares.
+
+    Attributes
+    ----------
+    model
+        Readings and errors that were estimated.
+    camera_from_head, base_from_target
+        (3, 3) float64 rotations A and B.
+    values
+        (p,) float64 scales, slips (rad), squareness (rad) and bends (rad).
+    off
+        (3 n,) float64 seen minus read, as rotation vectors about the camera's axes, rad.
+    jacobian
+        (3 n, 6 + p) float64 derivatives of the rotations by A, B and the values.
+    chi_square
+        Sum of the weighted squares.
+    """
+
+    model: GimbalModel
+    camera_from_head: Array
+    base_from_target: Array
+    values: Array
+    off: Array
+    jacobian: Array
+    chi_square: float
+
+    def degrees_of_freedom(self) -> int:
+        """Return the number of measured components minus the number of determined parameters.
+
+        Returns
+        -------
+        int
+            Degrees of freedom of the chi-square.
+        """
+        return len(self.off) - int(np.linalg.matrix_rank(_unit_columns(self.jacobian)[0], tol=_DETERMINED))
+
+    def estimator(self, metric: Metric) -> Array:
+        """Return the linear estimator of the parameters: generalised least squares (Aitken, 1936).
+
+        Parameters
+        ----------
+        metric
+            Covariance of the rotations.
+
+        Returns
+        -------
+        Array
+            (6 + p, 3 n) change of A, B and the values by a change of the rotations.
+        """
+        columns, lengths = _unit_columns(metric.whitening @ self.jacobian)
+        return np.asarray(np.linalg.pinv(columns, rcond=_DETERMINED) @ metric.whitening / lengths[:, None])
+
+
+def seen_minus_read(
+    rotations: Array, model: GimbalModel, camera_from_head: Array, base_from_target: Array, values: Array
+) -> tuple[Array, Array]:
+    """Return the differences between seen and read rotations, and their derivatives.
+
+    Own derivation: with R = E A G B, a rotation vector a on the left of A turns R by E a, and b on the left of B turns
+    it by E A G b. A motor turns the head about its own axis.
+    The bends are small, so that their derivative is taken at E = 1.
+
+    Parameters
+    ----------
+    rotations
+        (n, 3, 3) rotations seen, camera <- target.
+    model
+        Readings and errors.
+    camera_from_head
+        (3, 3) rotation A.
+    base_from_target
+        (3, 3) rotation B.
+    values
+        (p,) values of the errors.
+
+    Returns
+    -------
+    tuple of Array
+        (3 n,) seen minus read, rad; and (3 n, 6 + p) derivatives of the read rotations by A, B and the values.
+    """
+    bends = model.bends
+    direct = model.parameter_count - bends.shape[2]
+    bent = exp_map(bends @ values[direct:]) if bends.shape[2] else np.eye(3)[None]
+    mounted = bent @ camera_from_head
+    heads, turning = model.heads(values)
+    head = mounted @ heads
+    off = log_map(rotations @ np.swapaxes(head @ base_from_target, 1, 2)).reshape(-1)
+    columns = [np.broadcast_to(bent, rotations.shape), head, mounted @ turning, bends]
+    return off, np.concatenate(columns, axis=2).reshape(len(off), -1)
+
+
+def refine(
+    rotations: Array,
+    model: GimbalModel,
+    metric: Metric,
+    camera_from_head: Array,
+    base_from_target: Array,
+    values: Array,
+) -> GimbalFit:
+    """Refine a start by the method of Levenberg (1944) and Marquardt (1963).
+
+    Parameters
+    ----------
+    rotations
+        (n, 3, 3) rotations seen, camera <- target.
+    model
+        Readings and errors.
+    metric
+        Covariance of the rotations.
+    camera_from_head
+        (3, 3) start of A.
+    base_from_target
+        (3, 3) start of B.
+    values
+        (p,) start of the errors.
+
+    Returns
+    -------
+    GimbalFit
+        The minimum that the start leads to.
+    """
+
+    def at(a: Array, b: Array, p: Array) -> GimbalFit:
+        off, jacobian = seen_minus_read(rotations, model, a, b, p)
+        return GimbalFit(model, a, b, p, off, jacobian, float(((metric.whitening @ off) ** 2).sum()))
+
+    best, damping = at(camera_from_head, base_from_target, values.copy()), 1e-6
+    for _ in range(_STEPS):
+        columns, lengths = _unit_columns(metric.whitening @ best.jacobian)
+        weighted = metric.whitening @ best.off
+        u, singular, vt = np.linalg.svd(columns, full_matrices=False)
+        kept = singular > _DETERMINED * singular[0]
+        gains = np.where(kept, singular / (singular**2 + damping), 0.0)
+        step = (vt.T @ (gains * (u.T @ weighted))) / lengths
+        tried = at(
+            exp_map(step[:3]) @ best.camera_from_head,
+            exp_map(step[3:6]) @ best.base_from_target,
+            best.values + step[6:],
+        )
+        gain = best.chi_square - tried.chi_square
+        if gain < 0:
+            damping = max(10.0 * damping, 1e-9)
+            if damping > 1e8:
+                break
+            continue
+        best, damping = tried, damping / 10.0
+        if gain <= 1e-10 * (1.0 + best.chi_square):
+            break
+    return best
+
+
+def starts(rotations: Array, model: GimbalModel, values: Array, seed: int) -> Iterator[tuple[Array, Array]]:
+    """Yield starts for A and B.
+
+    Relative rotations between poses depend on A alone or on B alone: R_i R_j^T = A (G_i G_j^T) A^T and R_i^T R_j =
+    B^T (G_i^T G_j) B. The rotation that aligns their axes is a closed form (Park and Martin, 1994; Horn, 1987). Random
+    rotations follow. From each start A and B are estimated in turn.
+
+    Parameters
+    ----------
+    rotations
+        (n, 3, 3) rotations seen, camera <- target.
+    model
+        Readings and errors.
+    values
+        (p,) start of the errors.
+    seed
+        Random seed of the random starts.
+
+    Yields
+    ------
+    tuple of Array
+        (3, 3) start of A, (3, 3) start of B.
+    """
+    heads, _ = model.heads(values)
+    back = np.swapaxes(heads, 1, 2)
+    yield _alternate(rotations, heads, _aligned(rotations, heads))
+    from_base = _aligned(np.swapaxes(rotations, 1, 2), back).T
+    yield _alternate(rotations, heads, nearest_rotation((rotations @ from_base.T @ back).sum(axis=0)))
+    yield _alternate(rotations, heads, np.eye(3))
+    rng = np.random.default_rng(seed)
+    for quaternion in rng.standard_normal((_RANDOM_STARTS, 4)):
+        yield _alternate(rotations, heads, _from_quaternion(quaternion))
+
+
+def global_fit(
+    rotations: Array, model: GimbalModel, metric: Metric, values: Array, seed: int
+) -> list[GimbalFit]:
+    """Refine all starts, and return the minima that were found.
+
+    Parameters
+    ----------
+    rotations
+        (n, 3, 3) rotations seen, camera <- target.
+    model
+        Readings and errors.
+    metric
+        Covariance of the rotations.
+    values
+        (p,) start of the errors.
+    seed
+        Random seed of the random starts.
+
+    Returns
+    -------
+    list of GimbalFit
+        Minima by increasing chi-square. Minima with a scale below half or above twice its start are last, because a
+        pan-tilt head with both A and the sign of an axis reversed gives the same rotations.
+    """
+    found = [
+        refine(rotations, model, metric, a, b, values) for a, b in starts(rotations, model, values, seed)
+    ]
+    count = len(model.free)
+
+    def order(fit: GimbalFit) -> tuple[bool, float]:
+        ratio = fit.values[:count] / values[:count]
+        return bool(((ratio < 0.5) | (ratio > 2.0)).any()), fit.chi_square
+
+    return sorted(found, key=order)
+
+
+def _alternate(rotations: Array, heads: Array, camera_from_head: Array) -> tuple[Array, Array]:
+    """Return A and B, each estimated in turn with the other one fixed (orthogonal Procrustes, Schoenemann, 1966)."""
+    a = camera_from_head
+    for _ in range(_ALTERNATIONS):
+        b = nearest_rotation((np.swapaxes(a @ heads, 1, 2) @ rotations).sum(axis=0))
+        a = nearest_rotation((rotations @ np.swapaxes(heads @ b, 1, 2)).sum(axis=0))
+    return a, nearest_rotation((np.swapaxes(a @ heads, 1, 2) @ rotations).sum(axis=0))
+
+
+def _aligned(rotations: Array, heads: Array) -> Array:
+    """Return the rotation that aligns the axes of relative rotations (Park and Martin, 1994)."""
+    i, j = np.triu_indices(len(rotations), 1)
+    seen = log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2))
+    read = log_map(heads[i] @ np.swapaxes(heads[j], 1, 2))
+    clear = np.maximum(np.linalg.norm(seen, axis=1), np.linalg.norm(read, axis=1)) < np.deg2rad(
+        _LARGEST_TURN_DEG
+    )
+    return nearest_rotation(seen[clear].T @ read[clear]) if clear.any() else np.eye(3)
+
+
+def _from_quaternion(quaternion: Sequence[float] | Array) -> Array:
+    """Return a rotation matrix; Gaussian quaternions give uniform rotations (Marsaglia, 1972)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(np.asarray(quaternion)).as_matrix())
+
+
+def _unit_columns(matrix: Array) -> tuple[Array, Array]:
+    """Return the matrix with columns of unit length, and their lengths; zero columns stay."""
+    lengths = np.linalg.norm(matrix, axis=0)
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    return matrix / lengths, lengths
