@@ -1,7 +1,7 @@
 """The report as HTML: joins results, tables, plots and images in one page.
 
-`text` formats numbers; `run_tables` and `calibration_tables` make the rows of the tables. No text from a results file
-can become markup: the template escapes all of it.
+`text` formats numbers; `run_tables`, `calibration_tables` and `budget_tables` make the rows of the tables. No text from
+a results file can become markup: the template escapes all of it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from bench.report import calibration_tables, run_tables, text
+from bench.report import budget_tables, calibration_tables, run_tables, text
 from bench.report.choice import PLOTS, pictured_poses
 from bench.report.view_picture import ViewPicture, thinned
 from bench.report.walk import state_diagram
@@ -93,6 +93,9 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
             planar=calibration_tables.planar_comparison(calibration, results.get("planar")),
             candidates=calibration_tables.candidates(calibration),
             budget=calibration_tables.budget(calibration),
+            budget_rows=budget_tables.budget_rows(calibration),
+            combined=budget_tables.combined(calibration),
+            not_included=budget_tables.not_included(calibration),
             checks=calibration_tables.checks(results),
             halves=bool((results.get("halves") or {}).get("cameras")),
             comparison=calibration_tables.comparison(results.get("comparison") or [], k),

@@ -124,10 +124,53 @@ def _calibration(views, values):
             "noise of the stars": {name: 0.8 * s for name, s in SIGMA.items()},
             "disagreement of the views": {name: 0.6 * s for name, s in SIGMA.items()},
         },
+        "budget_rows": _budget_rows(),
+        "not_included": [
+            "bow of the print: 0.01 mm at 35 mm from the axis would move fx by 5.8 px and an image point by up to 1.3 px",
+            "thermal expansion of the print: 5 °C at 9e-6 per °C would move fx and every image point by less than 0.005 px",
+            "slopes of the collimator's wavefront: 5 µrad RMS would move fx by 0.17 px and an image point by up to 0.037 px",
+        ],
         "views": [{"name": v.name, "n": len(v.ids), "rms_px": 0.08, "mean_px": 0.07} for v in views],
         "candidates": [],
         "notes": ["Three poses only: the distortion coefficients are weakly constrained."],
     }
+
+
+def _budget_rows():
+    """Rows of an uncertainty budget whose squares add up to those of fx."""
+    stated = [
+        ("stars", "A", "residuals of the stars", "normal", None, "", None, 1791, None, 0.31, 0.084),
+        ("disagreement of the views", "A", "differences between the views", "normal", None, "", None, 1791, None, 0.48, 0.11),
+        ("passport of the collimator", "B", "certificate 2026-114", "normal", 0.05, "mm", 1.0, None, 13.1, 0.655, 0.148),
+        ("scale of the print", "B", "maker's drawing <4711>", "rectangular", 2e-5, "1", 3**0.5, None, 3340.0, 0.0386, 0.0087),
+        ("bow of the print", "B", "maker's drawing", "triangular", 0.01, "mm at 40 mm", 6**0.5, None, 0.71, 0.0003, 0.0001),
+        ("effective radius", "B", "default of Starbench; not stated", "normal", 6e-4, "1", 1.0, None, 3340.0, 1.942, 0.439),
+    ]  # fmt: skip
+    sums = [sum(row[at] ** 2 for row in stated) for at in (9, 10)]
+    return [
+        {
+            "name": name,
+            "type": kind,
+            "source": source,
+            "distribution": distribution,
+            "value": value,
+            "unit": unit,
+            "divisor": divisor,
+            "degrees_of_freedom": freedom,
+            "sensitivity": {}
+            if by is None
+            else {"fx": by, "fy": by, "cx": 0.1, "cy": 0.2, "worst_corner": by / 4.4},
+            "contribution": {"fx": fx, "fy": fx, "cx": 0.01, "cy": 0.01, "worst_corner": corner},
+            "share": {
+                "fx": fx**2 / sums[0],
+                "fy": fx**2 / sums[0],
+                "cx": 0.2,
+                "cy": 0.2,
+                "worst_corner": corner**2 / sums[1],
+            },
+        }
+        for name, kind, source, distribution, value, unit, divisor, freedom, by, fx, corner in stated
+    ]
 
 
 def _planar(values):

@@ -1,0 +1,149 @@
+"""The uncertainty budget of a report: a row for each source of uncertainty, and what is not included.
+
+Each function takes ``calibration`` of results.json and returns printed text; it is empty if the results have no budget.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from bench.report.calibration_tables import coverage_factor
+from bench.report.text import NOTHING, number
+
+Json = Mapping[str, Any]
+
+_SHOWN = ("fx", "worst_corner")
+#: Relative values are printed in millionths.
+_MILLIONTH = "10\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT SIX}"
+_UNITS = {"1": _MILLIONTH, "urad": "\N{MICRO SIGN}rad"}
+_EXACT_DIGITS = 3
+
+
+@dataclass(frozen=True)
+class PrintedBudgetRow:
+    """A source of uncertainty, as printed.
+
+    Attributes
+    ----------
+    name, type, source
+        Name of the source, ``A`` or ``B``, and where its value comes from.
+    value, distribution
+        Stated value with its unit; distribution with its divisor.
+    sensitivity
+        Change of fx by one unit of the value, with its unit.
+    focal, corner
+        Contribution to the standard uncertainty of fx and of the worst corner, px.
+    focal_share, corner_share
+        Share in the variance of fx and of the worst corner, 0 to 1.
+    """
+
+    name: str
+    type: str
+    source: str
+    value: str
+    distribution: str
+    sensitivity: str
+    focal: str
+    corner: str
+    focal_share: float
+    corner_share: float
+
+
+def budget_rows(calibration: Json) -> list[PrintedBudgetRow]:
+    """Return the rows of the uncertainty budget.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    list of PrintedBudgetRow
+        A row for each source of uncertainty.
+    """
+    return [_printed(row) for row in calibration.get("budget_rows") or []]
+
+
+def combined(calibration: Json) -> tuple[tuple[str, str], tuple[str, str]] | None:
+    """Return the combined standard uncertainties and the expanded ones (JCGM 100, 5.1.2 and 6.2.1).
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    tuple or None
+        u, then U = k u, each of fx and of the worst corner, px; None if the results have no budget.
+    """
+    rows = calibration.get("budget_rows") or []
+    if not rows:
+        return None
+    sums = [math.sqrt(sum(row["contribution"][name] ** 2 for row in rows)) for name in _SHOWN]
+    k = coverage_factor(calibration)
+    standard, expanded = ([number(factor * one, 2) for one in sums] for factor in (1.0, k))
+    return (standard[0], standard[1]), (expanded[0], expanded[1])
+
+
+def not_included(calibration: Json) -> list[tuple[str, str]]:
+    """Return the sources of uncertainty that the result does not contain.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name of the source, and what it could do.
+    """
+    lines = [str(line).partition(": ") for line in calibration.get("not_included") or []]
+    return [(name, effect) for name, _, effect in lines]
+
+
+def _printed(row: Json) -> PrintedBudgetRow:
+    """Return a row as printed."""
+    scale = 1e6 if row["unit"] == "1" else 1.0
+    base, _, where = str(row["unit"]).partition(" ")
+    unit = _UNITS.get(base, base)
+    value, sensitivity, divisor = row.get("value"), row.get("sensitivity") or {}, row.get("divisor")
+    distribution = str(row["distribution"])
+    if divisor is not None and abs(divisor - 1.0) > 1e-9:
+        distribution += f", divisor {number(float(divisor), 3)}"
+    elif value is None and row.get("degrees_of_freedom") is not None:
+        distribution += f", \N{GREEK SMALL LETTER NU} = {row['degrees_of_freedom']:.0f}"
+    contribution, share = row["contribution"], row["share"]
+    return PrintedBudgetRow(
+        name=str(row["name"]),
+        type=str(row["type"]),
+        source=str(row["source"]),
+        value=NOTHING if value is None else _stated(scale * value, unit, where),
+        distribution=distribution,
+        sensitivity=f"{number(float(sensitivity['fx']) / scale, 3)} px / {unit}" if sensitivity else NOTHING,
+        focal=_length(contribution["fx"]),
+        corner=_length(contribution["worst_corner"]),
+        focal_share=float(share["fx"]),
+        corner_share=float(share["worst_corner"]),
+    )
+
+
+def _stated(value: float, unit: str, where: str) -> str:
+    """Return a stated value with its unit, and where it holds."""
+    times = "\N{MULTIPLICATION SIGN} " if unit == _MILLIONTH else ""
+    return f"{_short(value)} {times}{unit} {where}".strip()
+
+
+def _short(value: float) -> str:
+    """Return a stated value with up to three significant digits."""
+    return f"{value:.{_EXACT_DIGITS}g}" if 1e-3 <= abs(value) < 1e4 or value == 0 else f"{value:.2e}"
+
+
+def _length(value: float) -> str:
+    """Return a contribution with two significant digits, at most three decimals."""
+    return "< 0.001" if 0 < value < 0.0005 else number(float(f"{value:.3f}"), 2 if value >= 0.01 else 1)
