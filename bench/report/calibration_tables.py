@@ -10,11 +10,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bench.report.text import NOTHING, fixed, meaning_of, number, unit_of, with_uncertainty
+from bench.report.text import NOTHING, angle, fixed, meaning_of, number, unit_of, with_uncertainty
 
 Json = Mapping[str, Any]
 
 _USUAL_COVERAGE_FACTOR = 2.0
+_VERDICTS = {
+    "agrees": "Gimbal: readings and rotations agree",
+    "slip": "Gimbal: an axis slipped",
+    "wrong_pose": "Gimbal: a pose does not fit",
+    "not_square": "Gimbal: the axes are not at right angles",
+    "wrong_sign": "Gimbal: the sign of an axis is wrong",
+    "ambiguous": "Gimbal: no scale can be stated",
+    "contradictory": "Gimbal: no scale can be stated",
+    "focal_length": "Gimbal: no fault shown; the focal length is in question",
+    "scale_or_parallax": "Gimbal: scale error or parallax",
+    "gimbal_scale": "Gimbal: its scale is in question",
+    "views_biased": "Gimbal: no fault shown; the views contradict each other",
+    "scatter": "Gimbal: scatter of unknown cause",
+}
+"""Heading of each verdict of the hand-eye check."""
 
 
 @dataclass(frozen=True)
@@ -252,14 +267,21 @@ def checks(results: Json) -> list[tuple[str, str]]:
         found += f"expected from the uncertainties: {number(halves['expected_px'], 3)} px"
         rows.append(("Split half: every other pose against the rest", found))
     if gimbal := results.get("gimbal"):
-        found = f"RMS difference {number(gimbal['rms_arcsec'], 3)}\N{DOUBLE PRIME}"
-        if gimbal.get("agrees") is False:
-            found += ", more than the uncertainty of the stars explains: the gimbal's repeatability is worse"
-            found += " than the camera's resolution, or an axis slipped; the result does not use its readings"
-        rows.append(("Hand-eye check: rotations against the gimbal's readings", found))
-        for axis, scale in gimbal["scale"].items():
-            value, expanded = with_uncertainty(scale, 2 * gimbal["scale_sigma"][axis])
-            rows.append(
-                (f"Scale of the gimbal's {axis.removesuffix('_deg')}", f"{value} ± {expanded} (k = 2)")
-            )
+        rows += _gimbal(gimbal)
+    return rows
+
+
+def _gimbal(gimbal: Json) -> list[tuple[str, str]]:
+    """Describe the hand-eye check; results of older versions have no verdict."""
+    found = f"RMS difference {angle(gimbal['rms_arcsec'])}"
+    if gimbal.get("agrees") is False:
+        found += ", more than the uncertainty of the stars explains"
+    rows = [("Hand-eye check: rotations against the gimbal's readings", f"{found}.")]
+    if says := gimbal.get("says"):
+        rows.append((_VERDICTS.get(gimbal.get("verdict", ""), "Gimbal"), " ".join(says)))
+    for axis, scale in gimbal["scale"].items():
+        value, expanded = with_uncertainty(scale, 2 * gimbal["scale_sigma"][axis])
+        rows.append(
+            (f"Angle seen over angle read, {axis.removesuffix('_deg')}", f"{value} ± {expanded} (k = 2)")
+        )
     return rows

@@ -15,6 +15,7 @@ from typing import Any
 NOTHING = "\N{EN DASH}"
 """Printed in place of a missing value."""
 MINUS = "\N{MINUS SIGN}"
+_ARCSEC_PER_TENTH_DEGREE = 360.0
 
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "x": "mm", "y": "mm", "r": "mm"}
 _MEANINGS = {
@@ -188,6 +189,29 @@ def fixed(value: Any, decimals: int) -> str:
         return NOTHING
     rounded = round(float(value), decimals) + 0.0
     return f"{rounded:.{decimals}f}".replace("-", MINUS)
+
+
+def angle(arcsec: float) -> str:
+    """Print an angle with three significant digits: degrees from 0.1 degrees on, arc seconds below.
+
+    Parameters
+    ----------
+    arcsec
+        The angle, arc seconds.
+
+    Returns
+    -------
+    str
+        Number and unit.
+
+    Examples
+    --------
+    >>> angle(1.83), angle(360.0), angle(20900.0)
+    ('1.83″', '0.100°', '5.81°')
+    """
+    if arcsec >= _ARCSEC_PER_TENTH_DEGREE:
+        return f"{number(arcsec / 3600, 3)}\N{DEGREE SIGN}"
+    return f"{number(arcsec, 3)}\N{DOUBLE PRIME}"
 
 
 def moment(text: str | None) -> str:

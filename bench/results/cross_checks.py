@@ -11,6 +11,9 @@ from typing import Any
 from bench.views.expected_grid import best_angles_deg
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
+from calib.model.gimbal_readings import AXES
+from calib.studies.gimbal_faults import GimbalFault
+from calib.studies.gimbal_pairs import PairRatios
 from calib.studies.hand_eye import check_hand_eye
 from calib.studies.split_half import split_half
 from calib.view import View
@@ -61,16 +64,64 @@ def gimbal_check(
     Returns
     -------
     dict or None
-        ``rms_arcsec scale scale_sigma agrees``; None with too few poses, or if an axis did not move.
+        ``rms_arcsec scale scale_sigma agrees excess_arcsec verdict says pairs slip faults``, as docs/results.md
+        describes them; None with too few poses, or if an axis did not move.
     """
     readings = [{f"{axis}_deg": deg for axis, deg in best_angles_deg(pose).items()} for pose in readings_deg]
     try:
-        check = check_hand_eye(calibration.rotations, calibration.rotation_covariance, readings)
+        check = check_hand_eye(
+            calibration.rotations,
+            calibration.rotation_covariance,
+            readings,
+            focal_uncertainty=_focal_uncertainty(calibration),
+            birge_ratio=calibration.birge_ratio,
+            names=[view.name for view in calibration.views],
+        )
     except CalibrationError:  # too few poses, or axes that did not move
         return None
+    faults = [_fault(fault, claimed=fault in check.claimed_faults) for fault in check.faults]
+    slips = [fault for fault in faults if fault["kind"] == "slip" and fault["claimed"]]
     return {
         "rms_arcsec": check.rms_arcsec,
         "scale": dict(check.scale),
         "scale_sigma": dict(check.scale_sigma),
         "agrees": check.consistent,
+        "excess_arcsec": check.excess_arcsec,
+        "verdict": check.verdict.kind,
+        "says": list(check.verdict.says),
+        "pairs": _pairs(check.pairs) if check.pairs is not None else None,
+        "slip": slips[0] if slips else None,
+        "faults": faults,
+    }
+
+
+def _focal_uncertainty(calibration: Calibration) -> float | None:
+    """Return the larger U of fx and fy, as a share of the value; None if neither was estimated."""
+    values = dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True))
+    sigmas = calibration.sigma
+    shares = [sigmas[name] / values[name] for name in ("fx", "fy") if name in values]
+    return calibration.coverage_factor * max(shares) if shares else None
+
+
+def _pairs(pairs: PairRatios) -> dict[str, Any]:
+    """Return the ratios of the pairs of poses, for results.json."""
+    return {
+        "ratio": pairs.ratio,
+        "spread": pairs.spread,
+        "count": pairs.count,
+        "by_axis": {AXES[axis]: ratio for axis, ratio in pairs.by_axis.items()},
+        "by_axis_sigma": {AXES[axis]: sigma for axis, sigma in pairs.by_axis_sigma.items()},
+    }
+
+
+def _fault(fault: GimbalFault, *, claimed: bool) -> dict[str, Any]:
+    """Return a fault, for results.json; poses count from 0."""
+    return {
+        "kind": fault.kind,
+        "axis": None if fault.axis is None else AXES[fault.axis],
+        "pose": fault.pose,
+        "size_deg": fault.size_deg,
+        "sigma_deg": fault.sigma_deg,
+        "probability": fault.probability,
+        "claimed": claimed,
     }

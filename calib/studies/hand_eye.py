@@ -69,6 +69,8 @@ class HandEyeCheck:
         Ratios from the pairs of poses; None if no pair turned far enough.
     faults
         Faults found, claimed or not.
+    claimed_faults
+        Those of them that no smooth error of biased views can imitate.
     verdict
         The result in one name, and in words.
     """
@@ -84,6 +86,7 @@ class HandEyeCheck:
     excess_arcsec: float
     pairs: PairRatios | None
     faults: tuple[GimbalFault, ...]
+    claimed_faults: tuple[GimbalFault, ...]
     verdict: Verdict
 
     @property
@@ -183,6 +186,7 @@ def check_hand_eye(
         ARCSEC * last.excess_rad,
         pairs,
         faults,
+        found.claimed_faults,
         judge(found),
     )
 
