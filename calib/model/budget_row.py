@@ -13,7 +13,7 @@ ROW_QUANTITIES = ("fx", "fy", "cx", "cy", WORST_CORNER)
 
 @dataclass(frozen=True)
 class BudgetRow:
-    """A source of uncertainty and its contribution (JCGM 100:2008, section 7.2.7; EA-4/02, section 7).
+    """A source of uncertainty and its contribution (JCGM 100:2008, section 7.2.7).
 
     Attributes
     ----------

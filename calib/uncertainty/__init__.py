@@ -1,4 +1,4 @@
-"""Uncertainty of an adjustment: covariance, variance components, cross-validation, consistency, projection.
+"""Uncertainty of an adjustment: covariance, variance components, type B terms, budget, cross-validation, projection.
 
 References
 ----------
@@ -9,6 +9,7 @@ References
 - Efron (1982), The Jackknife, the Bootstrap and Other Resampling Plans, SIAM.
 - Huber (1981), Robust Statistics, Wiley.
 - JCGM 100:2008, Guide to the expression of uncertainty in measurement (GUM).
+- JCGM 101:2008, Propagation of distributions using a Monte Carlo method (supplement 1 to the GUM).
 - Kogan, mrcal: the documentation's pages on projection uncertainty and on differences between calibrations.
 - Liang and Zeger (1986), Longitudinal data analysis using generalized linear models, Biometrika 73, 13.
 - Patterson and Thompson (1971), Recovery of inter-block information when block sizes are unequal, Biometrika 58, 545.

@@ -15,7 +15,7 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.aberrations import PARALLAX
-from calib.model.gimbal import NON_ORTHOGONALITY, SCALES
+from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.uncertainty.covariance import Uncertainty, inverse_information
 
 Array = NDArray[np.float64]
@@ -27,11 +27,11 @@ PASSPORT = "passport of the collimator"
 READINGS = "readings of the gimbal"
 PARALLAX_BOUND = "parallax"
 GIMBAL_SCALE = "scale and eccentricity of the gimbal"
-GIMBAL_AXES = "angle between the gimbal's axes"
+GIMBAL_AXES = "mounting and axes of the gimbal"
 _PRIOR_GROUPS: Mapping[str, tuple[str, ...]] = {
     PARALLAX_BOUND: PARALLAX,
     GIMBAL_SCALE: SCALES,
-    GIMBAL_AXES: (NON_ORTHOGONALITY,),
+    GIMBAL_AXES: (NON_ORTHOGONALITY, *MOUNTING, *STANDING),
 }
 
 
@@ -97,7 +97,7 @@ def _by_held(covariance: Array, held: Sequence[int]) -> Array:
 
 
 def _by_priors(bundle: Bundle, own: Array, names: Sequence[str]) -> dict[str, Array]:
-    """Return (G, G) covariances that priors cause: parallax, scales, angle between axes, and all other priors."""
+    """Return (G, G) covariances that priors cause: parallax, scales and axes of the gimbal, and all other priors."""
     if bundle.prior is None:
         return {}
     grouped = {name: group for group, members in _PRIOR_GROUPS.items() for name in members}

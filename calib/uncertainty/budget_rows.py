@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import Loss
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.model.camera import CameraModel
 from calib.model.type_b_terms import TermKind, TypeBTerm
@@ -20,11 +23,12 @@ from calib.uncertainty.budget_parts import (
     PRIORS,
     READINGS,
     STARS,
+    covariance_parts,
 )
-from calib.uncertainty.covariance import INCONSISTENCY
+from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty
 from calib.uncertainty.projection_uncertainty import projection_derivatives
 from calib.uncertainty.target_response import TargetResponse
-from calib.uncertainty.type_b import AppliedBudget, Contribution
+from calib.uncertainty.type_b import AppliedBudget, Contribution, apply_budget
 
 Array = NDArray[np.float64]
 
@@ -36,10 +40,65 @@ _OWN_SOURCES: Mapping[str, tuple[Literal["A", "B"], str]] = {
     PASSPORT: ("B", "passport or certificate of the collimator"),
     READINGS: ("B", "station: reading_sigma_deg"),
     GIMBAL_SCALE: ("B", "station: scale_sigma, eccentricity_deg"),
-    GIMBAL_AXES: ("B", "expected size"),
+    GIMBAL_AXES: ("B", "expected sizes"),
     PARALLAX_BOUND: ("B", "station: pupil_off_pivot_mm and defocus"),
 }
 _SMALLEST_PX = 0.005
+
+
+@dataclass(frozen=True)
+class UncertaintyBudget:
+    """The uncertainty budget of a calibration.
+
+    Attributes
+    ----------
+    applied
+        The uncertainty with the type B terms, and what each term contributes.
+    rows
+        A row for each source of uncertainty.
+    not_included
+        What nobody stated, with what it could do, in words.
+    """
+
+    applied: AppliedBudget
+    rows: tuple[BudgetRow, ...]
+    not_included: tuple[str, ...]
+
+
+def uncertainty_budget(
+    bundle: Bundle,
+    parameters: AdjustmentParameters,
+    loss: Loss,
+    estimate: Uncertainty,
+    terms: Sequence[TypeBTerm],
+    sources: Mapping[str, str] | None = None,
+) -> UncertaintyBudget:
+    """Add type B terms to the uncertainty of an adjustment, and return its whole budget.
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted; corrections of the terms are contained in its data.
+    parameters
+        Its optimum.
+    loss
+        Loss with the limit that the adjustment ended with.
+    estimate
+        Uncertainty from views, priors and passport.
+    terms
+        The stated terms.
+    sources
+        Where values come from, by name of the row (see `budget_rows`).
+
+    Returns
+    -------
+    UncertaintyBudget
+        New uncertainty, rows, and what is not included.
+    """
+    applied = apply_budget(bundle, parameters, loss, estimate, terms)
+    parts = covariance_parts(bundle, parameters, loss, estimate)
+    rows = budget_rows(parameters.camera, applied, parts, sources)
+    return UncertaintyBudget(applied, rows, not_included(parameters.camera, applied))
 
 
 def budget_rows(

@@ -34,7 +34,7 @@ class TargetResponse:
     stars_mm
         (M, 2) float64 nominal positions of the stars that the views show, mm.
     axis_mm, r_mm
-        Foot of the collimator's axis on the target, and its radius, mm.
+        Foot of the collimator's axis on the target, and its radius, mm; medians if each view has its own centre.
     shared
         (G, 3, M) float64 change of each parameter by the displacement of a star along X, Y and Z, per mm.
     turns
@@ -181,7 +181,8 @@ def target_response(
     information = equations.reduced() if information is None else information
     free = _solved(information, shared.reshape(count, -1)).reshape(shared.shape)
     turns = _turns(equations.local, equations.coupling, local, free)
-    r = parameters.collimator.r
+    x, y, z = np.median(parameters.centres, axis=0).tolist()
+    r = -z
     by_radius, has_certificate = _radius_gradient(bundle, names, free, information, r)
     own = np.zeros(len(names))
     if has_certificate and "r" not in bundle.names:
@@ -196,7 +197,7 @@ def target_response(
     return TargetResponse(
         tuple(names),
         stars,
-        (parameters.collimator.x, parameters.collimator.y),
+        (x, y),
         r,
         _spread(free, bundle.names, names),
         turns,

@@ -175,7 +175,12 @@ def with_default_terms(response: TargetResponse, terms: Sequence[TypeBTerm]) -> 
     tuple of TypeBTerm
         The stated terms, and the default one.
     """
-    if not response.has_certificate or any(term.kind == "effective_radius" for term in terms):
+    return _with_effective_radius(terms) if response.has_certificate else tuple(terms)
+
+
+def _with_effective_radius(terms: Sequence[TypeBTerm]) -> tuple[TypeBTerm, ...]:
+    """Return the terms, with the default of the effective radius if it is not stated."""
+    if any(term.kind == "effective_radius" for term in terms):
         return tuple(terms)
     default = TypeBTerm(
         "effective radius",
@@ -184,6 +189,35 @@ def with_default_terms(response: TargetResponse, terms: Sequence[TypeBTerm]) -> 
         "default of Starbench; not stated",
     )
     return (*terms, default)
+
+
+def radius_difference_variance(response: TargetResponse, terms: Sequence[TypeBTerm]) -> float:
+    """Return how much the radius that views give may differ from that of a certificate, because of the terms.
+
+    The terms of the target change the radius that the views give, those of the certificate its own radius. A test of a
+    certificate against the views must allow for both, or it blames the certificate for a bowed target.
+
+    Parameters
+    ----------
+    response
+        Response of a fit in which the views determine the radius.
+    terms
+        The stated terms; without one of the effective radius, the default enters.
+
+    Returns
+    -------
+    float
+        Variance of the difference, mm^2.
+    """
+    at, variance = response.names.index("r"), 0.0
+    for term in _with_effective_radius(terms):
+        if term.kind in RADII:
+            variance += (term.standard_uncertainty * response.r_mm) ** 2
+        elif term.kind == "wavefront":
+            variance += float(response.by_wavefront(term)[0][at, at]) * term.standard_uncertainty**2
+        else:
+            variance += (float(response.by_term(term)[0][at]) * term.standard_uncertainty) ** 2
+    return variance
 
 
 def effective_degrees_of_freedom(estimate: Uncertainty, contributions: Sequence[Contribution]) -> Array:

@@ -9,12 +9,13 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions
 from calib.fit import fit_model
 from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.type_b_terms import TypeBTerm
 from calib.uncertainty.budget_parts import covariance_parts
-from calib.uncertainty.budget_rows import budget_rows, not_included
+from calib.uncertainty.budget_rows import budget_rows, not_included, uncertainty_budget
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
-from calib.uncertainty.type_b import apply_budget, forecast_budget
+from calib.uncertainty.type_b import forecast_budget
 
 CERTIFICATE = Passport.of_radius(255.0, 0.05)
 SCALE = TypeBTerm("scale of the print", "print_scale", 20e-6, "drawing 4711", "rectangular")
@@ -28,9 +29,8 @@ def fitted(bench, model="spherical", passport=None):
 
 
 def budget_of(fit, terms):
-    applied = apply_budget(fit.bundle, fit.parameters, fit.loss, fit.uncertainty, terms)
-    parts = covariance_parts(fit.bundle, fit.parameters, fit.loss, fit.uncertainty)
-    return applied, budget_rows(fit.parameters.camera, applied, parts)
+    budget = uncertainty_budget(fit.bundle, fit.parameters, fit.loss, fit.uncertainty, terms)
+    return budget.applied, budget.rows
 
 
 @pytest.mark.parametrize("passport", [None, CERTIFICATE], ids=["free", "certificate"])
@@ -129,3 +129,59 @@ def test_the_forecast_from_predicted_views_is_the_budget_of_a_run(bench, passpor
     assert [row.name for row in found] == [row.name for row in rows]
     for own, other in zip(found, rows, strict=True):
         assert own.contribution["fx"] == pytest.approx(other.contribution["fx"], rel=0.05, abs=1e-3)
+
+
+def read_fit(bench, views, readings_deg):
+    parallax = ParallaxBound(0.0, 0.005, 0.0, 0.5)
+    readings = GimbalReadings(tuple(readings_deg), 0.002, 1e-4, 0.002, parallax, "certificate G-1")
+    options = CalibrationOptions(loss="l2", gimbal=readings)
+    return fit_model(views, options, "spherical")
+
+
+def test_the_row_of_the_readings_is_what_their_scatter_does_to_refits(make_bench):
+    poses = ((-5, 2), (0.5, -2.5), (5, 2.5), (-3, -3), (4, -1))
+    bench, rng = make_bench(half_angle_deg=8, poses=poses), np.random.default_rng(3)
+    views = bench.views(rng, 0.02)
+    angles = [
+        dict(
+            zip(
+                ("pan_deg", "tilt_deg", "roll_deg"),
+                (*pose, 0.0) + 0.002 * rng.standard_normal(3),
+                strict=True,
+            )
+        )
+        for pose in poses
+    ]
+    fit = read_fit(bench, views, angles)
+    _, rows = budget_of(fit, [])
+    by_name = {row.name: row for row in rows}
+    assert {"stars", "readings of the gimbal", "parallax", "scale and eccentricity of the gimbal"} <= set(
+        by_name
+    )
+    squares = 0.0
+    for view in range(len(poses)):
+        for axis in angles[view]:
+            moved = [dict(reading) for reading in angles]
+            moved[view][axis] += 0.001
+            away = read_fit(bench, views, moved).parameters.camera.fx - fit.parameters.camera.fx
+            squares += (away / 0.001 * 0.002) ** 2
+    assert by_name["readings of the gimbal"].contribution["fx"] == pytest.approx(squares**0.5, rel=0.02)
+    whole = fit.uncertainty.covariance[0, 0] ** 0.5
+    assert np.linalg.norm([row.contribution["fx"] for row in rows]) == pytest.approx(whole, rel=1e-6)
+
+
+def test_a_planar_model_has_a_budget_too(bench):
+    fit = fitted(bench, "planar")
+    _, rows = budget_of(fit, [SCALE, BOW, WAVES])
+    assert rows[0].name == "stars"
+    assert all(np.isfinite(list(row.contribution.values())).all() for row in rows)
+    assert {row.name: row for row in rows}["wavefront"].contribution["fx"] > 0
+
+
+def test_one_view_with_a_certificate_has_a_budget(bench):
+    views = bench.views(np.random.default_rng(31), 0.02)[:1]
+    fit = fit_model(views, CalibrationOptions(loss="l2", passport=CERTIFICATE), "spherical")
+    _, rows = budget_of(fit, [SCALE])
+    assert {row.name: row for row in rows}["effective radius"].contribution["fx"] == pytest.approx(
+        2, rel=0.05
+    )

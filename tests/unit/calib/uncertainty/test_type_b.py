@@ -8,7 +8,7 @@ from calib.fit import fit_model
 from calib.model.passport import Passport
 from calib.model.type_b_terms import TypeBTerm
 from calib.uncertainty.target_response import target_response
-from calib.uncertainty.type_b import DEFAULT_EFFECTIVE_RADIUS, apply_budget
+from calib.uncertainty.type_b import DEFAULT_EFFECTIVE_RADIUS, apply_budget, radius_difference_variance
 from calib.view import View
 
 #: So uncertain that no bow of these tests contradicts it.
@@ -176,3 +176,16 @@ def test_degrees_of_freedom_follow_welch_and_satterthwaite(bench):
     assert applied.uncertainty.effective_degrees_of_freedom == min(own.values())
     without = apply_budget(fit.bundle, fit.parameters, fit.loss, fit.uncertainty, [EFFECTIVE])
     assert without.degrees_of_freedom[at] > fit.uncertainty.effective_degrees_of_freedom
+
+
+def test_a_bow_and_the_effective_radius_explain_a_radius_unlike_the_certificate(bench):
+    fit = fitted(bench, "spherical")
+    response = response_of(fit)
+    alone = radius_difference_variance(response, [])
+    assert alone**0.5 == pytest.approx(255 * DEFAULT_EFFECTIVE_RADIUS, rel=1e-2)
+    exact = TypeBTerm("effective radius", "effective_radius", 0.0, "x")
+    bowed = fitted(bench, "spherical", displaced(BOW, BOW.value, bench)).parameters.collimator.r
+    stated = radius_difference_variance(response, [exact, BOW]) ** 0.5
+    assert stated == pytest.approx(abs(bowed - fit.parameters.collimator.r) / 3**0.5, rel=0.05)
+    waves = TypeBTerm("w", "wavefront", 2.0, "x")
+    assert radius_difference_variance(response, [exact, waves]) > 0
