@@ -38,9 +38,9 @@ def displaced(term, size, bench):
     return place
 
 
-def views_of(bench, place=None):
-    """The views of a bench, with a target whose stars lie elsewhere; the noise is that of one fixed draw."""
-    views, rng = [], np.random.default_rng(5)
+def views_of(bench, place=None, seed=5):
+    """The views of a bench, with a target whose stars lie elsewhere; the noise is that of the seed."""
+    views, rng = [], np.random.default_rng(seed)
     for view, turn in zip(bench.views(), bench.rotations, strict=True):
         camera = np.array([[bench.fx, 0, bench.cx], [0, bench.fy, bench.cy], [0, 0, 1.0]])
         world = (
@@ -56,9 +56,9 @@ def views_of(bench, place=None):
     return views
 
 
-def fitted(bench, how, place=None, **other):
+def fitted(bench, how, place=None, *, seed=5, **other):
     options = OPTIONS[how] if not other else CalibrationOptions(**{**vars(OPTIONS[how]), **other})
-    return fit_model(views_of(bench, place), options, options.model)
+    return fit_model(views_of(bench, place, seed), options, options.model)
 
 
 def values(fit):
@@ -189,3 +189,29 @@ def test_a_bow_and_the_effective_radius_explain_a_radius_unlike_the_certificate(
     assert stated == pytest.approx(abs(bowed - fit.parameters.collimator.r) / 3**0.5, rel=0.05)
     waves = TypeBTerm("w", "wavefront", 2.0, "x")
     assert radius_difference_variance(response, [exact, waves]) > 0
+
+
+@pytest.mark.parametrize("how", ["spherical", "radial with a certificate"])
+def test_stated_terms_cover_what_they_do_to_whole_calibrations(make_bench, how):
+    """Benches drawn from the stated terms: errors over sigmas are those of a normal distribution."""
+    bench, rng = make_bench(half_angle_deg=8), np.random.default_rng(77)
+    terms = [SCALE, BOW, TypeBTerm("effective radius", "effective_radius", 1e-3, "x")]
+    found = []
+    for seed in range(40):
+        scale, bow = rng.uniform(-1, 1, 2) * (20e-6, 0.01)
+        certified = 255.0 * (1 + 1e-3 * rng.standard_normal()) + 0.05 * rng.standard_normal()
+
+        def place(target_mm, scale=scale, bow=bow):
+            height = bow * ((target_mm - bench.centre[:2]) ** 2).sum(axis=1) / 40.0**2
+            return np.column_stack([target_mm * (1 + scale), height])
+
+        # The term of the effective radius is part of what the test of a certificate must allow for.
+        certificate = {"passport": Passport.of_radius(certified, 0.05)} if "certificate" in how else {}
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("calib.fit.check_passport", lambda *_: None)
+            fit = fitted(bench, how, place, seed=seed, **certificate)
+        applied = apply_budget(fit.bundle, fit.parameters, fit.loss, fit.uncertainty, terms)
+        sigma = applied.uncertainty.covariance[0, 0] ** 0.5
+        found.append((fit.parameters.camera.fx - bench.fx) / sigma)
+    assert 0.75 < np.sqrt(np.mean(np.square(found))) < 1.25
+    assert np.mean(np.abs(found) < 2) > 0.85
