@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from simulators.config import bench_config
 from simulators.errors import ConfigError
+from simulators.optics import scene
 from simulators.optics.picture import true_rotation
 from simulators.world.gimbal import (
     AXES,
@@ -19,9 +20,10 @@ from simulators.world.gimbal import (
     drawn_errors,
     gimbal_rotation,
     load_angles_deg,
+    rotation_matrix,
     true_angles_deg,
 )
-from simulators.world.truth import OpticsTruth, Truth
+from simulators.world.truth import CameraTruth, OpticsTruth, Truth
 
 ANGLE = st.floats(-180.0, 180.0)
 ANGLES = st.fixed_dictionaries(dict.fromkeys(AXES, ANGLE))
@@ -45,6 +47,25 @@ def test_without_errors_the_camera_points_where_the_axes_read(angles, mounting_d
     mounting = Rotation.from_rotvec(mounting_deg, degrees=True).as_matrix()
     truth = Truth(optics=OpticsTruth(mounting_deg=mounting_deg), gimbal=GimbalTruth(seed=7))
     np.testing.assert_allclose(true_rotation(angles, truth), about(angles) @ mounting, atol=1e-14)
+
+
+@given(ANGLES, st.integers(0, 1000))
+def test_without_errors_the_rotation_has_the_very_bits_of_the_product_of_its_factors(angles, seed):
+    pan, tilt, roll = (math.radians(angles[name]) for name in AXES)
+    product = rotation_matrix((0, 0, roll)) @ rotation_matrix((tilt, 0, 0)) @ rotation_matrix((0, pan, 0))
+    optics = OpticsTruth()
+    product = product @ rotation_matrix(np.radians(np.asarray(optics.mounting_deg, np.float64)))
+    perfect = Truth(optics=optics, gimbal=GimbalTruth(seed=seed))
+    assert true_rotation(angles, perfect).tobytes() == product.tobytes()
+
+
+def test_the_cameras_picture_shows_where_the_errors_of_the_gimbal_lead_it():
+    small = CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, width=128, height=72)
+    truth = Truth(camera=small, gimbal=GimbalTruth(scale=(0.1, -0.1, 0.0)))
+    perfect = Truth(camera=small)
+    seen = scene.picture(truth, {"pan": 6.0, "tilt": 4.0})
+    np.testing.assert_allclose(seen, scene.picture(perfect, {"pan": 6.6, "tilt": 3.6}), atol=1e-6)
+    assert np.abs(seen - scene.picture(perfect, {"pan": 6.0, "tilt": 4.0})).max() > 0.1
 
 
 @given(ANGLES)
