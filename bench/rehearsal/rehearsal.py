@@ -9,17 +9,17 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
-from bench.plan.estimate import CHECK_S, PREFLIGHT_S, REPORT_S, SOLVE_S
+from bench.plan.estimate import CHECK_S, CHOOSE_S, PREFLIGHT_S, REPORT_S, SOLVE_S
 from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.plan import Plan, load_documents, make_plan
-from bench.records.events import Event, MeasuredFacts, Solved
+from bench.records.events import Event, MeasuredFacts, Solved, UntilDecided
 from bench.records.history import History, replay
 from bench.records.journal import Journal
 from bench.records.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
@@ -27,6 +27,7 @@ from bench.records.run_log import RunLog
 from bench.records.unsynced_journal import UnsyncedJournal
 from bench.rehearsal.virtual_devices import VirtualDevices, read_view
 from bench.results.comparison import compare_with_truth
+from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter, main_numbers, software
 from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
@@ -36,7 +37,7 @@ from bench.views.measure import ExpectedGrid, Measurement
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
 from calib.target import StarTarget
-from sequences.script import RecordStep, SolveStep
+from sequences.script import ChooseStep, RecordStep, SolveStep
 
 SCHEMA = "starbench/rehearsal/1"
 
@@ -170,6 +171,33 @@ class RehearsedResults(ResultWriter):
         self.outcome = Outcome(results, self._folder.write_atomic(RESULTS, data))
 
 
+class RehearsedDecisions(Decisions):
+    """Decides for the ``until`` steps of a rehearsed run; the time for it passes on the clock of the rehearsal.
+
+    Parameters
+    ----------
+    job
+        Task of the rehearsed run.
+    folder
+        Run folder.
+    """
+
+    def __init__(self, job: RehearsedJob, folder: Path) -> None:
+        super().__init__(job, folder)
+        self._clock = job.clock
+
+    def decide(
+        self,
+        step: ChooseStep,
+        history: History,
+        measured: MutableMapping[int, Measurement],
+        check: Callable[[], None],
+    ) -> UntilDecided:
+        """See `Decisions.decide`."""
+        self._clock.sleep(CHOOSE_S)
+        return super().decide(step, history, measured, check)
+
+
 def rehearse_run(
     sequence: str,
     station: str,
@@ -264,10 +292,14 @@ def rehearse_job(
                 return RunEnd("finished", "", held.path, None)
             _journal_begin(journal, job, held, again=begun)
             progress = Progress(
-                clock.monotonic, job.plan.duration_s, len(job.plan.poses), stream=io.StringIO()
+                clock.monotonic, job.plan.duration_s, job.plan.most_poses, stream=io.StringIO()
             )
             results = RehearsedResults(job, held)
-            return Runner(job, held, journal, open_devices, clock, progress, results=results).run()
+            decisions = RehearsedDecisions(job, held.path)
+            runner = Runner(
+                job, held, journal, open_devices, clock, progress, results=results, decisions=decisions
+            )
+            return runner.run()
 
 
 def _write_documents(folder: RunFolder, plan: Plan) -> None:

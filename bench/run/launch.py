@@ -298,7 +298,7 @@ def _run_and_seal(
     clock = launch.clock
     key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
     wire_log = WireLogFile(folder.path / WIRE_LOG)
-    progress = Progress(clock.monotonic, job.plan.duration_s, len(job.plan.poses), launch.stream)
+    progress = Progress(clock.monotonic, job.plan.duration_s, job.plan.most_poses, launch.stream)
 
     def open_devices() -> Devices:
         return Devices(job.station, seed=job.seed, clock=clock, wire_log=wire_log)

@@ -22,6 +22,7 @@ READY = (
     "slewing",
     "settling",
     "checking",
+    "choosing",
     "backing_off",
     "waiting",
     "holding",
@@ -30,8 +31,9 @@ READY = (
 """States whose work, once done, leaves the bench ready for the next step of the script."""
 
 STATES = (
-    "idle", "preflight", "homing", "lighting", "slewing", "settling", "recording", "checking", "backing_off",
-    "waiting", "holding", "recovering", "parking", "solving", "reporting", "finished", "aborting", "aborted", "failed",
+    "idle", "preflight", "homing", "lighting", "slewing", "settling", "recording", "checking", "choosing",
+    "backing_off", "waiting", "holding", "recovering", "parking", "solving", "reporting", "finished", "aborting",
+    "aborted", "failed",
 )  # fmt: skip
 
 END_STATES = ("finished", "aborted", "failed")
@@ -50,6 +52,7 @@ EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("back_off", ("recording", "checking"), "backing_off"),
     ("wait", READY, "waiting"),
     ("hold", (*READY, "idle", "preflight", "recording"), "holding"),
+    ("choose", READY, "choosing"),
     ("park", READY, "parking"),
     ("solve", (*READY, "solving"), "solving"),
     ("report", (*READY, "solving", "reporting"), "reporting"),

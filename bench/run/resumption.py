@@ -11,7 +11,8 @@ from dataclasses import replace
 
 from bench.plan.job import Job, ScriptStep
 from bench.records.history import History, count_crash
-from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
+from bench.report.until_text import goals_text
+from sequences.script import ChooseStep, MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
 
 CRASHES_ALLOWED = 1
 """A pose at which the process crashed more often than this is not tried again."""
@@ -42,6 +43,41 @@ def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[Sc
     return [steps[i] for i in sorted({*again, *undone})]
 
 
+def steps_to_do(job: Job, history: History) -> list[ScriptStep]:
+    """Return the steps that a run still has to do.
+
+    Parameters
+    ----------
+    job, history
+        Task and history of the run.
+
+    Returns
+    -------
+    list
+        Steps in the order of the script, without those that an ``until`` left out because it ended.
+    """
+    left_out = {step.number for step in job.steps if history.is_left_out(step.number)}
+    return remaining_steps(job.steps, history.done_steps | left_out)
+
+
+def pose_names(job: Job, history: History) -> dict[int, str]:
+    """Return the names of the poses that have angles: those of the sequence and those chosen so far.
+
+    Parameters
+    ----------
+    job, history
+        Task and history of the run.
+
+    Returns
+    -------
+    dict
+        Name by pose index.
+    """
+    poses = [step.pose for step in job.steps if isinstance(step, RecordStep)]
+    chosen = history.chosen
+    return {pose.index: pose.name for pose in poses if not pose.chosen_in_run or pose.index in chosen}
+
+
 def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
     """Return the steps before ``step`` that the next recording depends on: move and settling.
 
@@ -57,7 +93,7 @@ def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[Scrip
     list
         Steps to repeat; empty if a move comes before the next recording, or no recording follows.
     """
-    here = next(i for i, candidate in enumerate(steps) if candidate is step)
+    here = next(i for i, candidate in enumerate(steps) if candidate.number == step.number)
     coming = (s for s in steps[here:] if isinstance(s, MoveStep | RecordStep))
     if not isinstance(next(coming, None), RecordStep):
         return []
@@ -67,6 +103,8 @@ def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[Scrip
 
 def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptStep]:
     """Return the steps that serve one recording only: it, and its move if no other recording depends on that.
+
+    If the run chooses the pose, the step that chooses it is one of them.
 
     Parameters
     ----------
@@ -86,7 +124,9 @@ def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptSt
     end = min((i for i in moves if i > here), default=len(steps))
     if sum(isinstance(s, RecordStep) for s in steps[begin:end]) > 1:
         return [steps[here]]
-    return [s for s in steps[begin : here + 1] if isinstance(s, MoveStep | SettleStep | RecordStep)]
+    own = [s for s in steps[begin : here + 1] if isinstance(s, MoveStep | SettleStep | RecordStep)]
+    choices = (s for s in steps[:begin] if isinstance(s, ChooseStep) and s.pose is not None)
+    return [*(s for s in choices if s.pose is not None and s.pose.index == pose_index), *own]
 
 
 def poses_crashed_too_often(history: History) -> dict[int, str]:
@@ -129,7 +169,7 @@ def intentions(job: Job, history: History, crash: str | None) -> list[str]:
         return ["The run is finished; only its seal is missing. It will be sealed; no device is opened."]
     history = replace(history, crashes=dict(history.crashes))
     count_crash(history, crash)
-    names = {pose.index: pose.name for pose in job.plan.poses}
+    names = pose_names(job, history)
     how = f"{history.ended}: {history.why}" if history.ended else crash or "killed or power lost"
     return [
         f"The run was stopped ({how}). {len(history.accepted())} of {len(names)} poses are recorded and are kept.",
@@ -150,14 +190,27 @@ def _skip_texts(history: History, names: Mapping[int, str]) -> list[str]:
 def _step_texts(job: Job, history: History) -> list[str]:
     """Return which poses will be recorded or moved to again, and what follows."""
     skipped = {*history.skipped, *poses_crashed_too_often(history), *history.to_skip}
-    steps = remaining_steps(job.steps, history.done_steps)
-    recorded = [s.pose for s in steps if isinstance(s, RecordStep)]
+    steps = steps_to_do(job, history)
+    known = pose_names(job, history)
+    recorded = [s.pose for s in steps if isinstance(s, RecordStep) and s.pose.index in known]
     repeated = [s.pose for s in steps if isinstance(s, MoveStep) and s.number in history.done_steps]
     last = [text for kind, text in ((SolveStep, "solve"), (ReportStep, "report")) if _has(steps, kind)]
     return [
         *(f"Record pose {pose.index} ({pose.name})." for pose in recorded if pose.index not in skipped),
         *(f"Move to pose {pose.name} again." for pose in repeated if pose.index not in skipped),
+        *_until_texts(steps, history),
         f"Then: {', '.join([*last, 'seal'])}.",
+    ]
+
+
+def _until_texts(steps: Sequence[ScriptStep], history: History) -> list[str]:
+    """Return for each ``until`` that has not ended what it will do."""
+    accepted = history.accepted()
+    found = {step.until.first: step.until for step in steps if isinstance(step, ChooseStep)}
+    return [
+        f"Choose poses until {goals_text(until.goals)}: at most "
+        f"{until.at_most - sum(pose in accepted for pose in until.poses)} further recordings."
+        for until in found.values()
     ]
 
 

@@ -20,6 +20,8 @@ from bench.records.events import Entering, Event, FailureData, LeftOff
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
+from bench.report.until_text import decision_text
+from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter
 from bench.run.attempts import Attempts
 from bench.run.control import CommandInbox
@@ -28,7 +30,7 @@ from bench.run.holding import Holding, HoldNotifier
 from bench.run.interlock_kinds import interlocks_of
 from bench.run.interlocks import Interlocks, Trip
 from bench.run.machine import RunMachine
-from bench.run.resumption import poses_crashed_too_often, remaining_steps
+from bench.run.resumption import pose_names, poses_crashed_too_often, steps_to_do
 from bench.run.run_devices import RunDevices
 from bench.run.safe_points import SafePoints
 from bench.run.state_work import StateWork
@@ -36,7 +38,7 @@ from bench.run.steps import Steps
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
-from sequences.script import RecordStep, WaitStep
+from sequences.script import ChooseStep, RecordStep, WaitStep
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
 """Errors of a device that was lost, or no longer answers."""
@@ -93,6 +95,8 @@ class Runner:
         when absent people should be notified before the run ends.
     results
         Calculates and writes the results; a ``ResultWriter`` of the folder where None.
+    decisions
+        Decides for the ``until`` steps; ``Decisions`` of the folder where None.
     """
 
     def __init__(
@@ -105,6 +109,7 @@ class Runner:
         progress: Progress,
         notify: Callable[[str, str, str], None] = lambda _occasion, _what, _key: None,
         results: ResultWriter | None = None,
+        decisions: Decisions | None = None,
     ) -> None:
         self._job = job
         self._folder = folder
@@ -119,9 +124,10 @@ class Runner:
             interlocks_of(job.station.interlocks, folder.path, self._devices), clock
         )
         holding = Holding(self._devices, log, self._interlocks, clock, progress.say)
-        work = StateWork(job, folder, log, self._devices, holding, self._results, clock)
+        decisions = decisions or Decisions(job, folder.path)
+        work = StateWork(job, folder, log, self._devices, holding, self._results, decisions, clock)
         self._machine = RunMachine(work.table(), self)
-        self._steps = Steps(job, self._machine)
+        self._steps = Steps(job, log, self._machine)
         self._safe_points = SafePoints(
             job, log, self._machine, self._steps, self._interlocks, clock, progress.say
         )
@@ -129,9 +135,9 @@ class Runner:
             self._machine, self._steps, self._safe_points, folder, log, job.camera_kind.ending, progress.say
         )
         self._heartbeat = HeartbeatWriter(folder.path, clock)
-        names = {pose.index: pose.name for pose in job.plan.poses}
+        self._names = pose_names(job, log.history)
         round_tasks = (self._heartbeat.beat, self._report_lost_supervisor, self._interlocks.check_door)
-        self._inbox = CommandInbox(folder.path, log, names, clock, round_tasks)
+        self._inbox = CommandInbox(folder.path, log, self._names, clock, round_tasks)
 
     def run(self) -> RunEnd:
         """Do every step that is not done yet.
@@ -171,11 +177,13 @@ class Runner:
             self._check_unchecked()
             for pose_index, why in poses_crashed_too_often(history).items():
                 self._safe_points.skip(pose_index, why)
-        steps = remaining_steps(self._job.steps, history.done_steps)
+        steps = steps_to_do(self._job, history)
         if any(isinstance(step, DEVICE_STEPS) for step in steps):
             self._with_interlocks(None, partial(self._machine.fire, "preflight"))
             self._with_interlocks(None, partial(self._prepare_bench, steps))
         for step in steps:
+            if history.is_left_out(step.number):
+                continue
             if isinstance(step, (*DEVICE_STEPS, WaitStep)):
                 self._with_interlocks(step, partial(self._do_step, step))
             else:
@@ -259,11 +267,20 @@ class Runner:
             self._attempts.record(step)
         else:
             self._steps.take(step)
+        if isinstance(step, ChooseStep):
+            self._show_decision(step)
         if step.number not in done:
             self._log.write(Event.STEP_DONE, step=step.number)
         done_s = self._job.done_after_s(step)
         if done_s is not None:
             self._progress.done(done_s)
+
+    def _show_decision(self, step: ChooseStep) -> None:
+        """Show what an ``until`` decided; its chosen pose can be skipped by command from now on."""
+        decided = self._log.history.decisions[-1]
+        self._progress.say(decision_text(decided))
+        if step.pose is not None and "chosen" in decided:
+            self._names[step.pose.index] = step.pose.name
 
     # ------------------------------------------------------------------ interlocks
 

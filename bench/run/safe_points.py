@@ -99,7 +99,7 @@ class SafePoints:
         self._say(what)
 
     def is_skipped(self, step: ScriptStep) -> bool:
-        """Return whether a step belongs to a skipped pose alone.
+        """Return whether a step belongs to a skipped pose alone, or is not needed because its ``until`` ended.
 
         Parameters
         ----------
@@ -113,6 +113,8 @@ class SafePoints:
         """
         for pose in self._log.history.skipped.keys() - self._steps_skipped.keys():
             self._steps_skipped[pose] = {s.number for s in steps_of_pose(self._job.steps, pose)}
+        if self._log.history.is_left_out(step.number):
+            return True
         return any(step.number in numbers for numbers in self._steps_skipped.values())
 
     def _hold(self, step: ScriptStep, by: str) -> None:

@@ -16,6 +16,7 @@ from bench.records.events import Event
 from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
+from bench.results.interim import Decisions
 from bench.results.result import ResultWriter
 from bench.run.holding import Holding
 from bench.run.interlocks import Trip
@@ -25,6 +26,7 @@ from bench.views.expected_grid import grid_from_earlier_poses
 from bench.views.gates import failed_gate_texts
 from bench.views.measure import Measurement
 from sequences.script import (
+    ChooseStep,
     LightStep,
     MoveStep,
     PromptStep,
@@ -48,6 +50,8 @@ class StateWork:
         The work of the state ``holding``.
     results
         Calculates and writes the results.
+    decisions
+        Decides for the ``until`` steps.
     clock
         Clock of all waits, so that a stop ends them.
     """
@@ -60,6 +64,7 @@ class StateWork:
         devices: RunDevices,
         holding: Holding,
         results: ResultWriter,
+        decisions: Decisions,
         clock: BenchClock,
     ) -> None:
         self._job = job
@@ -68,6 +73,7 @@ class StateWork:
         self._devices = devices
         self._holding = holding
         self._results = results
+        self._decisions = decisions
         self._clock = clock
         self._measured: dict[int, Measurement] = {}
 
@@ -89,6 +95,7 @@ class StateWork:
             "waiting": self.stand_still,
             "recording": self.record,
             "checking": self.check,
+            "choosing": self.choose,
             "backing_off": self.back_off,
             "holding": self.hold,
             "parking": self.park,
@@ -219,6 +226,20 @@ class StateWork:
             gates=[gate.as_data() for gate in gates],
             measured=found.facts,
         )
+
+    def choose(self, step: ChooseStep, **_: Any) -> None:
+        """Choose the next pose of an ``until``, or end it; a decision that the journal holds is kept.
+
+        Parameters
+        ----------
+        step
+            The step that chooses.
+        """
+        history = self._log.history
+        if any(decided["step"] == step.number for decided in history.decisions):
+            return
+        decided = self._decisions.decide(step, history, self._measured, self._clock.check)
+        self._log.write(Event.UNTIL_DECIDED, **decided)
 
     def back_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:
         """Wait after a rejected recording, so that its cause may pass.

@@ -10,9 +10,11 @@ from typing import Unpack
 
 from bench.plan.job import Job, ParkStep, ScriptStep
 from bench.records.events import Circumstances
+from bench.records.run_log import RunLog
 from bench.run.machine import RunMachine
 from bench.run.resumption import steps_to_repeat
 from sequences.script import (
+    ChooseStep,
     LightStep,
     MoveStep,
     PromptStep,
@@ -29,6 +31,7 @@ _TRIGGERS: Mapping[type, str] = {
     SettleStep: "settle",
     WaitStep: "wait",
     PromptStep: "hold",
+    ChooseStep: "choose",
     ParkStep: "park",
     SolveStep: "solve",
     ReportStep: "report",
@@ -43,12 +46,15 @@ class Steps:
     ----------
     job
         The script.
+    log
+        The run's journal, which holds the poses that the run has chosen.
     machine
         The run's state machine.
     """
 
-    def __init__(self, job: Job, machine: RunMachine) -> None:
+    def __init__(self, job: Job, log: RunLog, machine: RunMachine) -> None:
         self._job = job
+        self._log = log
         self._machine = machine
 
     def take(self, step: ScriptStep) -> None:
@@ -60,6 +66,7 @@ class Steps:
             Any step but a RecordStep.
         """
         if isinstance(step, MoveStep):
+            step = self._job.at_its_pose(step, self._log.history.chosen)
             self.fire_at("slew", step, target_deg=dict(step.pose.angles_deg))
         else:
             self._machine.fire(_TRIGGERS[type(step)], step)
@@ -79,7 +86,7 @@ class Steps:
             What the journal states besides.
         """
         at_pose: Circumstances = {"pose": step.pose.index, "pose_name": step.pose.name, **circumstances}
-        self._machine.fire(trigger, step, **at_pose)
+        self._machine.fire(trigger, self._job.at_its_pose(step, self._log.history.chosen), **at_pose)
 
     def set_light(self, light: LightStep) -> None:
         """Set the light as a light step specifies, whether or not the script has reached that step.
@@ -100,7 +107,9 @@ class Steps:
             The step that comes next.
         """
         here = self._job.index_of(step)
-        if not any(isinstance(coming, RecordStep) for coming in self._job.steps[here:]):
+        left_out = self._log.history.is_left_out
+        coming = (later for later in self._job.steps[here:] if not left_out(later.number))
+        if not any(isinstance(later, RecordStep) for later in coming):
             return
         light = self._job.light_before(step)
         if light is not None and not isinstance(step, LightStep):

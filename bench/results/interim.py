@@ -1,0 +1,323 @@
+"""Decisions of an ``until``: the uncertainty after the poses so far, and the next pose, or why the step ends.
+
+A decision depends on the history of the run and on the calibration of its accepted recordings, on nothing else: no
+clock, no chance, no device. The journal keeps each decision, so a resumed run does not decide again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bench.plan.job import Job
+from bench.records.events import ChosenPose, UntilDecided, UntilEnd
+from bench.records.history import Attempt, History
+from bench.report.until_text import meaning_of_goal
+from bench.results.measure_again import measure_again
+from bench.results.next_pose import Choice, Wish, choose_pose
+from bench.results.solve_options import solve_options
+from bench.views.expected_grid import best_angles_deg
+from bench.views.measure import Measurement, aligned_poses
+from calib.engine import Calibration, calibrate
+from calib.errors import CalibrationError
+from calib.model.passport import Passport
+from calib.uncertainty.projection_uncertainty import projection_uncertainty
+from sequences.flatten import POSES_FAILED
+from sequences.script import ChooseStep, Until
+
+REDUCED_BY_POSES = frozenset({"stars", "known beforehand", "disagreement of the views"})
+"""Sources of the uncertainty budget that further poses lower; all others stay as they are."""
+_NEED_THE_RIM = frozenset({"auto", "pupil", "rim", "field", "coma"})
+"""Models that are compared or fitted only if enough poses show the rim of the beam."""
+_FEWEST_LABELLED = 3
+"""Poses that must show the tag before a pose without it is chosen; docs/sequences.md gives the reason."""
+
+
+@dataclass(frozen=True)
+class Interim:
+    """A calibration from the poses so far.
+
+    Attributes
+    ----------
+    measurements
+        Measurements of the accepted recordings, in the order of their poses.
+    calibration
+        The calibration; None if the poses do not determine the camera.
+    why
+        Why there is no calibration; empty if there is one.
+    passport
+        Passport that the calibration uses, if any.
+    model
+        Model that was asked for.
+    """
+
+    measurements: Sequence[Measurement]
+    calibration: Calibration | None
+    why: str = ""
+    passport: Passport | None = None
+    model: str = "spherical"
+
+
+class Decisions:
+    """Decides for the ``until`` steps of one run.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+    folder
+        Run folder; the recordings are read from it if they have to be measured again.
+    """
+
+    def __init__(self, job: Job, folder: Path) -> None:
+        self._job = job
+        self._folder = folder
+
+    def decide(
+        self,
+        step: ChooseStep,
+        history: History,
+        measured: MutableMapping[int, Measurement],
+        check: Callable[[], None],
+    ) -> UntilDecided:
+        """Calibrate from the accepted recordings, and decide what follows.
+
+        Parameters
+        ----------
+        step
+            The step that decides.
+        history
+            History of the run.
+        measured
+            Measurements already made, by pose; the others are made again from their recordings and added.
+        check
+            Called between pieces of work; raises if the run is to stop.
+
+        Returns
+        -------
+        UntilDecided
+            The decision, for the journal.
+        """
+        accepted = sorted(history.accepted().items())
+        for index, attempt in accepted:
+            check()
+            if index not in measured:
+                measured[index] = measure_again(self._job, self._folder, attempt)
+        interim = self._calibrated(step, [attempt for _, attempt in accepted], measured)
+        check()
+        return decide(step, self._job, history, interim)
+
+    def _calibrated(
+        self, step: ChooseStep, accepted: Sequence[Attempt], measured: Mapping[int, Measurement]
+    ) -> Interim:
+        found = [measured[attempt.pose_index] for attempt in accepted]
+        options = solve_options(self._job, step.solve, [a.stored["measured_deg"] for a in accepted])
+        try:
+            calibration = calibrate([m.view for m in found if m.view is not None], options)
+        except CalibrationError as error:
+            return Interim(found, None, str(error), options.passport, options.model)
+        return Interim(found, calibration, "", options.passport, options.model)
+
+
+def expanded_uncertainties(calibration: Calibration) -> dict[str, float]:
+    """Return the expanded uncertainties that an ``until`` can ask for.
+
+    Expanded uncertainty U = k u (JCGM 100:2008, 6.2.1). Corners: propagation of the camera's covariance
+    (`calib.uncertainty.projection_uncertainty`), along the worse direction.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+
+    Returns
+    -------
+    dict
+        ``expanded_fx_px``, and ``worst_corner_px``: the largest over the four corners of the image, px.
+    """
+    k = calibration.coverage_factor
+    sigma = projection_uncertainty(calibration.camera, calibration.camera_covariance).sigma_px
+    corners = sigma[[0, 0, -1, -1], [0, -1, 0, -1]]
+    return {
+        "expanded_fx_px": k * calibration.sigma["fx"],
+        "worst_corner_px": k * float(np.nanmax(corners, initial=0.0)),
+    }
+
+
+def fixed_parts(calibration: Calibration) -> dict[str, dict[str, float]]:
+    """Return the parts of the expanded uncertainties that further poses do not lower, by source.
+
+    The part at the corners is that of the focal lengths, which such a source changes together: a corner at (dx, dy)
+    from the principal point moves by dx u(fx) / fx and dy u(fy) / fy (JCGM 100:2008, 5.2, fully correlated inputs).
+
+    Parameters
+    ----------
+    calibration
+        The calibration, with its uncertainty budget.
+
+    Returns
+    -------
+    dict
+        Expanded uncertainty, px, by the name of the goal and by source; only sources that contribute.
+    """
+    k, camera = calibration.coverage_factor, calibration.camera
+    width, height = camera.image_size
+    dx = max(camera.cx, width - 1 - camera.cx)
+    dy = max(camera.cy, height - 1 - camera.cy)
+    found: dict[str, dict[str, float]] = {"expanded_fx_px": {}, "worst_corner_px": {}}
+    for source, sigmas in calibration.budget.items():
+        fx, fy = sigmas.get("fx", 0.0), sigmas.get("fy", 0.0)
+        if source in REDUCED_BY_POSES or not fx > 0:
+            continue
+        found["expanded_fx_px"][source] = k * fx
+        found["worst_corner_px"][source] = k * float(np.hypot(dx * fx / camera.fx, dy * fy / camera.fy))
+    return found
+
+
+def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> UntilDecided:
+    """Decide what follows in an ``until``: the next pose, or the end.
+
+    Parameters
+    ----------
+    step
+        The step that decides.
+    job, history
+        Task and history of the run.
+    interim
+        Calibration from the accepted recordings.
+
+    Returns
+    -------
+    UntilDecided
+        The decision, for the journal.
+    """
+    until, accepted, calibration = step.until, history.accepted(), interim.calibration
+    decided: UntilDecided = {
+        "step": step.number,
+        "until": until.first,
+        "until_last": until.last,
+        "recorded": sum(pose in accepted for pose in until.poses),
+        "poses": len(accepted),
+        "worked_s": round(sum(history.worked_s.get(n, 0.0) for n in range(until.first, until.last + 1)), 3),
+        "wanted": dict(until.goals),
+        "now": expanded_uncertainties(calibration) if calibration else {},
+        "fixed": fixed_parts(calibration) if calibration else {},
+        "coverage_factor": calibration.coverage_factor if calibration else None,
+        "model": calibration.model if calibration else "",
+        "lacks": "",
+    }
+    failed = [pose for pose in history.chosen if pose in until.poses and pose not in accepted]
+    end = _end(until, decided, interim, len(failed))
+    if end is None:
+        choice = _choose(step, job, history, interim, decided, failed)
+        if isinstance(choice, Choice) and step.pose is not None:
+            decided["lacks"] = choice.lacks
+            decided["chosen"] = _chosen(step, choice)
+            return decided
+        end = ("no_pose", f"{choice} {interim.why}".strip())
+    decided["ended"], decided["why"] = end
+    return decided
+
+
+def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> tuple[UntilEnd, str] | None:
+    """Return how and why the ``until`` ends now; None if a further pose is wanted and allowed."""
+    now, wanted = decided["now"], decided["wanted"]
+    if now and all(now[goal] <= most for goal, most in wanted.items()):
+        return "met", "The goals are met."
+    for goal, most in wanted.items():
+        parts = decided["fixed"].get(goal, {})
+        whole = float(np.sqrt(sum(part**2 for part in parts.values())))
+        if whole > most:
+            return "unreachable", _unreachable(goal, most, whole, parts)
+    missed = f"{_missed(now, wanted)} {_largest_source(interim.calibration)}".strip() or interim.why
+    if decided["recorded"] >= until.at_most:
+        return "at_most", f"{decided['recorded']} recordings are accepted, the most allowed. {missed}"
+    if failed >= POSES_FAILED:
+        return "failures", f"{failed} chosen poses were not recorded. {missed}"
+    if until.minutes is not None and decided["worked_s"] >= 60.0 * until.minutes:
+        return "minutes", f"The step has worked for {until.minutes:g} minutes, the most allowed. {missed}"
+    return None
+
+
+def _missed(now: Mapping[str, float], wanted: Mapping[str, float]) -> str:
+    """Return the goals that are not met, as text."""
+    return " ".join(
+        f"{meaning_of_goal(goal)} is {now[goal]:.3g} px; the goal is {most:g} px."
+        for goal, most in wanted.items()
+        if now and now[goal] > most
+    )
+
+
+def _largest_source(calibration: Calibration | None) -> str:
+    """Return the source that contributes most to U(fx), as text."""
+    sigmas = {
+        source: sigma.get("fx", 0.0) for source, sigma in (calibration.budget if calibration else {}).items()
+    }
+    if not sigmas or calibration is None:
+        return ""
+    largest = max(sigmas, key=lambda source: sigmas[source])
+    part = calibration.coverage_factor * sigmas[largest]
+    return f"The largest part of U(fx) comes from: {largest}, {part:.3g} px."
+
+
+def _unreachable(goal: str, most: float, whole: float, parts: Mapping[str, float]) -> str:
+    sources = ", ".join(
+        f"{source} {part:.3g} px" for source, part in sorted(parts.items(), key=lambda item: -item[1])
+    )
+    return (
+        f"{meaning_of_goal(goal)} cannot reach the goal of {most:g} px: {whole:.3g} px of it do not depend on the "
+        f"number of poses ({sources}). Reduce these uncertainties, or set a larger goal."
+    )
+
+
+def _choose(
+    step: ChooseStep,
+    job: Job,
+    history: History,
+    interim: Interim,
+    decided: UntilDecided,
+    failed: Sequence[int],
+) -> Choice | str:
+    """Return the pose to record next, or why there is none."""
+    taken = [_pose(a.stored["measured_deg"]) for _, a in sorted(history.accepted().items())]
+    chosen = history.chosen
+    labelled = sum(m.facts.get("named_by", "tag") in {"tag", "part of the tag"} for m in interim.measurements)
+    record = job.record_step(step.pose.index) if step.pose is not None else None
+    fixed = {
+        goal: float(np.sqrt(sum(p**2 for p in parts.values()))) for goal, parts in decided["fixed"].items()
+    }
+    return choose_pose(
+        job.plan.station,
+        interim.calibration,
+        interim.passport,
+        taken_deg=taken,
+        refused_deg=[_pose(chosen[pose]) for pose in failed],
+        wish=Wish(
+            decided["wanted"],
+            decided["now"],
+            fixed,
+            rim=interim.passport is None and interim.model in _NEED_THE_RIM,
+            roll=2 * aligned_poses(m.facts for m in interim.measurements) > len(taken),
+            needs_tag=labelled < _FEWEST_LABELLED or bool(failed),
+            min_stars=record.gates.min_stars if record else 0,
+        ),
+    )
+
+
+def _pose(angles_deg: Mapping[str, float]) -> dict[str, float]:
+    """Return the angles of a pose as the engine names them: encoder readings if the axis has one."""
+    return {f"{axis}_deg": angle for axis, angle in best_angles_deg(angles_deg).items()}
+
+
+def _chosen(step: ChooseStep, choice: Choice) -> ChosenPose:
+    assert step.pose is not None
+    return {
+        "pose": step.pose.index,
+        "pose_name": step.pose.name,
+        "angles_deg": {axis.removesuffix("_deg"): angle for axis, angle in choice.angles_deg.items()},
+        "expected": dict(choice.expected),
+        "why": choice.why,
+    }

@@ -1,0 +1,313 @@
+"""The next pose of an ``until``: among the poses that the stage reaches, the one that lowers most what is too wide.
+
+The poses to choose from are a grid over the part of the stage's range in which the camera sees enough of the target,
+and a finer grid around its best pose. The choice uses no chance, so the same poses and numbers give the same choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.report.until_text import meaning_of_goal
+from bench.results.forecasts import expected_bench
+from bench.stations.station import Station
+from bench.stations.station_stages import AxisConfig
+from calib.engine import Calibration
+from calib.model.collimator import Collimator
+from calib.model.passport import Passport
+from calib.studies.pose_choice import (
+    Angles,
+    GimbalModel,
+    PoseWeigher,
+    Sigmas,
+    WeighedPose,
+    fit_gimbal_model,
+    rim_share,
+)
+from calib.studies.predicted_views import ExpectedBench
+from sequences.reader import Located
+
+Array = NDArray[np.float64]
+
+GRID = {"pan_deg": 13, "tilt_deg": 9, "roll_deg": 7}
+"""Poses along each axis, in each of the two grids: over the stage's range, and over the part that shows the target."""
+REFINEMENTS = (0.5, 0.25)
+"""Steps of the finer grids around the best pose, in steps of the grid."""
+LARGEST_ROLL_DEG = 90.0
+"""Largest roll that is chosen, degrees: beyond a quarter of a turn, the pattern of the stars repeats itself."""
+ALIGNED_ROLL_DEG = 5.0
+"""A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees."""
+RIM_IN_VIEW = 0.15
+"""A pose shows the rim if at least this share of its circumference is in view."""
+ENOUGH_RIMS = 0.6
+"""Share of the poses that should show the rim, if the model needs it."""
+MORE_STARS = 1.2
+"""A chosen pose should show this many times the stars that its gate asks for."""
+_K = 2.0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The next pose.
+
+    Attributes
+    ----------
+    angles_deg
+        Angle by axis, degrees (``pan_deg``).
+    expected
+        Expanded uncertainties, px, that are expected with this pose added, by name of the goal.
+    lacks
+        What the poses so far lack besides information: ``rim``, ``roll``, or nothing.
+    why
+        Why this pose was chosen, in words.
+    """
+
+    angles_deg: Angles
+    expected: Mapping[str, float]
+    lacks: Literal["", "rim", "roll"]
+    why: str
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the next pose is chosen for.
+
+    Attributes
+    ----------
+    wanted
+        Goals: largest expanded uncertainties allowed, px, by name.
+    now
+        Expanded uncertainties reached, px; empty if the camera is not determined yet.
+    fixed
+        Part of each that no pose lowers, px.
+    rim, roll
+        Whether the model needs poses that show the rim; whether the poses so far need another roll.
+    needs_tag
+        Whether the pose must show the whole tag.
+    min_stars
+        Stars that a recording must have to be accepted.
+    """
+
+    wanted: Mapping[str, float]
+    now: Mapping[str, float]
+    fixed: Mapping[str, float]
+    rim: bool
+    roll: bool
+    needs_tag: bool
+    min_stars: int
+
+
+def choose_pose(
+    station: Located[Station],
+    calibration: Calibration | None,
+    passport: Passport | None,
+    *,
+    taken_deg: Sequence[Angles],
+    refused_deg: Sequence[Angles],
+    wish: Wish,
+) -> Choice | str:
+    """Choose the next pose.
+
+    Parameters
+    ----------
+    station
+        The station; its limits bound the choice.
+    calibration
+        Calibration from the poses so far; None if there is none yet.
+    passport
+        Passport that the calibrations use, if any.
+    taken_deg
+        Angles of the poses recorded so far, degrees, in the order of the views of the calibration.
+    refused_deg
+        Angles of the poses that failed, degrees.
+    wish
+        What the pose is chosen for.
+
+    Returns
+    -------
+    Choice or str
+        The pose; or why there is none, as a sentence.
+    """
+    if calibration is None and station.value.expected is None:
+        return (
+            "The poses so far do not determine the camera, and the station file has no expected section, so no pose "
+            "can be predicted."
+        )
+    bench = replace(_bench(station, calibration, taken_deg), passport=passport, needs_tag=wish.needs_tag)
+    gimbal = _gimbal(calibration, taken_deg)
+    weigher = PoseWeigher(
+        bench, gimbal, taken_deg, refused_deg=refused_deg, min_stars=int(MORE_STARS * wish.min_stars)
+    )
+    reached = _ranges(station.value.axes, bench, taken_deg)
+    axes = _visible_part(reached, weigher.possible(_grid(reached)))
+    weighed = weigher.weigh(_grid(axes)) if axes else []
+    if not weighed:
+        return "No pose within the limits of the stage shows enough of the target, besides those recorded."
+    lacks = _lacks(bench, gimbal, taken_deg, station.value, wish)
+    chosen = _best_of(weigher.before, weighed, wish, lacks, taken_deg)
+    for share in REFINEMENTS:
+        finer = weigher.weigh(_around(chosen.angles_deg, axes, share))
+        chosen = _best_of(weigher.before, [chosen, *finer], wish, lacks, taken_deg)
+    expected = _expected(weigher.before, chosen.after, wish)
+    return Choice(_rounded(chosen.angles_deg), expected, lacks, _reason(wish, lacks))
+
+
+def _bench(
+    station: Located[Station], calibration: Calibration | None, taken_deg: Sequence[Angles]
+) -> ExpectedBench:
+    """Return the bench as it is known now: that of the last calibration, else the expected one."""
+    if calibration is None:
+        return expected_bench(station)
+    if calibration.collimator is not None:
+        found = calibration.collimator
+        collimator = Collimator(found.x, found.y, found.r)
+    else:  # the planar model has a centre for each view
+        x, y, z = (float(value) for value in calibration.centres.mean(axis=0))
+        collimator = Collimator(x, y, abs(z))
+    target = station.value.target.pattern()
+    expected = station.value.expected
+    half_angle = expected.half_angle_deg if expected else _seen_half_angle_deg(calibration, len(taken_deg))
+    return ExpectedBench(calibration.camera, collimator, half_angle, target=target)
+
+
+def _seen_half_angle_deg(calibration: Calibration, poses: int) -> float:
+    """Return the half angle of the beam that the poses have reached, degrees: from the axis to the farthest corner."""
+    width, height = calibration.camera.image_size
+    corners = np.array([[0.0, 0.0], [width - 1.0, 0.0], [0.0, height - 1.0], [width - 1.0, height - 1.0]])
+    rays = calibration.camera.rays(corners)
+    along = [(rays @ rotation)[:, 2] for rotation in calibration.rotations[:poses]]
+    return float(np.degrees(np.arccos(np.clip(np.nanmin(along), 0.2, 1.0))))
+
+
+def _gimbal(calibration: Calibration | None, taken_deg: Sequence[Angles]) -> GimbalModel:
+    if calibration is None or len(calibration.rotations) != len(taken_deg):
+        return fit_gimbal_model(np.zeros((0, 3, 3)), np.zeros((0, 0)), [])
+    return fit_gimbal_model(calibration.rotations, calibration.rotation_covariance, taken_deg)
+
+
+def _ranges(
+    axes: Mapping[str, AxisConfig], bench: ExpectedBench, taken_deg: Sequence[Angles]
+) -> dict[str, Array]:
+    """Return the angles of each axis that a first grid takes, degrees: where the camera can see into the beam."""
+    width, height = bench.camera.image_size
+    reach = bench.half_angle_deg + float(
+        np.degrees(np.arctan(np.hypot(width / bench.camera.fx, height / bench.camera.fy) / 2))
+    )
+    found = {}
+    for axis, config in axes.items():
+        name = f"{axis}_deg"
+        lowest, highest = config.limits_deg
+        middle = float(np.mean([pose.get(name, 0.0) for pose in taken_deg])) if taken_deg else 0.0
+        most = LARGEST_ROLL_DEG if axis == "roll" else reach
+        lowest, highest = max(lowest, min(middle - most, highest)), min(highest, max(middle + most, lowest))
+        found[name] = np.linspace(lowest, highest, GRID.get(name, GRID["pan_deg"]))
+    return found
+
+
+def _visible_part(axes: Mapping[str, Array], possible: Sequence[Angles]) -> dict[str, Array]:
+    """Return a finer grid over the poses that show the target, and one step beyond them; empty if there are none."""
+    if not possible:
+        return {}
+    found = {}
+    for name, angles in axes.items():
+        step = float(angles[1] - angles[0])
+        seen = [pose[name] for pose in possible]
+        lowest, highest = max(angles[0], min(seen) - step), min(angles[-1], max(seen) + step)
+        found[name] = np.linspace(lowest, highest, len(angles))
+    return found
+
+
+def _grid(axes: Mapping[str, Array]) -> Iterator[dict[str, float]]:
+    for angles in product(*axes.values()):
+        yield dict(zip(axes, (float(angle) for angle in angles), strict=True))
+
+
+def _around(pose: Angles, axes: Mapping[str, Array], share: float) -> Iterator[dict[str, float]]:
+    """Yield the neighbours of a pose at a share of the grid's step, within the grid."""
+    ranges = {
+        name: np.clip(
+            pose[name] + share * float(angles[1] - angles[0]) * np.array([-1.0, 0.0, 1.0]),
+            angles[0],
+            angles[-1],
+        )
+        for name, angles in axes.items()
+    }
+    for near in _grid(ranges):
+        if near != dict(pose):
+            yield near
+
+
+def _lacks(
+    bench: ExpectedBench, gimbal: GimbalModel, taken_deg: Sequence[Angles], station: Station, wish: Wish
+) -> Literal["", "rim", "roll"]:
+    if wish.roll and "roll" in station.axes:
+        return "roll"
+    shown = sum(rim_share(bench, gimbal.rotation(pose)) >= RIM_IN_VIEW for pose in taken_deg)
+    return "rim" if wish.rim and shown < ENOUGH_RIMS * len(taken_deg) else ""
+
+
+def _best_of(
+    before: Sigmas,
+    weighed: Sequence[WeighedPose],
+    wish: Wish,
+    lacks: str,
+    taken_deg: Sequence[Angles],
+) -> WeighedPose:
+    """Return the pose with the smallest expected uncertainties; those that bring what is lacking come first."""
+    bringing = [pose for pose in weighed if _brings(pose, lacks, taken_deg)]
+    return min(bringing or weighed, key=lambda pose: _score(before, pose, wish))
+
+
+def _brings(pose: WeighedPose, lacks: str, taken_deg: Sequence[Angles]) -> bool:
+    if lacks == "rim":
+        return pose.rim_share >= RIM_IN_VIEW
+    if lacks == "roll":
+        turned = [abs(pose.angles_deg["roll_deg"] - taken.get("roll_deg", 0.0)) % 45.0 for taken in taken_deg]
+        return all(ALIGNED_ROLL_DEG <= angle <= 45.0 - ALIGNED_ROLL_DEG for angle in turned)
+    return True
+
+
+def _score(before: Sigmas, pose: WeighedPose, wish: Wish) -> tuple[float, float, float]:
+    """Return what is compared: how far from determined, the widest expected uncertainty by its goal, and their sum."""
+    expected = _expected(before, pose.after, wish)
+    shares = {name: value / wish.wanted[name] for name, value in expected.items()}
+    missed = [share for name, share in shares.items() if wish.now.get(name, np.inf) > wish.wanted[name]]
+    return pose.after.missing, max(missed or shares.values()), sum(shares.values())
+
+
+def _expected(before: Sigmas, after: Sigmas, wish: Wish) -> dict[str, float]:
+    """Return the expanded uncertainties to expect: the part that poses lower shrinks as star noise does."""
+    pairs = {
+        "expanded_fx_px": (before.fx_px, after.fx_px),
+        "worst_corner_px": (before.worst_px, after.worst_px),
+    }
+    found = {}
+    for name in wish.wanted:
+        earlier, later = pairs[name]
+        if name not in wish.now or not np.isfinite(earlier):
+            found[name] = _K * later
+            continue
+        fixed = min(wish.fixed.get(name, 0.0), wish.now[name])
+        found[name] = float(np.sqrt(fixed**2 + (wish.now[name] ** 2 - fixed**2) * (later / earlier) ** 2))
+    return found
+
+
+def _rounded(angles_deg: Angles) -> dict[str, float]:
+    """Return angles with two decimals, rounded towards zero, so that they stay within the limits of the stage."""
+    return {name: float(np.trunc(100.0 * angle) / 100.0) for name, angle in angles_deg.items()}
+
+
+def _reason(wish: Wish, lacks: str) -> str:
+    if lacks == "rim":
+        return "too few poses show the rim of the beam, which the model needs"
+    if lacks == "roll":
+        return "the edges of the stars run along the pixels; another roll makes their errors independent"
+    missed = [name for name, goal in wish.wanted.items() if wish.now.get(name, np.inf) > goal]
+    widest = max(missed, key=lambda name: wish.now.get(name, np.inf) / wish.wanted[name])
+    return f"it lowers {meaning_of_goal(widest)} most"
