@@ -7,28 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from bench.commands.options import JSON, SEED, ExistingFile, ExistingPath, NewFile, Number
+from bench.commands.options import JSON, SEED, ExistingFile, ExistingPath, NewFile, Number, OutputFolder
+
+if TYPE_CHECKING:
+    from datetime import datetime
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
-_MODELS = ["spherical", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
-_LOSS = click.option(
-    "--loss",
-    type=click.Choice(["l2", "huber", "cauchy"]),
-    default="huber",
-    show_default=True,
-    help="Loss function for outliers: l2 gives them full weight, huber less, cauchy least.",
-)
-_MODEL = click.option(
-    "--model",
-    type=click.Choice(_MODELS),
-    default="spherical",
-    show_default=True,
-    help="Model of the collimator and its aberrations (docs/calibration.md).",
-)
+_MODELS = ["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
+_LOSSES = ["l2", "huber", "cauchy"]
+_LOSS_HELP = "Loss function for outliers: l2 gives them full weight, huber less, cauchy least."
+_MODEL_HELP = "Model of the collimator and its aberrations (docs/calibration.md)."
 
 
 class _Station(click.ParamType):
@@ -46,23 +38,36 @@ class _Station(click.ParamType):
 
 
 _OPTIONS = (
-    _MODEL,
+    click.option(
+        "--model",
+        type=click.Choice(_MODELS),
+        help=f"{_MODEL_HELP}  [default: as in the run; else spherical, or auto with a passport]",
+    ),
     click.option(
         "--distortion",
-        default="k1k2",
-        show_default=True,
-        help="Distortion coefficients, e.g. k1k2k3p1p2 or none.",
+        help="Distortion coefficients, e.g. k1k2k3p1p2, none or auto.  [default: as in the run; else k1k2]",
     ),
-    _LOSS,
+    click.option(
+        "--loss",
+        type=click.Choice(_LOSSES),
+        help=f"{_LOSS_HELP}  [default: as in the run; else huber]",
+    ),
     click.option(
         "--guard-band",
         type=Number(least=0, above=True, most=1),
         metavar="SHARE",
-        default=1.0,
-        show_default=True,
-        help="Share of the beam's radius to use: above 0, at most 1.",
+        help="Share of the beam's radius to use: above 0, at most 1.  [default: as in the run; else 1]",
     ),
-    click.option("--passport", type=ExistingFile(), help="Passport of the collimator, from `passport make`."),
+    click.option(
+        "--passport",
+        metavar="FILE",
+        help="Passport of the collimator, or none.  [default: that of the run, if it has one]",
+    ),
+    click.option(
+        "--readings",
+        type=click.Choice(["auto", "witness"]),
+        help="Whether the gimbal's readings of a run may enter the adjustment.  [default: as in the run]",
+    ),
     click.option("--image-size", metavar="WxH", help="Image size for point files, which do not state it."),
     click.option("--views", metavar="1,5,9", help="Use only these views, counted from 1 in the order given."),
     click.option("--image", default="auto", show_default=True, help="Kind of event image for RAW files."),
@@ -99,20 +104,37 @@ def _views_and_options(command: _Command) -> _Command:
 @click.command()
 @_views_and_options
 @click.option("--compare", is_flag=True, help="Compare with OpenCV's planar method and the published recipe.")
+@click.option(
+    "--output",
+    "-o",
+    type=OutputFolder(),
+    help="New folder for results, report, exports and the hashes of the input files.",
+)
 @JSON
-def calibrate(paths: tuple[Path, ...], compare: bool, as_json: bool, **options: Any) -> int:
+def calibrate(
+    paths: tuple[Path, ...], compare: bool, output: Path | None, as_json: bool, **options: Any
+) -> int:
     """Calibrate without devices, from existing data in one or more PATHs.
 
     A PATH is a run folder, a RAW file, an image of the target from a frame camera, a file of points (columns x, y,
-    X, Y, id), or a folder of such files.
+    X, Y, id), or a folder of such files. A run is calibrated with its own options, passport and gimbal readings, unless
+    options are given here.
     """
     from bench.commands.calibration_output import print_calibration
+    from bench.records.run_folder import REPORT
     from bench.results.offline import calibrate_paths, compare_methods
+    from bench.results.offline_folder import require_new, write_offline_results
     from bench.results.offline_options import OfflineOptions
 
+    if output is not None:
+        require_new(output)
     choices = OfflineOptions.from_command_line(**options)
     result = calibrate_paths(paths, choices)
-    print_calibration(result, compare_methods(result, choices) if compare else None, as_json=as_json)
+    if output is not None:
+        write_offline_results(result, output)
+    print_calibration(result, compare_methods(result) if compare else None, as_json=as_json)
+    if output is not None and not as_json:
+        click.echo(f"Report: {output / REPORT}")
     return 0
 
 
@@ -198,6 +220,12 @@ def passport_make(
 )
 @click.option("--number", required=True, help="Number of the certificate.")
 @click.option("--date", "issued", help="Date of issue, as written on the certificate.")
+@click.option(
+    "--valid-until",
+    type=click.DateTime(["%Y-%m-%d"]),
+    metavar="YEAR-MONTH-DAY",
+    help="Last day on which the certificate is valid.",
+)
 @click.option("--collimator", help="Serial number or name of the collimator.")
 @click.option(
     "--temperature",
@@ -207,13 +235,16 @@ def passport_make(
     help="Temperature for which the focal length holds, degrees Celsius.",
 )
 @click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
-def passport_certificate(r_mm: float, sigma_mm: float, output: Path, **certificate: Any) -> int:
+def passport_certificate(
+    r_mm: float, sigma_mm: float, output: Path, valid_until: datetime | None, **certificate: Any
+) -> int:
     """Make a passport from a certificate that states only the collimator's focal length."""
     from datetime import UTC, datetime
 
     from bench.results.passports import passport_from_certificate, write_passport
 
-    made = passport_from_certificate(r_mm, sigma_mm, now=datetime.now(UTC), **certificate)
+    until = valid_until.date().isoformat() if valid_until else None
+    made = passport_from_certificate(r_mm, sigma_mm, valid_until=until, now=datetime.now(UTC), **certificate)
     write_passport(output, made)
     click.echo(f"Passport: {output}")
     return 0
@@ -272,8 +303,8 @@ def passport_show(path: Path, as_json: bool) -> int:
     show_default=True,
     help="Share of stars with gross errors, 0 to 1.",
 )
-@_MODEL
-@_LOSS
+@click.option("--model", type=click.Choice(_MODELS), default="spherical", show_default=True, help=_MODEL_HELP)
+@click.option("--loss", type=click.Choice(_LOSSES), default="huber", show_default=True, help=_LOSS_HELP)
 @click.option("--plot", type=NewFile(), help="Plot the errors, in units of their sigma, to an SVG file.")
 @JSON
 def study(sequence: str, station: str, plot: Path | None, as_json: bool, **options: Any) -> int:

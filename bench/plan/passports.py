@@ -8,7 +8,6 @@ documents name.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
@@ -16,13 +15,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.base.errors import BenchError, UsageError
+from bench.plan.passport_file import determines_one_view, passport_bytes, read_passport_file
 from bench.plan.places import setting_path
 from bench.records.run_folder import PASSPORT_COPY
-from bench.records.storage import storage_errors
 from bench.stations.station import Station
 from bench.stations.station_collimator import CertificateConfig, CollimatorConfig
-from calib.errors import InputMismatch
-from calib.model.aberrations import EXPECTED_SIGMA
 from calib.model.passport import Passport
 from sequences.reader import Located
 from sequences.schema import Sequence
@@ -33,12 +30,11 @@ NO_PASSPORT = "none"
 """Word in a sequence: use no passport, not even the station's."""
 MOST_DEGREES_APART = 5.0
 """Largest difference between the temperatures of passport and bench without a caution, degrees Celsius."""
-_LARGEST_BYTES = 1_000_000
 
-PassportSource = Literal["sequence", "station", "station certificate"]
+PassportSource = Literal["sequence", "station", "station certificate", "command line"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PassportInUse:
     """The passport that a run's solve steps use.
 
@@ -49,7 +45,8 @@ class PassportInUse:
     data
         Bytes of the passport file.
     source
-        What named it: the sequence, the station, or the values of a certificate in the station file.
+        What named it: the sequence, the station, the values of a certificate in the station file, or an option of an
+        offline calibration.
     name
         Name of the file, without its folder.
     other_accepted
@@ -94,13 +91,20 @@ class PassportInUse:
             "name": self.name,
             "collimator": self.serial,
             "number": _text(stated.get("certificate")),
-            "date": _text(stated.get("issued")) or (_text(stated.get("made_utc")) or "")[:10] or None,
+            "date": self._date_of_issue(),
             "valid_until": _text(stated.get("valid_until")),
             "temperature_c": self.temperature_c,
             "values": dict(passport.values_by_name),
             "sigma": sigma,
             "sha256": hashlib.sha256(self.data).hexdigest(),
         }
+
+    def _date_of_issue(self) -> str | None:
+        """Return the date of the certificate; of a passport that was made from views, the date when it was made."""
+        stated = self.passport.conditions
+        if "certificate" in stated:
+            return _text(stated.get("issued"))
+        return _text(stated.get("issued")) or (_text(stated.get("made_utc")) or "")[:10] or None
 
     def cautions(self, collimator: CollimatorConfig, on: date) -> list[str]:
         """Return what speaks against using the passport on a bench.
@@ -169,97 +173,12 @@ class PassportChoice:
     faults: tuple[Fault, ...] = ()
     remarks: tuple[Fault, ...] = ()
 
-
-def read_passport_file(path: Path) -> tuple[Passport, bytes]:
-    """Read a passport file.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    tuple of Passport and bytes
-        The passport, and the bytes of the file.
-
-    Raises
-    ------
-    UsageError
-        When there is no such file, or it is not a passport; the message says why.
-    StorageError
-        When it cannot be read.
-    """
-    if path.is_dir():
-        raise UsageError("This is a folder, not a passport file.", where=str(path), remedy="Name the file.")
-    if not path.is_file():
-        raise UsageError("There is no such passport file.", where=str(path), remedy="Check the path.")
-    with storage_errors(path):
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise UsageError("The file is too large for a passport.", where=str(path))
-        data = path.read_bytes()
-    return parse_passport(data, str(path)), data
-
-
-def parse_passport(data: bytes, where: str) -> Passport:
-    """Read the bytes of a passport.
-
-    Parameters
-    ----------
-    data
-        Bytes of a passport file.
-    where
-        Name of the file, for messages.
-
-    Returns
-    -------
-    Passport
-        The collimator's parameters and their covariance.
-
-    Raises
-    ------
-    UsageError
-        When it is not a passport, or has a parameter that the engine does not know; the message says why.
-    """
-    remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
-    try:
-        shape: Any = json.loads(data)
-        passport = Passport.from_dict(shape if isinstance(shape, dict) else {})
-    except json.JSONDecodeError as error:
-        what = (
-            f"The file is not a passport: not JSON, line {error.lineno}, column {error.colno}: {error.msg}."
-        )
-        raise UsageError(what, where=where, remedy=remedy) from error
-    except (ValueError, RecursionError) as error:
-        raise UsageError(
-            f"The file is not a passport (not JSON: {error}).", where=where, remedy=remedy
-        ) from error
-    except InputMismatch as error:
-        raise UsageError(error.what, where=where, remedy=remedy) from error
-    unknown = [name for name in passport.terms if name not in EXPECTED_SIGMA]
-    if unknown:
-        raise UsageError(
-            f"The passport has the unknown parameter {unknown[0]!r}.", where=where, remedy=remedy
-        )
-    if not passport.values_by_name["r"] > 0:
-        raise UsageError("The passport's radius r is not positive.", where=where, remedy=remedy)
-    return passport
-
-
-def passport_bytes(passport: Passport) -> bytes:
-    """Return the bytes of a passport's file.
-
-    Parameters
-    ----------
-    passport
-        The passport.
-
-    Returns
-    -------
-    bytes
-        JSON; the same passport gives the same bytes.
-    """
-    return (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode()
+    @property
+    def steps_for_one_pose(self) -> frozenset[int]:
+        """Numbers of the solve steps that one pose is enough for (`determines_one_view`)."""
+        if self.in_use is not None and not determines_one_view(self.in_use.passport):
+            return frozenset()
+        return self.steps
 
 
 def certificate_passport(collimator: CollimatorConfig, certificate: CertificateConfig) -> Passport:

@@ -267,7 +267,7 @@ def make_plan(
     today = today or datetime.now(UTC).date()
     solving = [step.solve if isinstance(step, ChooseStep) else step for step in script]
     passport = choose_passport(sequence, station, tuple(solving), copy=passport_copy, today=today)
-    findings = check_script(sequence, script, station.value, passport.steps)
+    findings = check_script(sequence, script, station.value, passport.steps_for_one_pose)
     estimate = Estimate(station.value)
     last = next((step for step in reversed(script) if isinstance(step, SEQUENCE_DEVICE_STEPS)), None)
     elapsed_s = estimate.preparation_s() if last is not None else 0.0

@@ -70,7 +70,7 @@ def check_script(
     station
         The station.
     with_passport
-        Numbers of the solve steps that use a passport of the collimator.
+        Numbers of the solve steps that one pose is enough for, because of the collimator's passport.
 
     Returns
     -------
@@ -228,8 +228,8 @@ def _order_faults(
             elif len(directions) < FEWEST_POSES and step.number not in with_passport:
                 yield document.fault(
                     step.path,
-                    f"only one direction is recorded; at least {FEWEST_POSES} are needed without the collimator's "
-                    "passport or certificate.",
+                    f"only one direction is recorded; at least {FEWEST_POSES} are needed without a passport that holds "
+                    "the collimator's centre (a certificate of its focal length does not).",
                 )
         elif isinstance(step, ReportStep):
             reported = True

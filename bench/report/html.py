@@ -17,6 +17,7 @@ import jinja2
 from markupsafe import Markup
 
 from bench.report import budget_tables, calibration_tables, run_tables, text
+from bench.report.bench_knowledge import source_rows
 from bench.report.choice import PLOTS, pictured_poses
 from bench.report.view_picture import ViewPicture, thinned
 from bench.report.walk import state_diagram
@@ -106,6 +107,7 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
             gates=run_tables.gates(results.get("gates") or []),
             alerts=run_tables.alerts(results),
             deviations=run_tables.deviations(results),
+            sources=source_rows(results.get("sources") or []),
             walk=_markup(state_diagram(results["states"])) if results.get("states") else "",
             plots={name: _markup(svg) for name, svg in plots.items()},
             stars=_star_counts(data.views),

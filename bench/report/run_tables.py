@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.report.bench_knowledge import passport_rows, readings_rows
 from bench.report.text import NOTHING, duration, fixed, moment, number, value_text
 
 Json = Mapping[str, Any]
@@ -98,14 +99,23 @@ def identification(results: Json) -> list[tuple[str, str]]:
         ("Firmware", value_text(camera.get("firmware"))),
         ("Lens", value_text(camera.get("lens"))),
         *([("Collimator", _collimator(collimator))] if collimator else []),
+        *passport_rows(results.get("passport")),
+        *readings_rows(results.get("gimbal_readings")),
         ("Laboratory", value_text(run.get("laboratory"))),
         ("Operator", value_text(run.get("operator"))),
         ("Sequence", value_text(run.get("sequence"))),
         ("Station", value_text(run.get("station"))),
-        ("Started", moment(run.get("started_utc"))),
-        ("Finished", moment(run.get("finished_utc"))),
+        *_times(run),
         *entered,
     ]
+
+
+def _times(run: Json) -> list[tuple[str, str]]:
+    """List when the run was, or when files were calibrated without devices."""
+    if run.get("offline"):
+        of_run = [("Calibrated from run", str(run["of_run"]))] if run.get("of_run") else []
+        return [*of_run, ("Calibrated, without devices", moment(run.get("calibrated_utc")))]
+    return [("Started", moment(run.get("started_utc"))), ("Finished", moment(run.get("finished_utc")))]
 
 
 def _collimator(details: Json) -> str:
@@ -115,9 +125,14 @@ def _collimator(details: Json) -> str:
         parts.append(f"serial {details['serial']}")
     if "nominal_r_mm" in details:
         parts.append(f"nominal focal length {details['nominal_r_mm']:g} mm")
-    if "certificate" in details:
-        parts.append(f"certificate {details['certificate']}")
-    return ", ".join(parts)
+    certificate = details.get("certificate")
+    if isinstance(certificate, Mapping):
+        parts.append(f"certificate {certificate['number']}")
+    elif certificate:
+        parts.append(f"certificate {certificate}")
+    if "temperature_c" in details:
+        parts.append(f"at {details['temperature_c']:g} °C")
+    return ", ".join(parts) or NOTHING
 
 
 def software(results: Json) -> list[tuple[str, str]]:
@@ -259,7 +274,7 @@ def recordings(found: Sequence[Json]) -> list[RecordingRow]:
             sha256=str(attempt.get("sha256") or NOTHING),
         )
         for pose in found
-        for attempt in pose["attempts"]
+        for attempt in pose.get("attempts") or []
     ]
 
 

@@ -6,18 +6,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, UsageError
+from bench.plan.passport_file import determines_one_view
+from bench.plan.passports import PassportInUse
 from bench.results.comparison import planar_calibration
 from bench.results.offline_options import OfflineOptions
+from bench.results.solve_options import readings_result
 from bench.results.view_sources import ViewSource, view_sources
+from calib.calibration import CalibrationOptions
 from calib.engine import Calibration, calibrate
-from calib.errors import CalibrationError
+from calib.errors import CalibrationError, DegenerateViews
 from calib.studies.reference_methods import MethodFailure, MethodResult, reference_results, starbench_result
 from calib.view import View
+from sequences.script import SolveStep
+
+ONE_VIEW = (
+    "With a passport of this collimator (`starbench passport make`), one view is enough: on the published recordings "
+    "it gives the focal length to about 3 px of 2409 px. With a certificate, which states the focal length of the "
+    "collimator alone, two views are enough."
+)
 
 
 @dataclass(frozen=True)
@@ -34,12 +45,32 @@ class OfflineResult:
         For each file that was left out, a sentence with the reason.
     views
         The views of the calibration.
+    options
+        Options of the engine.
+    sources
+        The files of the views, in their order.
+    passport
+        The collimator's passport that was used, if any.
     """
 
     calibration: Calibration
     planar: Calibration | None
     skipped: Sequence[str]
     views: Sequence[View]
+    options: CalibrationOptions = field(default_factory=CalibrationOptions)
+    sources: Sequence[ViewSource] = ()
+    passport: PassportInUse | None = None
+
+    @property
+    def readings(self) -> dict[str, Any] | None:
+        """Whether the gimbal's readings entered, as results.json states it; None if the views are not of one run."""
+        jobs = {id(source.job): source.job for source in self.sources}
+        job = next(iter(jobs.values())) if len(jobs) == 1 else None
+        if job is None:
+            return None
+        stated = job.station.gimbal is not None
+        witness = stated and self.options.gimbal is None
+        return readings_result(self.calibration, self.options, witness=witness, stated=stated)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content as ``--json`` prints it.
@@ -47,11 +78,13 @@ class OfflineResult:
         Returns
         -------
         dict
-            The calibration's content, and ``planar`` and ``skipped``.
+            The calibration's content, and ``planar passport gimbal_readings skipped``.
         """
         return {
             **self.calibration.to_dict(),
             "planar": self.planar.to_dict() if self.planar else None,
+            "passport": self.passport.to_dict() if self.passport else None,
+            "gimbal_readings": self.readings,
             "skipped": list(self.skipped),
         }
 
@@ -77,6 +110,8 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
         When a requested view does not exist, or a path cannot be used.
     BenchError
         When a file cannot be read, the image sizes differ, or no view is left.
+    DegenerateViews
+        When there is one view, and no passport that holds the collimator's centre.
     calib.errors.CalibrationError
         When the views do not determine the camera.
     """
@@ -88,43 +123,80 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
             remedy="The first view has the number 1.",
         )
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
-    views, skipped = _read_views(chosen)
-    calibration = calibrate(views, choices.options)
-    planar = planar_calibration(views, choices.options) if calibration.model != "planar" else None
-    return OfflineResult(calibration, planar, skipped, views)
+    views, used, skipped = _read_views(chosen)
+    options, passport, cautions = _engine_options(used, choices)
+    if len(views) == 1 and not (options.passport and determines_one_view(options.passport)):
+        remedy = f"Record the target from more angles. {ONE_VIEW}"
+        raise DegenerateViews("1 view given; at least 2 needed.", remedy=remedy)
+    calibration = calibrate(views, options)
+    calibration = replace(calibration, notes=(*calibration.notes, *cautions))
+    planar = planar_calibration(views, options) if calibration.model != "planar" else None
+    return OfflineResult(calibration, planar, skipped, views, options, used, passport)
 
 
-def compare_methods(result: OfflineResult, choices: OfflineOptions) -> list[MethodResult | MethodFailure]:
+def _engine_options(
+    sources: Sequence[ViewSource], choices: OfflineOptions
+) -> tuple[CalibrationOptions, PassportInUse | None, list[str]]:
+    """Return the engine's options, the passport in use, and what a reader must know about the passport.
+
+    Views of one run are calibrated as the run was. Views of several runs share at most their passport: the camera may
+    have been mounted again between the runs, so the gimbal's readings do not belong together.
+    """
+    jobs = {id(source.job): source.job for source in sources}
+    job = next(iter(jobs.values())) if len(jobs) == 1 else None
+    steps = [step for step in job.steps if isinstance(step, SolveStep)] if job is not None else []
+    found = [None if one is None else one.plan.passport.in_use for one in jobs.values()]
+    passports = {one.data: one for one in found if one is not None}
+    cautions: list[str] = []
+    if job is not None and steps:
+        angles = [source.attempt.stored["measured_deg"] for source in sources if source.attempt]
+        options = choices.of_run(job, steps[-1], angles)
+    else:
+        common = next(iter(passports.values())) if len(passports) == 1 and None not in found else None
+        options = choices.without_run(common)
+        if passports and not (common or choices.passport or choices.without_passport):
+            cautions.append(
+                "The views do not have one passport of a collimator in common, so none was used. Name one (--passport)."
+            )
+    passport = None
+    if options.passport is not None:
+        passport = choices.passport or next(iter(passports.values()))
+    return options, passport, cautions
+
+
+def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]:
     """Compare a calibration with the published recipe and with OpenCV's planar method, on the same points.
 
     Parameters
     ----------
     result
         The calibration and its views.
-    choices
-        Options of the calibration.
 
     Returns
     -------
     list
         The result of each method; if a method has no result, its entry says why.
     """
-    return [starbench_result(result.calibration), *reference_results(result.views, choices.options)]
+    lens = tuple(result.calibration.camera.distortion)
+    options = replace(result.options, distortion=lens, passport=None, gimbal=None)
+    return [starbench_result(result.calibration), *reference_results(result.views, options)]
 
 
-def _read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[str]]:
-    """Read the views, with one image size and unique names; return also why views were left out.
+def _read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSource], list[str]]:
+    """Read the views, with one image size and unique names; return also their sources, and why views were left out.
 
     Raises
     ------
     BenchError
         When a file cannot be read, the image sizes differ, or no view is left.
     """
-    views, sized, skipped = [], [], []
+    views: list[View] = []
+    used: list[ViewSource] = []
+    skipped: list[str] = []
     for source in sources:
         try:
             views.append(source.read())
-            sized.append(source.sized)
+            used.append(source)
         except CalibrationError as error:
             skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
     if not views:
@@ -132,7 +204,7 @@ def _read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[str]]:
             "There is no usable view.",
             remedy=" ".join(skipped) or "Give run folders, captures, images or point files.",
         )
-    return _distinct(_one_size(views, sized)), skipped
+    return _distinct(_one_size(views, [source.sized for source in used])), used, skipped
 
 
 def _one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:

@@ -3,28 +3,41 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self, get_args
+from typing import Self, cast, get_args
 
 from bench.base.errors import UsageError
-from bench.results.passports import read_passport
+from bench.plan.job import Job, calibration_options
+from bench.plan.passport_file import read_passport_file
+from bench.plan.passports import NO_PASSPORT, PassportInUse
 from bench.results.point_files import Origin
+from bench.results.solve_options import solve_options
 from bench.stations.station import load_station
+from calib.calibration import LossName, ModelName
 from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError
 from calib.target import StarTarget
 from sequences.schema import ImageKind
+from sequences.script import SolveStep
+from sequences.solve_schema import Readings
 
 
 @dataclass(frozen=True)
 class OfflineOptions:
-    """Options of an offline calibration.
+    """Options of an offline calibration. An option that is None is that of the run's last solve step, or a default.
 
     Attributes
     ----------
-    options
-        Options of the engine.
+    model, distortion, loss, guard_band
+        Options of the engine, see `CalibrationOptions`; ``distortion`` is the name of a set.
+    passport
+        Passport of the collimator, in place of that of the run.
+    without_passport
+        Whether to use no passport, not even that of the run.
+    readings
+        ``witness``: the readings of the run's gimbal do not enter the adjustment.
     image_size
         Width and height for point files, px.
     view_numbers
@@ -37,7 +50,13 @@ class OfflineOptions:
         The printed target.
     """
 
-    options: CalibrationOptions = field(default_factory=CalibrationOptions)
+    model: ModelName | None = None
+    distortion: str | None = None
+    loss: LossName | None = None
+    guard_band: float | None = None
+    passport: PassportInUse | None = None
+    without_passport: bool = False
+    readings: Readings | None = None
     image_size: tuple[int, int] | None = None
     view_numbers: tuple[int, ...] | None = None
     image: str = "auto"
@@ -48,23 +67,24 @@ class OfflineOptions:
     def from_command_line(
         cls,
         *,
-        model: str,
-        distortion: str,
-        loss: str,
+        model: str | None,
+        distortion: str | None,
+        loss: str | None,
         image_size: str | None,
         views: str | None,
         image: str,
         origin: str,
         station: str | None,
-        passport: Path | None = None,
-        guard_band: float = 1.0,
+        passport: str | None = None,
+        guard_band: float | None = None,
+        readings: str | None = None,
     ) -> Self:
         """Parse the options of the command line.
 
         Parameters
         ----------
         model, distortion, loss
-            Options of the engine, see `CalibrationOptions`.
+            Options of the engine, see `CalibrationOptions`; None for those of the run, or the defaults.
         image_size
             Width and height for point files, as ``1280x720``.
         views
@@ -76,9 +96,11 @@ class OfflineOptions:
         station
             Path or name of the station whose target was recorded; None for the standard target.
         passport
-            Passport file of the collimator.
+            Passport file of the collimator; ``none`` for no passport, not even that of the run.
         guard_band
             Fraction of the visible disc's radius beyond which stars are left out, see `CalibrationOptions`.
+        readings
+            ``auto`` or ``witness``: whether the readings of the run's gimbal may enter the adjustment.
 
         Returns
         -------
@@ -90,28 +112,116 @@ class OfflineOptions:
         UsageError
             When an option is invalid; the message names it.
         """
-        try:
-            options = CalibrationOptions(
-                model,  # type: ignore[arg-type]
-                distortion,
-                loss,  # type: ignore[arg-type]
-                passport=read_passport(passport) if passport else None,
-                guard_band=guard_band,
-            )
-        except CalibrationError as error:
-            raise UsageError(error.what, remedy=error.remedy) from error
         if image not in get_args(ImageKind):
             raise UsageError(
                 f"Unknown event image {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
             )
-        return cls(
-            options,
+        named = passport if passport != NO_PASSPORT else None
+        made = cls(
+            cast("ModelName | None", model),
+            distortion,
+            cast("LossName | None", loss),
+            guard_band,
+            _passport_of_file(Path(named)) if named else None,
+            passport == NO_PASSPORT,
+            cast("Readings | None", readings),
             _parse_image_size(image_size),
             _parse_view_numbers(views),
             image,
             "centre" if origin == "centre" else "corner",
             load_station(station).value.target.pattern() if station else StarTarget(),
         )
+        try:
+            made.without_run()
+        except CalibrationError as error:
+            raise UsageError(error.what, remedy=error.remedy) from error
+        return made
+
+    def without_run(self, passport: PassportInUse | None = None) -> CalibrationOptions:
+        """Return the engine's options for views that are not from one run.
+
+        Parameters
+        ----------
+        passport
+            Passport that all runs behind the views have in common; one of the command line replaces it.
+
+        Returns
+        -------
+        CalibrationOptions
+            The options; without a model, ``auto`` with a passport and ``spherical`` without.
+
+        Raises
+        ------
+        calib.errors.InputMismatch
+            If an option is unknown or out of range.
+        """
+        used = self.passport or (None if self.without_passport else passport)
+        found = used.passport if used and self.model != "planar" else None
+        return CalibrationOptions(
+            self.model or ("auto" if found else "spherical"),
+            self.distortion or ("k1", "k2"),
+            self.loss or "huber",
+            passport=found,
+            guard_band=self.guard_band or 1.0,
+        )
+
+    def of_run(
+        self, job: Job, step: SolveStep, measured_deg: Sequence[Mapping[str, float]]
+    ) -> CalibrationOptions:
+        """Return the engine's options for views of one run.
+
+        Parameters
+        ----------
+        job
+            Task of the run.
+        step
+            Its last solve step.
+        measured_deg
+            For each view the angles of the stage, degrees, as the journal holds them.
+
+        Returns
+        -------
+        CalibrationOptions
+            The options of the run; those of the command line replace them.
+
+        Raises
+        ------
+        calib.errors.InputMismatch
+            If an option is unknown or out of range.
+        """
+        changed = self.step_of_run(step)
+        options = solve_options(job, changed, measured_deg)
+        if self.without_passport or self.passport is not None:
+            passport = self.passport.passport if self.passport else None
+            options = calibration_options(changed, passport, options.gimbal)
+        return options if self.distortion is None else replace(options, distortion=self.distortion)
+
+    def step_of_run(self, step: SolveStep) -> SolveStep:
+        """Return the solve step of a run with the options of the command line.
+
+        Parameters
+        ----------
+        step
+            The run's last solve step.
+
+        Returns
+        -------
+        SolveStep
+            The step; its coefficients of the lens are unchanged.
+        """
+        return replace(
+            step,
+            model=self.model or step.model,
+            loss=self.loss or step.loss,
+            guard_band=self.guard_band or step.guard_band,
+            readings=self.readings or step.readings,
+        )
+
+
+def _passport_of_file(path: Path) -> PassportInUse:
+    """Read the passport that the command line names; raise UsageError or StorageError."""
+    passport, data = read_passport_file(path)
+    return PassportInUse(passport, data, "command line", path.name)
 
 
 def _parse_image_size(text: str | None) -> tuple[int, int] | None:

@@ -1,24 +1,21 @@
 """Passport files: what is known of a collimator from one calibration or certificate, for use in later calibrations.
 
 A passport is one JSON object. It is written atomically and never overwrites a file. `calib.model.passport` defines its
-content; this module adds the file and the conditions under which the passport was made.
+content; this module adds the conditions under which the passport was made. `bench.plan.passport_file` reads the file.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import UsageError
-from bench.records.storage import storage_errors, write_atomic
+from bench.plan.passport_file import passport_bytes, read_passport_file
+from bench.records.storage import write_atomic
 from calib.engine import Calibration
-from calib.errors import InputMismatch
 from calib.model.passport import Passport
-
-_LARGEST_BYTES = 1_000_000
 
 
 def read_passport(path: Path) -> Passport:
@@ -41,24 +38,7 @@ def read_passport(path: Path) -> Passport:
     StorageError
         When it cannot be read.
     """
-    if not path.is_file():
-        raise UsageError("There is no such passport file.", where=str(path), remedy="Check the path.")
-    with storage_errors(path):
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise UsageError("The file is too large for a passport.", where=str(path))
-        text = path.read_bytes()
-    try:
-        shape: Any = json.loads(text)
-        return Passport.from_dict(shape if isinstance(shape, dict) else {})
-    except (ValueError, RecursionError, InputMismatch) as error:
-        what = (
-            error.what
-            if isinstance(error, InputMismatch)
-            else f"The file is not a passport (not JSON: {error})."
-        )
-        raise UsageError(
-            what, where=str(path), remedy="Make a passport with `starbench passport make`."
-        ) from error
+    return read_passport_file(path)[0]
 
 
 def write_passport(path: Path, passport: Passport) -> None:
@@ -82,7 +62,7 @@ def write_passport(path: Path, passport: Passport) -> None:
         raise UsageError(
             "A file with this name already exists.", where=str(path), remedy="Choose another name."
         )
-    write_atomic(path, (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode())
+    write_atomic(path, passport_bytes(passport))
 
 
 def passport_from_calibration(
@@ -134,6 +114,7 @@ def passport_from_certificate(
     *,
     number: str,
     issued: str | None,
+    valid_until: str | None = None,
     collimator: str | None,
     temperature_c: float | None,
     now: datetime,
@@ -150,6 +131,8 @@ def passport_from_certificate(
         Number of the certificate.
     issued
         Date of the certificate, if known.
+    valid_until
+        Last day of its validity, year-month-day, if known.
     collimator
         Serial number or name of the collimator, if known.
     temperature_c
@@ -174,6 +157,7 @@ def passport_from_certificate(
     conditions = {
         "certificate": number,
         "issued": issued,
+        "valid_until": valid_until,
         "collimator": collimator,
         "temperature_c": temperature_c,
         "made_utc": now.isoformat(timespec="seconds"),

@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
-from bench.plan.job import Job, calibration_options
 from bench.records.run_folder import RESULTS
 from bench.results.offline import calibrate_paths
 from bench.results.offline_options import OfflineOptions
 from calib.errors import CalibrationError
 from drivers.errors import DriverError
-from sequences.script import SolveStep
 
 TOLERANCE_SIGMAS = 1e-3
 """Values that differ by less than this fraction of their standard uncertainty count as equal."""
@@ -45,11 +43,9 @@ def differences(folder: Path) -> list[str]:
     JournalBroken
         When its journal is not intact.
     """
-    job = Job.from_run_folder(folder)
-    solve = [step for step in job.steps if isinstance(step, SolveStep)][-1]
     stored = json.loads((folder / RESULTS).read_bytes())["calibration"]
     try:
-        again = calibrate_paths([folder], OfflineOptions(options=calibration_options(solve)))
+        again = calibrate_paths([folder], OfflineOptions())
     except (BenchError, CalibrationError, DriverError) as error:
         return [f"the run cannot be calibrated again: {error}"]
     skipped = [f"no stars are found any more in an accepted recording: {why}" for why in again.skipped]

@@ -10,13 +10,15 @@ import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from bench import __version__
 from bench.base.errors import BenchError
-from bench.plan.job import Job, calibration_options
+from bench.plan.job import Job
+from bench.plan.passports import PassportInUse
 from bench.records.events import Solved
 from bench.records.history import Attempt, History
 from bench.records.run_folder import REPORT, RESULTS, RunFolder
@@ -27,6 +29,7 @@ from bench.report.view_picture import ViewPicture
 from bench.results.comparison import compare_with_truth, planar_calibration
 from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.exports import exports
+from bench.results.solve_options import limited_numbers, readings_result, solve_options
 from bench.views.camera_kinds import CameraKind
 from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import Gate, solution_gates
@@ -68,6 +71,10 @@ class Solution:
         Gates of the solve step, as judged.
     checks
         `halves` and `gimbal` of the results, as far as they can be calculated.
+    readings
+        Whether the readings of the gimbal entered, with what statement, or why not.
+    passport
+        The collimator's passport that the calibration used, if any.
     """
 
     calibration: Calibration
@@ -75,6 +82,8 @@ class Solution:
     measurements: Sequence[Measurement]
     judged: Sequence[Gate]
     checks: Mapping[str, Any]
+    readings: Mapping[str, Any]
+    passport: PassportInUse | None = None
 
 
 class ResultWriter:
@@ -125,17 +134,17 @@ class ResultWriter:
             If the views do not determine the camera.
         """
         measurements = []
-        for index, attempt in sorted(history.accepted().items()):
+        accepted = sorted(history.accepted().items())
+        for index, attempt in accepted:
             check()
             measurements.append(measured.get(index) or self._measure_again(attempt))
         views = [m.view for m in measurements if m.view is not None]
-        options = calibration_options(step)
-        calibration = _with_cautions(calibrate(views, options), measurements)
+        readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
+        options = solve_options(self._job, step, readings)
+        calibration = _with_notes(calibrate(views, options), self._notes(step, history, measurements))
         check()
         planar = planar_calibration(views, options) if calibration.model != "planar" else None
-        found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
-        found |= {f"sigma_{name}": sigma for name, sigma in calibration.sigma.items()}
-        readings = [attempt.stored["measured_deg"] for _, attempt in sorted(history.accepted().items())]
+        found = limited_numbers(calibration)
         checks = {"halves": split_half_check(views, options), "gimbal": gimbal_check(calibration, readings)}
         check()
         self._solution = Solution(
@@ -144,6 +153,13 @@ class ResultWriter:
             measurements,
             solution_gates(step.limits, found),
             {name: found for name, found in checks.items() if found is not None},
+            readings_result(
+                calibration,
+                options,
+                witness=step.readings == "witness",
+                stated=self._job.station.gimbal is not None,
+            ),
+            self._job.plan.passport.in_use if options.passport is not None else None,
         )
         return main_numbers(calibration)
 
@@ -180,6 +196,17 @@ class ResultWriter:
         path = self._folder.write_atomic(REPORT, html.encode())
         self.outcome = Outcome(results, path)
 
+    def _notes(self, step: SolveStep, history: History, measurements: Sequence[Measurement]) -> list[str]:
+        """Return what a reader must know besides the engine's notes: about the recordings and about the passport."""
+        notes = []
+        if aligned := aligned_poses(m.facts for m in measurements):
+            notes.append(_alignment_note(aligned, len(measurements)))
+        in_use = self._job.plan.passport.in_use
+        if in_use is not None and self._job.plan.passport_for(step) is not None:
+            day = datetime.fromisoformat(history.started_utc).date()
+            notes += in_use.cautions(self._job.station.collimator, day)
+        return notes
+
     def _measure_again(self, attempt: Attempt) -> Measurement:
         path = self._folder.path / str(attempt.stored["capture"])
         job, step = self._job, self._job.record_step(attempt.pose_index)
@@ -209,7 +236,7 @@ class ResultWriter:
                 "seed": started["seed"],
                 "operator": started["operator"],
                 "laboratory": self._job.laboratory,
-                "collimator": self._job.station.collimator.model_dump(exclude_none=True) or None,
+                "collimator": collimator_data(self._job),
                 "simulated": self._job.simulated,
                 "camera": self._job.camera_kind.name,
                 "resumed": history.resumed,
@@ -220,6 +247,8 @@ class ResultWriter:
             "conditions": _conditions(history, self._job.camera_kind),
             "calibration": calibration.to_dict(),
             "planar": solution.planar.to_dict() if solution.planar else None,
+            "passport": solution.passport.to_dict() if solution.passport else None,
+            "gimbal_readings": dict(solution.readings),
             **solution.checks,
             "poses": _poses(history, solution, self._job.camera_kind),
             "gates": [*(gate.as_data() for gate in solution.judged), *_pose_gates(history)],
@@ -231,17 +260,33 @@ class ResultWriter:
         }
 
 
-def _with_cautions(calibration: Calibration, measurements: Sequence[Measurement]) -> Calibration:
-    """Add a note if the recordings show that the stated uncertainties may be too small."""
-    aligned = aligned_poses(m.facts for m in measurements)
-    if not aligned:
-        return calibration
-    note = (
-        f"In {aligned} of {len(measurements)} recordings the stars' edges run along the pixels' rows or diagonals, and "
+def _with_notes(calibration: Calibration, notes: Sequence[str]) -> Calibration:
+    return replace(calibration, notes=(*calibration.notes, *notes))
+
+
+def _alignment_note(aligned: int, total: int) -> str:
+    """Return the note on recordings that show that the stated uncertainties may be too small."""
+    return (
+        f"In {aligned} of {total} recordings the stars' edges run along the pixels' rows or diagonals, and "
         "neighbouring stars err alike: the uncertainties may be up to 1.6 times too small. Roll the camera by about "
         "10 degrees against the target."
     )
-    return replace(calibration, notes=(*calibration.notes, note))
+
+
+def collimator_data(job: Job) -> dict[str, Any] | None:
+    """Return what the station of a run states about its collimator, as results.json holds it.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+
+    Returns
+    -------
+    dict or None
+        None if the station states nothing.
+    """
+    return job.station.collimator.model_dump(mode="json", exclude_none=True) or None
 
 
 def main_numbers(calibration: Calibration) -> Solved:

@@ -274,14 +274,12 @@ def _poses(
 
 def _solve_again(folder: Path) -> tuple[dict[str, Any], list[StoredView], list[ReadPicture]]:
     """Find the stars in the accepted recordings again, and calibrate with the options of the run."""
-    from bench.plan.job import Job, calibration_options
+    from bench.plan.job import Job
     from bench.records.history import replay
     from bench.records.journal import read_journal
     from bench.results.offline import calibrate_paths
     from bench.results.offline_options import OfflineOptions
     from bench.views.views_file import StoredView
-    from calib.calibration import CalibrationOptions
-    from sequences.script import SolveStep
 
     history = replay(read_journal(folder / JOURNAL)[0])
     if history.started.get("rehearsal"):
@@ -289,9 +287,7 @@ def _solve_again(folder: Path) -> tuple[dict[str, Any], list[StoredView], list[R
             "This run was rehearsed: it has no recordings.", where=str(folder), remedy="Load a real run."
         )
     job = Job.from_run_folder(folder)
-    solve_steps = [step for step in job.steps if isinstance(step, SolveStep)]
-    options = calibration_options(solve_steps[-1]) if solve_steps else CalibrationOptions()
-    found = calibrate_paths([folder], OfflineOptions(options=options))
+    found = calibrate_paths([folder], OfflineOptions())
     accepted = {attempt.pose_name: attempt for _, attempt in sorted(history.accepted().items())}
     results = {
         "calibration": found.calibration.to_dict(),

@@ -15,7 +15,7 @@ from typing import cast
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.plan.job import Job
 from bench.records.captures import stored_captures
-from bench.records.history import replay
+from bench.records.history import Attempt, replay
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
 from bench.results.offline_options import OfflineOptions
@@ -52,11 +52,15 @@ class ViewSource:
         Reads the file and returns its view.
     sized
         Whether the size of its image is known.
+    job, attempt
+        Task of the run and journal lines about the recording, if the file is a recording of a run.
     """
 
     path: Path
     read: Callable[[], View]
     sized: bool = True
+    job: Job | None = None
+    attempt: Attempt | None = None
 
 
 def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
@@ -114,7 +118,8 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
         step = job.record_step(index)
         step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
         path = folder / str(attempt.stored["capture"])
-        yield ViewSource(path, partial(_view_of_run, job, path, step, grid_from_journal(attempt)))
+        read = partial(_view_of_run, job, path, step, grid_from_journal(attempt))
+        yield ViewSource(path, read, job=job, attempt=attempt)
 
 
 def _refuse_truncated(path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 from datetime import date
 
+import numpy as np
 import pytest
 
 from bench.plan.job import Job, calibration_options, documents_of
@@ -21,10 +22,11 @@ steps:
   - move: {pan_deg: 1}
   - settle
   - record
-  - light: off
+%s  - light: off
   - solve%s
   - report
 """
+MORE = "  - move: {pan_deg: 2}\n  - settle\n  - record\n"
 CERTIFICATE = "certificate: {r_mm: 255, uncertainty_mm: 0.1, number: T-1, valid_until: 2027-01-01}"
 
 
@@ -37,8 +39,8 @@ def bench(tmp_path, monkeypatch):
     shipped = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
     kept = [line for line in shipped.splitlines() if not line.startswith("collimator:")]
 
-    def plan(solve: str = "", collimator: str = "serial: C-1", settings=None, **options):
-        (tmp_path / "a" / "s.yaml").write_text(SEQUENCE % (f": {solve}" if solve else ""))
+    def plan(solve: str = "", collimator: str = "serial: C-1", settings=None, *, more=MORE, **options):
+        (tmp_path / "a" / "s.yaml").write_text(SEQUENCE % (more, f": {solve}" if solve else ""))
         station = "\n".join(kept) + f"\ncollimator: {{{collimator}}}\n"
         (tmp_path / "a" / "b.yaml").write_text(station)
         files = (str(tmp_path / "a" / "s.yaml"), str(tmp_path / "a" / "b.yaml"))
@@ -60,11 +62,18 @@ def texts(faults) -> list[str]:
     return [f"{fault.line}:{fault.column}: {fault.path}: {fault.message}" for fault in faults]
 
 
-def test_one_direction_is_enough_with_a_passport_and_only_then(bench, tmp_path):
-    assert "only one direction is recorded" in texts(bench().faults)[0]
+def test_one_direction_is_enough_if_the_passport_holds_the_centre(bench, tmp_path):
+    assert "only one direction is recorded" in texts(bench(more="").faults)[0]
     write(tmp_path / "a" / "p.json", collimator="C-1")
-    assert bench("{passport: p.json}").faults == ()
-    assert bench("{passport: none}", f"serial: C-1, {CERTIFICATE}").faults != ()
+    assert (
+        "a certificate of its focal length does not" in texts(bench("{passport: p.json}", more="").faults)[0]
+    )
+    whole = Passport(
+        ("x", "y", "r"), np.array([100.0, 140, 255]), np.eye(3), conditions={"collimator": "C-1"}
+    )
+    (tmp_path / "a" / "p.json").write_text(json.dumps(whole.to_dict()))
+    assert bench("{passport: p.json}", more="").faults == ()
+    assert bench("{passport: none}", "serial: C-1, passport: p.json", more="").faults != ()
 
 
 def test_a_path_is_relative_to_the_file_that_names_it_or_to_the_working_directory(bench, tmp_path):
@@ -123,7 +132,7 @@ def test_a_file_that_is_no_passport_is_a_fault_where_it_is_named(bench, tmp_path
     if content is not None:
         (tmp_path / "a" / "p.json").write_text(content, encoding="latin-1")
     (fault,) = bench("{passport: p.json}").faults
-    assert (fault.line, fault.column, fault.path) == (9, 23, "steps[5].solve.passport")
+    assert (fault.line, fault.column, fault.path) == (12, 23, "steps[8].solve.passport")
     assert said in fault.message
 
 
@@ -177,7 +186,8 @@ def test_a_run_reads_the_copy_in_its_folder(bench, tmp_path):
     assert sorted(documents_of(plan)) == [PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY]
     (tmp_path / "a" / "p.json").unlink()
     again = Job.from_run_folder(run).plan
-    assert again.passport.in_use == plan.passport.in_use
+    assert again.passport.in_use.to_dict() == plan.passport.in_use.to_dict()
+    assert again.passport.steps == plan.passport.steps
     (run / PASSPORT_COPY).unlink()
     missing = make_plan(
         *load_documents(str(run / SEQUENCE_COPY), str(run / STATION_COPY)), passport_copy=run / PASSPORT_COPY

@@ -1,0 +1,115 @@
+"""Rows of the report about what a calibration used: the collimator's passport, the gimbal's readings, input files.
+
+The functions take the parts of results.json as plain mappings, also of results that older versions wrote without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bench.report.text import exact, number
+
+Json = Mapping[str, Any]
+Rows = list[tuple[str, str]]
+
+
+def passport_rows(passport: Json | None) -> Rows:
+    """List what the results state about the collimator's passport.
+
+    Parameters
+    ----------
+    passport
+        ``passport`` of results.json; None if no passport was used.
+
+    Returns
+    -------
+    list of tuple
+        Name and value; none without a passport.
+    """
+    if not passport:
+        return []
+    sigma = passport["sigma"]
+    kept = ("x", "y", "r") if len(passport["values"]) > 1 else tuple(passport["values"])
+    values = [
+        f"{name} = {exact(value)} mm, standard uncertainty {sigma[name]:.2g} mm"
+        for name, value in passport["values"].items()
+        if name in kept
+    ]
+    if others := [name for name in passport["values"] if name not in kept]:
+        values.append(f"and {', '.join(others)}")
+    stated = [
+        f"number {passport['number']}" if passport["number"] else "",
+        f"of the collimator {passport['collimator']}" if passport["collimator"] else "",
+        f"dated {passport['date']}" if passport["date"] else "",
+        f"valid until {passport['valid_until']}" if passport["valid_until"] else "",
+        f"at {passport['temperature_c']:g} °C" if passport["temperature_c"] is not None else "",
+        f"named by the {passport['source']}"
+        + (f" ({passport['name']})" if passport["source"] != "station certificate" else ""),
+    ]
+    return [
+        ("Collimator passport", ", ".join(part for part in stated if part)),
+        ("Values of the passport", "; ".join(values)),
+        ("SHA-256 of the passport", str(passport["sha256"])),
+    ]
+
+
+def readings_rows(readings: Json | None) -> Rows:
+    """List whether the readings of the gimbal entered the calibration, with what statement, or why not.
+
+    Parameters
+    ----------
+    readings
+        ``gimbal_readings`` of results.json; None if the calibration had no readings.
+
+    Returns
+    -------
+    list of tuple
+        Name and value; one row, or two if the station states the uncertainty of the readings.
+    """
+    if not readings:
+        return []
+    rows: Rows = []
+    if readings["entered"]:
+        rows.append(("Gimbal readings", "entered the adjustment as measurements"))
+    else:
+        rows.append(("Gimbal readings", f"compared with the result only. {readings['why_not']}"))
+    stated, bound = readings["statement"], readings["bound"]
+    if stated:
+        text = (
+            f"reading {stated['reading_sigma_deg']:g}°, scale {stated['scale_sigma']:g}, "
+            f"eccentricity {stated['eccentricity_deg']:g}° (standard uncertainties; source: {stated['source']})"
+        )
+        rows.append(("Uncertainty of the readings", text + (f"; {_bound(bound)}" if bound else "")))
+    return rows
+
+
+def source_rows(sources: Sequence[Json]) -> list[tuple[str, str, str, str]]:
+    """List the input files of a calibration without devices.
+
+    Parameters
+    ----------
+    sources
+        ``sources`` of results.json.
+
+    Returns
+    -------
+    list of tuple
+        View, size in bytes, path and SHA-256 of each file.
+    """
+    return [
+        (str(one["view"]), number(one["size_bytes"], 12), str(one["path"]), str(one["sha256"]))
+        for one in sources
+    ]
+
+
+def _bound(bound: Json) -> str:
+    text = (
+        f"parallax bounded by a defocus of {bound['defocus']:g}, standard uncertainty {bound['defocus_sigma']:g}, "
+        f"and a pupil {bound['pupil_off_pivot_mm']:g} mm off the pivot, standard uncertainty "
+        f"{bound['pupil_off_pivot_sigma_mm']:g} mm"
+    )
+    if "parallax" not in bound:
+        return text
+    share, sigma = 100 * bound["parallax"], 100 * bound["parallax_sigma"]
+    return f"{text}: {share:.2g} % of the focal length, standard uncertainty {sigma:.2g} %"

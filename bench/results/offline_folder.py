@@ -1,0 +1,190 @@
+"""Writes an offline calibration to a folder: results.json, report, exports, and the hashes of its input files.
+
+The results have the schema of a run's, as far as files without devices can give it. The run is marked ``offline``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import UsageError
+from bench.plan.job import Job
+from bench.records.history import replay
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL, PASSPORT_COPY, REPORT, RESULTS
+from bench.records.storage import make_folder, sha256_of, storage_errors, write_atomic
+from bench.report.html import ReportData, render_report
+from bench.report.view_picture import ViewPicture
+from bench.results.exports import exports
+from bench.results.offline import OfflineResult
+from bench.results.result import collimator_data, software
+from bench.results.view_sources import PHOTOGRAPHS, ViewSource
+
+SOURCES = "sources.json"
+SCHEMA = "starbench/sources/1"
+
+
+def require_new(folder: Path) -> None:
+    """Refuse a folder that holds anything.
+
+    Parameters
+    ----------
+    folder
+        The folder to write to.
+
+    Raises
+    ------
+    UsageError
+        If it is not empty.
+    StorageError
+        If it cannot be read.
+    """
+    with storage_errors(folder):
+        found = next(folder.iterdir(), None) if folder.is_dir() else None
+    if found is not None:
+        raise UsageError(
+            f"The folder is not empty: it contains {found.name}.",
+            where=str(folder),
+            remedy="Choose a new folder; results are never overwritten.",
+        )
+
+
+def write_offline_results(result: OfflineResult, folder: Path) -> None:
+    """Write an offline calibration to a new folder.
+
+    Parameters
+    ----------
+    result
+        The calibration and its views.
+    folder
+        The folder; it is made if it does not exist. ``results.json`` is written last.
+
+    Raises
+    ------
+    UsageError
+        If the folder is not empty.
+    StorageError
+        If a file cannot be read or written.
+    """
+    require_new(folder)
+    sources = [_source(source, view.name) for source, view in zip(result.sources, result.views, strict=True)]
+    results = offline_results(result, folder.resolve().name, sources)
+    make_folder(folder / "exports")
+    write_atomic(folder / SOURCES, _json_bytes({"schema": SCHEMA, "sources": sources}))
+    if result.passport is not None:
+        write_atomic(folder / PASSPORT_COPY, result.passport.data)
+    for name, data in exports(result.calibration, camera_name=_camera_name(result)).items():
+        write_atomic(folder / "exports" / name, data)
+    html = render_report(ReportData(results, _pictures(result)))
+    write_atomic(folder / REPORT, html.encode())
+    write_atomic(folder / RESULTS, _json_bytes(results))
+
+
+def offline_results(result: OfflineResult, name: str, sources: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the content of results.json of an offline calibration.
+
+    Parameters
+    ----------
+    result
+        The calibration and its views.
+    name
+        Name of the calibration, as the report prints it.
+    sources
+        Path, size and hash of each input file.
+
+    Returns
+    -------
+    dict
+        The schema of a run's results; ``run.offline`` is true, and there are no devices, gates and states.
+    """
+    jobs = _jobs(result)
+    job = jobs[0] if len(jobs) == 1 else None
+    started = _started(result.sources[0]) if job is not None else {}
+    now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    calibration = result.calibration
+    frames = all(
+        source.path.suffix.lower() in PHOTOGRAPHS or (source.job and source.job.camera_kind.name == "frame")
+        for source in result.sources
+    )
+    return {
+        "schema": "starbench/results/1",
+        "run": {
+            "id": name,
+            "offline": True,
+            "calibrated_utc": now,
+            "of_run": started.get("id"),
+            "sequence": started.get("sequence"),
+            "station": started.get("station"),
+            "operator": started.get("operator"),
+            "laboratory": job.laboratory if job else None,
+            "collimator": collimator_data(job) if job else None,
+            "simulated": any(one.simulated for one in jobs),
+            "camera": "frame" if frames else "event",
+            "software": software(),
+        },
+        "devices": {},
+        "calibration": calibration.to_dict(),
+        "planar": result.planar.to_dict() if result.planar else None,
+        "passport": result.passport.to_dict() if result.passport else None,
+        "gimbal_readings": result.readings,
+        "poses": [
+            {
+                "index": index,
+                "name": view.name,
+                "commanded_deg": source.attempt.stored["commanded_deg"] if source.attempt else None,
+                "measured_deg": source.attempt.stored["measured_deg"] if source.attempt else None,
+                "stars": view.n,
+                "rms_px": view.rms_px,
+                "mean_px": view.mean_px,
+            }
+            for index, (view, source) in enumerate(zip(calibration.views, result.sources, strict=True), 1)
+        ],
+        "gates": [],
+        "deviations": [f"Left out: {why}" for why in result.skipped],
+        "sources": list(sources),
+        "truth": None,
+        "comparison": [],
+    }
+
+
+def _jobs(result: OfflineResult) -> list[Job]:
+    """Return the tasks of the runs that the views are from, each once."""
+    return list({id(source.job): source.job for source in result.sources if source.job}.values())
+
+
+def _started(source: ViewSource) -> dict[str, Any]:
+    """Return the first line of the journal of the run that a recording is from."""
+    entries, _ = read_journal(source.path.resolve().parent.parent / JOURNAL)
+    return dict(replay(entries).started)
+
+
+def _source(source: ViewSource, view: str) -> dict[str, Any]:
+    with storage_errors(source.path):
+        size = source.path.stat().st_size
+        return {
+            "view": view,
+            "path": str(source.path),
+            "size_bytes": size,
+            "sha256": sha256_of(source.path),
+        }
+
+
+def _camera_name(result: OfflineResult) -> str:
+    names = {job.camera_name for job in _jobs(result)}
+    return names.pop() if len(names) == 1 else "camera"
+
+
+def _pictures(result: OfflineResult) -> list[ViewPicture]:
+    """Return the views for the plots of the report, without images."""
+    return [
+        ViewPicture(view.name, None, view.points_px, view.points_px - residuals, view.ids)
+        for view, residuals in zip(result.views, result.calibration.residuals_px, strict=True)
+    ]
+
+
+def _json_bytes(content: dict[str, Any]) -> bytes:
+    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()

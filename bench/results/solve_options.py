@@ -1,0 +1,181 @@
+"""How a solve step of a run is calibrated: its options, its passport, and the readings of the gimbal.
+
+A run, its repetition and an offline calibration of its folder take their options from here, so that the same recordings
+give the same result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.plan.job import Job, calibration_options
+from bench.stations.station import Station
+from bench.views.expected_grid import best_angles_deg
+from calib.calibration import Calibration, CalibrationOptions
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from calib.uncertainty.projection_uncertainty import projection_uncertainty
+from sequences.script import SolveStep
+
+NO_SECTION = (
+    "The station file has no gimbal section, so the uncertainty of the gimbal's readings is not known."
+)
+NO_BOUND = (
+    "The station does not bound the parallax; a parallax of about 1 % of the focal length cannot be excluded."
+)
+
+
+def solve_options(
+    job: Job, step: SolveStep, measured_deg: Sequence[Mapping[str, float]]
+) -> CalibrationOptions:
+    """Return the engine's options for a solve step of a run.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+    step
+        The solve step.
+    measured_deg
+        For each view the angles of the stage, degrees, as the journal holds them: ``pan``, ``pan_encoder``.
+
+    Returns
+    -------
+    CalibrationOptions
+        Options with the passport of the run and the readings of the gimbal.
+    """
+    readings = None if step.readings == "witness" else gimbal_readings(job.station, measured_deg)
+    return calibration_options(step, job.plan.passport_for(step), readings)
+
+
+def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]]) -> GimbalReadings | None:
+    """Return the readings of the gimbal with their uncertainty.
+
+    Parameters
+    ----------
+    station
+        The station; its sections `gimbal` and `collimator` state the uncertainty and bound the parallax.
+    measured_deg
+        For each view the angles of the stage, degrees; the reading of an encoder replaces that of its axis.
+
+    Returns
+    -------
+    GimbalReadings or None
+        None if the station does not state the uncertainty of the readings.
+    """
+    gimbal, defocus = station.gimbal, station.collimator.defocus
+    if gimbal is None:
+        return None
+    off = gimbal.pupil_off_pivot_mm
+    bound = (
+        ParallaxBound(defocus.value, defocus.sigma, off.value, off.sigma)
+        if defocus is not None and off is not None
+        else None
+    )
+    angles = [{f"{axis}_deg": deg for axis, deg in best_angles_deg(pose).items()} for pose in measured_deg]
+    return GimbalReadings(
+        tuple(angles),
+        gimbal.reading_sigma_deg,
+        gimbal.scale_sigma,
+        gimbal.eccentricity_deg,
+        bound,
+        gimbal.source,
+    )
+
+
+def limited_numbers(calibration: Calibration) -> dict[str, float]:
+    """Return the numbers of a calibration that the limits of a solve step judge.
+
+    Expanded uncertainty U = k u (JCGM 100:2008, 6.2.1). Corners: propagation of the camera's covariance
+    (`calib.uncertainty.projection_uncertainty`), along the worst direction.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+
+    Returns
+    -------
+    dict
+        By name without unit: ``rms``, ``mean``, ``sigma_...`` of each parameter, ``expanded_fx``, ``expanded_fy``,
+        ``worst_corner``.
+    """
+    k, sigma = calibration.coverage_factor, calibration.sigma
+    found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
+    found |= {f"sigma_{name}": value for name, value in sigma.items()}
+    found |= {f"expanded_{name}": k * sigma[name] for name in ("fx", "fy")}
+    corners = projection_uncertainty(calibration.camera, calibration.camera_covariance).sigma_px
+    found["worst_corner"] = k * float(np.nanmax(corners[[0, 0, -1, -1], [0, -1, 0, -1]], initial=0.0))
+    return found
+
+
+def readings_result(
+    calibration: Calibration, options: CalibrationOptions, *, witness: bool = False, stated: bool = True
+) -> dict[str, Any]:
+    """Return what results.json states about the gimbal's readings.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    options
+        The options that it was made with.
+    witness
+        Whether the sequence keeps the readings out of the adjustment.
+    stated
+        Whether the station states the uncertainty of the readings.
+
+    Returns
+    -------
+    dict
+        ``entered``: whether they entered the adjustment; ``statement``: their uncertainties and the source of these;
+        ``bound``: what bounds the parallax, and the parallax that follows, as a share of r; ``why_not``.
+    """
+    readings = options.gimbal
+    entered = readings is not None and getattr(calibration, "gimbal", None) is not None
+    return {
+        "entered": entered,
+        "statement": readings
+        and {
+            "source": readings.source,
+            "reading_sigma_deg": readings.reading_sigma_deg,
+            "scale_sigma": readings.scale_sigma,
+            "eccentricity_deg": readings.eccentricity_deg,
+        },
+        "bound": _bound(calibration, readings),
+        "why_not": None if entered else _why_not(calibration, readings, witness=witness, stated=stated),
+    }
+
+
+def _bound(calibration: Calibration, readings: GimbalReadings | None) -> dict[str, float] | None:
+    bound = readings.parallax if readings else None
+    if bound is None:
+        return None
+    stated = {
+        "defocus": bound.defocus,
+        "defocus_sigma": bound.defocus_sigma,
+        "pupil_off_pivot_mm": bound.pupil_off_pivot_mm,
+        "pupil_off_pivot_sigma_mm": bound.pupil_off_pivot_sigma_mm,
+    }
+    if calibration.collimator is None:
+        return stated
+    parallax, sigma = bound.mean_and_sigma(calibration.collimator.r)
+    return {**stated, "parallax": parallax, "parallax_sigma": sigma}
+
+
+def _why_not(
+    calibration: Calibration, readings: GimbalReadings | None, *, witness: bool, stated: bool
+) -> str:
+    if witness:
+        return "The sequence keeps them out of the adjustment (readings: witness)."
+    if readings is None or not stated:
+        return NO_SECTION
+    if readings.parallax is None:
+        return NO_BOUND
+    if calibration.model in ("planar", "drift"):
+        return (
+            f"The {calibration.model} model frees the centre of each view, so readings do not determine it."
+        )
+    return "They contradict the stars by far more than the station states."

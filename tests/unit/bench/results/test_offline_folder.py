@@ -1,0 +1,105 @@
+"""An offline calibration in a folder: results, report, exports, and the hashes of its input files."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bench.base.errors import UsageError
+from bench.commands.cli import cli
+from bench.plan.plan import load_documents, make_plan
+from bench.report.html import printed_text
+from bench.results.forecasts import expected_bench
+from bench.results.offline import ONE_VIEW, calibrate_paths
+from bench.results.offline_folder import require_new, write_offline_results
+from bench.results.offline_options import OfflineOptions
+from bench.results.passports import passport_from_certificate, write_passport
+from calib.errors import DegenerateViews
+from calib.studies.predicted_views import predicted_view
+
+
+@pytest.fixture(scope="module")
+def points(tmp_path_factory):
+    """Point files of three views of the bench that the simulated station expects."""
+    from datetime import UTC, datetime
+
+    folder = tmp_path_factory.mktemp("points")
+    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated")).station)
+    rng = np.random.default_rng(5)
+    for name, pan, tilt in (("left", -6, 2), ("right", 6, 2), ("below", 0, -3)):
+        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, name)
+        seen = view.points_px + rng.normal(0, 0.01, view.points_px.shape) + 0.5
+        rows = np.column_stack([seen, view.target_mm, view.ids])
+        np.savetxt(folder / f"{name}.csv", rows, fmt=["%.6f"] * 4 + ["%d"])
+    made = passport_from_certificate(
+        255, 0.05, number="T-1", issued=None, collimator=None, temperature_c=None, now=datetime.now(UTC)
+    )
+    write_passport(folder / "p.json", made)
+    return folder
+
+
+def options(points, **given):
+    common = dict.fromkeys(("model", "distortion", "loss", "views", "station"))
+    return OfflineOptions.from_command_line(
+        **{**common, "image_size": "1280x720", "image": "auto", "origin": "corner", **given}
+    )
+
+
+def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(points, tmp_path):
+    passport = str(points / "p.json")
+    result = calibrate_paths([points], options(points, passport=passport))
+    write_offline_results(result, tmp_path / "out")
+    found = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert found["schema"] == "starbench/results/1"
+    assert (found["run"]["offline"], found["run"]["simulated"]) == (True, False)
+    assert found["calibration"]["camera"] == result.calibration.to_dict()["camera"]
+    sources = json.loads((tmp_path / "out" / "sources.json").read_text())["sources"]
+    assert sources == found["sources"]
+    for source in sources:
+        data = (points / f"{source['view']}.csv").read_bytes()
+        assert (source["size_bytes"], source["sha256"]) == (len(data), hashlib.sha256(data).hexdigest())
+    assert (tmp_path / "out" / "passport.json").read_bytes() == (points / "p.json").read_bytes()
+    assert found["passport"]["source"] == "command line"
+    assert len(list((tmp_path / "out" / "exports").iterdir())) >= 5
+    text = " ".join(printed_text((tmp_path / "out" / "report.html").read_text()))
+    assert "OFFLINE: calibrated from existing files, without devices." in text
+    assert sources[0]["sha256"] in text
+    assert "number T-1" in text
+
+
+def test_a_folder_with_anything_in_it_is_refused(tmp_path):
+    require_new(tmp_path / "none")
+    require_new(tmp_path)
+    (tmp_path / "note.txt").touch()
+    with pytest.raises(UsageError, match=r"note\.txt"):
+        require_new(tmp_path)
+
+
+def test_the_command_refuses_the_folder_before_it_calibrates(points, tmp_path):
+    (tmp_path / "note.txt").touch()
+    found = CliRunner().invoke(cli, ["calibrate", str(points / "nothing.csv"), "-o", str(tmp_path)])
+    assert found.exit_code != 0
+    assert not (tmp_path / "results.json").exists()
+
+
+def test_a_passport_lets_the_data_choose_and_none_switches_it_off(points):
+    passport = str(points / "p.json")
+    assert calibrate_paths([points], options(points, passport=passport)).calibration.model == "radial"
+    assert calibrate_paths([points], options(points, passport="none")).passport is None
+    spherical = calibrate_paths([points], options(points, passport=passport, model="spherical"))
+    assert spherical.calibration.model == "spherical"
+    planar = calibrate_paths([points], options(points, passport=passport, model="planar"))
+    assert (planar.calibration.model, planar.passport) == ("planar", None)
+
+
+def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(points, tmp_path):
+    for passport in (None, str(points / "p.json")):
+        with pytest.raises(DegenerateViews) as caught:
+            calibrate_paths([points / "left.csv"], options(points, passport=passport))
+        assert ONE_VIEW in str(caught.value)
+    whole = calibrate_paths([points], options(points)).calibration.passport()
+    write_passport(tmp_path / "whole.json", whole)
+    one = calibrate_paths([points / "left.csv"], options(points, passport=str(tmp_path / "whole.json")))
+    assert one.calibration.sigma["fx"] < 5
