@@ -20,10 +20,10 @@ from calib.stars.grid_map import fit_grid_map
 from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
 from calib.stars.labelling import label_by_pose, label_by_tag
 from calib.stars.lattice import find_lattice
-from calib.stars.likelihood import refine_by_likelihood
+from calib.stars.likelihood import edge_width_px, refine_by_likelihood
 from calib.stars.noise import variance_factor
 from calib.stars.tag import find_tag
-from calib.stars.template import StarTemplate, star_contrasts
+from calib.stars.template import SHARP_CORRELATION, StarTemplate, learnt_contrasts, star_contrasts
 from calib.target import StarTarget
 from calib.view import View
 
@@ -69,10 +69,14 @@ class Detection(NamedTuple):
         The stars.
     named_by
         What identified the stars: the whole tag, a part of it, or only the expected pose.
+    edge_width_px
+        Blur of the stars' edges by lens and pixel together, standard deviation, px, as
+        `calib.stars.likelihood.edge_width_px` measures it.
     """
 
     view: View
     named_by: NamedBy
+    edge_width_px: float
 
 
 class _Candidates(NamedTuple):
@@ -164,13 +168,15 @@ def detect_stars(
         )
     smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
     candidates, sign, named_by = _candidates(image, smoothed, target, expected, name)
+    blurred = False
     for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
-        _require_enough(len(candidates.nodes), name)
-        candidates, fit, local_map = _refined(smoothed, candidates, target, sign, step_px)
-    _require_enough(len(candidates.nodes), name)
-    points, covariances = _best_centres(image, candidates, fit, local_map, target)
+        _require_enough(len(candidates.nodes), name, blurred=blurred)
+        candidates, fit, local_map, blurred = _refined(smoothed, candidates, target, sign, step_px)
+    _require_enough(len(candidates.nodes), name, blurred=blurred)
+    points, covariances, width_px = _best_centres(image, candidates, fit, local_map, target)
     kept = np.isfinite(points).all(axis=1)
-    _require_enough(int(np.count_nonzero(kept)), name)
+    least = MIN_FOR_LIKELIHOOD if blurred else MIN_STARS
+    _require_enough(int(np.count_nonzero(kept)), name, least, blurred=blurred, width_px=width_px)
     ids = target.id_at(candidates.nodes[kept, 0], candidates.nodes[kept, 1])
     order = np.argsort(ids)
     view = View(
@@ -181,7 +187,7 @@ def detect_stars(
         target_mm=target.positions_mm(ids[order]),
         covariances_px2=covariances[kept][order],
     )
-    return Detection(view, named_by)
+    return Detection(view, named_by, width_px)
 
 
 def _candidates(
@@ -245,8 +251,8 @@ def _best_centres(
     fit: SymmetryFit,
     local_map: LocalMap,
     target: StarTarget,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Locate the stars by likelihood too, and return what scatters less: (N, 2) px and (N, 2, 2) px^2.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Locate the stars by likelihood too, and return what scatters less: (N, 2) px and (N, 2, 2) px^2; and edge width.
 
     Symmetry is best if the image has many shades of grey and little noise, likelihood if it is nearly black and white.
     Stars on which the two contradict each other are nan. Own rule: centres agree if d^T (V + W)^-1 d <= 6^2, with their
@@ -256,9 +262,10 @@ def _best_centres(
     nominal = fit.mean_square[:, None, None] * np.linalg.inv(fit.information)
     by_symmetry = nominal * variance_factor(nodes, points, nominal, typical=TYPICAL_SYMMETRY_FACTOR)
     by_symmetry += _uneven_light(fit.light_slope)
+    levels = quantise(image)
     if len(nodes) < MIN_FOR_LIKELIHOOD:
-        return points, by_symmetry
-    likely = refine_by_likelihood(quantise(image), points, local_map, target)
+        return points, by_symmetry, edge_width_px(levels, points, local_map, target)
+    likely = refine_by_likelihood(levels, points, local_map, target)
     factor = variance_factor(nodes, likely.centres, likely.covariances, typical=1.0)
     by_likelihood = likely.covariances * factor
     by_likelihood += _uneven_light(likely.light_slope)
@@ -266,8 +273,8 @@ def _best_centres(
     squares = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(by_symmetry + by_likelihood), apart)
     agree = (squares <= MAX_APART_SIGMAS**2)[:, None]
     if _typical_variance(by_likelihood) < _typical_variance(by_symmetry):
-        return np.where(agree, likely.centres, np.nan), by_likelihood
-    return np.where(agree, points, np.nan), by_symmetry
+        return np.where(agree, likely.centres, np.nan), by_likelihood, likely.edge_width_px
+    return np.where(agree, points, np.nan), by_symmetry, likely.edge_width_px
 
 
 def _uneven_light(light_slope: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -285,23 +292,48 @@ def _typical_variance(covariances: NDArray[np.float64]) -> float:
 
 def _refined(
     image: NDArray[np.float32], candidates: _Candidates, target: StarTarget, sign: float, step_px: float
-) -> tuple[_Candidates, SymmetryFit, LocalMap]:
-    """Refine all centres by symmetry with the smooth map of the view, and leave out the stars that fail a test."""
+) -> tuple[_Candidates, SymmetryFit, LocalMap, bool]:
+    """Refine all centres by symmetry with the smooth map of the view, and leave out the stars that fail a test.
+
+    Returns also whether the image is out of focus.
+    """
     grid = candidates.nodes.astype(float)
     grid_map, _ = fit_grid_map(grid, candidates.points)
     local_map = grid_map.local_map(grid)
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
     samples = symmetry_samples(pitch / step_px)
     fit = refine_by_symmetry(image, candidates.points, local_map, samples, MAX_MOVE_PITCHES * pitch)
-    template = StarTemplate.of(target.segments)
-    score, contrast = star_contrasts(image, fit.centres, local_map.linear, template, sign)
+    score, contrast, blurred = _scores(image, fit, local_map.linear, target, sign)
     middle = np.median(contrast, axis=1)
     good = fit.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)
     if good.any():
         good &= middle >= MIN_CONTRAST * np.median(middle[good])
     good = _without_outliers(grid, fit.centres, good)
     refined = _Candidates(candidates.nodes, fit.centres).select(good)
-    return refined, fit.select(good), local_map.select(good)
+    return refined, fit.select(good), local_map.select(good), blurred
+
+
+def _scores(
+    image: NDArray[np.float32],
+    fit: SymmetryFit,
+    linear: NDArray[np.float64],
+    target: StarTarget,
+    sign: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Return the correlation of each star, (N,), its contrast by octants, (N, `OCTANTS`), and whether it is blurred.
+
+    If the stars correlate badly with the sharp pattern, they are compared with the pattern learnt from them.
+    """
+    sharp = StarTemplate.of(target.segments)
+    score, contrast = star_contrasts(image, fit.centres, linear, sharp, sign)
+    seen = fit.converged & np.isfinite(score)
+    if not seen.any() or np.median(score[seen]) >= SHARP_CORRELATION:
+        return score, contrast, False
+    learnt = sharp.learnt(image, fit.centres[seen], linear[seen], sign)
+    if learnt is None:
+        return score, contrast, True
+    score, _ = star_contrasts(image, fit.centres, linear, learnt, sign)
+    return score, learnt_contrasts(image, fit.centres, linear, learnt, sign), True
 
 
 def _without_outliers(
@@ -320,11 +352,22 @@ def _without_outliers(
     return good
 
 
-def _require_enough(count: int, name: str) -> None:
-    """Refuse a view with fewer than `MIN_STARS` stars."""
-    if count < MIN_STARS:
+def _require_enough(
+    count: int, name: str, least: int = MIN_STARS, *, blurred: bool, width_px: float = float("nan")
+) -> None:
+    """Refuse a view with too few stars. If few stars of a blurred image remain, their covariances are too small."""
+    if count >= least:
+        return
+    found = f"{count} stars were found; at least {least} are needed."
+    if not blurred:
         raise TooFewStars(
-            f"{count} stars were found; at least {MIN_STARS} are needed.",
+            found,
             where=f"view {name}",
             remedy="Check focus, light and that the target is the one described.",
         )
+    wide = f": star edges are {width_px:.1f} px wide" if np.isfinite(width_px) else ""
+    raise TooFewStars(
+        f"{found} The image is out of focus{wide}.",
+        where=f"view {name}",
+        remedy="Focus the camera until star edges are narrower than 1.5 px (edge_width_px), or use a sine flicker.",
+    )

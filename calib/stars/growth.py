@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib.model.homography import apply_homography, fit_affine, fit_homography
 from calib.stars.grid_map import predict_locally
 from calib.stars.tag import TagDetection
-from calib.stars.template import SEARCH_RADII, StarTemplate, search_stars
+from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, search_stars
 from calib.target import StarTarget
 
 #: Least correlation with its pattern of a star during growth.
@@ -26,6 +26,8 @@ MIN_CORRELATION = 0.45
 FIRST_REACH, REACH = 0.15, 0.08
 #: Least distance of neighbouring stars, px.
 MIN_PITCH_PX = 10.0
+#: How often the pattern of a star is learnt from the first nodes, each time at places that are nearer to the stars.
+LEARNING_ROUNDS = 3
 #: How often a node is searched, each time with more neighbours that predict it.
 MAX_TRIES = 3
 #: Least number of points for a homography; from half of it on, an affine map is fitted.
@@ -140,7 +142,8 @@ def grow_star_grid(
 ) -> StarGrid:
     """Find the first stars, then those around them, until no more are found.
 
-    Growth of this kind is that of Schöps et al. (2020), arXiv:1912.02908.
+    Growth of this kind is that of Schöps et al. (2020), arXiv:1912.02908. If the stars correlate badly with the sharp
+    pattern, the pattern is learnt from the image, and growth starts again with it; the larger result is used.
 
     Parameters
     ----------
@@ -156,10 +159,49 @@ def grow_star_grid(
     Returns
     -------
     StarGrid
-        Stars located to about half a pixel; empty if the first nodes have no star.
+        Stars located to about half a pixel, to two pixels if they are out of focus; empty if the first nodes have no
+        star.
     """
+    grown, scores = _grow(image, start, StarTemplate.of(segments, SEARCH_RADII), exists)
+    if scores and np.median(scores) >= SHARP_CORRELATION:
+        return grown
+    learnt = _learn_at_start(image, start, StarTemplate.of(segments))
+    if learnt is None:
+        return grown
+    again, _ = _grow(image, start, learnt, exists)
+    return again if len(again.points) > len(grown.points) else grown
+
+
+def _learn_at_start(
+    image: NDArray[np.float32], start: GrowthStart, sharp: StarTemplate
+) -> StarTemplate | None:
+    """Learn the pattern from the first nodes; None if they show no stars.
+
+    Own procedure: each node's best place with the sharp pattern, then with the one learnt there, and so on.
+    """
+    grid = start.nodes.astype(float)
+    at, linear = apply_homography(start.homography, grid), linear_at(start.homography, grid)
+    reach = FIRST_REACH * np.sqrt(np.abs(np.linalg.det(linear)))
+    template = sharp
+    for _ in range(LEARNING_ROUNDS):
+        found, score = search_stars(image, at, linear, reach, template, start.sign)
+        seen = np.isfinite(score)
+        learnt = sharp.learnt(image, found[seen], linear[seen], start.sign)
+        if learnt is None:
+            return None
+        template = learnt
+    return template
+
+
+def _grow(
+    image: NDArray[np.float32],
+    start: GrowthStart,
+    template: StarTemplate,
+    exists: Callable[[NDArray[np.int64]], NDArray[np.bool_]],
+) -> tuple[StarGrid, list[float]]:
+    """Grow the grid with one template; return it, and the correlations of its stars."""
     grown = StarGrid()
-    template = StarTemplate.of(segments, SEARCH_RADII)
+    scores: list[float] = []
     h, wanted, reach = start.homography, start.nodes, FIRST_REACH
     while len(wanted):
         grid = wanted.astype(float)
@@ -171,12 +213,13 @@ def grow_star_grid(
         good = score >= MIN_CORRELATION
         if not good.any():
             break
+        scores += score[good].tolist()
         new = wanted[seen][good]
         grown.record(wanted, new, found[good])
         h = _refitted(h, start, grown)
         wanted = _neighbours(new, grown, exists)
         reach = REACH
-    return grown
+    return grown, scores
 
 
 def _refitted(h: NDArray[np.float64], start: GrowthStart, grown: StarGrid) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -23,6 +24,12 @@ TEMPLATE_ACROSS = (0.2, 0.5, 0.8)
 OCTANTS = 8
 #: Least share of a star's samples that must lie in the image.
 MIN_COVERED = 0.8
+#: Stars whose median correlation with the sharp pattern is below this are searched with a learnt pattern too.
+SHARP_CORRELATION = 0.65
+#: Least correlation of a learnt pattern with the sharp one; below it, the places that it was learnt from are no stars.
+MIN_LIKENESS = 0.2
+#: Least variance of a learnt pattern in an octant, as a share of that of the octant with the largest one.
+MIN_STRUCTURE = 0.1
 
 
 class StarTemplate(NamedTuple):
@@ -38,12 +45,16 @@ class StarTemplate(NamedTuple):
         (S,) int64, number of the sector of each sample, 0 to `OCTANTS` - 1.
     outer
         (S,) bool, whether the radius is `OUTER_RADIUS` or more.
+    expected
+        (S,) float64, brightness with mean 0 and variance 1 with which an image is correlated: ``values``, or what
+        `learnt` found in an image that is out of focus.
     """
 
     offsets: NDArray[np.float64]
     values: NDArray[np.float64]
     octants: NDArray[np.int64]
     outer: NDArray[np.bool_]
+    expected: NDArray[np.float64]
 
     @classmethod
     def of(cls, segments: int, radii: tuple[float, ...] = TEMPLATE_RADII) -> StarTemplate:
@@ -69,12 +80,116 @@ class StarTemplate(NamedTuple):
         white = np.floor(turns * segments) % 2 == 0
         octant = np.floor(turns * OCTANTS).astype(np.int64)
         shape = radius.shape
+        values = np.broadcast_to(np.where(white, 1.0, -1.0), shape).ravel().copy()
         return cls(
             np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()]),
-            np.broadcast_to(np.where(white, 1.0, -1.0), shape).ravel().copy(),
+            values,
             np.broadcast_to(octant, shape).ravel().copy(),
             (radius >= OUTER_RADIUS).ravel(),
+            values,
         )
+
+    def learnt(
+        self,
+        image: NDArray[np.float32],
+        centres: NDArray[np.float64],
+        linear: NDArray[np.float64],
+        sign: float,
+    ) -> StarTemplate | None:
+        """Learn from stars of an image what a star looks like in it.
+
+        If the lens is out of focus and the image is black and white, white covers the middle of each star, and the
+        black segments are short. The sharp pattern then correlates badly and is best a pixel or two off the centre.
+        Own procedure: the mean over the stars, made equal under quarter turns (half turns if a quarter turn swaps black
+        and white), as the print is. So the learnt pattern cannot move a centre.
+
+        Parameters
+        ----------
+        image
+            (H, W) float32, smoothed.
+        centres
+            (N, 2) float64, px, right to a few pixels.
+        linear
+            (N, 2, 2) float64, px per pitch, linear map around each star.
+        sign
+            +1 if white is bright in the image, -1 if it is dark.
+
+        Returns
+        -------
+        StarTemplate or None
+            None if the places show no stars.
+        """
+        samples = _samples(image, centres, linear, self)
+        samples = sign * samples[np.isfinite(samples).all(axis=1)]
+        if not len(samples):
+            return None
+        seen = samples.mean(axis=0)
+        across = len(TEMPLATE_ACROSS)
+        radii = np.unique(np.hypot(*self.offsets.T).round(9)).size
+        segments = self.values.size // radii // across
+        turns = 4 if segments % 8 == 0 else 2
+        folded = seen.reshape(radii, turns, -1).mean(axis=1, keepdims=True)
+        whole = np.broadcast_to(folded, (radii, turns, folded.shape[2])).ravel()
+        spread = float(whole.std())
+        if spread == 0.0 or float(((whole - whole.mean()) * self.values).mean()) < MIN_LIKENESS * spread:
+            return None
+        return self._replace(expected=(whole - whole.mean()) / spread)
+
+
+def _samples(
+    image: NDArray[np.float32],
+    centres: NDArray[np.float64],
+    linear: NDArray[np.float64],
+    template: StarTemplate,
+) -> NDArray[np.float64]:
+    """Return the (N, S) bilinear values of the image at the samples of N stars; nan outside of the image."""
+    at = centres[:, None, :] + np.einsum("nij,sj->nsi", linear, template.offsets)
+    last = np.array(image.shape[::-1]) - 1
+    inside = ((at >= 0) & (at < last)).all(axis=2)
+    x, y = np.moveaxis(np.where(inside[:, :, None], at, 0.0).astype(np.float32), 2, 0)
+    return np.where(inside, cv2.remap(image, x, y, cv2.INTER_LINEAR).astype(float), np.nan)
+
+
+def learnt_contrasts(
+    image: NDArray[np.float32],
+    centres: NDArray[np.float64],
+    linear: NDArray[np.float64],
+    template: StarTemplate,
+    sign: float,
+) -> NDArray[np.float64]:
+    """Measure how strongly each octant of each star shows a learnt pattern.
+
+    Own measure: the slope of the image over ``template.expected``, by least squares in each octant.
+
+    Parameters
+    ----------
+    image
+        (H, W) float32, smoothed.
+    centres
+        (N, 2) float64, px.
+    linear
+        (N, 2, 2) float64, px per pitch, linear map around each star.
+    template
+        From `StarTemplate.learnt`.
+    sign
+        +1 if white is bright in the image, -1 if it is dark.
+
+    Returns
+    -------
+    array
+        (N, OCTANTS) float64, brightness; nan if a part lies outside of the image. An octant in which the learnt pattern
+        is nearly flat gets the median of the star's others.
+    """
+    seen = sign * _samples(image, centres, linear, template)
+    slopes, squares = np.empty((len(centres), OCTANTS)), np.empty(OCTANTS)
+    for octant in range(OCTANTS):
+        here = template.octants == octant
+        expected = template.expected[here] - template.expected[here].mean()
+        squares[octant] = expected @ expected
+        slopes[:, octant] = seen[:, here] @ expected / max(squares[octant], 1e-9)
+    flat = squares < MIN_STRUCTURE * squares.max()
+    slopes[:, flat] = np.median(slopes[:, ~flat], axis=1, keepdims=True)
+    return slopes
 
 
 @njit(cache=True, error_model="numpy")
@@ -96,7 +211,7 @@ def _sample(image: Any, x: float, y: float) -> float:
 def _correlation(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> float:
     """Return the correlation coefficient of the image with a star at (x, y); nan if too much of it lies outside.
 
-    Normalised cross-correlation (Lewis, 1995); the variance of the template, of values +1 and -1, is taken as 1.
+    Normalised cross-correlation (Lewis, 1995); the variance of the template is taken as 1.
     """
     total = squares = product = balance = 0.0
     n = 0
@@ -109,8 +224,8 @@ def _correlation(image: Any, x: float, y: float, linear: Any, template: StarTemp
             n += 1
             total += value
             squares += value * value
-            product += value * template.values[i]
-            balance += template.values[i]
+            product += value * template.expected[i]
+            balance += template.expected[i]
     if n < MIN_COVERED * template.values.size:
         return np.nan
     mean = total / n

@@ -115,7 +115,7 @@ def assert_found_where_drawn(view, scene, *, rms_px, share=0.995):
 @pytest.mark.parametrize("bright", [True, False])
 def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
     scene, image = drawn(roll=roll)
-    view, named_by = detect_stars(image if bright else 1.0 - image, TARGET, name="p")
+    view, named_by, _ = detect_stars(image if bright else 1.0 - image, TARGET, name="p")
     assert_found_where_drawn(view, scene, rms_px=0.008)
     assert named_by == "tag"
     assert view.image_size == SIZE
