@@ -25,6 +25,7 @@ from sequences.schema import (
     Sequence,
     StepConfig,
     UntilConfig,
+    Waveform,
 )
 from sequences.script import (
     ChooseStep,
@@ -155,6 +156,7 @@ class _Unfolding:
         self._names: dict[str, int] = {}  # every name in use, and how often it was requested
         self._name = ""  # requested name of the current pose
         self._recordings = 0
+        self._waveform: Waveform = "square"  # of the latest light step
         self._pose: Pose | None = None  # the current pose
         self._move_step: MoveStep  # the step that moved to the current pose
 
@@ -289,13 +291,14 @@ class _Unfolding:
 
     def _record_step(self, given: StrictModel, path: DocumentPath, pose: Pose) -> RecordStep:
         settings = merged(given, self.sequence.defaults.record)
-        settings["gates"] = Gates.from_settings(settings["gates"])
+        settings["gates"] = Gates.from_settings(settings["gates"], self._waveform)
         return RecordStep(**self._number(path), pose=pose, **settings)
 
     def _plain(self, word: str, given: StrictModel, place: dict[str, Any]) -> Step:
         if isinstance(given, LightConfig):
             flicker = merged(given, self.sequence.defaults.light)
             on = flicker.pop("output", "on") == "on"
+            self._waveform = flicker["waveform"]
             return LightStep(**place, flicker=Flicker(**flicker) if on else None)
         if word == "settle":
             return SettleStep(**place, **merged(given, self.sequence.defaults.settle))
@@ -343,9 +346,10 @@ def axes_named(sequence: Sequence) -> tuple[str, ...]:
     for step in _every_step(sequence.steps):
         if step.move is not None:
             named.update(step.move.angles_deg())
-        for poses in (step.repeat and step.repeat.poses, step.until and step.until.start):
-            if poses is not None and not isinstance(poses, str):
-                named.update(_axes_of_set(poses))
+        starts = step.until.start if step.until is not None else None
+        for given in (step.repeat.poses if step.repeat is not None else None, starts):
+            if given is not None and not isinstance(given, str):
+                named.update(_axes_of_set(given))
     return tuple(axis for axis in AXES if axis in named)
 
 

@@ -182,7 +182,10 @@ class GateConfig(StrictModel):
     """Conditions that a recording must meet to be accepted."""
 
     min_stars: Annotated[int, Field(ge=0, le=100_000)] = 40
-    max_event_rate_mev_s: Annotated[float, Field(gt=0, le=10_000)] = 200.0
+    max_event_rate_mev_s: Annotated[
+        float | None, Field(gt=0, le=10_000, description="Default 200; 500 under a sine.")
+    ] = None
+    max_data_rate_gbit_s: NotNegative | None = None
     require_triggers: Annotated[bool, Field(description="Every flicker period must have its sync edge.")] = (
         True
     )
@@ -196,8 +199,9 @@ class GateConfig(StrictModel):
         Field(description="Measured frequency against the set one; default 0.1 by triggers, 0.5 by events."),
     ] = None
     max_flicker_disagreement_percent: Annotated[
-        NotNegative, Field(description="Frequency by triggers against frequency by events.")
-    ] = 0.5
+        NotNegative | None,
+        Field(description="Frequency by triggers against frequency by events; default 0.5, 5 under a sine."),
+    ] = None
     max_rate_controller_loss_percent: NotNegative = 1.0
     max_silent_rows: Annotated[
         NotNegative, Field(description="Rows without events between rows with events.")
@@ -215,6 +219,9 @@ class GateConfig(StrictModel):
     min_on_share: NotNegative | None = None
     max_on_share: NotNegative | None = None
     max_first_on_spread_us: NotNegative | None = None
+    max_edge_width_px: Annotated[
+        NotNegative | None, Field(description="Blur of the stars' edges by lens and pixel together.")
+    ] = None
 
 
 class RecordConfig(StrictModel):

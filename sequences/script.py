@@ -13,6 +13,13 @@ from sequences.schema import Answer, GateConfig, ImageKind, OnFailure, Waveform
 from sequences.solve_schema import CalibrationModel, DistortionTerm, Loss, Readings
 from sequences.tree import DocumentPath
 
+WAVEFORM_LIMITS: Mapping[Waveform, Mapping[str, float]] = {
+    "square": {"max_event_rate_mev_s": 200.0, "max_flicker_disagreement_percent": 0.5},
+    "sine": {"max_event_rate_mev_s": 500.0, "max_flicker_disagreement_percent": 5.0},
+}
+"""Default limits of gates that depend on the waveform. Under a sine, a lit pixel sends four times as many events. They
+are spread over the period, so that the events alone give the frequency less well."""
+
 
 @dataclass(frozen=True)
 class Flicker:
@@ -87,20 +94,24 @@ class Gates:
     )
 
     @classmethod
-    def from_settings(cls, settings: Mapping[str, Any]) -> Gates:
+    def from_settings(cls, settings: Mapping[str, Any], waveform: Waveform = "square") -> Gates:
         """Make gates from a sequence's settings.
 
         Parameters
         ----------
         settings
             The fields of a `GateConfig` by name.
+        waveform
+            Waveform of the light; it chooses the defaults of `WAVEFORM_LIMITS`.
 
         Returns
         -------
         Gates
-            The gates; settings that are None set no limit.
+            The gates; other settings that are None set no limit.
         """
-        limits = {name: limit for name, limit in settings.items() if limit is not None}
+        usual = WAVEFORM_LIMITS.get(waveform, WAVEFORM_LIMITS["square"])
+        every = {name: usual.get(name) if limit is None else limit for name, limit in settings.items()}
+        limits = {name: limit for name, limit in every.items() if limit is not None}
         stars, rate = limits.pop("min_stars"), limits.pop("max_event_rate_mev_s")
         return cls(stars, rate, limits.pop("require_triggers"), limits)
 

@@ -206,6 +206,7 @@ class MeasuredFacts(TypedDict, total=False):
     flicker_lag_periods: float
     named_by: str
     grid: Sequence[Sequence[float]]
+    edge_width_px: float | None
     expected_grid: Sequence[Sequence[float]]
     motion_px: float | None
     rehearsed: bool

@@ -24,6 +24,13 @@ up to a quarter period before, when the light begins to grow; with a square wave
 An inverted sync signal shifts them by half a period."""
 FILTERS_TO_DISABLE = ("afk", "stc", "trail", "erc")
 """On-chip filters that remove events of the flicker."""
+LINK_ADVICE = (
+    "so that the camera's link is not full, lower the light's frequency_hz or level_percent, or set higher contrast "
+    "thresholds (bias_diff_on, bias_diff_off) or a longer dead time (bias_refr)"
+)
+FOCUS_ADVICE = "the image is out of focus; focus the lens"
+ADVICE = {"event rate": LINK_ADVICE, "data rate": LINK_ADVICE, "edge width": FOCUS_ADVICE}
+"""What to do if a gate fails, by its name."""
 MARGIN = 0.1
 """A value that passes but is within this share of its limit is marginal."""
 
@@ -194,18 +201,26 @@ def gate_values(
         values["triggers_missed"] = abs(int(measured["triggers_expected"]) - int(measured["triggers_found"]))
     if measured.get("flicker_hz") is not None:
         values["flicker_off_percent"] = 100 * abs(float(measured["flicker_hz"]) / frequency_hz - 1.0)
+    if facts.duration_s > 0:
+        values["data_rate_gbit_s"] = 8e-9 * facts.bytes / facts.duration_s
     if facts.rate_controller_in and facts.rate_controller_out is not None:
         passed = facts.rate_controller_out / facts.rate_controller_in
         values["rate_controller_loss_percent"] = 100 * max(1.0 - passed, 0.0)
     return values
 
 
-_LABELS = {"motion_px": "stars moved", "flicker_off_percent": "flicker off nominal"}
+_LABELS = {
+    "motion_px": "stars moved",
+    "flicker_off_percent": "flicker off nominal",
+    "data_rate_gbit_s": "data rate",
+}
 _UNITS = {"px": "px", "us": "us", "percent": "%"}
 
 
 def _unit(fact: str) -> str:
     """Return the unit that a number's name ends with; empty for shares and counts."""
+    if fact.endswith("_gbit_s"):
+        return "Gbit/s"
     return _UNITS.get(fact.rpartition("_")[2], "")
 
 
@@ -252,7 +267,7 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
 
 
 def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
-    """Return which gates failed, with the value found and the limit.
+    """Return which gates failed, with the value found, the limit and, where it is known, what to do.
 
     Parameters
     ----------
@@ -266,6 +281,7 @@ def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
     """
     return [
         f"{g.name} {g.value:.6g}{' ' + g.unit if g.unit else ''}, needed {g.limit}"
+        f"{f' ({ADVICE[g.name]})' if g.name in ADVICE else ''}"
         for g in judged
         if g.verdict == "fail"
     ]

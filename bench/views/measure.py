@@ -143,9 +143,9 @@ def find_stars(
 ) -> View:
     """Detect and label the stars of an image; use the expected grid if the tag does not label them.
 
-    Three facts are added to ``facts``: ``named_by`` (``tag``, ``part of the tag`` or ``gimbal``), ``grid``,
-    the homography of the view's grid, (3, 3) from [column row 1] to [u v 1] px as lists, and
-    ``expected_grid``, the one that was expected.
+    Four facts are added to ``facts``: ``named_by`` (``tag``, ``part of the tag`` or ``gimbal``), ``grid``,
+    the homography of the view's grid, (3, 3) from [column row 1] to [u v 1] px as lists,
+    ``expected_grid``, the one that was expected, and ``edge_width_px``, the blur of the stars' edges, px.
 
     Parameters
     ----------
@@ -186,6 +186,7 @@ def find_stars(
     grid = fit_homography(target.node_of(detection.view.ids).astype(float), detection.view.points_px)
     facts["named_by"] = "gimbal" if detection.named_by == "expected pose" else detection.named_by
     facts["grid"] = grid.tolist()
+    facts["edge_width_px"] = detection.edge_width_px
     return detection.view
 
 
@@ -242,7 +243,7 @@ def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
     if flicker.source != "triggers":
         return {}
     try:
-        by_events = flicker_from_events(events.t, events.p)
+        by_events = flicker_from_events(events.t, events.p, band_hz=_band_hz(flicker.frequency_hz))
     except (FlickerNotFound, TooFewEvents):
         return {}
     return {
@@ -250,6 +251,11 @@ def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
         "flicker_disagreement_percent": 100 * abs(by_events.frequency_hz / flicker.frequency_hz - 1.0),
         "flicker_lag_periods": by_events.lag_us(flicker) / flicker.period_us,
     }
+
+
+def _band_hz(frequency_hz: float) -> tuple[float, float]:
+    """Return the lowest and the highest frequency, Hz, at which the events are searched for a flicker of one."""
+    return min(15.0, 0.6 * frequency_hz), max(1000.0, 1.5 * frequency_hz)
 
 
 def _event_arrays(

@@ -83,6 +83,28 @@ def test_a_step_takes_from_the_defaults_what_it_does_not_say_itself():
     assert off.flicker is None
 
 
+def test_limits_depend_on_the_waveform_and_the_sequence_always_wins():
+    sine, square, given = (
+        step.gates
+        for step in steps(
+            "steps:\n"
+            "  - light: {waveform: sine}\n"
+            "  - move: {pan_deg: 0}\n"
+            "  - record\n"
+            "  - light: {waveform: square}\n"
+            "  - record\n"
+            "  - light: {waveform: sine}\n"
+            "  - record: {gates: {max_event_rate_mev_s: 200, max_flicker_disagreement_percent: 0.5}}\n"
+        )
+        if isinstance(step, RecordStep)
+    )
+    limits = [
+        (one.max_event_rate_mev_s, one.limits["max_flicker_disagreement_percent"])
+        for one in (sine, square, given)
+    ]
+    assert limits == [(500, 5), (200, 0.5), (200, 0.5)]
+
+
 def test_what_follows_failed_attempts_and_the_limits_of_a_result_are_settings_too():
     _, record, solve = steps(
         "defaults: {record: {attempts: 3, backoff_s: 2}, solve: {limits: {rms_px: 0.5, sigma_fx_px: 9}}}\n"

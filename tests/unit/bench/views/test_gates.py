@@ -74,11 +74,20 @@ def test_a_sync_signal_half_a_period_off_is_always_rejected():
         ({"max_trigger_jitter_us": 1}, "trigger jitter 2 us, needed <= 1"),
         ({"max_silent_rows": 0}, ""),
         ({"max_hot_pixels": 1}, ""),
+        (
+            {"max_edge_width_px": 1.5},
+            "edge width 1.8 px, needed <= 1.5 (the image is out of focus; focus the lens)",
+        ),
     ],
 )
 def test_a_limit_is_judged_only_if_the_recording_has_the_number(limits, words):
     told = {"on_share": 0.4, "first_on_spread_us": 139.0, "silent_rows": 0, "hot_pixels": None}
-    measured = MEASURED | {"image": told, "flicker_hz": 60.0006, "trigger_jitter_us": 2.0}
+    measured = MEASURED | {
+        "image": told,
+        "flicker_hz": 60.0006,
+        "trigger_jitter_us": 2.0,
+        "edge_width_px": 1.8,
+    }
     refused = reasons(gates=replace(GATES, limits=limits), measured=measured)
     assert refused == ([words] if words else [])
 
@@ -87,3 +96,15 @@ def test_events_dropped_by_the_rate_controller_are_rejected_by_its_counters():
     assert reasons(rate_controller_in=1000, rate_controller_out=999) == []
     dropped = reasons(rate_controller_in=1000, rate_controller_out=900)
     assert dropped == ["rate controller loss 10 %, needed <= 1"]
+
+
+def test_a_full_link_is_rejected_with_what_to_do():
+    rates = replace(GATES, limits={"max_data_rate_gbit_s": 1.5})
+    (full,) = reasons(gates=rates, bytes=10_000_000)
+    assert full.startswith(
+        "data rate 1.6 Gbit/s, needed <= 1.5 (so that the camera's link is not full, lower"
+    )
+    (fast,) = reasons(events=9_000_000)
+    assert fast.startswith(
+        "event rate 180 Mev/s, needed <= 100 (so that the camera's link is not full, lower"
+    )
