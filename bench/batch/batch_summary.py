@@ -251,10 +251,11 @@ def _request(data: Requested) -> dict[str, Any]:
 
 
 def _planned_poses(run: Path) -> int | None:
-    """Return the number of poses in a run's plan; None if there is no plan."""
+    """Return the number of poses in a run's plan; None if there is no plan, or if the run chooses their number."""
     try:
         with storage_errors(run / PLAN):
-            return len(json.loads((run / PLAN).read_text(encoding="utf-8"))["poses"])
+            plan = json.loads((run / PLAN).read_text(encoding="utf-8"))
+        return None if plan.get("untils") else len(plan["poses"])
     except (BenchError, ValueError, KeyError):
         return None
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bench.base.errors import ScriptError
+from bench.plan.passports import default_model
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
@@ -46,7 +47,7 @@ class ParkStep:
 
 
 ScriptStep = Step | ParkStep
-PoseStep = TypeVar("PoseStep", MoveStep, RecordStep)
+PoseStep = TypeVar("PoseStep", bound=MoveStep | RecordStep)
 DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep, ParkStep)
 
 
@@ -431,7 +432,7 @@ def calibration_options(
     """
     enters = gimbal is not None and gimbal.parallax is not None
     return CalibrationOptions(
-        step.model or ("auto" if passport or enters else "spherical"),
+        step.model or default_model(with_passport=passport is not None, readings_enter=enters),
         step.distortion,
         step.loss,
         step.huber_px,

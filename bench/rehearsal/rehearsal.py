@@ -165,6 +165,7 @@ class RehearsedResults(ResultWriter):
             "run": {"id": log.history.started["id"], "started_utc": log.history.started_utc},
             "calibration": self._calibration.to_dict(),
             "comparison": compare_with_truth(self._calibration, truth) if truth is not None else [],
+            **({"untils": list(log.history.decisions)} if log.history.decisions else {}),
             "deviations": list(log.history.deviations),
         }
         data = (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from typing import Any
 
@@ -19,6 +19,7 @@ from markupsafe import Markup
 from bench.report import budget_tables, calibration_tables, run_tables, text
 from bench.report.bench_knowledge import source_rows
 from bench.report.choice import PLOTS, pictured_poses
+from bench.report.course import courses
 from bench.report.view_picture import ViewPicture, thinned
 from bench.report.walk import state_diagram
 
@@ -113,6 +114,10 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
             stars=_star_counts(data.views),
             pictured=(text.number(pictured.shown), text.number(pictured.total)),
             pictures=[(_markup(svg), name) for svg, name in pictures],
+            courses=[
+                replace(course, plot=_markup(course.plot))
+                for course in courses(results.get("untils") or [], draw=draw)
+            ],
             k=text.exact(round(k, 2)),
         )
     )

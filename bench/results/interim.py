@@ -213,13 +213,11 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
     end = _end(until, decided, interim, len(failed))
     if end is None:
         choice = _choose(step, job, history, interim, decided, failed)
-        if isinstance(choice, Choice) and step.pose is not None:
-            decided["lacks"] = choice.lacks
-            decided["chosen"] = _chosen(step, choice)
-            return decided
+        if isinstance(choice, Choice):
+            return {**decided, "lacks": choice.lacks, "chosen": _chosen(step, choice)}
         end = ("no_pose", f"{choice} {interim.why}".strip())
-    decided["ended"], decided["why"] = end
-    return decided
+    how, why = end
+    return {**decided, "ended": how, "why": why}
 
 
 def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> tuple[UntilEnd, str] | None:
@@ -318,6 +316,6 @@ def _chosen(step: ChooseStep, choice: Choice) -> ChosenPose:
         "pose": step.pose.index,
         "pose_name": step.pose.name,
         "angles_deg": {axis.removesuffix("_deg"): angle for axis, angle in choice.angles_deg.items()},
-        "expected": dict(choice.expected),
+        "expected": {name: value for name, value in choice.expected.items() if np.isfinite(value)},
         "why": choice.why,
     }

@@ -252,6 +252,7 @@ class ResultWriter:
             **solution.checks,
             "poses": _poses(history, solution, self._job.camera_kind),
             "gates": [*(gate.as_data() for gate in solution.judged), *_pose_gates(history)],
+            **({"untils": list(history.decisions)} if history.decisions else {}),
             "deviations": list(history.deviations),
             **({"failures": list(history.failures)} if history.failures else {}),
             "states": list(history.states),

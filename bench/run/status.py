@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 from bench.base.errors import RunFolderError, StorageError
 from bench.records.events import (
@@ -32,6 +32,7 @@ from bench.records.journal import read_journal
 from bench.records.journal_entry import Entry
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storage_errors
+from bench.report.until_text import decision_text, reached_text
 from bench.run.interlock_text import interlock_text
 from bench.run.machine import END_STATES
 from bench.terminal.duration import clock_text
@@ -57,7 +58,12 @@ class Status:
     pose, pose_name
         Number and name of the pose at work; None and empty between poses.
     poses, accepted, skipped, attempts
-        How many poses there are, how many are recorded, how many are skipped; how many recordings were made.
+        How many poses there are, how many are recorded, how many are skipped; how many recordings were made. Poses that
+        the run may still choose are not counted.
+    most_poses
+        How many poses there are at most, with those that the run may still choose.
+    uncertainty
+        What an ``until`` has reached, and its goals; empty if the run has decided nothing yet.
     left_s
         Expected time until the end, s; None if no process works on the run.
     held_by
@@ -83,9 +89,11 @@ class Status:
     pose: int | None
     pose_name: str
     poses: int
+    most_poses: int
     accepted: int
     skipped: int
     attempts: int
+    uncertainty: str
     left_s: float | None
     held_by: str
     question: str
@@ -106,9 +114,11 @@ class Status:
 
 
 class _Plan(TypedDict):
-    """What a status needs of plan.json."""
+    """What a status needs of plan.json; the plan of an earlier version has neither ``most_poses`` nor ``untils``."""
 
     poses: Sequence[Mapping[str, Any]]
+    most_poses: NotRequired[int]
+    untils: NotRequired[Sequence[Mapping[str, Any]]]
     steps: Sequence[Mapping[str, Any]]
     duration_s: float
     simulated: bool
@@ -179,6 +189,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
     history, plan = replay(entries), _plan_of(folder)
     running, sealed = is_locked(folder), is_sealed(folder)
     names = {pose["index"]: pose["name"] for pose in plan["poses"]}
+    names |= {d["chosen"]["pose"]: d["chosen"]["pose_name"] for d in history.decisions if "chosen" in d}
     held_by = _held_by(history) if running else ""
     going_on = running and not history.ended
     return Status(
@@ -193,9 +204,11 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
         pose=history.at_pose,
         pose_name=names.get(history.at_pose or 0, ""),
         poses=len(names),
+        most_poses=_most_poses(plan, history, len(names)),
         accepted=len(history.accepted()),
         skipped=len(history.skipped),
         attempts=len(history.attempts) + sum(history.lost.values()),
+        uncertainty=reached_text(history.decisions[-1]) if history.decisions else "",
         left_s=_left_s(history, plan, entries, now) if going_on else None,
         held_by=held_by,
         question=history.question if running else "",
@@ -206,23 +219,35 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
     )
 
 
+def _most_poses(plan: _Plan, history: History, known: int) -> int:
+    """Return how many poses there can be; that is known once every ``until`` has ended."""
+    ended = {decided["until"] for decided in history.decisions if "ended" in decided}
+    if all(until["first"] in ended for until in plan.get("untils", ())):
+        return known
+    return max(known, plan.get("most_poses", known))
+
+
 def _plan_of(folder: Path) -> _Plan:
     try:
         with storage_errors(folder / PLAN):
             plan: dict[str, Any] = json.loads((folder / PLAN).read_text(encoding="utf-8"))
-        return _Plan(**{name: plan[name] for name in _Plan.__annotations__})  # type: ignore[typeddict-item]
+        found = _Plan(**{name: plan[name] for name in _Plan.__required_keys__})  # type: ignore[typeddict-item]
+        if "untils" in plan:
+            found["most_poses"], found["untils"] = int(plan["most_poses"]), plan["untils"]
     except (StorageError, ValueError, KeyError, TypeError) as error:
         raise RunFolderError(
             f"{PLAN} cannot be read.",
             where=str(folder),
             remedy="The file is damaged or was written by another program.",
         ) from error
+    return found
 
 
 def _left_s(history: History, plan: _Plan, entries: Sequence[Entry], now: datetime) -> float:
     """Return the planned time after the last step done, less the time since then unless the run is held."""
     done_s = {step["number"]: step["done_after_s"] for step in plan["steps"]}
-    begun_s = max((done_s.get(number, 0.0) for number in history.done_steps), default=0.0)
+    done = (s for number, s in done_s.items() if number in history.done_steps or history.is_left_out(number))
+    begun_s = max(done, default=0.0)
     marks = (e for e in reversed(entries) if e.event in {Event.STEP_DONE, Event.RUN_STARTED})
     mark = next(marks, None)
     since = (
@@ -330,6 +355,7 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.COMMANDED: _command_text,
     Event.DEVIATION: lambda data: f"deviation: {data['what']}",
     Event.POSE_SKIPPED: lambda data: f"deviation: {data['what']}",
+    Event.UNTIL_DECIDED: decision_text,
     Event.RUN_ENDED: _end_text,
     Event.ASKED: _question_text,
     Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
@@ -352,7 +378,9 @@ def status_text(status: Status) -> str:
     str
         Lines of text.
     """
-    at = f", pose {status.pose} of {status.poses} ({status.pose_name})" if status.pose else ""
+    most = "at most " if status.most_poses > status.poses else ""
+    poses = f"{most}{status.most_poses}"
+    at = f", pose {status.pose} of {poses} ({status.pose_name})" if status.pose else ""
     if status.running:
         held = (
             f", HELD by {status.held_by}"
@@ -367,10 +395,11 @@ def status_text(status: Status) -> str:
         head = f"{status.ended}{': ' if status.why else ''}{status.why}"
     else:
         head = f"interrupted (killed or power lost): {status.state}{at}"
-    counts = f"{status.accepted} of {status.poses} poses recorded, {status.attempts} recordings"
+    counts = f"{status.accepted} of {poses} poses recorded, {status.attempts} recordings"
     counts += f", {status.skipped} skipped" if status.skipped else ""
     counts += f", resumed {status.resumed} times" if status.resumed else ""
     simulated = "  SIMULATED" if status.simulated else ""
     lines = [f"Run {status.run_id}{simulated}", head, counts]
+    lines += [f"Uncertainty after {status.uncertainty}"] if status.uncertainty else []
     lines += [f"Deviation: {what}" for what in status.deviations]
     return "\n".join([*lines, *(f"  {line}" for line in status.last), status.advice])

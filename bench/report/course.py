@@ -1,0 +1,142 @@
+"""The course of an ``until``: the expanded uncertainty after each pose, as a table and a plot, and how the step ended.
+
+The data are the decisions of the journal, as results.json holds them under ``untils``. The plot is drawn by
+`bench.report.course_plot`, so that text alone needs no Matplotlib.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bench.report.text import NOTHING, fixed, number
+from bench.report.until_text import goals_text, meaning_of_goal
+
+Json = Mapping[str, Any]
+
+_ENDS = {
+    "met": "The goals are met",
+    "unreachable": "A goal cannot be reached",
+    "at_most": "The goals are not met",
+    "minutes": "The goals are not met",
+    "failures": "The goals are not met",
+    "no_pose": "The goals are not met",
+}
+
+
+@dataclass(frozen=True)
+class CourseRow:
+    """One decision, as printed.
+
+    Attributes
+    ----------
+    poses
+        Number of poses in the calibration.
+    model
+        Its model.
+    reached
+        Expanded uncertainty for each goal, px.
+    chosen, angles
+        Name and angles of the pose that was chosen then.
+    expected
+        Expanded uncertainty that the choice expected for each goal, px.
+    why
+        Why this pose was chosen, or how the step ended.
+    """
+
+    poses: str
+    model: str
+    reached: tuple[str, ...]
+    chosen: str
+    angles: str
+    expected: tuple[str, ...]
+    why: str
+
+
+@dataclass(frozen=True)
+class Course:
+    """The course of one ``until``, as printed.
+
+    Attributes
+    ----------
+    goals
+        The goals, in words.
+    columns
+        What each goal limits.
+    rows
+        The decisions, in order.
+    met
+        Whether the goals are met.
+    end
+        How the step ended, and why.
+    minutes
+        Time that the step worked, minutes.
+    plot
+        SVG; empty if nothing is drawn or no uncertainty was reached.
+    """
+
+    goals: str
+    columns: tuple[str, ...]
+    rows: tuple[CourseRow, ...]
+    met: bool
+    end: str
+    minutes: str
+    plot: str
+
+
+def courses(decisions: Sequence[Json], *, draw: bool = True) -> list[Course]:
+    """Return the course of each ``until`` of a run.
+
+    Parameters
+    ----------
+    decisions
+        ``untils`` of results.json: what each ``until`` decided, in order.
+    draw
+        Whether to draw the plots.
+
+    Returns
+    -------
+    list of Course
+        One for each ``until``, in the order of the run.
+    """
+    by_until: dict[int, list[Json]] = {}
+    for decided in decisions:
+        by_until.setdefault(decided["until"], []).append(decided)
+    return [_course(own, draw=draw) for own in by_until.values()]
+
+
+def _course(decisions: Sequence[Json], *, draw: bool) -> Course:
+    last = decisions[-1]
+    wanted = last["wanted"]
+    end = last.get("ended")
+    plot = ""
+    if draw and any(decided["now"] for decided in decisions):
+        from bench.report.course_plot import course_plot
+
+        plot = course_plot(decisions)
+    return Course(
+        goals_text(wanted),
+        tuple(meaning_of_goal(name) for name in wanted),
+        tuple(_row(decided) for decided in decisions),
+        end == "met",
+        f"{_ENDS[end]}. {last['why']}" if end in _ENDS else "The step did not end.",
+        fixed(last["worked_s"] / 60.0, 1),
+        plot,
+    )
+
+
+def _row(decided: Json) -> CourseRow:
+    chosen: Json = decided.get("chosen") or {}
+    expected: Json = chosen.get("expected", {})
+    goals = decided["wanted"]
+    angles = ", ".join(f"{axis} {number(angle, 4)}" for axis, angle in chosen.get("angles_deg", {}).items())
+    return CourseRow(
+        number(decided["poses"]),
+        decided["model"] or NOTHING,
+        tuple(number(decided["now"].get(name), 3) for name in goals),
+        chosen.get("pose_name", NOTHING),
+        angles or NOTHING,
+        tuple(number(expected.get(name), 3) for name in goals),
+        chosen.get("why") or _ENDS.get(decided.get("ended", ""), NOTHING).lower(),
+    )
