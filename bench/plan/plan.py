@@ -15,7 +15,7 @@ from typing import Any
 
 from bench.base.errors import ScriptError
 from bench.plan.estimate import Estimate
-from bench.plan.passports import PassportChoice, choose_passport
+from bench.plan.passports import PassportChoice, choose_passport, default_model
 from bench.plan.script_check import angle_faults, check_script
 from bench.stations.placeholders import find_placeholders
 from bench.stations.station import Station, load_station
@@ -36,6 +36,7 @@ from sequences.script import (
     Until,
 )
 from sequences.settings import OptionSettings
+from sequences.solve_schema import CalibrationModel
 from sequences.tree import Fault
 
 SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
@@ -108,6 +109,23 @@ class Plan:
         in_use = self.passport.in_use
         return in_use.passport if in_use is not None and step.number in self.passport.steps else None
 
+    def model_for(self, step: SolveStep) -> CalibrationModel:
+        """Return the model of a solve step: its own, or the default on this station.
+
+        Parameters
+        ----------
+        step
+            A solve step of the sequence.
+
+        Returns
+        -------
+        str
+            Name of the model.
+        """
+        enters = self.station.value.bounds_parallax and step.readings == "auto"
+        with_passport = self.passport_for(step) is not None
+        return step.model or default_model(with_passport=with_passport, readings_enter=enters)
+
     @property
     def script(self) -> tuple[Step, ...]:
         """The steps without their durations."""
@@ -145,6 +163,7 @@ class Plan:
             "runnable": not self.faults,
             "faults": [_fault_dict(fault) for fault in self.faults],
             "remarks": [_fault_dict(remark) for remark in self.remarks],
+            "passport": self.passport.in_use.to_dict() if self.passport.in_use else None,
             "duration_s": round(self.duration_s, 3),
             "size_bytes": self.size_bytes,
             "most_bytes": self.most_bytes,

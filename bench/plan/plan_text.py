@@ -109,7 +109,7 @@ def _rows(planned: PlannedStep, plan: Plan) -> list[str]:
     step = planned.step
     until = next((until for until in plan.untils if until.first <= step.number <= until.last), None)
     if until is None or step.number < until.first + 3 * until.starts:
-        return [_row(step.number, _what(step), planned.duration_s, planned.done_after_s)]
+        return [_row(step.number, _what(step, plan), planned.duration_s, planned.done_after_s)]
     if step.number > until.first + 3 * until.starts:
         return []
     rounds = [p for p in plan.steps if step.number <= p.step.number <= until.last]
@@ -125,7 +125,7 @@ def _row(number: int, what: str, takes_s: float, after_s: float) -> str:
     return f"{number:>5}  {what:<52}{duration_text(takes_s):>10}{duration_text(after_s):>12}"
 
 
-def _what(step: Step) -> str:
+def _what(step: Step, plan: Plan) -> str:
     match step:
         case LightStep(flicker=None):
             what = "light off"
@@ -141,7 +141,9 @@ def _what(step: Step) -> str:
             what = f"ask: {step.text} [{step.default}]"
         case SolveStep():
             lens = step.distortion if isinstance(step.distortion, str) else " ".join(step.distortion)
-            what = f"solve {step.model or 'with the default model'}, {lens or 'no distortion'}, {step.loss}"
+            what = f"solve {plan.model_for(step)}, {lens or 'no distortion'}, {step.loss}"
+            if plan.passport.in_use is not None and plan.passport_for(step) is not None:
+                what += f", passport {plan.passport.in_use.name}"
         case _:
             what = type(step).__name__.removesuffix("Step").lower()
     return what

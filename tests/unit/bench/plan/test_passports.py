@@ -8,6 +8,7 @@ import pytest
 
 from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.plan import load_documents, make_plan
+from bench.plan.plan_text import render_plan
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.stations.station import SHIPPED_STATIONS
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
@@ -201,3 +202,11 @@ def test_readings_with_a_bound_let_the_data_choose_the_model(bench):
     assert calibration_options(step, None, readings).model == "spherical"
     bounded = GimbalReadings(({"pan_deg": 1.0},), 0.002, parallax=ParallaxBound(0, 0, 0, 1))
     assert calibration_options(step, None, bounded).model == "auto"
+
+
+def test_the_plan_names_the_model_and_the_passport(bench):
+    plan = bench("", f"serial: C-1, {CERTIFICATE}")
+    assert "solve auto, k1 k2, huber, passport certificate" in render_plan(plan)
+    assert plan.to_dict()["passport"]["number"] == "T-1"
+    assert "solve spherical, k1 k2, huber" in render_plan(bench())
+    assert bench().to_dict()["passport"] is None
