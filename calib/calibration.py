@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.collimator import Collimator
+from calib.model.gimbal_estimate import GimbalEstimate
+from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 
 Array = NDArray[np.float64]
-ModelName = Literal["spherical", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
+ModelName = Literal["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
 LossName = Literal["l2", "huber", "cauchy"]
 
 
@@ -26,8 +28,9 @@ class CalibrationOptions:
     Parameters
     ----------
     model
-        ``spherical``: all views share one centre. ``pupil``, ``rim``, ``field``, ``coma``: the same with more and more
-        aberrations of the collimator (`calib.model.aberrations.LADDER`). ``drift``: the centre of each view may differ
+        ``spherical``: all views share one centre. ``radial``: the same with a radial distortion of the target's map.
+        ``pupil``, ``rim``, ``field``, ``coma``: the same with more and more aberrations of the collimator
+        (`calib.model.aberrations.LADDER`); they need the rim of the beam. ``drift``: the centre of each view may differ
         from the shared one by about `drift_mm`. ``planar``: each view has its own centre (Zhang's model, for
         comparison).
         ``auto``: the data choose (`calib.selection`).
@@ -41,11 +44,18 @@ class CalibrationOptions:
     max_iterations
         Largest number of steps of each refinement.
     passport
-        Passport of the collimator; one view is then enough, and the passport fixes the model.
+        Passport of the collimator; one view is then enough. Its aberrations are held. With a certificate, which states
+        the radius alone, the model ``auto`` is ``radial``.
     guard_band
         Stars farther from the centre of the visible disc than this share of its radius are left out.
     drift_mm
         Prior 1-sigma per axis of the centre of a view about the shared one, mm, for the model ``drift``.
+    gimbal
+        Readings of the gimbal, one for each view in their order. They enter the adjustment if their parallax is
+        bounded.
+    radial_sigma
+        Prior 1-sigma of the radial term of the target's map, if the bench states it (bow of the reticle and distortion
+        of the collimator); None for what is typical of real collimators.
 
     Raises
     ------
@@ -61,6 +71,8 @@ class CalibrationOptions:
     passport: Passport | None = None
     guard_band: float = 1.0
     drift_mm: float = 0.3
+    gimbal: GimbalReadings | None = None
+    radial_sigma: float | None = None
 
     def __post_init__(self) -> None:
         for what, value, known in (
@@ -80,6 +92,8 @@ class CalibrationOptions:
             )
         if not self.drift_mm > 0:
             raise InputMismatch(f"drift_mm is {self.drift_mm}; it must be positive.")
+        if self.radial_sigma is not None and not self.radial_sigma > 0:
+            raise InputMismatch(f"radial_sigma is {self.radial_sigma}; it must be positive.")
 
 
 @dataclass(frozen=True)
@@ -177,6 +191,10 @@ class Calibration:
         Notes for the reader, in words.
     candidates
         The models compared, if the data chose the model.
+    gimbal
+        What was found out about the gimbal; None if its readings took no part.
+    poses
+        The pose of each view, as an index; views of one pose count as one in all uncertainties.
     """
 
     model: str
@@ -203,6 +221,8 @@ class Calibration:
     budget: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
     candidates: tuple[Candidate, ...] = field(default=())
+    gimbal: GimbalEstimate | None = None
+    poses: tuple[int, ...] = ()
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -294,4 +314,5 @@ class Calibration:
             ],
             "candidates": [asdict(candidate) for candidate in self.candidates],
             "notes": list(self.notes),
+            **({"gimbal": self.gimbal.to_dict()} if self.gimbal else {}),
         }

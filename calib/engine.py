@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
+from calib.calibration import Calibration, CalibrationOptions, Candidate, ModelName, ViewSummary
 from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit_model
 from calib.model.aberrations import model_with_terms
+from calib.model.passport import Passport
 from calib.selection import choose
 from calib.summary import summarize
 from calib.view import View
@@ -49,10 +50,21 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     options = options or CalibrationOptions()
     _check(views, 1 if options.passport else 2)
     if options.passport:
-        return summarize(fit_model(views, options, model_with_terms(options.passport.terms)))
+        return summarize(fit_model(views, options, _model_with_passport(options.model, options.passport)))
     if options.model == "auto":
         return choose(views, options)
     return summarize(fit_model(views, options, options.model))
+
+
+def _model_with_passport(model: ModelName, passport: Passport) -> str:
+    """Return the model to fit if the collimator has a passport.
+
+    A certificate states the radius on the axis; the radial term is what it does not state. A passport from views holds
+    the terms of its own model.
+    """
+    if passport.is_certificate:
+        return "radial" if model == "auto" else model
+    return model_with_terms(passport.terms)
 
 
 def _check(views: Sequence[View], fewest: int) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
+from calib.adjustment.collimator_terms import add_terms
 from calib.adjustment.degeneracy import (
     explain_weak_geometry,
     require_constrained,
@@ -24,12 +25,14 @@ from calib.adjustment.initialization import best_start, passport_starts, planar_
 from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.poses import poses_of
+from calib.adjustment.readings import ReadingsTest, add_readings, check_readings, with_turns
 from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
-from calib.model.aberrations import LADDER, aberration_prior, displacements
+from calib.model.aberrations import LADDER, needs_rim
 from calib.model.beam import Disc, inside_guard_band, visible_discs, without_guard_band
 from calib.model.camera import PINHOLE
-from calib.model.collimator import CENTRE, Collimator
+from calib.model.collimator import CENTRE
 from calib.model.homography import view_homography
 from calib.uncertainty.consistency import check_passport
 from calib.uncertainty.covariance import (
@@ -38,7 +41,8 @@ from calib.uncertainty.covariance import (
     inflate,
 )
 from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
-from calib.uncertainty.passport_propagation import propagate_passport
+from calib.uncertainty.passport_propagation import add_certificate, propagate_passport
+from calib.uncertainty.repeats import views_of_poses
 from calib.uncertainty.variance_components import variance_components
 from calib.view import View
 
@@ -49,6 +53,12 @@ _LIMIT_SIGMAS = 2.5
 _LIMIT_ROUNDS = 3
 #: Median length of a residual vector over its standard deviation per axis (Rayleigh distribution): sqrt(2 ln 2).
 _RAYLEIGH_MEDIAN = 1.1774100225154747
+#: Models that the gimbal's readings do not enter: they free the centre of each view.
+WITHOUT_READINGS = ("drift", "planar")
+#: Readings that scatter more than this many times as much as stated do not enter.
+MAX_READING_SCATTER = 5.0
+_READING_ROUNDS = 4
+_TURN_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -72,7 +82,10 @@ class Fit:
     cross_validation
         Results for views left out; None if it was not done, or if there are too few views.
     discs
-        The visible discs of the views; none if the model has no aberrations.
+        The visible discs of the views; none if the model does not depend on them.
+    readings
+        Whether the gimbal's readings agree with the stars; None if they did not take part. They entered the estimate if
+        `bundle` has them.
     """
 
     model: str
@@ -85,6 +98,7 @@ class Fit:
     uncertainty: Uncertainty
     cross_validation: CrossValidation | None
     discs: Sequence[Disc] = ()
+    readings: ReadingsTest | None = None
 
     @property
     def parameters(self) -> AdjustmentParameters:
@@ -109,7 +123,7 @@ def fit_model(
     options
         Distortion, loss, passport and guard band.
     model
-        A model of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``. A passport fixes the aberrations instead.
+        A model of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``. Terms of a passport are held.
     leave_out
         Whether to leave out each view in turn even if the views are consistent.
     discs
@@ -125,23 +139,63 @@ def fit_model(
     TooFewStars, DegenerateViews, NotConverged, InputMismatch, PassportContradicted
         As `calib.engine.calibrate`.
     """
-    terms = options.passport.terms if options.passport else LADDER.get(model, ())
-    discs = _discs_with_rims(views, discs) if terms or options.guard_band < 1 else ()
+    passport = options.passport
+    held = passport.terms if passport else ()
+    free = tuple(term for term in LADDER.get(model, ()) if term not in held)
+    terms = (*held, *free)
+    discs = _discs_with_rims(views, discs) if needs_rim(terms) or options.guard_band < 1 else ()
     kept = _without_guard_bands(views, discs, options.guard_band)
     bundle, start = initialize(kept, options, model)
     if terms:
-        bundle, start = _with_aberrations(kept, discs, bundle, start, options, terms)
+        if not held:
+            start = refine(bundle, start, Loss("l2"), options.max_iterations).parameters
+        bundle, start = add_terms(kept, discs, bundle, start, free, passport, options.radial_sigma)
     if model == "drift":
         bundle = replace(bundle, free_centres=True, drift_mm=options.drift_mm)
     bundle, refined, loss = refine_robustly(bundle, start, options)
-    if options.passport:
-        check_passport(bundle, refined.parameters, loss, options.passport)
+    test = None
+    if options.gimbal and options.gimbal.parallax and model not in WITHOUT_READINGS:
+        bundle, refined, loss, test = _with_readings(kept, discs, bundle, refined, loss, options)
+    bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
+    if passport:
+        check_passport(bundle, refined.parameters, loss, passport)
     estimate, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole, used = bundle, np.ones(len(bundle.observations.view), np.bool_)
     if options.guard_band < 1:
-        whole = _with_guard_bands(views, discs, bundle, refined.parameters.collimator, terms)
+        whole = _with_guard_bands(views, discs, bundle, refined.parameters)
         used = _used_stars(views, discs, options.guard_band)
-    return Fit(model, views, bundle, refined, loss, whole, used, estimate, left_out, discs if terms else ())
+    shown = discs if needs_rim(terms) else ()
+    return Fit(model, views, bundle, refined, loss, whole, used, estimate, left_out, shown, test)
+
+
+def _with_readings(
+    views: Sequence[View],
+    discs: Sequence[Disc],
+    bundle: Bundle,
+    refined: Refinement,
+    loss: Loss,
+    options: CalibrationOptions,
+) -> tuple[Bundle, Refinement, Loss, ReadingsTest]:
+    """Adjust again with the gimbal's readings; without them if they contradict the stars.
+
+    Readings that scatter somewhat more than stated get less weight.
+    """
+    stated = options.gimbal
+    assert stated is not None
+    readings = stated
+    for _ in range(_READING_ROUNDS):
+        joint, start = add_readings(views, discs, bundle, refined.parameters, readings)
+        for _ in range(_TURN_ROUNDS):
+            joint, together, limit = refine_robustly(joint, start, options)
+            start = together.parameters
+            joint = with_turns(views, discs, joint, start)
+        test = check_readings(joint, start, stated)
+        if not test.contradicted:
+            return joint, together, limit, test
+        if test.scatter * test.times_stated > MAX_READING_SCATTER:
+            break
+        readings = replace(readings, reading_sigma_deg=test.scatter * readings.reading_sigma_deg)
+    return bundle, refined, loss, test
 
 
 def _discs_with_rims(views: Sequence[View], discs: Sequence[Disc] | None) -> Sequence[Disc]:
@@ -159,15 +213,11 @@ def _without_guard_bands(views: Sequence[View], discs: Sequence[Disc], share: fl
 
 
 def _with_guard_bands(
-    views: Sequence[View],
-    discs: Sequence[Disc],
-    bundle: Bundle,
-    collimator: Collimator,
-    terms: tuple[str, ...],
+    views: Sequence[View], discs: Sequence[Disc], bundle: Bundle, parameters: AdjustmentParameters
 ) -> Bundle:
     """Return the bundle with the stars of the guard bands too."""
-    shifts = _displacements(views, discs, collimator, terms) if terms else None
-    return replace(bundle, observations=Observations.from_views(views), displacements=shifts)
+    whole = replace(bundle, observations=Observations.from_views(views))
+    return with_turns(views, discs, whole, parameters) if bundle.displacements is not None else whole
 
 
 def _used_stars(views: Sequence[View], discs: Sequence[Disc], share: float) -> NDArray[np.bool_]:
@@ -214,42 +264,6 @@ def initialize(
     else:
         starts = list(spherical_starts(h, size, distortion))
     return bundle, best_start(bundle, starts)
-
-
-def _with_aberrations(
-    views: Sequence[View],
-    discs: Sequence[Disc],
-    bundle: Bundle,
-    start: AdjustmentParameters,
-    options: CalibrationOptions,
-    terms: tuple[str, ...],
-) -> tuple[Bundle, AdjustmentParameters]:
-    """Add the aberrations of a collimator, about the optimum of the ideal model; or those of the passport."""
-    if options.passport:
-        collimator = options.passport.collimator(start.collimator)
-    else:
-        ideal = refine(bundle, start, Loss("l2"), options.max_iterations).parameters.collimator
-        collimator = replace(
-            ideal, aberrations=dict.fromkeys(terms, 0.0), reference=(ideal.x, ideal.y, ideal.r)
-        )
-        names = (*bundle.names, *terms)
-        bundle = replace(bundle, names=names, prior=aberration_prior(terms))
-    bundle = replace(bundle, displacements=_displacements(views, discs, collimator, terms))
-    return bundle, replace(start, collimator=collimator)
-
-
-def _displacements(
-    views: Sequence[View], discs: Sequence[Disc], collimator: Collimator, terms: tuple[str, ...]
-) -> Array:
-    """Return (N, 2, T) displacements by a unit of each aberration, mm, view after view."""
-    assert collimator.reference is not None
-    reference = collimator.reference
-    return np.concatenate(
-        [
-            displacements(view.target_mm, disc, reference, terms)
-            for view, disc in zip(views, discs, strict=True)
-        ]
-    )
 
 
 def refine_robustly(
@@ -318,12 +332,18 @@ def _uncertainty(
             remedy="Add views from other angles, or estimate fewer distortion coefficients.",
         )
     left_out = None
-    if len(views) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
+    if len(views_of_poses(bundle)) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
         left_out = leave_one_out(bundle, parameters, loss)
-    if options.passport is None:
+    passport = options.passport
+    if passport is None or passport.is_certificate:
         components = partial(variance_components, bundle, parameters, loss)
-        return inflate(estimate, bundle, parameters, loss, components), left_out
-    estimate = propagate_passport(bundle, parameters, estimate, options.passport)
+        estimate = inflate(estimate, bundle, parameters, loss, components)
+    if passport is None:
+        return estimate, left_out
+    if passport.is_certificate:
+        estimate = add_certificate(bundle, parameters, estimate, passport)
+    else:
+        estimate = propagate_passport(bundle, parameters, estimate, passport)
     require_constrained(
         parameters, estimate.names, estimate.covariance, "The passport does not constrain it either."
     )

@@ -23,7 +23,7 @@ import numpy as np
 from calib.calibration import Calibration, CalibrationOptions, Candidate
 from calib.errors import CalibrationError
 from calib.fit import Fit, fit_model
-from calib.model.aberrations import LADDER
+from calib.model.aberrations import LADDER, needs_rim
 from calib.model.beam import visible_discs
 from calib.summary import summarize
 from calib.view import View
@@ -32,8 +32,12 @@ from calib.view import View
 MODELS = (*LADDER, "drift", "planar")
 #: A richer model is chosen only if it predicts views better by this share.
 _MIN_IMPROVEMENT = 0.03
-#: From this number of views on, left-out views decide.
+#: From this number of poses on, left-out poses decide.
 _ENOUGH_VIEWS = 6
+_KEPT_RADIAL = (
+    "The radial model was kept in its place: these views cannot exclude a bow of the reticle or a distortion of the "
+    "collimator that would change the focal length, and the uncertainties include it."
+)
 
 
 def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
@@ -70,9 +74,14 @@ def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
     if not fits:
         raise next(iter(errors.values()))
     candidates = tuple(as_candidate(one) for one in fits)
-    few = len(views) < _ENOUGH_VIEWS
-    place = _by_criterion(candidates) if few else _by_prediction(candidates)
-    result, reason = summarize(fits[place]), _reason(place, candidates, few=few)
+    few = max(max(one.bundle.poses or (0,)) for one in fits) + 1 < _ENOUGH_VIEWS
+    eligible = _eligible(fits)
+    place = _by_criterion(candidates, eligible) if few else _by_prediction(candidates, eligible)
+    reason = _reason(place, candidates, eligible, few=few)
+    if candidates[place].model == "spherical" and options.radial_sigma is None:
+        at = next((i for i, one in enumerate(candidates) if one.model == "radial"), place)
+        reason, place = f"{reason} {_KEPT_RADIAL}" if at != place else reason, at
+    result = summarize(fits[place])
     return replace(result, candidates=candidates, notes=(*result.notes, *_not_fitted(errors), reason))
 
 
@@ -101,27 +110,38 @@ def as_candidate(fitted: Fit) -> Candidate:
     return Candidate(fitted.model, shared + local, rms, unseen, float(bic))
 
 
-def _by_prediction(candidates: Sequence[Candidate]) -> int:
+def _eligible(fits: Sequence[Fit]) -> list[int]:
+    """Return the indices of the fits that may be chosen.
+
+    Readings of the gimbal that entered weigh more than the freedom of models that cannot use them.
+    """
+    used = [i for i, one in enumerate(fits) if one.bundle.gimbal is not None]
+    return used or list(range(len(fits)))
+
+
+def _by_prediction(candidates: Sequence[Candidate], eligible: Sequence[int]) -> int:
     """Return the index of the first model that predicts left-out views within a few per cent of the best."""
-    predicted = [_predicted(one) for one in candidates]
-    return next(i for i, rms in enumerate(predicted) if rms <= (1 + _MIN_IMPROVEMENT) * min(predicted))
+    best = min(_predicted(candidates[i]) for i in eligible)
+    return next(i for i in eligible if _predicted(candidates[i]) <= (1 + _MIN_IMPROVEMENT) * best)
 
 
-def _by_criterion(candidates: Sequence[Candidate]) -> int:
+def _by_criterion(candidates: Sequence[Candidate], eligible: Sequence[int]) -> int:
     """Return the index of the model of the ladder with the smallest information criterion; else of the first model."""
-    return min(_judged_by_criterion(candidates) or [0], key=lambda i: candidates[i].bic)
+    judged = _judged_by_criterion(candidates, eligible)
+    return min(judged or [eligible[0]], key=lambda i: candidates[i].bic)
 
 
-def _judged_by_criterion(candidates: Sequence[Candidate]) -> list[int]:
+def _judged_by_criterion(candidates: Sequence[Candidate], eligible: Sequence[int]) -> list[int]:
     """Return the indices of the candidates that the information criterion may choose: the models of the ladder.
 
-    If the rim of the beam is out of view, only the spherical model of the ladder is left. The drift model is then
-    compared with it, as it follows what an imperfect collimator does: on 60 sets of three of the published views it
-    halves the scatter of fx, from 37 px to 20 px.
+    If the rim of the beam is out of view, only the models without a rim are left. The drift model is then compared with
+    them, as it follows what an imperfect collimator does: on 60 sets of three of the published views it halves the
+    scatter of fx, from 37 px to 20 px.
     """
-    rungs = [i for i, one in enumerate(candidates) if one.model in LADDER]
-    drifts = [i for i, one in enumerate(candidates) if one.model == "drift"]
-    return rungs if len(rungs) > 1 else sorted(rungs + drifts)
+    rungs = [i for i in eligible if candidates[i].model in LADDER]
+    drifts = [i for i in eligible if candidates[i].model == "drift"]
+    with_rim = any(needs_rim(LADDER[candidates[i].model]) for i in rungs)
+    return rungs if with_rim else sorted(rungs + drifts)
 
 
 def _not_fitted(errors: Mapping[str, CalibrationError]) -> list[str]:
@@ -138,13 +158,13 @@ def _predicted(one: Candidate) -> float:
     return np.inf if one.left_out_rms_px is None else one.left_out_rms_px
 
 
-def _reason(place: int, candidates: Sequence[Candidate], *, few: bool) -> str:
+def _reason(place: int, candidates: Sequence[Candidate], eligible: Sequence[int], *, few: bool) -> str:
     """Return the reason for the choice, and the next best model."""
     chosen = candidates[place]
-    others = [one for i, one in enumerate(candidates) if i != place]
+    others = [candidates[i] for i in eligible if i != place]
     if few:
         text = f"The {chosen.model} model was chosen by the Bayesian information criterion ({chosen.bic:.0f})"
-        rivals = [candidates[i] for i in _judged_by_criterion(candidates) if i != place]
+        rivals = [candidates[i] for i in _judged_by_criterion(candidates, eligible) if i != place]
         second = min(rivals, key=lambda one: one.bic, default=None)
         return (
             f"{text}; the next best is the {second.model} model ({second.bic:.0f})." if second else f"{text}."

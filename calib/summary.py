@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,11 @@ from calib.adjustment.centre_drift import BIASING_DRIFT, centre_drift
 from calib.adjustment.degeneracy import explain_weak_geometry
 from calib.calibration import Calibration, ViewSummary
 from calib.fit import Fit
-from calib.uncertainty.covariance import rotation_covariance
+from calib.model.aberrations import PARALLAX
+from calib.model.collimator import Collimator
+from calib.model.gimbal import GIMBAL, SCALES
+from calib.model.gimbal_estimate import GimbalEstimate
+from calib.uncertainty.covariance import Uncertainty, rotation_covariance
 from calib.uncertainty.cross_validation import MIN_VIEWS
 
 Array = NDArray[np.float64]
@@ -32,6 +38,7 @@ def summarize(fitted: Fit) -> Calibration:
         Result without candidates.
     """
     parameters, whole, used = fitted.parameters, fitted.whole, fitted.used
+    uncertainty, gimbal = _without_gimbal(fitted), _gimbal_estimate(fitted)
     residuals = whole.residuals_px(parameters)
     weights = used * fitted.loss.weights(np.linalg.norm(whole.weighted_residuals(parameters), axis=1))
     lengths = np.linalg.norm(residuals, axis=1)
@@ -40,12 +47,12 @@ def summarize(fitted: Fit) -> Calibration:
     return Calibration(
         model=fitted.model,
         camera=parameters.camera,
-        collimator=None if fitted.model == "planar" else parameters.collimator,
+        collimator=None if fitted.model == "planar" else _without_parallax(parameters.collimator),
         rotations=parameters.rotations,
         centres=parameters.centres,
-        parameter_names=fitted.uncertainty.names,
-        values=parameters.values(fitted.uncertainty.names),
-        covariance=fitted.uncertainty.covariance,
+        parameter_names=uncertainty.names,
+        values=parameters.values(uncertainty.names),
+        covariance=uncertainty.covariance,
         residuals_px=[residuals[r] for r in rows],
         weights=[weights[r] for r in rows],
         rms_px=_rms(lengths[used]),
@@ -63,13 +70,82 @@ def summarize(fitted: Fit) -> Calibration:
         iterations=fitted.refined.iterations,
         rotation_covariance=rotation_covariance(fitted.bundle, parameters, fitted.uncertainty),
         budget={
-            source: dict(
-                zip(fitted.uncertainty.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True)
-            )
-            for source, variances in fitted.uncertainty.budget.items()
+            source: dict(zip(uncertainty.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
+            for source, variances in uncertainty.budget.items()
         },
-        notes=_notes(fitted),
+        notes=(*_notes(fitted), *reading_notes(gimbal)),
+        gimbal=gimbal,
+        poses=whole.poses or (),
     )
+
+
+def _without_gimbal(fitted: Fit) -> Uncertainty:
+    """Return the uncertainty of camera and collimator alone: the gimbal's parameters are summed out."""
+    whole = fitted.uncertainty
+    kept = [i for i, name in enumerate(whole.names) if name not in (*GIMBAL, *PARALLAX)]
+    return replace(
+        whole,
+        names=tuple(whole.names[i] for i in kept),
+        covariance=whole.covariance[np.ix_(kept, kept)],
+        budget={source: variances[kept] for source, variances in whole.budget.items()},
+    )
+
+
+def _without_parallax(collimator: Collimator) -> Collimator:
+    """Return the collimator without the parallax, which belongs to the gimbal before it."""
+    own = {name: value for name, value in collimator.aberrations.items() if name not in PARALLAX}
+    return replace(collimator, aberrations=own, reference=collimator.reference if own else None)
+
+
+def _gimbal_estimate(fitted: Fit) -> GimbalEstimate | None:
+    """Return the gimbal's parameters and the test of its readings; None if there were none."""
+    test, used = fitted.readings, fitted.bundle.gimbal
+    if test is None:
+        return None
+    names = [name for name in fitted.uncertainty.names if name in (*GIMBAL, *PARALLAX)]
+    at = [fitted.uncertainty.names.index(name) for name in names]
+    unit = np.array([1.0 if name in (*SCALES, *PARALLAX) else np.rad2deg(1.0) for name in names])
+    sigmas = unit * np.sqrt(np.diag(fitted.uncertainty.covariance)[at])
+    values = unit * fitted.parameters.values(names)
+    return GimbalEstimate(
+        entered=used is not None,
+        values=dict(zip(names, values.tolist(), strict=True)),
+        sigma=dict(zip(names, sigmas.tolist(), strict=True)),
+        chi_square=test.chi_square,
+        degrees_of_freedom=test.degrees_of_freedom,
+        rms_deg=test.rms_deg,
+        reading_sigma_deg=float(np.rad2deg(test.sigma_rad)),
+        scatter=test.times_stated,
+        source=test.source,
+    )
+
+
+def reading_notes(gimbal: GimbalEstimate | None) -> tuple[str, ...]:
+    """Return what a reader must know about the gimbal's readings.
+
+    Parameters
+    ----------
+    gimbal
+        What was found out about the gimbal; None if its readings took no part.
+
+    Returns
+    -------
+    tuple of str
+        Sentences; none if the readings agree with the stars as stated.
+    """
+    if gimbal is None or (gimbal.entered and gimbal.scatter == 1.0):
+        return ()
+    text = (
+        f"The gimbal's readings contradict the stars: {gimbal.rms_deg:.3f} degrees rms, chi-square "
+        f"{gimbal.chi_square:.0f} with {gimbal.degrees_of_freedom} degrees of freedom. They did not enter. Check the "
+        "sign and the scale of each axis, the stated bounds, and whether an axis slipped."
+    )
+    if gimbal.entered:
+        text = (
+            f"The gimbal's readings scatter {gimbal.scatter:.1f} times more than stated. They entered with "
+            f"{gimbal.reading_sigma_deg:.4f} degrees each."
+        )
+    return (text,)
 
 
 def _notes(fitted: Fit) -> tuple[str, ...]:

@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.adjustment.gimbal_observations import GimbalObservations
 from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import CENTRE
+from calib.model.gimbal import GIMBAL
 from calib.model.prior import Prior
 
 Array = NDArray[np.float64]
@@ -41,7 +43,12 @@ class Bundle:
     prior
         Prior of shared parameters; None for no prior.
     noise_variance
-        Variance of a component of the weighted residuals. Priors are multiplied by it to balance them with the stars.
+        Variance of a component of the weighted residuals. Priors and readings are multiplied by it to balance them with
+        the stars.
+    gimbal
+        Readings of the gimbal as observations; None if they are not used.
+    poses
+        The pose of each view, as an index; None if each view is a pose of its own.
     """
 
     observations: Observations
@@ -51,6 +58,8 @@ class Bundle:
     drift_mm: float = float("inf")
     prior: Prior | None = None
     noise_variance: float = 1.0
+    gimbal: GimbalObservations | None = None
+    poses: tuple[int, ...] | None = None
 
     @property
     def has_drift_prior(self) -> bool:
@@ -96,7 +105,13 @@ class Bundle:
         """
         rows = self.observations.rows(kept)
         shifts = None if self.displacements is None else self.displacements[np.concatenate(rows)]
-        return replace(self, observations=self.observations.with_rows(rows), displacements=shifts)
+        return replace(
+            self,
+            observations=self.observations.with_rows(rows),
+            displacements=shifts,
+            gimbal=self.gimbal.subset(kept) if self.gimbal else None,
+            poses=tuple(self.poses[i] for i in kept) if self.poses else None,
+        )
 
     def thinned(self, stars: int) -> Bundle:
         """Return a bundle with fewer stars, evenly spread over each view's list.
@@ -119,7 +134,7 @@ class Bundle:
         return replace(self, observations=obs.with_rows(kept), displacements=shifts)
 
     def prior_cost(self, parameters: AdjustmentParameters) -> float:
-        """Return the contribution of the priors to the cost.
+        """Return the contribution of the priors and of the gimbal's readings to the cost.
 
         Half the squared distance from the mean in the metric of the prior's information: a Gaussian prior is one more
         observation (Triggs et al., 2000), here times the noise variance.
@@ -138,6 +153,9 @@ class Bundle:
         if self.prior is not None:
             off = parameters.values(self.prior.names) - self.prior.mean
             cost += float(off @ self.prior.information @ off)
+        if self.gimbal is not None and parameters.gimbal is not None:
+            read = self.gimbal.residuals(parameters.gimbal, parameters.rotations)
+            cost += float((read**2).sum()) / self.gimbal.sigma_rad**2
         return float(0.5 * self.noise_variance * cost)
 
     def residuals_px(self, parameters: AdjustmentParameters) -> Array:
@@ -266,7 +284,35 @@ class Bundle:
             weighted = jacobian * np.stack([own[0, 0], own[1, 1]]) + jacobian[:, ::-1] * own[0, 1]
             normal.append(flat @ weighted.reshape(flat.shape).T)
             gradient.append(flat @ weighted_influence[:, rows].reshape(-1))
-        return np.array(normal), np.array(gradient)
+        from_readings = self.reading_equations(parameters)
+        if from_readings is None:
+            return np.array(normal), np.array(gradient)
+        return np.array(normal) + from_readings[0], np.array(gradient) + from_readings[1]
+
+    def reading_equations(self, parameters: AdjustmentParameters) -> tuple[Array, Array] | None:
+        """Return what the gimbal's readings add to the normal equations of each view.
+
+        A rotation on the camera's side changes the residual of a reading by itself, to first order.
+
+        Parameters
+        ----------
+        parameters
+            Where to linearise.
+
+        Returns
+        -------
+        tuple of Array or None
+            (n, G + L, G + L) normal matrices and (n, G + L) negative gradients; None if readings are not used.
+        """
+        if self.gimbal is None or parameters.gimbal is None:
+            return None
+        count, local = len(self.names), 6 if self.free_centres else 3
+        off = self.gimbal.residuals(parameters.gimbal, parameters.rotations)
+        jacobian = np.zeros((len(off), 3, count + local))
+        jacobian[:, :, :count] = self.gimbal.derivatives(parameters.gimbal, self.names)
+        jacobian[:, :, count : count + 3] = np.eye(3)
+        weighted = jacobian * (self.noise_variance / self.gimbal.sigma_rad**2)
+        return np.swapaxes(weighted, 1, 2) @ jacobian, -np.einsum("nkj,nk->nj", weighted, off)
 
     def _add_priors(self, equations: NormalEquations, parameters: AdjustmentParameters) -> None:
         """Add the information and the gradient of the priors to equations.
@@ -337,6 +383,8 @@ class Bundle:
                     row[:] = by_camera[at, :, rows]
                 elif kind == "centre":
                     row[:] = -by_centre[at] if CENTRE[at] == "r" else by_centre[at]
+                elif kind == "gimbal":
+                    row[:] = 0.0
                 elif shifts is not None:
                     row[:] = -(by_centre[0] * shifts[at, 0, rows] + by_centre[1] * shifts[at, 1, rows])
             yield jacobian
@@ -347,6 +395,7 @@ class Bundle:
             "camera": parameters.camera.parameter_names,
             "centre": CENTRE,
             "aberration": tuple(parameters.collimator.aberrations),
+            "gimbal": GIMBAL,
         }
         known = {name: (kind, at) for kind, names in kinds.items() for at, name in enumerate(names)}
         return [known[name] for name in self.names]

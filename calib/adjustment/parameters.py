@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
+from calib.model.gimbal import Gimbal
 from calib.model.rotation import exp_map
 
 Array = NDArray[np.float64]
@@ -30,12 +31,15 @@ class AdjustmentParameters:
         (n, 3, 3) float64 rotations, camera <- target.
     offsets
         (n, 3) float64 centre of each view minus the collimator's centre, mm; zero in the spherical model.
+    gimbal
+        The gimbal, if its readings are observations.
     """
 
     camera: CameraModel
     collimator: Collimator
     rotations: Array
     offsets: Array
+    gimbal: Gimbal | None = None
 
     @property
     def centres(self) -> Array:
@@ -45,7 +49,8 @@ class AdjustmentParameters:
     @property
     def shared(self) -> dict[str, float]:
         """All shared parameters by name."""
-        return {**self.camera.to_dict(), **self.collimator.to_dict()}
+        gimbal = self.gimbal.to_dict() if self.gimbal else {}
+        return {**self.camera.to_dict(), **self.collimator.to_dict(), **gimbal}
 
     def values(self, names: Sequence[str]) -> Array:
         """Return values of shared parameters.
@@ -83,13 +88,14 @@ class AdjustmentParameters:
         AdjustmentParameters
             New parameters; rotations stay orthogonal.
         """
-        known = self.shared
-        for name, step in zip(names, shared, strict=True):
-            known[name] += float(step)
+        steps = dict(zip(names, shared.tolist(), strict=True))
+        known = {**self.camera.to_dict(), **self.collimator.to_dict()}
+        known = {name: value + steps.get(name, 0.0) for name, value in known.items()}
         camera = self.camera.with_values(np.array([known[name] for name in self.camera.parameter_names]))
         rotations = exp_map(local[:, :3]) @ self.rotations
         offsets = self.offsets + local[:, 3:] if local.shape[1] > 3 else self.offsets
-        return AdjustmentParameters(camera, self.collimator.with_values(known), rotations, offsets)
+        gimbal = self.gimbal.after_step(steps) if self.gimbal else None
+        return AdjustmentParameters(camera, self.collimator.with_values(known), rotations, offsets, gimbal)
 
     def subset(self, kept: Sequence[int]) -> AdjustmentParameters:
         """Return the parameters of some of the views.

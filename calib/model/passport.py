@@ -102,6 +102,11 @@ class Passport:
         return cls(("r",), np.array([r_mm]), np.array([[sigma_mm**2]]), conditions=conditions or {})
 
     @property
+    def is_certificate(self) -> bool:
+        """Whether it states the radius alone, as a certificate does; no views of this collimator went into it."""
+        return self.names == ("r",) and not self.views
+
+    @property
     def terms(self) -> tuple[str, ...]:
         """Names of the known aberrations."""
         return tuple(name for name in self.names if name not in CENTRE)

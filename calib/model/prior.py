@@ -30,3 +30,29 @@ class Prior:
     names: tuple[str, ...]
     mean: Array
     information: Array
+
+
+def joined(*priors: Prior | None) -> Prior | None:
+    """Return one prior of the parameters of several independent ones.
+
+    Parameters
+    ----------
+    priors
+        Priors without common parameters; None for none.
+
+    Returns
+    -------
+    Prior or None
+        None if there is no prior.
+    """
+    known = [prior for prior in priors if prior is not None]
+    if not known:
+        return None
+    names = tuple(name for prior in known for name in prior.names)
+    information = np.zeros((len(names), len(names)))
+    at = 0
+    for prior in known:
+        rows = slice(at, at + len(prior.names))
+        information[rows, rows] = prior.information
+        at += len(prior.names)
+    return Prior(names, np.concatenate([prior.mean for prior in known]), information)

@@ -17,6 +17,7 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews, PassportContradicted
 from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
+from calib.model.prior import joined
 from calib.uncertainty.covariance import covariance_at_optimum
 
 #: Probability that a correct passport is refused.
@@ -48,9 +49,9 @@ def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss,
         and the chi-square.
     """
     spread = float((bundle.weighted_residuals(parameters) ** 2).mean())
-    names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
-    terms = passport.prior(passport.terms)
-    free = replace(bundle, names=names, prior=terms, noise_variance=spread)
+    names = (*bundle.names, *passport.names)
+    prior = joined(bundle.prior, passport.prior(passport.terms))
+    free = replace(bundle, names=names, prior=prior, noise_variance=spread)
     refined = refine(free, parameters, loss)
     if len(parameters.rotations) < 2 or not refined.converged:
         return

@@ -20,6 +20,7 @@ from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
 from calib.uncertainty.cluster_robust import cluster_robust_covariance
+from calib.uncertainty.repeats import noise_growth, pose_scores, views_of_poses
 from calib.uncertainty.variance_components import VarianceComponents
 
 Array = NDArray[np.float64]
@@ -116,7 +117,8 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     count = len(bundle.names) + equations.local_gradient.size
     prior_count = len(bundle.prior.names) if bundle.prior else 0
     prior_count += parameters.offsets.size if bundle.has_drift_prior else 0
-    freedom = 2 * len(lengths) - count + prior_count
+    read = 0 if bundle.gimbal is None else bundle.gimbal.angles_deg.size
+    freedom = 2 * len(lengths) + read - count + prior_count
     if freedom <= 0:
         raise DegenerateViews(
             f"{2 * len(lengths)} measurements cannot determine {count} parameters.",
@@ -129,8 +131,10 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     factor = variance / float(slope) ** 2
     # Priors are weighted by noise_variance in these equations, so the inverse is scaled by it.
     scale = bundle.noise_variance if prior_count else factor
-    covariance = scale * inverse_information(equations.reduced(), bundle.names)
-    ratio, views_freedom = _birge(bundle, parameters, loss, variance)
+    inverse = inverse_information(equations.reduced(), bundle.names)
+    growth = noise_growth(bundle, residuals)
+    covariance = scale * (inverse + _added_by_repeats(bundle, parameters, inverse, growth))
+    ratio, views_freedom = _birge(bundle, parameters, loss, variance, growth)
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
@@ -175,6 +179,20 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nomina
     for i, own in enumerate(inverse[:, :3, :3]):
         joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += growth**2 * nominal.variance_factor * own
     return np.asarray(joint)
+
+
+def _added_by_repeats(
+    bundle: Bundle, parameters: AdjustmentParameters, inverse: Array, growth: Array
+) -> Array:
+    """Return what the common noise of repeated views adds to a covariance, per unit of noise variance.
+
+    Linear propagation of the scores' noise (JCGM 100:2008, section 5.2).
+    """
+    if not (growth > 1.0).any():
+        return np.zeros_like(inverse)
+    each = pose_scores(bundle, parameters, bundle.weighted_residuals(parameters))
+    extra = np.sum([(g - 1.0) * own for g, (own, _) in zip(growth, each, strict=True)], axis=0)
+    return np.asarray(inverse @ extra @ inverse)
 
 
 def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
@@ -223,7 +241,7 @@ def inflate(
     """
     if not nominal.inconsistent:
         return nominal
-    views = len(parameters.rotations)
+    views = len(views_of_poses(bundle))
     if views >= _MANY_VIEWS:
         return _from_scores(nominal, bundle, parameters, loss, None)
     shared = estimate_components()
@@ -262,9 +280,10 @@ def _from_scores(
     """
     residuals = bundle.weighted_residuals(parameters)
     influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
-    equations = list(bundle.scores(parameters, influence, loss.curvature_root(residuals)))
+    equations = pose_scores(bundle, parameters, influence, loss.curvature_root(residuals))
     information, scores = (np.array(each) for each in zip(*equations, strict=True))
-    working = nominal.variance_factor * information if working is None else working
+    if working is None:
+        working = nominal.variance_factor * noise_growth(bundle, residuals)[:, None, None] * information
     prior = bundle.prior_information
     shown = cluster_robust_covariance(scores, information, working, prior, bundle.noise_variance * prior)
     others = {source: variances for source, variances in nominal.budget.items() if source != INCONSISTENCY}
@@ -282,23 +301,24 @@ def _from_scores(
 
 
 def _birge(
-    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, variance: float
+    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, variance: float, growth: Array
 ) -> tuple[float, int]:
-    """Return the squared Birge ratio of the views and its degrees of freedom.
+    """Return the squared Birge ratio of the poses and its degrees of freedom.
 
-    At the optimum the scores s_i of the views cancel. Star noise gives s_i the covariance variance * A_i, where A_i is
-    the view's information on the shared parameters. The sum of s_i^T A_i^+ s_i has as many degrees of freedom as the
-    views determine directions, minus the number of shared parameters. Own extension of Birge (1932) from one measurand
-    to several, of which a view may determine only some.
+    At the optimum the scores s_i of the poses cancel. Star noise gives s_i the covariance variance * A_i, where A_i is
+    the pose's information on the shared parameters; repeated views multiply it by `growth`, (P,). The sum of
+    s_i^T A_i^+ s_i has as many degrees of freedom as the poses determine directions, minus the number of shared
+    parameters. Own extension of Birge (1932) from one measurand to several, of which a pose may determine only some.
     """
     residuals = bundle.weighted_residuals(parameters)
     influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
     total, freedom = 0.0, -len(bundle.names) + (len(bundle.prior.names) if bundle.prior else 0)
-    for information, score in bundle.scores(parameters, influence):
+    for grown, (information, score) in zip(growth, pose_scores(bundle, parameters, influence), strict=True):
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
         determined = eigenvalues > _DETERMINED * eigenvalues[-1]
-        total += float(((vectors[:, determined].T @ (scale * score)) ** 2 / eigenvalues[determined]).sum())
+        squares = (vectors[:, determined].T @ (scale * score)) ** 2 / eigenvalues[determined]
+        total += float(squares.sum()) / grown
         freedom += int(determined.sum())
     return (total / freedom / variance, freedom) if freedom > 0 and variance > 0 else (1.0, 0)
 

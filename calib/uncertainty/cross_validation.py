@@ -16,6 +16,7 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import Collimator
+from calib.uncertainty.repeats import pose_scores, views_of_poses
 
 Array = NDArray[np.float64]
 
@@ -29,12 +30,12 @@ _STEP_VIEWS = 9
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Results of leaving out each of n views in turn.
+    """Results of leaving out each of P poses in turn, with all its views.
 
     Attributes
     ----------
     values
-        (n, G) float64 shared parameters estimated without each view.
+        (P, G) float64 shared parameters estimated without each pose.
     rms_px
         (n,) float64 root mean square residual of each view, px, with camera and centre of the others and its own
         rotation.
@@ -53,14 +54,14 @@ class CrossValidation:
 
     @property
     def jackknife(self) -> Array:
-        """(G, G) float64 jackknife covariance: (n - 1) / n sum (v - mean)(v - mean)^T (Efron, 1982)."""
+        """(G, G) float64 jackknife covariance of P poses: (P - 1) / P sum (v - mean)(v - mean)^T (Efron, 1982)."""
         n = len(self.values)
         off = self.values - self.values.mean(axis=0)
         return np.asarray((n - 1) / n * off.T @ off)
 
 
 def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CrossValidation:
-    """Adjust without each view in turn, from the optimum of all views.
+    """Adjust without each pose in turn, from the optimum of all views.
 
     With many views one Newton step replaces the full adjustment (compare Pregibon, 1981, on one-step deletion).
     Cross-validation: Stone (1974).
@@ -68,7 +69,7 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     Parameters
     ----------
     bundle
-        Bundle of at least 3 views.
+        Bundle of at least 3 poses.
     parameters
         Its optimum.
     loss
@@ -77,29 +78,31 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     Returns
     -------
     CrossValidation
-        Estimates without each view, and its predicted residuals.
+        Estimates without each pose, and the predicted residuals of its views.
     """
     values, rms, stars = [], [], []
-    for i, near in enumerate(_steps_without(bundle, parameters, loss)):
-        others = [j for j in range(len(parameters.rotations)) if j != i]
+    poses = views_of_poses(bundle)
+    for left_out, near in zip(poses, _steps_without(bundle, parameters, loss), strict=True):
+        others = [j for j in range(len(parameters.rotations)) if j not in left_out]
         fewer, without = bundle.subset(others), near.subset(others)
         far = _cost(fewer, without, loss) > _cost(fewer, parameters.subset(others), loss)
-        if far or len(others) < _STEP_VIEWS:
+        if far or len(poses) <= _STEP_VIEWS:
             start = parameters.subset(others) if far else without
             without = refine(fewer, start, loss, tolerance=_TOLERANCE).parameters
         values.append(without.values(bundle.names))
-        residuals = _alone(bundle, without, parameters.rotations[i], i)
-        rms.append(np.sqrt((residuals**2).sum(axis=1).mean()))
-        stars.append(len(residuals))
+        for i in left_out:
+            residuals = _alone(bundle, without, parameters.rotations[i], i)
+            rms.append(np.sqrt((residuals**2).sum(axis=1).mean()))
+            stars.append(len(residuals))
     return CrossValidation(np.array(values), np.array(rms), np.array(stars))
 
 
 def _steps_without(
     bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
 ) -> Iterator[AdjustmentParameters]:
-    """Yield, for each view, the parameters one Newton step from the optimum of all towards that without it.
+    """Yield, for each pose, the parameters one Newton step from the optimum of all towards that without it.
 
-    Without view i, the reduced normal equations are H - A_i, and their right side is the missing score, -s_i. One-step
+    Without pose i, the reduced normal equations are H - A_i, and their right side is the missing score, -s_i. One-step
     deletion: Pregibon (1981); the reduced equations are this project's own.
     """
     residuals = bundle.weighted_residuals(parameters)
@@ -108,7 +111,7 @@ def _steps_without(
     equations = bundle.normal_equations(parameters, influence, root)
     information = equations.reduced()
     answers = np.linalg.solve(equations.local, np.swapaxes(equations.coupling, 1, 2))
-    for own, score in bundle.scores(parameters, influence, root):
+    for own, score in pose_scores(bundle, parameters, influence, root):
         left = information - own
         # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
         scale = 1.0 / np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
@@ -132,6 +135,6 @@ def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, i: int
     if bundle.free_centres and not bundle.has_drift_prior:
         x, y, z = others.centres.mean(axis=0)
         collimator = Collimator(float(x), float(y), float(-z))
-    view = replace(bundle.subset([i]), names=(), free_centres=False, prior=None)
+    view = replace(bundle.subset([i]), names=(), free_centres=False, prior=None, gimbal=None)
     start = AdjustmentParameters(others.camera, collimator, rotation[None], np.zeros((1, 3)))
     return view.residuals_px(refine(view, start, Loss("l2")).parameters)

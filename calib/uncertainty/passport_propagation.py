@@ -49,9 +49,7 @@ def propagate_passport(
     DegenerateViews
         If the views do not constrain a free parameter.
     """
-    names = (*parameters.camera.parameter_names, *parameters.collimator.parameter_names)
-    whole = replace(bundle, names=names)
-    information = whole.normal_equations(parameters, whole.weighted_residuals(parameters)).reduced()
+    names, information = _whole_information(bundle, parameters, passport)
     growth = max(nominal.birge_ratio if nominal.inconsistent else 1.0, passport.birge_ratio)
     noise = nominal.variance_factor
     stars, total = (consider_covariance(information / v, names, passport) for v in (noise, growth**2 * noise))
@@ -69,6 +67,56 @@ def propagate_passport(
             "passport of the collimator": np.diag(stars) - own,
         },
     )
+
+
+def add_certificate(
+    bundle: Bundle, parameters: AdjustmentParameters, estimate: Uncertainty, certificate: Passport
+) -> Uncertainty:
+    """Return the uncertainty of all parameters if a certificate held the radius.
+
+    A certificate says nothing about the model of these views, so `estimate` already holds what their inconsistency
+    adds. The certificate's share is that of a consider covariance (Tapley, Schutz and Born, 2004, chapter 6).
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted with the radius held.
+    parameters
+        Its optimum.
+    estimate
+        Uncertainty of the free parameters, enlarged if the views are inconsistent.
+    certificate
+        Passport of the radius alone.
+
+    Returns
+    -------
+    Uncertainty
+        Uncertainty of the free parameters and of the radius.
+    """
+    names, information = _whole_information(bundle, parameters, certificate)
+    count = len(bundle.names)
+    response = -np.linalg.solve(information[:count, :count], information[:count, count:])
+    moved = np.vstack([response, np.eye(len(certificate.names))])
+    shared = moved @ certificate.covariance @ moved.T
+    covariance = shared.copy()
+    covariance[:count, :count] += estimate.covariance
+    added = np.zeros(len(certificate.names))
+    own = {source: np.concatenate([variances, added]) for source, variances in estimate.budget.items()}
+    return replace(
+        estimate,
+        names=names,
+        covariance=covariance,
+        budget={**own, "passport of the collimator": np.diag(shared)},
+    )
+
+
+def _whole_information(
+    bundle: Bundle, parameters: AdjustmentParameters, passport: Passport
+) -> tuple[tuple[str, ...], Array]:
+    """Return the names of the free and of the held parameters, and their (G, G) information."""
+    names = (*bundle.names, *(name for name in passport.names if name not in bundle.names))
+    whole = replace(bundle, names=names)
+    return names, whole.normal_equations(parameters, whole.weighted_residuals(parameters)).reduced()
 
 
 def consider_covariance(information: Array, names: Sequence[str], passport: Passport) -> Array:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.uncertainty.repeats import noise_growth, views_of_poses
 
 Array = NDArray[np.float64]
 
@@ -90,6 +91,8 @@ class _FieldEquations:
         (G, G) float64 inverse of the information of all views and the prior.
     noise
         Variance of a star's own noise, in units of weighted residuals squared.
+    growth
+        (n,) float64 growth of the noise of each pose by repeated views (`noise_growth`).
     """
 
     score: Array
@@ -100,6 +103,7 @@ class _FieldEquations:
     information: Array
     inverse: Array
     noise: float
+    growth: Array
 
 
 def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> VarianceComponents:
@@ -146,7 +150,8 @@ def _propagate(
         [(response[:, equations.group == kind] ** 2).sum(axis=1) for kind in range(len(variances))]
     )
     fields = (response * variances[equations.group]) @ response.T
-    stars = equations.noise * inverse @ equations.information.sum(axis=0) @ inverse
+    grown = (equations.growth[:, None, None] * equations.information).sum(axis=0)
+    stars = equations.noise * inverse @ grown @ inverse
     prior = np.zeros_like(inverse)
     if bundle.prior is not None:
         at = [bundle.names.index(name) for name in bundle.prior.names]
@@ -172,7 +177,7 @@ def _score_covariances(equations: _FieldEquations, variances: Array) -> Array:
 
     Own derivation: noise A + S D S^T, with the information A of the view.
     """
-    scores = equations.noise * equations.information
+    scores = equations.noise * equations.growth[:, None, None] * equations.information
     for i in range(len(scores)):
         own = equations.view == i
         scores[i] += (equations.coupling[:, own] * variances[equations.group[own]]) @ equations.coupling[
@@ -209,37 +214,40 @@ def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Los
     Own derivation. Local parameters are eliminated by the Schur complement (Triggs et al., 2000, section 6.1), shared
     ones in the same way.
     """
-    obs, residuals = bundle.observations, bundle.weighted_residuals(parameters)
+    residuals = bundle.weighted_residuals(parameters)
     weights = loss.weights(np.linalg.norm(residuals, axis=1))
     count = len(bundle.names)
     # A displacement of the target moves the image as a shift of the centre does, with the opposite sign.
-    moving = replace(bundle, names=("x", "y"), prior=None, free_centres=False)
-    normals, couplings, scores, groups, squares = [], [], [], [], 0.0
-    information = []
+    moving = replace(bundle, names=("x", "y"), prior=None, free_centres=False, gimbal=None)
+    derivatives = list(zip(bundle.jacobians(parameters), moving.jacobians(parameters), strict=True))
+    readings = bundle.reading_equations(parameters)
     rims = _rim_shapes(bundle, parameters)
-    derivatives = zip(obs.slices, bundle.jacobians(parameters), moving.jacobians(parameters), strict=True)
-    for rows, jacobian, moves in derivatives:
-        fields, group = _basis_fields(obs.target[rows, :2], None if rims is None else rims[rows])
-        by_field = -np.einsum("aim,maf->fim", moves[:2], fields)
-        root = np.sqrt(weights[rows])[:, None, None] * obs.whitening[rows]
-        columns = np.einsum("mij,fjm->fim", root, np.concatenate([jacobian, by_field]))
-        columns = columns.reshape(len(columns), -1)
-        weighted = (np.sqrt(weights[rows])[:, None] * residuals[rows]).T.reshape(-1)
-        normal = columns @ columns.T
-        local, rest = slice(count, len(jacobian)), [*range(count), *range(len(jacobian), len(columns))]
-        local_normal = normal[local, local] + bundle.local_prior_information
-        reduced = normal[np.ix_(rest, rest)] - normal[rest, local] @ np.linalg.solve(
-            local_normal, normal[local, rest]
-        )
+    information, normals, couplings, scores, groups, squares = [], [], [], [], [], 0.0
+    for views in views_of_poses(bundle):
+        fields, group = _basis_fields(bundle, views, rims)
+        reduced = np.zeros((count + len(group), count + len(group)))
+        score = np.zeros(len(group))
+        for i, own_fields in zip(views, fields, strict=True):
+            columns, weighted = _weighted_columns(bundle, residuals, weights, i, *derivatives[i], own_fields)
+            normal = columns @ columns.T
+            known = count + (6 if bundle.free_centres else 3)
+            if readings is not None:
+                normal[:known, :known] += readings[0][i]
+            normal[count:known, count:known] += bundle.local_prior_information
+            local, rest = slice(count, known), [*range(count), *range(known, len(columns))]
+            reduced += normal[np.ix_(rest, rest)] - normal[rest, local] @ np.linalg.solve(
+                normal[local, local], normal[local, rest]
+            )
+            score += columns[known:] @ weighted
+            squares += float(weighted @ weighted)
         information.append(reduced[:count, :count])
         normals.append(reduced[count:, count:])
         couplings.append(reduced[:count, count:])
-        scores.append(columns[len(jacobian) :] @ weighted)
+        scores.append(score)
         groups.append(group)
-        squares += float(weighted @ weighted)
     inverse = np.asarray(np.linalg.inv(sum(information, start=bundle.prior_information)))
     coupling, score = np.hstack(couplings), np.concatenate(scores)
-    freedom = 2 * len(residuals) - count - len(obs.slices) * (6 if bundle.free_centres else 3)
+    freedom = 2 * len(residuals) - count - len(derivatives) * (6 if bundle.free_centres else 3)
     explained = sum(
         float(own @ np.linalg.pinv(block, rcond=_DETERMINED, hermitian=True) @ own)
         for own, block in zip(scores, normals, strict=True)
@@ -251,16 +259,45 @@ def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Los
     group = np.unique(np.concatenate(groups), return_inverse=True)[1]
     view = np.repeat(np.arange(len(groups)), [len(own) for own in groups])
     symmetric = 0.5 * (together + together.T)
-    return _FieldEquations(score, symmetric, coupling, group, view, np.array(information), inverse, noise)
+    grown = noise_growth(bundle, residuals)
+    return _FieldEquations(
+        score, symmetric, coupling, group, view, np.array(information), inverse, noise, grown
+    )
 
 
-def _basis_fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[np.int64]]:
-    """Return (n, 2, F) basis fields over the stars of a view, of unit mean square, and the group of each.
+def _weighted_columns(
+    bundle: Bundle,
+    residuals: Array,
+    weights: Array,
+    view: int,
+    jacobian: Array,
+    moves: Array,
+    fields: Array,
+) -> tuple[Array, Array]:
+    """Return (G + L + F, 2 m) weighted derivatives of a view's stars and their (2 m,) weighted residuals.
 
-    They are polynomials along each axis, orthogonal over the stars. The groups are the shift along X, the shift along
-    Y, and the higher degrees. The last group is that of the rim: the model's own shapes, or those of a disc about the
-    stars' mean. Own choice of the fields; they are made orthogonal by QR decomposition.
+    The derivatives are by the shared parameters, the local ones and the coefficients of the fields.
     """
+    rows = bundle.observations.slices[view]
+    root = np.sqrt(weights[rows])
+    by_field = -np.einsum("aim,maf->fim", moves[:2], fields)
+    whitening = root[:, None, None] * bundle.observations.whitening[rows]
+    columns = np.einsum("mij,fjm->fim", whitening, np.concatenate([jacobian, by_field]))
+    return columns.reshape(len(columns), -1), (root[:, None] * residuals[rows]).T.reshape(-1)
+
+
+def _basis_fields(
+    bundle: Bundle, views: Sequence[int], rims: Array | None
+) -> tuple[list[Array], NDArray[np.int64]]:
+    """Return for each view of a pose (m, 2, F) basis fields over its stars, and the group of each field.
+
+    They are polynomials along each axis, of unit mean square and orthogonal over the stars of the pose. The groups are
+    the shift along X, the shift along Y, and the higher degrees. The last group is that of the rim: the model's own
+    shapes, or those of a disc about the stars' mean. Own choice of the fields; they are made orthogonal by QR
+    decomposition.
+    """
+    slices = [bundle.observations.slices[i] for i in views]
+    target_mm = np.concatenate([bundle.observations.target[rows, :2] for rows in slices])
     away = target_mm - target_mm.mean(axis=0)
     away /= np.linalg.norm(away, axis=1).max()
     powers = [(k - j, j) for k in range(_DEGREES + 1) for j in range(k + 1)][: len(away)]
@@ -268,18 +305,21 @@ def _basis_fields(target_mm: Array, rims: Array | None) -> tuple[Array, NDArray[
     smooth = np.linalg.qr(monomials)[0] * np.sqrt(len(away))
     if rims is None:
         radius = np.linalg.norm(away, axis=1)[:, None]
-        rims = np.stack([radius**power * away for power in _RIM_POWERS], axis=2)
+        shapes = np.stack([radius**power * away for power in _RIM_POWERS], axis=2)
+    else:
+        shapes = np.concatenate([rims[rows] for rows in slices])
     still = np.zeros_like(smooth)
     fields = np.concatenate(
         [
             np.stack([smooth, still], axis=1),
             np.stack([still, smooth], axis=1),
-            rims / np.sqrt((rims**2).mean(axis=(0, 1))),
+            shapes / np.sqrt((shapes**2).mean(axis=(0, 1))),
         ],
         axis=2,
     )
     bent = [1 + i + j for i, j in powers[1:]]
-    return fields, np.array([0, *bent, 1, *bent, *[_DEGREES + 2] * rims.shape[2]])
+    group = np.array([0, *bent, 1, *bent, *[_DEGREES + 2] * shapes.shape[2]])
+    return np.split(fields, np.cumsum([rows.stop - rows.start for rows in slices])[:-1]), group
 
 
 def _rim_shapes(bundle: Bundle, parameters: AdjustmentParameters) -> Array | None:

@@ -1,0 +1,136 @@
+"""The readings of a gimbal as observations of the adjustment: three for each view.
+
+The residual of a view is the rotation vector from the rotation that the gimbal predicts to the view's own,
+e = log(R (A G B)^T), on the camera's side. This module computes residuals and derivatives; it chooses no weights
+besides those of the stated uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.gimbal import GIMBAL, MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING, Gimbal
+from calib.model.prior import Prior
+from calib.model.rotation import log_map
+
+Array = NDArray[np.float64]
+
+#: An axis that turned by less does not determine its scale.
+_MOVED_DEG = 0.5
+#: Prior 1-sigma of mounting and standing, rad. It matters only if the views leave a rotation open: one axis moved.
+_OPEN_SIGMA_RAD = 1.0
+#: Prior 1-sigma of the angle between pan and tilt about a right angle, rad: half a degree.
+_NON_ORTHOGONALITY_SIGMA_RAD = np.deg2rad(0.5)
+_DIFFERENCE = 1e-6
+
+
+@dataclass(frozen=True)
+class GimbalObservations:
+    """Readings of all views and their weight.
+
+    Attributes
+    ----------
+    angles_deg
+        (n, 3) float64 readings of pan, tilt, roll, degrees.
+    sigma_rad
+        Standard uncertainty of a reading, rad.
+    """
+
+    angles_deg: Array
+    sigma_rad: float
+
+    def subset(self, kept: Sequence[int]) -> GimbalObservations:
+        """Return the readings of some of the views.
+
+        Parameters
+        ----------
+        kept
+            Indices of the views to keep.
+
+        Returns
+        -------
+        GimbalObservations
+            Readings with the same weight.
+        """
+        return replace(self, angles_deg=self.angles_deg[list(kept)])
+
+    def residuals(self, gimbal: Gimbal, rotations: Array) -> Array:
+        """Return the rotations seen minus those read.
+
+        Rotation part of the robot-world and hand-eye equation (Zhuang, Roth and Sudhakar, 1994).
+
+        Parameters
+        ----------
+        gimbal
+            Parameters of the gimbal.
+        rotations
+            (n, 3, 3) rotations of the views, camera <- target.
+
+        Returns
+        -------
+        Array
+            (n, 3) rotation vectors on the camera's side, rad.
+        """
+        read = gimbal.rotations(self.angles_deg)
+        return np.asarray(log_map(rotations @ np.swapaxes(read, 1, 2)))
+
+    def derivatives(self, gimbal: Gimbal, names: Sequence[str]) -> Array:
+        """Return the derivatives of the residuals by parameters of the gimbal.
+
+        Own derivation for small residuals: a turn of A or B on its left side turns the prediction by it, or by A G
+        times it. Scales and the angle between the axes by forward differences.
+
+        Parameters
+        ----------
+        gimbal
+            Where to evaluate the derivatives.
+        names
+            G names of free parameters; those that are not the gimbal's give zeros.
+
+        Returns
+        -------
+        Array
+            (n, 3, G) derivatives, rad per unit of each parameter.
+        """
+        n = len(self.angles_deg)
+        out = np.zeros((n, 3, len(names)))
+        turned = gimbal.camera_from_head @ gimbal.heads(self.angles_deg)
+        read = turned @ gimbal.base_from_target
+        for at, name in enumerate(names):
+            if name in MOUNTING:
+                out[:, MOUNTING.index(name), at] = -1.0
+            elif name in STANDING:
+                out[:, :, at] = -turned[:, :, STANDING.index(name)]
+            elif name in GIMBAL:
+                moved = gimbal.after_step({name: _DIFFERENCE}).rotations(self.angles_deg)
+                out[:, :, at] = -log_map(moved @ np.swapaxes(read, 1, 2)) / _DIFFERENCE
+        return out
+
+    def free_parameters(self, scale_sigma: float) -> Prior:
+        """Return the parameters that the readings need, with their prior.
+
+        Own choice: the scale of an axis is free if the axis moved and its scale is not certain; the angle between pan
+        and tilt is free if both moved.
+
+        Parameters
+        ----------
+        scale_sigma
+            Standard uncertainty of the scales; 0 if they are certain.
+
+        Returns
+        -------
+        Prior
+            Names and priors; the means are those of an ideal gimbal, and zero for the two rotations.
+        """
+        moved = np.ptp(self.angles_deg, axis=0) > _MOVED_DEG
+        sigmas = dict.fromkeys((*MOUNTING, *STANDING), _OPEN_SIGMA_RAD)
+        if scale_sigma > 0:
+            sigmas |= {name: scale_sigma for name, free in zip(SCALES, moved, strict=True) if free}
+        if moved[0] and moved[1]:
+            sigmas[NON_ORTHOGONALITY] = float(_NON_ORTHOGONALITY_SIGMA_RAD)
+        mean = np.array([1.0 if name in SCALES else 0.0 for name in sigmas])
+        return Prior(tuple(sigmas), mean, np.diag([sigma**-2 for sigma in sigmas.values()]))

@@ -1,0 +1,60 @@
+"""Poses: views between which the camera hardly turned belong to one pose.
+
+Views of one pose share the errors of the collimator and of the pixel grid, so they are not independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.rotation import log_map
+
+Array = NDArray[np.float64]
+
+#: Views that are turned by less against each other belong to one pose.
+SAME_POSE_DEG = 0.2
+
+
+def poses_of(rotations: Array) -> tuple[int, ...]:
+    """Assign each view to a pose.
+
+    A view belongs to the first pose whose first view is turned by less than 0.2 degrees against it. Own rule.
+
+    Parameters
+    ----------
+    rotations
+        (n, 3, 3) rotations of the views, camera <- target.
+
+    Returns
+    -------
+    tuple of int
+        For each view the index of its pose; poses are numbered in the order of their first views.
+    """
+    firsts: list[Array] = []
+    found = []
+    for rotation in rotations:
+        turns = [float(np.rad2deg(np.linalg.norm(log_map(rotation @ first.T)))) for first in firsts]
+        near = [i for i, turn in enumerate(turns) if turn < SAME_POSE_DEG]
+        if not near:
+            firsts.append(rotation)
+        found.append(near[0] if near else len(firsts) - 1)
+    return tuple(found)
+
+
+def members(poses: Sequence[int]) -> list[list[int]]:
+    """Return the views of each pose.
+
+    Parameters
+    ----------
+    poses
+        For each view the index of its pose.
+
+    Returns
+    -------
+    list of list of int
+        For each pose the indices of its views.
+    """
+    return [[i for i, pose in enumerate(poses) if pose == k] for k in range(max(poses) + 1)]
