@@ -92,14 +92,9 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools
     """
     if len(target) < MIN_STARS:
         return np.zeros(len(target), bool)
-    from scipy.spatial import cKDTree
-
     off = points - mapped
-    count = min(_NEIGHBOURS, len(target) - 1)
-    distance, near = (found[:, 1:] for found in cKDTree(target).query(target, count + 1))
-    spacing = max(float(np.median(distance[:, 0])), np.finfo(float).tiny)
-    offsets = (target[near] - target[:, None]) / spacing
-    neighbours = _Neighbours(near, np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2))
+    neighbours, distance, spacing = _nearest(target)
+    near = neighbours.which
     apart = _outside_the_largest_patch(mapped, off, distance, near, spacing)
     wrong = apart.copy()
     least = LIMIT_PX * (1.0 + _RIM_FACTOR * neighbours.one_sidedness)
@@ -119,6 +114,60 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools
             break
         wrong[suspects] = now
     return wrong
+
+
+def local_sigma_px(target: Array, mapped: Array, points: Array) -> float:
+    """Return the noise of the stars as their neighbours show it: no model of camera or collimator takes part.
+
+    The median of the distances between stars and local affine least squares predictions, over 1.1774 = sqrt(2 ln 2),
+    the median length of a two-dimensional vector of standard normal components. Own estimate.
+
+    Parameters
+    ----------
+    target
+        (N, 2) positions on the target, any unit.
+    mapped
+        (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
+    points
+        (N, 2) image points found, px.
+
+    Returns
+    -------
+    float
+        1-sigma per axis, px; NaN for fewer than 8 stars.
+    """
+    if len(target) < MIN_STARS:
+        return float("nan")
+    return float(np.median(_plain_deviations(_nearest(target)[0], points - mapped))) / _RAYLEIGH_MEDIAN
+
+
+def local_spacing(target: Array) -> float:
+    """Return the typical distance of a star from the nearest one: the pitch of a lattice.
+
+    Parameters
+    ----------
+    target
+        (N, 2) positions on the target, any unit; N >= 2.
+
+    Returns
+    -------
+    float
+        Median distance, in the unit of the positions.
+    """
+    return _nearest(target)[2]
+
+
+def _nearest(target: Array) -> tuple[_Neighbours, Array, float]:
+    """Return the neighbours of each star, their (N, K) distances, and the typical distance of the nearest one."""
+    from scipy.spatial import cKDTree
+
+    count = min(_NEIGHBOURS, len(target) - 1)
+    found = cKDTree(target).query(target, count + 1)
+    distance, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], np.int64)[:, 1:]
+    spacing = max(float(np.median(distance[:, 0])), np.finfo(float).tiny)
+    offsets = (target[near] - target[:, None]) / spacing
+    design = np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)
+    return _Neighbours(near, design), distance, spacing
 
 
 def _plain_deviations(neighbours: _Neighbours, off: Array) -> Array:

@@ -1,0 +1,12 @@
+"""Diagnosis of wrong data: gross errors, shifted ids, duplicate views, wrong units, origins and image sizes.
+
+Each module answers one question about views, and returns a dataclass with a plain sentence. Some questions need the
+result of an adjustment; `calib.diagnosis.checks` holds the two lists, before and after it. Where the data cannot
+decide, the sentence says so.
+
+References
+----------
+- arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
+- Huber (1964), Robust estimation of a location parameter, Annals of Mathematical Statistics 35, 73.
+- Triggs, McLauchlan, Hartley and Fitzgibbon (2000), Bundle adjustment - a modern synthesis, LNCS 1883, 298.
+"""

@@ -1,0 +1,74 @@
+"""All checks of wrong data, in two lists: those that need only the views, and those that need an adjustment of them.
+
+An engine calls `find_gross_stars` first, `check_views` before its adjustment and `check_adjustment` after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.diagnosis.duplicate_views import find_duplicates
+from calib.diagnosis.image_origin import find_other_origins
+from calib.diagnosis.image_size import check_image_size, require_points_inside
+from calib.diagnosis.shifted_ids import find_shifted_ids
+from calib.diagnosis.target_units import check_target_units
+from calib.view import View
+
+
+def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tuple[str, ...]:
+    """Check views before an adjustment: image size, duplicates, unit of the target.
+
+    Parameters
+    ----------
+    views
+        Views of one camera, without gross errors.
+    known_r_mm
+        Radius of the collimator from a passport, a certificate or a data sheet, mm; None if it is not known.
+
+    Returns
+    -------
+    tuple of str
+        A sentence for each doubt; none if nothing was noticed.
+
+    Raises
+    ------
+    InputMismatch
+        If points lie outside of the stated image size.
+    """
+    require_points_inside(views)
+    notes = [one.sentence for one in find_duplicates(views)]
+    units = check_target_units(views, known_r_mm=known_r_mm)
+    return (*notes, units.sentence) if units else tuple(notes)
+
+
+def check_adjustment(
+    views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters, sigma: Mapping[str, float]
+) -> tuple[str, ...]:
+    """Check views after an adjustment: shifted ids, other origins, image size.
+
+    Other origins are looked for only if no ids are shifted, because shifted ids spoil the comparison.
+
+    Parameters
+    ----------
+    views
+        Views of one camera, without gross errors, in the order of the bundle.
+    bundle
+        Bundle of these views, of a model in which they share one centre.
+    parameters
+        Its optimum.
+    sigma
+        1-sigma of the parameters by name; of these, cx and cy are used, px.
+
+    Returns
+    -------
+    tuple of str
+        A sentence for each doubt; none if nothing was noticed.
+    """
+    shifted = find_shifted_ids(views, bundle, parameters)
+    other = None if shifted else find_other_origins(views, bundle, parameters)
+    size = None
+    if "cx" in sigma and "cy" in sigma:
+        size = check_image_size(views, parameters.camera, (sigma["cx"], sigma["cy"]))
+    return tuple(one.sentence for one in (shifted, other, size) if one)

@@ -1,0 +1,94 @@
+"""Views that are given twice: the same stars at the same points, under two names."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnosis.star_noise import noise_px
+from calib.view import View
+
+#: Points closer than this are the same numbers, px.
+SAME_PX = 1e-6
+#: Two recordings of one pose differ by sqrt(2) times the noise of one; below this share of it they are too much alike.
+_TOO_MUCH_ALIKE = 0.5
+#: Views with fewer common stars are not compared, nor views of which less than this share is common.
+_FEWEST = 4
+_COMMON_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class DuplicateViews:
+    """Two views that hold the same measurement.
+
+    Attributes
+    ----------
+    first, second
+        Names of the views.
+    stars
+        Number of their common stars.
+    rms_px
+        Root mean square distance of the common stars, px.
+    noise_px
+        1-sigma per axis of the stars as their neighbours show it, px.
+    """
+
+    first: str
+    second: str
+    stars: int
+    rms_px: float
+    noise_px: float
+
+    @property
+    def identical(self) -> bool:
+        """Whether the points are the same numbers; otherwise they differ by less than the noise of two recordings."""
+        return self.rms_px <= SAME_PX
+
+    @property
+    def sentence(self) -> str:
+        """Names both views and how they agree."""
+        if self.identical:
+            return (
+                f"Views {self.first} and {self.second} are the same measurement: their {self.stars} common stars have "
+                "the same points. They count once; leave one of them out."
+            )
+        return (
+            f"Views {self.first} and {self.second} are nearly the same measurement: their {self.stars} common stars "
+            f"differ by {self.rms_px:.2g} px rms, less than two recordings would ({1.4142 * self.noise_px:.2g} px per "
+            "axis). Check that one recording was not used twice."
+        )
+
+
+def find_duplicates(views: Sequence[View]) -> tuple[DuplicateViews, ...]:
+    """Find pairs of views that hold the same measurement.
+
+    Two recordings of one pose differ by their noise, and are not duplicates. Own rule: the root mean square distance of
+    the common stars per axis is below half of sqrt(2) times the noise that neighbouring stars show.
+
+    Parameters
+    ----------
+    views
+        Views of one camera, without gross errors.
+
+    Returns
+    -------
+    tuple of DuplicateViews
+        One for each pair.
+    """
+    found = []
+    for one, other in itertools.combinations(views, 2):
+        _, here, there = np.intersect1d(one.ids, other.ids, return_indices=True)
+        if len(here) < max(_FEWEST, _COMMON_SHARE * min(len(one), len(other))):
+            continue
+        apart = one.points_px[here] - other.points_px[there]
+        rms = float(np.sqrt((apart**2).sum(axis=1).mean()))
+        # Most pairs are other poses: their noise need not be known.
+        if rms > 1.0:
+            continue
+        noise = 0.0 if rms <= SAME_PX else float(np.fmin(noise_px(one), noise_px(other)))
+        if rms <= SAME_PX or rms / np.sqrt(2.0) < _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
+            found.append(DuplicateViews(one.name, other.name, len(here), rms, noise))
+    return tuple(found)

@@ -1,0 +1,133 @@
+"""Views without the stars that have a gross error, and the sentences that name these stars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InputMismatch
+from calib.model.homography import gross_errors, view_homography
+from calib.model.local_consistency import local_spacing
+from calib.stars.grid_map import predict_locally
+from calib.view import View
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+#: A view with a larger share of gross errors is refused.
+MAX_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class GrossStars:
+    """The stars of one view that have a gross error.
+
+    Attributes
+    ----------
+    view
+        Name of the view.
+    wrong
+        (N,) bool, which of the N stars of the view have a gross error.
+    distances_px
+        (K,) float64, px, distance of each of them from where its neighbours predict it.
+    """
+
+    view: str
+    wrong: Bools
+    distances_px: Array
+
+    @property
+    def sentence(self) -> str:
+        """Names the view, the number of stars and their distances; empty if there are none."""
+        count = len(self.distances_px)
+        if not count:
+            return ""
+        least, most = f"{self.distances_px.min():.2g}", f"{self.distances_px.max():.2g}"
+        least, most = (f"{float(number):g}" for number in (least, most))
+        lie, they = ("lies", "it was") if count == 1 else ("lie", "they were")
+        which = f"{least}" if least == most else f"{least} to {most}"
+        return (
+            f"{count} of {len(self.wrong)} stars in view {self.view} {lie} {which} px from where the neighbours "
+            f"predict {'it' if count == 1 else 'them'}; {they} left out."
+        )
+
+
+def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
+    """Find the gross errors of all views.
+
+    A star is a gross error if its neighbours on the target contradict its point or its id
+    (`calib.model.local_consistency.contradicts_neighbours`).
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+
+    Returns
+    -------
+    tuple of GrossStars
+        One for each view, in their order.
+
+    Raises
+    ------
+    InputMismatch
+        If more than a fifth of the stars of a view have a gross error; names the view.
+    TooFewStars, DegenerateViews
+        As `calib.model.homography.view_homography`.
+    """
+    return tuple(_gross_stars(view) for view in views)
+
+
+def without_gross_stars(views: Sequence[View], found: Sequence[GrossStars]) -> list[View]:
+    """Return the views without their gross errors.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    found
+        Their gross errors, from `find_gross_stars`.
+
+    Returns
+    -------
+    list of View
+        A view without gross errors is returned as it is, the same object.
+    """
+    return [
+        _part(view, ~one.wrong) if one.wrong.any() else view for view, one in zip(views, found, strict=True)
+    ]
+
+
+def _gross_stars(view: View) -> GrossStars:
+    """Return the gross errors of one view; refuse the view if there are too many."""
+    wrong = gross_errors(view)
+    count = int(np.count_nonzero(wrong))
+    if count > MAX_SHARE * len(view):
+        raise InputMismatch(
+            f"{count} of {len(view)} stars do not lie where their neighbours predict them.",
+            where=f"view {view.name}",
+            remedy="Check the ids, the points and the target positions of this view, or leave it out.",
+        )
+    if not count:
+        return GrossStars(view.name, wrong, np.zeros(0))
+    right = _part(view, ~wrong)
+    spacing = local_spacing(right.target_mm)
+    h = view_homography(right) @ np.diag([spacing, spacing, 1.0])
+    predicted = predict_locally(
+        h, right.target_mm / spacing, right.points_px, view.target_mm[wrong] / spacing
+    )
+    return GrossStars(view.name, wrong, np.linalg.norm(view.points_px[wrong] - predicted, axis=1))
+
+
+def _part(view: View, kept: Bools) -> View:
+    """Return the view with some of its stars."""
+    return replace(
+        view,
+        ids=view.ids[kept],
+        points_px=view.points_px[kept],
+        target_mm=view.target_mm[kept],
+        covariances_px2=view.covariances_px2[kept],
+    )

@@ -1,0 +1,160 @@
+"""The joint adjustment linearised at its optimum: what an unexpected shift of one view does to the residuals.
+
+A shift that a changed camera, centre or rotation can explain leaves no trace; the rest does. The module projects the
+effect of shifts on what the adjustment cannot explain. It is linear algebra on a few stars of each view, so that
+hundreds of hypotheses cost no more than one step of an adjustment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.parameters import AdjustmentParameters
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ShiftEquations:
+    """The cost of an adjustment as a function of a shift of each of n views, everything else adjusted to it.
+
+    If view i is shifted by s_i, the sum of squares is ``squares - 2 sum_i gradient_i s_i + sum_ij s_i information_ij
+    s_j``, in weighted residuals.
+
+    Attributes
+    ----------
+    squares
+        Sum of the squared weighted residuals without shifts.
+    gradient
+        (n, 2) float64, 1 / mm for shifts of the target, 1 / px for shifts of the image.
+    information
+        (n, 2, n, 2) float64, the same units squared.
+    """
+
+    squares: float
+    gradient: Array
+    information: Array
+
+    def squares_after(self, view: int, shifts: Array) -> Array:
+        """Return the sum of squares after shifts of one view alone.
+
+        Parameters
+        ----------
+        view
+            Index of the view.
+        shifts
+            (K, 2) shifts to judge, mm or px.
+
+        Returns
+        -------
+        Array
+            (K,) sums of squared weighted residuals, at least 0.
+        """
+        own = self.information[view, :, view]
+        change = np.einsum("ki,ij,kj->k", shifts, own, shifts) - 2.0 * shifts @ self.gradient[view]
+        return np.asarray(np.maximum(self.squares + change, 0.0))
+
+
+def plain_bundle(bundle: Bundle, parameters: AdjustmentParameters, stars: int) -> Bundle:
+    """Return a bundle of some of the stars, with shared camera and centre, and without priors and readings.
+
+    Free aberrations are held, so that no prior is needed.
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted.
+    parameters
+        Its optimum.
+    stars
+        Approximate number of stars of each view.
+
+    Returns
+    -------
+    Bundle
+        Bundle in which the names of camera and centre that were free are free.
+    """
+    known = (*parameters.camera.parameter_names, "x", "y", "r")
+    names = tuple(name for name in bundle.names if name in known)
+    return Bundle(bundle.observations, names, displacements=bundle.displacements).thinned(stars)
+
+
+def target_shifts(bundle: Bundle, parameters: AdjustmentParameters) -> ShiftEquations:
+    """Return the equations of shifts of the target positions of each view, mm.
+
+    Gauss and Newton's linearisation; the free parameters are eliminated by the Schur complement (Triggs et al., 2000,
+    section 6.1). A shift of the target is the opposite shift of the centre.
+
+    Parameters
+    ----------
+    bundle
+        Bundle of `plain_bundle`.
+    parameters
+        Its optimum.
+
+    Returns
+    -------
+    ShiftEquations
+        Equations of the shifts to add to the target positions.
+    """
+    return _shift_equations(bundle, parameters, of_image=False)
+
+
+def image_shifts(bundle: Bundle, parameters: AdjustmentParameters) -> ShiftEquations:
+    """Return the equations of shifts that the image points of each view contain, px.
+
+    Gauss and Newton's linearisation; the free parameters are eliminated by the Schur complement (Triggs et al., 2000,
+    section 6.1).
+
+    Parameters
+    ----------
+    bundle
+        Bundle of `plain_bundle`.
+    parameters
+        Its optimum.
+
+    Returns
+    -------
+    ShiftEquations
+        Equations of the shifts to subtract from the image points.
+    """
+    return _shift_equations(bundle, parameters, of_image=True)
+
+
+def _shift_equations(bundle: Bundle, parameters: AdjustmentParameters, *, of_image: bool) -> ShiftEquations:
+    """Return the reduced equations of target shifts or of image shifts."""
+    freed = Bundle(bundle.observations, bundle.names, free_centres=True, displacements=bundle.displacements)
+    obs, count = bundle.observations, len(bundle.names)
+    residuals = bundle.weighted_residuals(parameters)
+    n = len(obs.slices)
+    squares, shared, score = 0.0, np.zeros((count, count)), np.zeros(count)
+    gradient, coupling = np.zeros((n, 2)), np.zeros((n, 2, count))
+    information = np.zeros((n, 2, n, 2))
+    for i, (rows, own) in enumerate(zip(obs.slices, freed.jacobians(parameters), strict=True)):
+        white = obs.whitening[rows]
+        columns = np.einsum("sij,pjs->sip", white, own).reshape(-1, len(own))
+        # Shifts change the residuals: found minus predicted. A target shift is the opposite centre shift.
+        shift = white.reshape(-1, 2) if of_image else -columns[:, count + 3 : count + 5]
+        stacked = np.column_stack([columns[:, :count], shift, residuals[rows].reshape(-1)])
+        rotation = columns[:, count : count + 3]
+        solved = np.linalg.lstsq(rotation.T @ rotation, rotation.T @ stacked, rcond=None)[0]
+        left = stacked - rotation @ solved
+        gram = left.T @ left
+        squares += float(gram[-1, -1])
+        shared += gram[:count, :count]
+        score += gram[:count, -1]
+        gradient[i] = gram[count:-1, -1]
+        coupling[i] = gram[count:-1, :count]
+        information[i, :, i] = gram[count:-1, count:-1]
+    if count:
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
+        flat = coupling.reshape(2 * n, count) * scale
+        inverse = np.linalg.pinv(shared * np.outer(scale, scale), rcond=1e-13, hermitian=True)
+        squares -= float((scale * score) @ inverse @ (scale * score))
+        gradient = gradient - (flat @ inverse @ (scale * score)).reshape(n, 2)
+        information = information - (flat @ inverse @ flat.T).reshape(n, 2, n, 2)
+    return ShiftEquations(max(squares, 0.0), gradient, information)

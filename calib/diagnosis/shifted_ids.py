@@ -1,0 +1,241 @@
+"""Views whose ids are shifted: each star bears the name of a neighbour one or two columns or rows away.
+
+A shift of all ids of a view is, to first order, a rotation of the camera. Only the perspective of the target separates
+them, so the module compares joint adjustments of all views: if the residuals nearly vanish for one shift of one view,
+that view is named. If two hypotheses do about as well, the data cannot decide, and both are named.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.diagnosis.linearised import plain_bundle, target_shifts
+from calib.diagnosis.star_noise import noise_px
+from calib.model.local_consistency import local_spacing
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: Shifts up to this number of columns and rows are tried.
+MAX_SHIFT = 2
+#: A shift is accepted if it lowers -2 log(likelihood) by this much, and two shifts that differ by less than
+#: `_SEPARABLE` cannot be separated. The likelihood is that of Gaussian residuals of one unknown variance.
+_ACCEPTED = 40.0
+_SEPARABLE = 15.0
+#: Residuals above this multiple of the noise that neighbouring stars show are mostly systematic. They vary slowly over
+#: a view and resemble each other in all views, so they count as this number of independent components: the residuals
+#: must fall to 60 %. With more components, sound views of a real collimator were called wrong.
+_SYSTEMATIC = 1.3
+_INDEPENDENT = 40
+#: Number of stars of each view that take part, of hypotheses that are adjusted, and of steps.
+_STARS = 120
+_ADJUSTED = 4
+_STEPS = 20
+_TOLERANCE = 1e-5
+#: Largest deviation of a star from a node of the lattice, pitches.
+_ON_LATTICE = 0.05
+
+
+@dataclass(frozen=True)
+class IdShift:
+    """A shift of all ids of one view that makes it fit the others.
+
+    Attributes
+    ----------
+    view
+        Name of the view.
+    columns, rows
+        Number of columns (along X) and rows (along Y) that the ids must be shifted by.
+    """
+
+    view: str
+    columns: int
+    rows: int
+
+    def __str__(self) -> str:
+        """Say it in words, as "view left by 1 column"."""
+        parts = [
+            f"{number} {name if abs(number) == 1 else name + 's'}"
+            for number, name in ((self.columns, "column"), (self.rows, "row"))
+            if number
+        ]
+        return f"view {self.view} by {' and '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class ShiftedIds:
+    """The ids that are shifted, as far as the data decide.
+
+    Attributes
+    ----------
+    shifts
+        The shifts that together explain the residuals best; at least one.
+    rivals
+        Other single shifts that explain them about as well; none if the data decide.
+    rms_before_px, rms_after_px
+        Root mean square length of the residual vectors of the stars compared, px, before and after the shifts.
+    """
+
+    shifts: tuple[IdShift, ...]
+    rivals: tuple[IdShift, ...]
+    rms_before_px: float
+    rms_after_px: float
+
+    @property
+    def decided(self) -> bool:
+        """Whether one explanation is clearly the best."""
+        return not self.rivals
+
+    @property
+    def sentence(self) -> str:
+        """Names the views and the shifts, or says that the data cannot decide between them."""
+        fall = f"the residuals fall from {self.rms_before_px:.2g} to {self.rms_after_px:.2g} px"
+        shifts = " and ".join(str(one) for one in self.shifts)
+        if self.decided:
+            return (
+                f"The star ids are wrong: shift the ids of {shifts}, and {fall}. "
+                "Check the tag or the id file of this view."
+            )
+        others = ", or ".join(str(one) for one in self.rivals)
+        return (
+            f"The star ids of one view are shifted, but these views cannot decide which: shift the ids of {shifts}, "
+            f"or {others}; {fall}. Check the ids of these views, or add views."
+        )
+
+
+def find_shifted_ids(
+    views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters
+) -> ShiftedIds | None:
+    """Search for views whose ids are shifted against those of the others.
+
+    All shifts of one view by up to two columns and rows are judged by a linearised adjustment; the best are adjusted.
+    The best is kept, and the search goes on with the next view, up to half of the views. Own procedure.
+
+    Parameters
+    ----------
+    views
+        Two or more views without gross errors, in the order of the bundle.
+    bundle
+        Bundle of these views, of a model in which they share one centre.
+    parameters
+        Its optimum.
+
+    Returns
+    -------
+    ShiftedIds or None
+        None if the views agree, if no shift explains the residuals, or if the stars lie on no lattice.
+    """
+    pitch = _lattice_pitch(views)
+    if len(views) < 2 or pitch is None:
+        return None
+    bundle = plain_bundle(bundle, parameters, _STARS)
+    noise = float(np.nanmedian([noise_px(view) for view in views]))
+    start = AdjustmentParameters(
+        parameters.camera, parameters.collimator, parameters.rotations, np.zeros((len(views), 3))
+    )
+    rms = _rms_px(bundle, start)
+    first_rms, accepted, rivals = rms, list[_Shift](), tuple[_Shift, ...]()
+    for _ in range(max(1, (len(views) - 1) // 2)):
+        taken = {place for place, _ in accepted}
+        tried = _best_shifts(bundle, start, pitch, taken, _weight(bundle, rms, noise))
+        if not tried or _gain(bundle, rms, tried[0][0], noise) < _ACCEPTED:
+            break
+        least = tried[0][0]
+        rivals = tuple(one for found, one, *_ in tried[1:] if _gain(bundle, found, least, noise) < _SEPARABLE)
+        rms, shift, bundle, start = tried[0]
+        accepted.append(shift)
+    if not accepted:
+        return None
+    return ShiftedIds(
+        tuple(_named(views, shift) for shift in accepted),
+        tuple(_named(views, shift) for shift in rivals),
+        first_rms,
+        rms,
+    )
+
+
+def _weight(bundle: Bundle, rms: float, noise: float) -> float:
+    """Return the number of independent residual components if the rms length of residual vectors is as given, px."""
+    components = 2 * len(bundle.observations.view)
+    systematic = rms / np.sqrt(2.0) > _SYSTEMATIC * noise
+    return float(min(components, _INDEPENDENT) if systematic else components)
+
+
+def _gain(bundle: Bundle, before: float, after: float, noise: float) -> float:
+    """Return how much -2 log(likelihood) falls if the rms of the residuals falls from one value to another.
+
+    For Gaussian residuals of an unknown variance it is n log(before^2 / after^2).
+    """
+    # An exact fit is no better than rounding allows.
+    least = 1e-6
+    return _weight(bundle, after, noise) * 2.0 * float(np.log(max(before, least) / max(after, least)))
+
+
+_Shift = tuple[int, tuple[int, int]]
+
+
+def _named(views: Sequence[View], shift: _Shift) -> IdShift:
+    """Return a shift with the name of its view."""
+    place, (columns, rows) = shift
+    return IdShift(views[place].name, columns, rows)
+
+
+def _lattice_pitch(views: Sequence[View]) -> float | None:
+    """Return the pitch of the lattice on which all stars lie, mm; None if they lie on none."""
+    if min(len(view) for view in views) < 4:
+        return None
+    pitch = local_spacing(np.unique(np.concatenate([view.target_mm for view in views]), axis=0))
+    for view in views:
+        steps = (view.target_mm - views[0].target_mm[0]) / pitch
+        if not np.abs(steps - np.round(steps)).max() < _ON_LATTICE:
+            return None
+    return pitch
+
+
+def _rms_px(bundle: Bundle, parameters: AdjustmentParameters) -> float:
+    """Return the rms length of the residual vectors, px; infinite if a star cannot be projected."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        rms = float(np.sqrt((bundle.residuals_px(parameters) ** 2).sum(axis=1).mean()))
+    return rms if np.isfinite(rms) else float("inf")
+
+
+def _best_shifts(
+    bundle: Bundle, start: AdjustmentParameters, pitch: float, taken: set[int], weight: float
+) -> list[tuple[float, _Shift, Bundle, AdjustmentParameters]]:
+    """Return the best shifts of one more view, the best first: rms of the residuals, shift, bundle and optimum.
+
+    The list is empty if the linearised adjustment does not promise half of the gain that is needed.
+    """
+    equations = target_shifts(bundle, start)
+    steps = range(-MAX_SHIFT, MAX_SHIFT + 1)
+    shifts = [(i, j) for i, j in itertools.product(steps, steps) if i or j]
+    now = equations.squares
+    hypotheses: list[tuple[float, _Shift]] = []
+    for place in set(range(len(equations.gradient))) - taken:
+        squares = equations.squares_after(place, pitch * np.array(shifts, float)).tolist()
+        hypotheses += [(one, (place, shift)) for one, shift in zip(squares, shifts, strict=True)]
+    hypotheses.sort()
+    if not hypotheses or weight * np.log(now / max(hypotheses[0][0], 1e-9 * now)) < 0.5 * _ACCEPTED:
+        return []
+    found = []
+    for _, (place, shift) in hypotheses[:_ADJUSTED]:
+        moved = _moved(bundle, place, pitch * np.array(shift))
+        end = refine(moved, start, Loss("l2"), _STEPS, _TOLERANCE).parameters
+        found.append((_rms_px(moved, end), (place, shift), moved, end))
+    return sorted(found, key=lambda one: one[0])
+
+
+def _moved(bundle: Bundle, place: int, shift_mm: Array) -> Bundle:
+    """Return the bundle with the target positions of one view moved."""
+    obs = bundle.observations
+    target = obs.target.copy()
+    target[obs.slices[place], :2] += shift_mm
+    return replace(bundle, observations=replace(obs, target=target))

@@ -1,0 +1,115 @@
+"""The unit of the target positions: millimetres, or metres, micrometres or inches by mistake.
+
+A wrong unit scales the collimator's radius, and nothing else: the camera is the same, and no residual changes. So views
+alone decide only when the numbers are implausible. A known radius decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.model.homography import view_homography
+from calib.model.local_consistency import local_spacing
+from calib.model.spherical import linear_solution
+from calib.view import View
+
+#: Millimetres in units that are taken for millimetres by mistake.
+_UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
+#: Pitches and radii outside of these ranges are implausible, mm.
+PLAUSIBLE_PITCH_MM = (0.05, 500.0)
+PLAUSIBLE_R_MM = (5.0, 50_000.0)
+#: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
+_TOLERANCE_ADJUSTED = 1.1
+_TOLERANCE_CLOSED_FORM = 1.5
+
+
+@dataclass(frozen=True)
+class TargetUnits:
+    """A doubt about the unit of the target positions.
+
+    Attributes
+    ----------
+    unit
+        The unit that the positions probably have; empty if none fits.
+    why
+        What is implausible, a sentence.
+    """
+
+    unit: str
+    why: str
+
+    @property
+    def sentence(self) -> str:
+        """Says what is implausible, and which unit would explain it."""
+        if not self.unit:
+            return f"{self.why} Check that the target positions are in mm."
+        return f"{self.why} The target positions look like {self.unit}; give them in mm."
+
+
+def check_target_units(
+    views: Sequence[View], *, r_mm: float | None = None, known_r_mm: float | None = None
+) -> TargetUnits | None:
+    """Look for a wrong unit of the target positions.
+
+    Parameters
+    ----------
+    views
+        Views of one camera, without gross errors.
+    r_mm
+        Radius of the collimator from an adjustment of these views in which it was free, mm; None for a closed form.
+    known_r_mm
+        Radius from a passport, a certificate or a data sheet, mm; None if it is not known. Without it, only implausible
+        numbers are noticed.
+
+    Returns
+    -------
+    TargetUnits or None
+        None if nothing is implausible. That is no proof of the unit.
+    """
+    tolerance = _TOLERANCE_ADJUSTED
+    if r_mm is None:
+        r_mm, tolerance = closed_form_radius(views), _TOLERANCE_CLOSED_FORM
+    if r_mm is not None and known_r_mm is not None:
+        unit = _unit(known_r_mm / r_mm, tolerance)
+        if unit:
+            why = f"The views give a collimator radius of {r_mm:.3g} mm, and {known_r_mm:.3g} mm is known."
+            return TargetUnits(unit, why)
+    pitch = min(local_spacing(view.target_mm) for view in views)
+    if not PLAUSIBLE_PITCH_MM[0] <= pitch <= PLAUSIBLE_PITCH_MM[1]:
+        why = f"Neighbouring stars of the target are {pitch:.3g} mm apart, which is implausible."
+        return TargetUnits("metres" if pitch < 1.0 else "micrometres", why)
+    if r_mm is not None and not PLAUSIBLE_R_MM[0] <= r_mm <= PLAUSIBLE_R_MM[1]:
+        why = f"The views give a collimator radius of {r_mm:.3g} mm, which is implausible."
+        return TargetUnits("metres" if r_mm < 1.0 else "micrometres" if r_mm > 1e5 else "", why)
+    return None
+
+
+def closed_form_radius(views: Sequence[View]) -> float | None:
+    """Return the radius of the collimator from the closed form (arXiv:2512.16092, eq. 5).
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+
+    Returns
+    -------
+    float or None
+        Radius, mm; None if the closed form has no real solution, as with a single view.
+    """
+    h = np.array([view_homography(view) for view in views])
+    for free in (True, False):
+        solution = linear_solution(h, views[0].image_size, free_principal_point=free)
+        if solution is not None:
+            return solution.collimator.r
+    return None
+
+
+def _unit(ratio: float, tolerance: float) -> str:
+    """Return the unit whose length in mm is within a factor of a ratio; empty if none is."""
+    near = {name: abs(np.log(ratio / length)) for name, length in _UNITS.items()}
+    name = min(near, key=lambda unit: near[unit])
+    return name if near[name] < np.log(tolerance) else ""

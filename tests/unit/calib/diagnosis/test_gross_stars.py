@@ -1,0 +1,81 @@
+"""Gross errors by view: named with their distances, left out, or a reason to refuse the view."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.diagnosis.gross_stars import find_gross_stars, without_gross_stars
+from calib.engine import CalibrationOptions, calibrate
+from calib.errors import InputMismatch
+from tests.unit.calib.conftest import Bench
+
+
+def spoilt(view, stars, rng, nearest=30.0, farthest=300.0):
+    angles, lengths = rng.uniform(0, 2 * np.pi, len(stars)), rng.uniform(nearest, farthest, len(stars))
+    points = view.points_px.copy()
+    points[stars] += lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    return replace(view, points_px=points), lengths
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 25))
+def test_gross_errors_are_counted_and_measured(seed, count):
+    rng = np.random.default_rng(seed)
+    clean = Bench().views(rng, 0.05)[0]
+    stars = rng.choice(len(clean), count, replace=False)
+    view, lengths = spoilt(clean, stars, rng)
+    (found,) = find_gross_stars([view])
+    assert set(stars) <= set(np.flatnonzero(found.wrong))
+    assert len(found.distances_px) - count <= 1
+    measured = dict(zip(np.flatnonzero(found.wrong), found.distances_px, strict=True))
+    assert [measured[star] for star in stars] == pytest.approx(lengths.tolist(), abs=3.0)
+    (kept,) = without_gross_stars([view], [found])
+    assert not set(clean.ids[stars]) & set(kept.ids)
+    assert len(kept) == len(clean) - len(found.distances_px)
+
+
+def test_the_sentence_names_the_view_the_number_and_the_distances():
+    clean = Bench().views(np.random.default_rng(1), 0.02)[0]
+    points = clean.points_px.copy()
+    points[[20, 70, 110]] += [[30.0, 0.0], [0.0, 300.0], [100.0, 0.0]]
+    (found,) = find_gross_stars([replace(clean, points_px=points)])
+    assert found.sentence == (
+        f"3 of {len(clean)} stars in view pose-001 lie 30 to 300 px from where the neighbours predict them; "
+        "they were left out."
+    )
+    points[[20, 70]] = clean.points_px[[20, 70]]
+    (found,) = find_gross_stars([replace(clean, points_px=points)])
+    assert "1 of" in found.sentence
+    assert "lies 100 px from where the neighbours predict it; it was left out." in found.sentence
+
+
+def test_views_without_gross_errors_are_the_same_objects():
+    views = Bench().views(np.random.default_rng(2), 0.05)
+    found = find_gross_stars(views)
+    assert [one.sentence for one in found] == ["", "", ""]
+    assert all(kept is view for kept, view in zip(without_gross_stars(views, found), views, strict=True))
+
+
+def test_a_view_of_mostly_wrong_stars_is_refused_by_name():
+    views, rng = Bench().views(np.random.default_rng(3), 0.05), np.random.default_rng(3)
+    stars = rng.choice(len(views[1]), int(0.25 * len(views[1])), replace=False)
+    views[1], _ = spoilt(views[1], stars, rng)
+    with pytest.raises(InputMismatch, match=r"view pose-002: \d+ of \d+ stars do not lie where"):
+        find_gross_stars(views)
+
+
+@pytest.mark.parametrize("size", [(30.0, 31.0), (300.0, 301.0), (30.0, 300.0)])
+def test_a_calibration_survives_five_per_cent_of_gross_errors(size):
+    rng = np.random.default_rng(4)
+    clean = Bench().views(rng, 0.05)
+    views = [
+        spoilt(view, rng.choice(len(view), len(view) // 20, replace=False), rng, *size)[0] for view in clean
+    ]
+    expected = calibrate(clean, CalibrationOptions())
+    result = calibrate(without_gross_stars(views, find_gross_stars(views)), CalibrationOptions())
+    assert result.camera.fx == pytest.approx(expected.camera.fx, abs=expected.sigma["fx"])
+    assert result.sigma["fx"] > 0.95 * expected.sigma["fx"]
+    assert result.rms_px == pytest.approx(expected.rms_px, rel=0.05)
