@@ -24,12 +24,12 @@ up to a quarter period before, when the light begins to grow; with a square wave
 An inverted sync signal shifts them by half a period."""
 FILTERS_TO_DISABLE = ("afk", "stc", "trail", "erc")
 """On-chip filters that remove events of the flicker."""
-LINK_ADVICE = (
-    "so that the camera's link is not full, lower the light's frequency_hz or level_percent, or set higher contrast "
-    "thresholds (bias_diff_on, bias_diff_off) or a longer dead time (bias_refr)"
-)
-FOCUS_ADVICE = "the image is out of focus; focus the lens"
-ADVICE = {"event rate": LINK_ADVICE, "data rate": LINK_ADVICE, "edge width": FOCUS_ADVICE}
+ADVICE = {
+    "event rate": "for fewer events, lower the light's frequency_hz or level_percent, or raise bias_diff_on and "
+    "bias_diff_off; if the camera carries them, set a higher max_event_rate_mev_s",
+    "data rate": "for less data, use a square flicker, or lower both frequency_hz and level_percent of the sine",
+    "edge width": "the image is out of focus; focus the lens",
+}
 """What to do if a gate fails, by its name."""
 MARGIN = 0.1
 """A value that passes but is within this share of its limit is marginal."""

@@ -98,13 +98,9 @@ def test_events_dropped_by_the_rate_controller_are_rejected_by_its_counters():
     assert dropped == ["rate controller loss 10 %, needed <= 1"]
 
 
-def test_a_full_link_is_rejected_with_what_to_do():
+def test_too_many_events_or_too_much_data_are_rejected_with_what_to_do():
     rates = replace(GATES, limits={"max_data_rate_gbit_s": 1.5})
     (full,) = reasons(gates=rates, bytes=10_000_000)
-    assert full.startswith(
-        "data rate 1.6 Gbit/s, needed <= 1.5 (so that the camera's link is not full, lower"
-    )
+    assert full.startswith("data rate 1.6 Gbit/s, needed <= 1.5 (for less data, use a square flicker")
     (fast,) = reasons(events=9_000_000)
-    assert fast.startswith(
-        "event rate 180 Mev/s, needed <= 100 (so that the camera's link is not full, lower"
-    )
+    assert fast.startswith("event rate 180 Mev/s, needed <= 100 (for fewer events, lower")

@@ -244,6 +244,29 @@ def test_part_of_the_tag_is_enough(roll, shift):
     assert_found_where_drawn(seen.view, scene, rms_px=0.05)
 
 
+def out_of_focus(blur_px):
+    """Return a scene, and what a square flicker shows of it with a lens out of focus: white but for some black."""
+    scene, _ = drawn(roll=16, pitch_px=53.0, size=(700, 560))
+    image = scene.draw(blur=blur_px, black=0.0)
+    fired = image > 0.06 * np.exp(0.12 * np.random.default_rng(3).standard_normal(image.shape))
+    return scene, fired.astype(np.float32)
+
+
+@pytest.mark.parametrize(("blur_px", "rms_px"), [(0.7, 0.03), (1.5, 0.06), (1.75, 0.09)])
+def test_stars_out_of_focus_are_found_and_the_width_of_their_edges_is_measured(blur_px, rms_px):
+    scene, image = out_of_focus(blur_px)
+    seen = detect_stars(image, TARGET)
+    squares = assert_found_where_drawn(seen.view, scene, rms_px=rms_px)
+    assert 0.7 < np.sqrt(np.mean(squares)) < 1.5
+    assert 0.7 * blur_px < seen.edge_width_px < 1.1 * np.hypot(blur_px, 0.3)
+
+
+def test_an_image_too_far_out_of_focus_is_refused():
+    _, image = out_of_focus(2.6)
+    with pytest.raises((TooFewStars, TargetNotFound), match="focus"):
+        detect_view(image, TARGET)
+
+
 def test_without_the_tag_stars_are_not_labelled():
     _, image = drawn(roll=61, shift=(390, 0))
     with pytest.raises(TargetNotFound, match="no readable part of the tag"):
