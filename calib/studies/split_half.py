@@ -6,7 +6,7 @@ The halves share no view, so their difference shows whether the stated uncertain
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,7 +73,15 @@ def split_half(views: Sequence[View], options: CalibrationOptions | None = None)
     """
     if len(views) < _MIN_VIEWS:
         raise DegenerateViews(f"{len(views)} views; two halves need at least {_MIN_VIEWS}.")
-    first, second = calibrate(views[::2], options), calibrate(views[1::2], options)
+    first, second = (calibrate(views[begin::2], _every_other(options, begin)) for begin in (0, 1))
     maps = [projection_uncertainty(half.camera, half.camera_covariance).sigma_px for half in (first, second)]
     expected = float(np.sqrt(np.nanmean(maps[0] ** 2 + maps[1] ** 2)))
     return SplitHalf((first, second), camera_difference(first.camera, second.camera), expected)
+
+
+def _every_other(options: CalibrationOptions | None, begin: int) -> CalibrationOptions | None:
+    """Return the options for every other view: the gimbal's readings are those of these views."""
+    if options is None or options.gimbal is None:
+        return options
+    readings = replace(options.gimbal, angles_deg=options.gimbal.angles_deg[begin::2])
+    return replace(options, gimbal=readings)
