@@ -431,6 +431,7 @@ def calibration_options(
         ``auto`` if a passport or the gimbal's readings determine the focal length, else with ``spherical``.
     """
     enters = gimbal is not None and gimbal.parallax is not None
+    passport = passport if step.model != "planar" else None  # it has no collimator
     return CalibrationOptions(
         step.model or default_model(with_passport=passport is not None, readings_enter=enters),
         step.distortion,

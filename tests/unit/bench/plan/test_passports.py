@@ -210,3 +210,8 @@ def test_the_plan_names_the_model_and_the_passport(bench):
     assert plan.to_dict()["passport"]["number"] == "T-1"
     assert "solve spherical, k1 k2, huber" in render_plan(bench())
     assert bench().to_dict()["passport"] is None
+
+
+def test_the_planar_model_has_no_collimator_so_it_gets_no_passport(bench):
+    step = solve_of(bench("{model: planar}"))
+    assert calibration_options(step, Passport.of_radius(255, 0.05)).passport is None
