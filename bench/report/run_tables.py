@@ -320,14 +320,19 @@ def alerts(results: Json) -> list[str]:
     Returns
     -------
     list of str
-        A sentence for each gate and each deviation.
+        A sentence for each gate, each ``until`` that did not meet its goals, and each deviation.
     """
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
         for row in gates(results.get("gates") or [])
         if row.verdict != "pass"
     ]
-    return details + deviations(results)
+    missed = [
+        f"The goal of a step was not met. {decided['why']}"
+        for decided in results.get("untils") or []
+        if decided.get("ended", "met") != "met"
+    ]
+    return details + missed + deviations(results)
 
 
 def deviations(results: Json) -> list[str]:

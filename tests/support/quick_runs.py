@@ -20,6 +20,20 @@ steps:
       steps: [move, settle, record]
 %(end)s"""
 END = "  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
+UNTIL = """\
+format: starbench/sequence/1
+name: Quick until
+defaults:
+  light: {frequency_hz: 240}
+  settle: {duration_s: 0.1}
+  record: {window_ms: 8.4, attempts: 1}
+  solve: {model: spherical, distortion: [k1]}
+steps:
+  - light
+  - until: %s
+  - light: off
+%s"""
+THREE = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
 TWELVE = "{pan_deg: {first: -6, last: 6, count: 4}, tilt_deg: {first: -3, last: 3, count: 3}}"
 
 
@@ -43,4 +57,10 @@ def write_station(path, more="", simulation=""):
 
 def write_sequence(path, poses=TWELVE, *, attempts=2, end=END):
     path.write_text(SEQUENCE % {"poses": poses, "attempts": attempts, "end": end})
+    return path
+
+
+def write_until(path, until, *, end=END):
+    """A sequence that chooses its poses; ``until`` is the mapping of the step as text."""
+    path.write_text(UNTIL % (until, end))
     return path

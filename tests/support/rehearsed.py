@@ -39,9 +39,9 @@ class Hooked:
 class Scene:
     """A station, a sequence and a hook: called with what is about to happen, as ``stage.move_to``."""
 
-    def __init__(self, folder, *, station="", poses=TWO, end="", attempts=2):
+    def __init__(self, folder, *, station="", poses=TWO, end="", attempts=2, sequence=None):
         self.folder = folder / "run"
-        sequence = write_sequence(folder / "sequence.yaml", poses, attempts=attempts, end=end)
+        sequence = sequence or write_sequence(folder / "sequence.yaml", poses, attempts=attempts, end=end)
         planned = make_plan(
             *load_documents(str(sequence), str(write_station(folder / "station.yaml", station)))
         )

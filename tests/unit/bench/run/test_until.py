@@ -1,0 +1,193 @@
+"""Runs that choose their poses: on virtual devices, to the goal; killed at every kind of line; and what else can happen."""
+
+import shutil
+
+import pytest
+from quick_runs import END, THREE, write_until
+from rehearsed import Scene
+
+from bench.records.events import Event
+from bench.records.history import replay
+from bench.records.journal import read_journal
+from bench.results import next_pose
+from bench.run.resumption import intentions
+from bench.run.status import read_status, status_text
+from drivers.errors import RecordingFailed
+
+NEVER = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"
+
+
+@pytest.fixture(autouse=True)
+def _coarse(monkeypatch):
+    monkeypatch.setattr(next_pose, "GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
+    monkeypatch.setattr(next_pose, "REFINEMENTS", ())
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+
+
+def until_scene(folder, until=NEVER, **more):
+    folder.mkdir(parents=True, exist_ok=True)
+    return Scene(folder, sequence=write_until(folder / "sequence.yaml", until, end=END), **more)
+
+
+def raising(scene, recording, error):
+    """A hook that raises at a recording, counted from 1."""
+
+    def hook(name):
+        if name == "camera.record" and scene.calls.count(name) == recording:
+            raise error
+
+    return hook
+
+
+def decisions(scene):
+    return [
+        {name: value for name, value in told.items() if name != "worked_s"}
+        for told in scene.told(Event.UNTIL_DECIDED)
+    ]
+
+
+def angles(scene):
+    """Commanded angles of the accepted recordings, by pose."""
+    accepted = {told["pose"] for told in scene.told(Event.ATTEMPT_CHECKED) if told["accepted"]}
+    stored = scene.told(Event.CAPTURE_STORED)
+    return {one["pose"]: one["commanded_deg"] for one in stored if one["pose"] in accepted}
+
+
+def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path):
+    scene = until_scene(tmp_path, NEVER)
+    assert scene.run().how == "finished"
+    told = decisions(scene)
+    assert [one["recorded"] for one in told] == [3, 4, 5]
+    assert all("chosen" in one for one in told[:-1])
+    assert told[-1]["ended"] == "at_most"
+    assert "U(fx) is" in told[-1]["why"]
+    assert len(angles(scene)) == 5
+    states = scene.states()
+    assert states.count("choosing") == 3
+    assert states[-5:] == ["lighting", "parking", "solving", "reporting", "finished"]
+    assert not scene.light_is_on()
+
+
+def test_the_pose_is_journaled_before_the_stage_moves_there(tmp_path):
+    scene = until_scene(tmp_path, NEVER)
+    scene.run()
+    lines = scene.events()
+    for place, (event, data) in enumerate(lines):
+        if event == Event.UNTIL_DECIDED and "chosen" in data:
+            rest = lines[place:]
+            slew = next(d for e, d in rest if e == Event.ENTERING and d["state"] == "slewing")
+            assert slew["target_deg"] == data["chosen"]["angles_deg"]
+            assert slew["pose"] == data["chosen"]["pose"]
+
+
+def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
+    scene = until_scene(tmp_path, f"{{expanded_fx_px: 500, worst_corner_px: 500, start: {THREE}}}")
+    assert scene.run().how == "finished"
+    (told,) = decisions(scene)
+    assert told["ended"] == "met"
+    assert "chosen" not in told
+
+
+def test_the_same_seed_gives_the_same_poses(tmp_path):
+    first, second = until_scene(tmp_path / "one", NEVER), until_scene(tmp_path / "two", NEVER)
+    first.run()
+    second.run()
+    assert decisions(first) == decisions(second)
+
+
+def cut_and_go_on(folder, whole, cut):
+    """The run of a copy whose journal ends after so many lines."""
+    scene = until_scene(folder / f"cut-{cut}", NEVER)
+    shutil.copytree(whole.folder, scene.folder)
+    lines = (whole.folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    (scene.folder / "journal.jsonl").write_bytes(b"".join(lines[:cut]))
+    assert scene.run().how == "finished"
+    assert decisions(scene)[0] == decisions(whole)[0], cut
+    assert [one["step"] for one in decisions(scene)] == [one["step"] for one in decisions(whole)], cut
+    assert angles(scene) == angles(whole), cut  # a recording made again has other noise, but not another pose
+
+
+def lines_of_a_round(whole):
+    """Numbers of lines after which a round begins, its pose is decided and the stage is about to move, and the next."""
+    states = [
+        place
+        for place, (event, data) in enumerate(whole.events())
+        if event == Event.ENTERING and data["state"] == "choosing"
+    ]
+    return range(states[0] + 1, states[1] + 3)
+
+
+def test_cut_off_before_and_after_its_decision_it_goes_on_with_the_same_poses(tmp_path):
+    whole = until_scene(tmp_path / "whole", NEVER)
+    whole.run()
+    begin = lines_of_a_round(whole)[0]
+    for cut in (begin, begin + 1, begin + 4):  # no decision yet; decided; the stage moves
+        cut_and_go_on(tmp_path, whole, cut)
+
+
+@pytest.mark.slow
+def test_cut_off_after_any_line_of_a_round_it_goes_on_with_the_same_poses(tmp_path):
+    whole = until_scene(tmp_path / "whole", NEVER)
+    whole.run()
+    for cut in lines_of_a_round(whole):
+        cut_and_go_on(tmp_path, whole, cut)
+
+
+def test_a_pose_that_fails_is_left_behind_and_not_chosen_again(tmp_path):
+    scene = until_scene(tmp_path, NEVER)
+    scene.hook = raising(scene, 4, RecordingFailed("Cable out.", where="camera", remedy="Record again."))
+    assert scene.run().how == "finished"
+    chosen = [one["chosen"]["angles_deg"] for one in decisions(scene) if "chosen" in one]
+    assert len(chosen) == 3
+    assert all(chosen[0] != other for other in chosen[1:])
+    assert sorted(angles(scene)) == [1, 2, 3, 5, 6]
+    assert "skipped" in scene.told(Event.DEVIATION)[0]["what"]
+
+
+def test_a_failed_pose_ends_the_run_if_the_sequence_says_so_and_a_resumed_run_tries_it_again(tmp_path):
+    scene = until_scene(tmp_path, NEVER.replace("at_most", "record: {on_failure: fail}, at_most"))
+    scene.hook = raising(scene, 4, RecordingFailed("Cable out.", where="camera", remedy="Record again."))
+    assert scene.run().how == "failed"
+    first = decisions(scene)
+    assert scene.run().how == "finished"
+    assert decisions(scene)[: len(first)] == first
+    assert sorted(angles(scene)) == [1, 2, 3, 4, 5]
+
+
+def test_the_minutes_end_it_and_only_worked_time_counts(tmp_path):
+    scene = until_scene(tmp_path, NEVER.replace("at_most: 5", "minutes: 0.05, at_most: 9"))
+    assert scene.run().how == "finished"
+    last = scene.told(Event.UNTIL_DECIDED)[-1]
+    assert last["ended"] == "minutes"
+    assert last["recorded"] < 9
+    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    assert last["worked_s"] >= 3
+    assert sum(history.worked_s.values()) > last["worked_s"]
+
+
+def test_time_between_two_processes_does_not_count(tmp_path):
+    scene = until_scene(tmp_path, NEVER)
+    scene.hook = lambda name: (
+        exec("raise KeyboardInterrupt") if scene.calls.count("camera.record") == 4 else None
+    )
+    with pytest.raises(KeyboardInterrupt):
+        scene.run()
+    scene.hook = lambda _name: None
+    scene.clock.sleep(3600)
+    assert scene.run().how == "finished"
+    assert scene.told(Event.UNTIL_DECIDED)[-1]["worked_s"] < 60
+
+
+def test_intentions_and_status_name_the_goal(tmp_path):
+    scene = until_scene(tmp_path, NEVER)
+    scene.hook = raising(scene, 5, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        scene.run()
+    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    texts = intentions(scene.task, history, None)
+    assert any("Choose poses until U(fx) is at most 0.001 px: at most 1 further" in text for text in texts)
+    assert any(text == "Record pose 5 (chosen 2)." for text in texts)
+    status = read_status(scene.folder)
+    assert (status.poses, status.most_poses, status.accepted) == (5, 5, 4)
+    assert "U(fx)" in status_text(status)
+    assert "wanted 0.001" in status_text(status)
