@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from calib.studies.gimbal_model import GimbalModel
 from calib.studies.gimbal_scatter import INCONSISTENT, Explanation, SeenRotations
 from calib.studies.hand_eye_fit import GimbalFit, seen_minus_read
 
@@ -134,18 +133,18 @@ def _alternatives(
         for axis, first in sorted(slips, key=lambda each: -promise([each], []))[:_TRIED]:
             extended = replace(model, slips=(*model.slips, (axis, first)))
             values = np.insert(fit.values, len(model.free) + len(model.slips), 0.0)
-            yield "slip", (axis, first), _subset(seen, extended, kept, fit, values), number
+            yield "slip", (axis, first), seen.explain(extended, kept, fit, values), number
         if not model.squareness and {0, 1} <= set(axes):
             extended = replace(model, squareness=True)
             values = np.insert(fit.values, len(model.free) + len(model.slips), 0.0)
-            yield "squareness", (0, 0), _subset(seen, extended, kept, fit, values), number
+            yield "squareness", (0, 0), seen.explain(extended, kept, fit, values), number
     if fit.degrees_of_freedom() >= 6:
         for pose in sorted(poses, key=lambda i: -promise([], [i]))[:_TRIED]:
             others = np.delete(np.arange(count), pose)
             yield (
                 "pose",
                 (0, pose),
-                _subset(seen, model.subset(others), kept[others], fit, fit.values),
+                seen.explain(model.subset(others), kept[others], fit, fit.values),
                 number,
             )
 
@@ -163,7 +162,7 @@ def _hiding_pose(
         others = np.delete(np.arange(count), pose)
         extended = replace(fit.model, slips=(*fit.model.slips, slip)).subset(others)
         values = np.insert(fit.values, len(fit.model.free) + len(fit.model.slips), 0.0)
-        both = _subset(seen, extended, kept[others], fit, values)
+        both = seen.explain(extended, kept[others], fit, values)
         probability = _test(seen, current, both, len(pairs))
         if probability < _FALSE_ALARMS and (best is None or both.criterion < best[0].criterion):
             best = both, pose, probability
@@ -171,7 +170,7 @@ def _hiding_pose(
         return None
     both, pose, probability = best
     others = np.delete(np.arange(count), pose)
-    alone = _subset(seen, fit.model.subset(others), kept[others], fit, fit.values)
+    alone = seen.explain(fit.model.subset(others), kept[others], fit, fit.values)
     return _described(seen, current, both, "pose", (0, pose), probability), alone
 
 
@@ -201,16 +200,6 @@ class _Promise:
         new = new - self._base @ (self._base.T @ new)
         solved = np.linalg.lstsq(new, self._residual, rcond=1e-9)[0]
         return float(solved @ (new.T @ self._residual)) / new.shape[1]
-
-
-def _subset(
-    seen: SeenRotations, model: GimbalModel, kept: NDArray[np.int64], near: GimbalFit, values: Array
-) -> Explanation:
-    """Explain the kept poses with a model that already holds only these poses."""
-    part = SeenRotations(seen.rotations[kept], seen.metric(kept).covariance)
-    found = part.explain(model, np.arange(len(kept)), near, values)
-    criterion = seen.information_criterion(found.fit, kept, found.metric.excess)
-    return Explanation(kept, found.fit, found.metric, criterion)
 
 
 def _turning(fit: GimbalFit, axis: int) -> Array:
@@ -271,7 +260,7 @@ def _bends_excluded(seen: SeenRotations, null: Explanation, other: Explanation) 
     for each in (null, other):
         model = replace(each.fit.model, smooth=True)
         values = np.concatenate([each.fit.values, np.zeros(model.bends.shape[2])])
-        with_bends.append(_subset(seen, model, each.kept, each.fit, values))
+        with_bends.append(seen.explain(model, each.kept, each.fit, values))
     if with_bends[1].fit.degrees_of_freedom() < 4:
         return None
     return _test(seen, with_bends[0], with_bends[1], 1) < INCONSISTENT

@@ -171,7 +171,9 @@ def _regression(
     lengths = np.linalg.norm(slopes, axis=0)
     if not (lengths > 0).all():
         return {}, {}
-    separated = 1.0 / np.sqrt(np.diag(np.linalg.pinv((slopes / lengths).T @ (slopes / lengths))))
+    # Sine of the angle between the slopes of an axis and those of the others (variance inflation; Belsley, 1980).
+    products = (slopes / lengths).T @ (slopes / lengths) + 1e-12 * np.eye(count)
+    separated = 1.0 / np.sqrt(np.diag(np.linalg.inv(products)))
     inverse = np.linalg.pinv(slopes * np.sqrt(weights)[:, None]) * np.sqrt(weights)
     rows = inverse @ answer
     clear = [k for k in range(count) if separated[k] > _SEPARATED]

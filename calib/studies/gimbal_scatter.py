@@ -7,14 +7,14 @@ scatter, and the scales would be absurd, far below 1. This is known as Peelle's 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
 from calib.studies.gimbal_model import GimbalModel
-from calib.studies.hand_eye_fit import GimbalFit, Metric, global_fit, refine
+from calib.studies.hand_eye_fit import GimbalFit, Metric, global_fit, mirrored_forward, refine
 
 Array = NDArray[np.float64]
 
@@ -64,6 +64,7 @@ class SeenRotations:
 
     rotations: Array
     covariance: Array
+    _metrics: dict[tuple[int, ...], Metric] = field(default_factory=dict, init=False, repr=False)
 
     def metric(self, kept: NDArray[np.int64]) -> Metric:
         """Return the stated metric of a part of the poses.
@@ -78,8 +79,11 @@ class SeenRotations:
         Metric
             Without additional variance.
         """
-        rows = (3 * kept[:, None] + np.arange(3)).ravel()
-        return Metric.of(self.covariance[np.ix_(rows, rows)])
+        key = tuple(kept.tolist())
+        if key not in self._metrics:
+            rows = (3 * kept[:, None] + np.arange(3)).ravel()
+            self._metrics[key] = Metric.of(self.covariance[np.ix_(rows, rows)])
+        return self._metrics[key]
 
     def explain(
         self, model: GimbalModel, kept: NDArray[np.int64], near: GimbalFit, values: Array
@@ -92,7 +96,7 @@ class SeenRotations:
         Parameters
         ----------
         model
-            Model of all poses.
+            Model of the poses used.
         kept
             (k,) int64 increasing indices of the poses used.
         near
@@ -105,20 +109,22 @@ class SeenRotations:
         Explanation
             The fit with the additional variance.
         """
-        part, seen, stated = model.subset(kept), self.rotations[kept], self.metric(kept)
+        seen, stated = self.rotations[kept], self.metric(kept)
         start = replace(stated, excess=1.0)
-        fit = refine(seen, part, start, near.camera_from_head, near.base_from_target, values)
+        fit = refine(seen, model, start, near.camera_from_head, near.base_from_target, values)
+        fit = mirrored_forward(seen, fit, start)
         freedom = fit.degrees_of_freedom()
         scatter = float(fit.off @ fit.off) / max(freedom, 1)
 
         def excessive(log_excess: float) -> float:
             nonlocal fit
             metric = replace(stated, excess=float(np.exp(log_excess)))
-            fit = refine(seen, part, metric, fit.camera_from_head, fit.base_from_target, fit.values)
+            fit = refine(seen, model, metric, fit.camera_from_head, fit.base_from_target, fit.values)
             return float(np.log(max(fit.chi_square, 1e-9) / max(freedom, 1)))
 
         wide = fit
-        without = refine(seen, part, stated, wide.camera_from_head, wide.base_from_target, wide.values)
+        without = refine(seen, model, stated, wide.camera_from_head, wide.base_from_target, wide.values)
+        without = mirrored_forward(seen, without, stated)
         if freedom <= 0 or without.chi_square <= special.chdtri(freedom, INCONSISTENT):
             return Explanation(kept, without, stated, self.information_criterion(without, kept, 0.0))
         high = low = float(np.log(max(scatter, _SMALLEST_EXCESS_RAD**2)))
@@ -174,7 +180,7 @@ class SeenRotations:
         float
             The criterion; smaller is better.
         """
-        variances = np.maximum(np.linalg.eigvalsh(self.covariance), 0.0) + excess
+        variances = self.metric(np.arange(len(self.rotations))).eigenvalues + excess
         count = 3 * len(self.rotations)
         parameters = len(fit.off) - fit.degrees_of_freedom() + count - 3 * len(kept)
         known = variances[variances > 1e-12 * variances.max()]

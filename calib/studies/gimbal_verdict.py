@@ -295,6 +295,17 @@ def _significant(found: Findings, size: float, sigma: float) -> bool:
     return size > factor * sigma
 
 
+def _common_to_pairs(found: Findings) -> float:
+    """Return how far the ratio of the pairs is from 1, if all pairs show it; else 0.
+
+    With large angles the fit can attribute a common ratio to the focal length, because it knows the covariance.
+    """
+    if found.pairs is None or found.pairs.count < len(found.scale) + 1:
+        return 0.0
+    off = abs(found.pairs.ratio - 1)
+    return off if off > 3 * found.pairs.spread else 0.0
+
+
 def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
     """Return what the scales show, or what the pairs show if no scale is known."""
     if found.contradicted and not found.ambiguous:
@@ -315,7 +326,10 @@ def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
         for axis, value in zip(axes, values, strict=True)
     )
     seen = f"Angle seen over angle read: {by_axis} (k = 2). {_of_pairs(found)}"
-    shown = found.views_disagree or _significant(found, off, 1 / float(np.sqrt((own**-2).sum())))
+    if (seen_off := _common_to_pairs(found)) > off and seen_off <= focal and not differ:
+        off, common = seen_off, found.pairs.ratio if found.pairs else common
+    own_sigma = 1 / float(np.sqrt((own**-2).sum()))
+    shown = found.views_disagree or seen_off > 0 or _significant(found, off, own_sigma)
     if not differ and (not shown or (off <= focal and off < _SMALL)):
         return "agrees", seen
     if off <= focal and (not differ or found.views_disagree):

@@ -23,7 +23,7 @@ from calib.studies.gimbal_model import GimbalModel
 from calib.studies.gimbal_pairs import PairRatios, pair_ratios
 from calib.studies.gimbal_scatter import INCONSISTENT, Explanation, SeenRotations, first_explanation
 from calib.studies.gimbal_verdict import Findings, Verdict, judge
-from calib.studies.hand_eye_fit import GimbalFit, global_fit
+from calib.studies.hand_eye_fit import GimbalFit, global_fit, scales_near
 from calib.uncertainty.projection_uncertainty import ARCSEC
 
 Array = NDArray[np.float64]
@@ -34,6 +34,8 @@ _MOVED_DEG = 0.5
 _CONTRADICTED = 5.0
 #: Another minimum is a rival if its chi-square is larger by less than this (3 sigma).
 _RIVAL = 9.0
+#: A scale with a larger 1-sigma is not determined.
+_UNDETERMINED = 0.25
 #: Mirrored readings are better if the criterion is smaller by this (Raftery, 1995: very strong).
 _MIRRORED = 10.0
 #: Minima differ if their scales or mountings differ by this many sigmas.
@@ -167,7 +169,8 @@ def check_hand_eye(
     mirrored = False
     if 2 in free and len(free) > 1:
         other = first_explanation(seen, replace(model, angles=angles * (1.0, 1.0, -1.0)), values, seed)
-        mirrored = other.criterion < first.criterion - _MIRRORED
+        better = other.criterion < first.criterion - _MIRRORED or not scales_near(first.fit, values)
+        mirrored = better and scales_near(other.fit, values)
         first = other if mirrored else first
     last, faults = search_faults(seen, first, given)
     pairs = _pairs_of(seen, last) or raw
@@ -213,7 +216,8 @@ def _findings(
     spread = estimator @ metric.covariance @ estimator.T
     sigma = np.sqrt(np.maximum(np.diag(spread), 0.0))
     freedom = fit.degrees_of_freedom()
-    scatter = fit.off @ fit.off / max(freedom, 1)
+    # Shared errors have few, large eigenvalues; the median is the variance that is a rotation's own.
+    scatter = max(fit.off @ fit.off / max(freedom, 1), float(np.median(metric.eigenvalues)) + metric.excess)
     own = np.sqrt(scatter * np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian))[6 : 6 + len(free)])
     values = fit.values[: len(free)]
     difference = 0.0
@@ -239,7 +243,12 @@ def _findings(
         difference,
         pairs,
         contradicted,
-        bool(free) and _ambiguous(seen, last, sigma, seed),
+        bool(free)
+        and (
+            fit.undetermined_scales()
+            or bool(sigma.max() > _UNDETERMINED)
+            or _ambiguous(seen, last, sigma, seed)
+        ),
         _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),
         faults,
         float(np.rad2deg(last.excess_rad)),
@@ -271,8 +280,7 @@ def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array, seed: int) 
     whole = fit.degrees_of_freedom() == len(fit.off) - fit.jacobian.shape[1]
 
     def differs(other: GimbalFit) -> bool:
-        ratio = other.values[:count] / fit.values[:count]
-        if ((ratio < 0.5) | (ratio > 2.0)).any() or other.chi_square > fit.chi_square + _RIVAL:
+        if not scales_near(other, fit.values) or other.chi_square > fit.chi_square + _RIVAL:
             return False
         if (np.abs(other.values[:count] - fit.values[:count]) > _DIFFERENT * sigma + 1e-6).any():
             return True

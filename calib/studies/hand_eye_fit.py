@@ -27,6 +27,12 @@ _DETERMINED = 1e-7
 _STEPS = 60
 _ALTERNATIONS = 12
 _RANDOM_STARTS = 6
+#: Diagonals of half turns about x, y and z, and the signs that they give to pan, tilt and roll.
+_MIRRORS = [
+    (np.array([1.0, -1.0, -1.0]), (-1, 1, -1)),
+    (np.array([-1.0, 1.0, -1.0]), (1, -1, -1)),
+    (np.array([-1.0, -1.0, 1.0]), (-1, -1, 1)),
+]
 #: Starts whose elements differ by less than this lead to the same minimum.
 _SAME = 1e-3
 #: Relative rotations above this angle have no reliable axis direction, degrees.
@@ -118,6 +124,19 @@ class GimbalFit:
             Degrees of freedom of the chi-square.
         """
         return len(self.off) - int(np.linalg.matrix_rank(_unit_columns(self.jacobian)[0], tol=_DETERMINED))
+
+    def undetermined_scales(self) -> bool:
+        """Return whether a direction that the rotations do not determine changes a scale.
+
+        Returns
+        -------
+        bool
+            True if different scales give the same rotations.
+        """
+        columns, _ = _unit_columns(self.jacobian)
+        _, singular, vt = np.linalg.svd(columns)
+        null = vt[np.append(singular, np.zeros(len(vt) - len(singular))) <= _DETERMINED * singular[0]]
+        return bool((np.abs(null[:, 6 : 6 + len(self.model.free)]) > _SAME).any())
 
     def estimator(self, metric: Metric) -> Array:
         """Return the linear estimator of the parameters: generalised least squares (Aitken, 1936).
@@ -295,13 +314,66 @@ def global_fit(
     found = [
         refine(rotations, model, metric, a, b, values) for a, b in starts(rotations, model, values, seed)
     ]
-    count = len(model.free)
+    return sorted(found, key=lambda fit: (not scales_near(fit, values), fit.chi_square))
 
-    def order(fit: GimbalFit) -> tuple[bool, float]:
-        ratio = fit.values[:count] / values[:count]
-        return bool(((ratio < 0.5) | (ratio > 2.0)).any()), fit.chi_square
 
-    return sorted(found, key=order)
+def mirrored_forward(rotations: Array, fit: GimbalFit, metric: Metric) -> GimbalFit:
+    """Return the mirror image of a fit whose scales are positive, if the fit has negative scales.
+
+    Half a turn of A and B about x reverses pan and roll, about y tilt and roll, about z pan and tilt. The rotations of
+    the camera stay the same.
+
+    Parameters
+    ----------
+    rotations
+        (n, 3, 3) rotations seen, camera <- target.
+    fit
+        A fit.
+    metric
+        Covariance of the rotations.
+
+    Returns
+    -------
+    GimbalFit
+        The fit itself if no mirror image has positive scales only.
+    """
+    model, count = fit.model, len(fit.model.free)
+    negative = fit.values[:count] < 0
+    if not negative.any():
+        return fit
+    for turn, signs in _MIRRORS:
+        if not (np.array([signs[axis] < 0 for axis in model.free]) == negative).all():
+            continue
+        values = fit.values.copy()
+        values[:count] *= [signs[axis] for axis in model.free]
+        for k, (axis, _) in enumerate(model.slips):
+            values[count + k] *= signs[axis]
+        if model.squareness:
+            values[count + len(model.slips)] *= signs[2]
+        return refine(
+            rotations, model, metric, fit.camera_from_head * turn, (fit.base_from_target.T * turn).T, values
+        )
+    return fit
+
+
+def scales_near(fit: GimbalFit, values: Array) -> bool:
+    """Return whether all scales lie between half and twice their start.
+
+    Parameters
+    ----------
+    fit
+        A fit.
+    values
+        (p,) start of the errors; the scales come first.
+
+    Returns
+    -------
+    bool
+        False for a scale that is negative or absurd.
+    """
+    count = len(fit.model.free)
+    ratio = fit.values[:count] / values[:count]
+    return bool(((ratio > 0.5) & (ratio < 2.0)).all())
 
 
 def _alternate(rotations: Array, heads: Array, camera_from_head: Array) -> tuple[Array, Array]:

@@ -1,0 +1,214 @@
+"""Verdict of the hand-eye check: faults are named with axis, pose and size; a good gimbal is not blamed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn_gimbal import AXES, DrawnGimbal, draw_gimbal
+
+from calib.model.rotation import euler_zxy, exp_map
+from calib.studies import gimbal_faults
+from calib.studies.gimbal_verdict import Findings, angle, angle_and_uncertainty, judge
+from calib.studies.hand_eye import HandEyeCheck, check_hand_eye
+
+NINE = {"poses": 9, "raster": True, "range_deg": 6.0, "noise_arcsec": 2.0}
+BIASED = {"bias_deg": 0.08, "focal_error": 0.029, "focal_sigma": 0.016}
+
+
+def judged(bench: DrawnGimbal, *, birge_ratio: float = 1.0, **options) -> HandEyeCheck:
+    return check_hand_eye(
+        bench.rotations,
+        bench.covariance,
+        bench.readings,
+        focal_uncertainty=3 * bench.focal_sigma,
+        birge_ratio=birge_ratio,
+        **options,
+    )
+
+
+def text_of(found: HandEyeCheck) -> str:
+    return " ".join(found.verdict.says)
+
+
+@pytest.mark.parametrize(
+    ("seed", "slip", "others"),
+    [
+        (1, (0, 4, 0.05), {}),
+        (2, (1, 6, 0.3), {}),
+        (3, (0, 4, -12.0), {}),
+        (4, (1, 4, 0.05), {"wrong": (7, 0.3)}),
+        (5, (0, 4, 0.3), {"wrong": (1, 0.5)}),
+        (6, (2, 5, 0.2), {"roll_range_deg": 90.0}),
+        (7, (0, 2, 0.2), {"poses": 5}),
+    ],
+)
+def test_a_slip_is_named_with_axis_pose_and_size(seed, slip, others):
+    found = judged(draw_gimbal(seed, **(NINE | others), slip=slip))
+    assert found.verdict.kind == "slip"
+    (fault,) = [each for each in found.claimed_faults if each.kind == "slip"]
+    assert (fault.axis, fault.pose) == slip[:2]
+    assert fault.size_deg == pytest.approx(-slip[2], abs=5 * fault.sigma_deg)
+    assert fault.probability < 1e-4
+    bad = [each.pose for each in found.claimed_faults if each.kind == "pose"]
+    assert bad == ([others["wrong"][0]] if "wrong" in others else [])
+    assert f"between pose {slip[1]} and pose {slip[1] + 1}" in text_of(found)
+    assert ("more" if slip[2] > 0 else "less") + " than the axis turned" in text_of(found)
+
+
+def test_a_slip_is_seen_through_the_errors_of_a_collimator():
+    found = judged(draw_gimbal(8, **NINE, bias_deg=0.05, slip=(0, 4, 0.5)), birge_ratio=7.0)
+    assert found.verdict.kind == "slip"
+    assert found.claimed_faults[0].bends_excluded
+    assert found.claimed_faults[0].size_deg == pytest.approx(-0.5, abs=4 * found.claimed_faults[0].sigma_deg)
+
+
+@pytest.mark.parametrize("birge_ratio", [1.0, 7.0])
+@pytest.mark.parametrize("poses", [3, 9])
+def test_biased_views_show_no_fault_of_the_gimbal(poses, birge_ratio):
+    for seed in range(20, 24):
+        found = judged(draw_gimbal(seed, **(NINE | {"poses": poses}), **BIASED), birge_ratio=birge_ratio)
+        assert not found.claimed_faults
+        assert found.verdict.kind in ("focal_length", "views_biased", "scatter"), seed
+        assert "slipped between" not in text_of(found)
+        assert all(0.9 < scale < 1.2 for scale in found.scale.values())
+
+
+def test_without_its_test_the_search_claims_faults_that_are_not_there(monkeypatch):
+    monkeypatch.setattr(gimbal_faults, "_FALSE_ALARMS", 2.0)
+    monkeypatch.setattr(gimbal_faults, "INCONSISTENT", 2.0)
+    found = [judged(draw_gimbal(seed, **NINE, **BIASED)) for seed in (20, 21)]
+    assert any(each.claimed_faults for each in found)
+
+
+def test_a_wrong_pose_is_named():
+    found = judged(draw_gimbal(9, **NINE, wrong=(3, 0.2)), names=["a", "b", "c", "left", "e"])
+    assert found.verdict.kind == "wrong_pose"
+    assert [fault.pose for fault in found.claimed_faults] == [3]
+    assert found.claimed_faults[0].size_deg == pytest.approx(0.2, abs=0.01)
+    assert "Pose 4 (left) does not fit" in text_of(found)
+
+
+def test_axes_that_are_not_at_right_angles_are_measured():
+    found = judged(draw_gimbal(10, **NINE, square_deg=0.1))
+    assert found.verdict.kind == "not_square"
+    assert found.claimed_faults[0].size_deg == pytest.approx(0.1, abs=4 * found.claimed_faults[0].sigma_deg)
+
+
+def test_a_common_ratio_within_the_uncertainty_of_the_focal_length_is_not_the_gimbals():
+    bench = draw_gimbal(11, **NINE, focal_error=0.029, focal_sigma=0.016)
+    found = judged(bench)
+    assert found.verdict.kind == "focal_length"
+    assert found.pairs.ratio == pytest.approx(1.029, abs=1e-3)
+    assert "too short" in text_of(found)
+    assert "nothing points to the gimbal" in text_of(found)
+    assert "too long" in text_of(judged(draw_gimbal(11, **NINE, focal_error=-0.029, focal_sigma=0.016)))
+    # The same ratio far outside the uncertainty of the focal length is the gimbal's.
+    known = check_hand_eye(
+        bench.rotations, np.eye(27) * np.deg2rad(2 / 3600) ** 2, bench.readings, focal_uncertainty=4e-4
+    )
+    assert known.verdict.kind == "gimbal_scale"
+    assert "the scale of the gimbal is in question" in " ".join(known.verdict.says)
+
+
+def test_a_small_ratio_can_be_parallax_too():
+    bench = draw_gimbal(12, **NINE, focal_error=0.008, focal_sigma=1e-4)
+    found = check_hand_eye(
+        bench.rotations, np.eye(27) * np.deg2rad(2 / 3600) ** 2, bench.readings, focal_uncertainty=4e-4
+    )
+    assert found.verdict.kind == "scale_or_parallax"
+    assert "up to about 1 % they cannot be told apart" in " ".join(found.verdict.says)
+
+
+def test_axes_with_different_ratios_show_the_scale_of_the_gimbal():
+    bench = draw_gimbal(13, **NINE)
+    readings = [reading | {"pan_deg": reading["pan_deg"] / 1.05} for reading in bench.readings]
+    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
+    assert found.verdict.kind == "gimbal_scale"
+    assert found.scale["pan_deg"] == pytest.approx(1.05, abs=0.002)
+    assert found.pairs.by_axis[0] == pytest.approx(1.05, abs=0.002)
+    assert found.pairs.by_axis[1] == pytest.approx(1.0, abs=0.002)
+    assert "not the same along all axes" in " ".join(found.verdict.says)
+
+
+@pytest.mark.parametrize(
+    ("signs", "axes"),
+    [
+        ((-1, 1, 0), "pan or of tilt"),
+        ((1, -1, 0), "pan or of tilt"),
+        ((1, 1, -1), "roll"),
+        ((-1, 1, 1), "pan or of tilt"),
+        ((-1, 1, -1), "roll and of one other axis"),
+        ((1, 1, 1), ""),
+        ((-1, -1, 0), ""),  # a camera mounted upside down
+    ],
+)
+def test_a_wrong_sign_is_named(signs, axes):
+    rng = np.random.default_rng(3)
+    true = rng.uniform(-1, 1, (10, 3)) * (6, 4, 60 * abs(signs[2]))
+    mounted, standing = exp_map(np.array([0.02, -0.03, 0.4])), euler_zxy(3, -4, 12)
+    turns = np.array([mounted @ euler_zxy(*row) @ standing for row in true])
+    sigma = np.deg2rad(2 / 3600)
+    rotations = exp_map(sigma * rng.standard_normal((10, 3))) @ turns
+    readings = [dict(zip(AXES[: 2 + abs(signs[2])], row, strict=False)) for row in true * signs]
+    found = check_hand_eye(rotations, np.eye(30) * sigma**2, readings, focal_uncertainty=4e-4)
+    assert found.verdict.kind == ("wrong_sign" if axes else "agrees")
+    assert not axes or text_of(found).startswith(f"The sign of {axes} is reversed")
+
+
+def test_mountings_that_cannot_be_told_apart_give_no_scale():
+    rng = np.random.default_rng(4)
+    true = np.array([(0.0, 0.0), (5.0, 5.0), (0.0, 0.0), (5.0, 5.0)])
+    sigma = np.deg2rad(2 / 3600)
+    rotations = exp_map(sigma * rng.standard_normal((4, 3))) @ np.array([euler_zxy(*row) for row in true])
+    readings = [dict(zip(AXES, row, strict=False)) for row in true]
+    found = check_hand_eye(rotations, np.eye(12) * sigma**2, readings)
+    assert found.verdict.kind == "ambiguous"
+    assert found.scale == {}
+    assert found.pairs.ratio == pytest.approx(1.0, abs=1e-3)
+    assert found.pairs.by_axis == {}
+
+
+def test_three_poses_that_disagree_are_too_few_to_name_the_cause():
+    bench = draw_gimbal(14, **(NINE | {"poses": 3}))
+    readings = [dict(reading) for reading in bench.readings]
+    readings[1]["pan_deg"] += 0.1
+    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
+    assert not found.consistent
+    assert found.verdict.kind == "scatter"
+    assert "too few to tell which" in " ".join(found.verdict.says)
+
+
+CLEAN = Findings(
+    names=(),
+    scale={0: 0.2066, 1: 0.2},
+    scale_sigma={0: 0.004, 1: 0.004},
+    own_sigma={0: 0.001, 1: 0.001},
+    difference_sigma=0.001,
+    pairs=None,
+    contradicted=False,
+    ambiguous=False,
+    reversed_axes="",
+    faults=(),
+    excess_deg=0.0,
+    degrees_of_freedom=19,
+    focal_uncertainty=0.05,
+    birge_ratio=1.0,
+)
+
+
+def test_a_scale_that_the_pairs_contradict_is_not_claimed():
+    assert judge(CLEAN).kind == "gimbal_scale"
+    pairs = judged(draw_gimbal(15, **NINE)).pairs
+    told = judge(replace(CLEAN, pairs=pairs, contradicted=True))
+    assert told.kind == "contradictory"
+    assert not replace(CLEAN, contradicted=True).scale_known
+    assert "0.2066" not in " ".join(told.says)
+    assert "36 pairs of poses" in " ".join(told.says)
+
+
+def test_angles_are_degrees_from_a_tenth_on_and_arc_seconds_below():
+    assert angle(0.1) == "0.10 degrees"
+    assert angle(-12.34) == "12. degrees" or angle(-12.34) == "12 degrees"
+    assert angle(0.05) == "180 arc seconds"
+    assert angle_and_uncertainty(-0.30001, 0.005) == "0.300 ± 0.010 degrees (k = 2)"
+    assert angle_and_uncertainty(0.01, 0.0002) == "36.0 ± 1.4 arc seconds (k = 2)"
