@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
+from calib.model.budget_row import BudgetRow
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.collimator import Collimator
 from calib.model.gimbal_estimate import GimbalEstimate
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
+from calib.model.type_b_terms import TypeBTerm
 
 Array = NDArray[np.float64]
 ModelName = Literal["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
@@ -35,7 +37,8 @@ class CalibrationOptions:
         comparison).
         ``auto``: the data choose (`calib.selection`).
     distortion
-        Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`.
+        Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`. ``auto``:
+        the data choose (`calib.lens_choice`).
     loss
         ``l2``, ``huber`` or ``cauchy``; it acts on the length of each residual vector.
     huber_px
@@ -56,6 +59,15 @@ class CalibrationOptions:
     radial_sigma
         Prior 1-sigma of the radial term of the target's map, if the bench states it (bow of the reticle and distortion
         of the collimator); None for what is typical of real collimators.
+    budget
+        Type B terms of the uncertainty budget.
+    passport_source
+        Where the passport comes from, for its row of the budget.
+
+    Attributes
+    ----------
+    compares_lenses
+        Whether the data choose the distortion: `distortion` is then that of the first comparison, k1 and k2.
 
     Raises
     ------
@@ -73,8 +85,14 @@ class CalibrationOptions:
     drift_mm: float = 0.3
     gimbal: GimbalReadings | None = None
     radial_sigma: float | None = None
+    budget: tuple[TypeBTerm, ...] = ()
+    passport_source: str = ""
+    compares_lenses: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
+        if self.distortion in ("auto", ("auto",), ["auto"]):
+            object.__setattr__(self, "distortion", "k1k2")
+            object.__setattr__(self, "compares_lenses", True)
         for what, value, known in (
             ("model", self.model, get_args(ModelName)),
             ("loss", self.loss, get_args(LossName)),
@@ -195,6 +213,10 @@ class Calibration:
         What was found out about the gimbal; None if its readings took no part.
     poses
         The pose of each view, as an index; views of one pose count as one in all uncertainties.
+    budget_rows
+        The uncertainty budget: a row for each source.
+    not_included
+        What nobody stated, with what it could do, in words.
     """
 
     model: str
@@ -223,6 +245,8 @@ class Calibration:
     candidates: tuple[Candidate, ...] = field(default=())
     gimbal: GimbalEstimate | None = None
     poses: tuple[int, ...] = ()
+    budget_rows: tuple[BudgetRow, ...] = ()
+    not_included: tuple[str, ...] = ()
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -315,4 +339,6 @@ class Calibration:
             "candidates": [asdict(candidate) for candidate in self.candidates],
             "notes": list(self.notes),
             **({"gimbal": self.gimbal.to_dict()} if self.gimbal else {}),
+            "budget_rows": [row.to_dict() for row in self.budget_rows],
+            "not_included": list(self.not_included),
         }

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
-from calib.calibration import Calibration, CalibrationOptions, Candidate, ModelName, ViewSummary
+from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
+from calib.diagnosis.checks import check_views
+from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
-from calib.fit import fit_model
-from calib.model.aberrations import model_with_terms
-from calib.model.passport import Passport
-from calib.selection import choose
+from calib.fit import fit_model, model_to_fit
+from calib.lens_choice import choose_lens
+from calib.model.type_b_terms import corrected_passport, corrected_views
+from calib.selection import Choice, choose
 from calib.summary import summarize
 from calib.view import View
 
@@ -49,22 +52,33 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     """
     options = options or CalibrationOptions()
     _check(views, 1 if options.passport else 2)
+    options, views = _corrected(options, views)
+    wrong = find_gross_stars(views)
+    known_r = options.passport.values_by_name["r"] if options.passport else None
+    doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
+    choice = _choice(views, options, wrong)
+    result = summarize(choice.fit, options)
+    named = (one.sentence for one in wrong if one.sentence)
+    notes = (*named, *doubts, *result.notes, *choice.notes)
+    return replace(result, candidates=choice.candidates, notes=notes)
+
+
+def _corrected(
+    options: CalibrationOptions, views: Sequence[View]
+) -> tuple[CalibrationOptions, Sequence[View]]:
+    """Apply the corrections that the budget states as known: to the target's scale and to a certificate's radius."""
     if options.passport:
-        return summarize(fit_model(views, options, _model_with_passport(options.model, options.passport)))
-    if options.model == "auto":
-        return choose(views, options)
-    return summarize(fit_model(views, options, options.model))
+        options = replace(options, passport=corrected_passport(options.passport, options.budget))
+    return options, corrected_views(views, options.budget)
 
 
-def _model_with_passport(model: ModelName, passport: Passport) -> str:
-    """Return the model to fit if the collimator has a passport.
-
-    A certificate states the radius on the axis; the radial term is what it does not state. A passport from views holds
-    the terms of its own model.
-    """
-    if passport.is_certificate:
-        return "radial" if model == "auto" else model
-    return model_with_terms(passport.terms)
+def _choice(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]) -> Choice:
+    """Fit the model that is asked for, or let the data choose."""
+    if options.compares_lenses:
+        return choose_lens(views, options, wrong)
+    if options.model == "auto" and not options.passport:
+        return choose(views, options, wrong)
+    return Choice(fit_model(views, options, model_to_fit(options), wrong=wrong))
 
 
 def _check(views: Sequence[View], fewest: int) -> None:

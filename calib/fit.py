@@ -28,9 +28,10 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.poses import poses_of
 from calib.adjustment.readings import ReadingsTest, add_readings, check_readings, with_turns
 from calib.calibration import CalibrationOptions
+from calib.diagnosis.gross_stars import GrossStars, part_of
 from calib.errors import DegenerateViews, NotConverged
-from calib.model.aberrations import LADDER, needs_rim
-from calib.model.beam import Disc, inside_guard_band, visible_discs, without_guard_band
+from calib.model.aberrations import LADDER, model_with_terms, needs_rim
+from calib.model.beam import Disc, inside_guard_band, visible_discs
 from calib.model.camera import PINHOLE
 from calib.model.collimator import CENTRE
 from calib.model.homography import view_homography
@@ -71,10 +72,12 @@ class Fit:
         Name of the model.
     views
         The views, with all their stars.
+    kept
+        The views with the stars that were used.
     bundle, refined, loss
         Bundle that was adjusted, the end of the adjustment, and the loss with its final limit.
     whole
-        The bundle with the stars of the guard band too.
+        The bundle with the stars that were left out too: gross errors and those of the guard band.
     used
         (N,) bool, which stars of `whole` were used.
     uncertainty
@@ -90,6 +93,7 @@ class Fit:
 
     model: str
     views: Sequence[View]
+    kept: Sequence[View]
     bundle: Bundle
     refined: Refinement
     loss: Loss
@@ -113,6 +117,7 @@ def fit_model(
     *,
     leave_out: bool = False,
     discs: Sequence[Disc] | None = None,
+    wrong: Sequence[GrossStars] = (),
 ) -> Fit:
     """Fit one model to views.
 
@@ -128,6 +133,8 @@ def fit_model(
         Whether to leave out each view in turn even if the views are consistent.
     discs
         The visible discs of the views, if they are known already.
+    wrong
+        Stars with a gross error, for each view; they are left out. None if there are none.
 
     Returns
     -------
@@ -144,7 +151,8 @@ def fit_model(
     free = tuple(term for term in LADDER.get(model, ()) if term not in held)
     terms = (*held, *free)
     discs = _discs_with_rims(views, discs) if needs_rim(terms) or options.guard_band < 1 else ()
-    kept = _without_guard_bands(views, discs, options.guard_band)
+    used = _used_stars(views, discs, options.guard_band, wrong)
+    kept = _used_parts(views, used)
     bundle, start = initialize(kept, options, model)
     if terms:
         if not held:
@@ -158,14 +166,35 @@ def fit_model(
         bundle, refined, loss, test = _with_readings(kept, discs, bundle, refined, loss, options)
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
     if passport:
-        check_passport(bundle, refined.parameters, loss, passport)
+        check_passport(bundle, refined.parameters, loss, passport, options.budget)
     estimate, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
-    whole, used = bundle, np.ones(len(bundle.observations.view), np.bool_)
-    if options.guard_band < 1:
-        whole = _with_guard_bands(views, discs, bundle, refined.parameters)
-        used = _used_stars(views, discs, options.guard_band)
+    whole = bundle if used.all() else _with_all_stars(views, discs, bundle, refined.parameters)
     shown = discs if needs_rim(terms) else ()
-    return Fit(model, views, bundle, refined, loss, whole, used, estimate, left_out, shown, test)
+    return Fit(model, views, kept, bundle, refined, loss, whole, used, estimate, left_out, shown, test)
+
+
+def model_to_fit(options: CalibrationOptions) -> str:
+    """Return the model to fit if the data do not choose it.
+
+    A certificate states the radius on the axis; it does not state the radial terms, which are then free. A passport
+    from views holds the terms of its own model.
+
+    Parameters
+    ----------
+    options
+        Model and passport.
+
+    Returns
+    -------
+    str
+        A model of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``.
+    """
+    passport = options.passport
+    if passport is None:
+        return options.model
+    if passport.is_certificate:
+        return "radial" if options.model == "auto" else options.model
+    return model_with_terms(passport.terms)
 
 
 def _with_readings(
@@ -205,26 +234,35 @@ def _discs_with_rims(views: Sequence[View], discs: Sequence[Disc] | None) -> Seq
     return discs
 
 
-def _without_guard_bands(views: Sequence[View], discs: Sequence[Disc], share: float) -> Sequence[View]:
-    """Return the views without the stars of their guard bands."""
-    if not discs:
+def _used_parts(views: Sequence[View], used: NDArray[np.bool_]) -> Sequence[View]:
+    """Return the views with their used stars; a view whose stars are all used is the same object."""
+    if used.all():
         return views
-    return [without_guard_band(view, disc, share) for view, disc in zip(views, discs, strict=True)]
+    ends = np.cumsum([len(view) for view in views])
+    return [
+        view if own.all() else part_of(view, own)
+        for view, own in zip(views, np.split(used, ends[:-1]), strict=True)
+    ]
 
 
-def _with_guard_bands(
+def _with_all_stars(
     views: Sequence[View], discs: Sequence[Disc], bundle: Bundle, parameters: AdjustmentParameters
 ) -> Bundle:
-    """Return the bundle with the stars of the guard bands too."""
+    """Return the bundle with the stars that were left out too."""
     whole = replace(bundle, observations=Observations.from_views(views))
     return with_turns(views, discs, whole, parameters) if bundle.displacements is not None else whole
 
 
-def _used_stars(views: Sequence[View], discs: Sequence[Disc], share: float) -> NDArray[np.bool_]:
-    """Return which stars are not in a guard band, (N,) bool."""
-    return np.concatenate(
-        [inside_guard_band(view, disc, share) for view, disc in zip(views, discs, strict=True)]
-    )
+def _used_stars(
+    views: Sequence[View], discs: Sequence[Disc], share: float, wrong: Sequence[GrossStars]
+) -> NDArray[np.bool_]:
+    """Return which stars are neither in a guard band nor a gross error, (N,) bool."""
+    used = [np.ones(len(view), np.bool_) for view in views]
+    if share < 1.0:
+        used = [inside_guard_band(view, disc, share) for view, disc in zip(views, discs, strict=True)]
+    if not wrong:
+        return np.concatenate(used)
+    return np.concatenate([own & ~found.wrong for own, found in zip(used, wrong, strict=True)])
 
 
 def initialize(

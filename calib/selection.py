@@ -16,16 +16,16 @@ References
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from calib.calibration import Calibration, CalibrationOptions, Candidate
+from calib.calibration import CalibrationOptions, Candidate
+from calib.diagnosis.gross_stars import GrossStars
 from calib.errors import CalibrationError
 from calib.fit import Fit, fit_model
 from calib.model.aberrations import LADDER, needs_rim
 from calib.model.beam import visible_discs
-from calib.summary import summarize
 from calib.view import View
 
 #: All models, from the simplest.
@@ -40,7 +40,26 @@ _KEPT_RADIAL = (
 )
 
 
-def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
+@dataclass(frozen=True)
+class Choice:
+    """A model that the data chose.
+
+    Attributes
+    ----------
+    fit
+        The chosen fit.
+    candidates
+        All models that were compared.
+    notes
+        Which models could not be compared, and the reason for the choice.
+    """
+
+    fit: Fit
+    candidates: tuple[Candidate, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars] = ()) -> Choice:
     """Fit every model and return the best.
 
     With six or more views, that is the simplest model that predicts left-out views about as well as the best. With
@@ -52,11 +71,13 @@ def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
         Views of one camera.
     options
         Distortion, loss and guard band.
+    wrong
+        Stars with a gross error, for each view.
 
     Returns
     -------
-    Calibration
-        Result of the chosen model, with all candidates and the reason in its notes.
+    Choice
+        The chosen fit, with all candidates and the reason.
 
     Raises
     ------
@@ -68,21 +89,36 @@ def choose(views: Sequence[View], options: CalibrationOptions) -> Calibration:
     errors: dict[str, CalibrationError] = {}
     for model in MODELS:
         try:
-            fits.append(fit_model(views, options, model, leave_out=True, discs=discs))
+            fits.append(fit_model(views, options, model, leave_out=True, discs=discs, wrong=wrong))
         except CalibrationError as error:
             errors[model] = error
     if not fits:
         raise next(iter(errors.values()))
     candidates = tuple(as_candidate(one) for one in fits)
-    few = max(max(one.bundle.poses or (0,)) for one in fits) + 1 < _ENOUGH_VIEWS
+    few = not enough_poses(fits[0])
     eligible = _eligible(fits)
     place = _by_criterion(candidates, eligible) if few else _by_prediction(candidates, eligible)
     reason = _reason(place, candidates, eligible, few=few)
     if candidates[place].model == "spherical" and options.radial_sigma is None:
         at = next((i for i, one in enumerate(candidates) if one.model == "radial"), place)
         reason, place = f"{reason} {_KEPT_RADIAL}" if at != place else reason, at
-    result = summarize(fits[place])
-    return replace(result, candidates=candidates, notes=(*result.notes, *_not_fitted(errors), reason))
+    return Choice(fits[place], candidates, (*_not_fitted(errors), reason))
+
+
+def enough_poses(fitted: Fit) -> bool:
+    """Tell whether there are enough poses to leave one out.
+
+    Parameters
+    ----------
+    fitted
+        A fitted model.
+
+    Returns
+    -------
+    bool
+        True from six poses on; repeats of a pose count once.
+    """
+    return max(fitted.bundle.poses or (0,)) + 1 >= _ENOUGH_VIEWS
 
 
 def as_candidate(fitted: Fit) -> Candidate:

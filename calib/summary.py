@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from calib.adjustment.centre_drift import BIASING_DRIFT, centre_drift
 from calib.adjustment.degeneracy import explain_weak_geometry
-from calib.calibration import Calibration, ViewSummary
+from calib.calibration import Calibration, CalibrationOptions, ViewSummary
+from calib.diagnosis.checks import check_adjustment
 from calib.fit import Fit
 from calib.model.aberrations import PARALLAX
 from calib.model.collimator import Collimator
 from calib.model.gimbal import GIMBAL, SCALES
 from calib.model.gimbal_estimate import GimbalEstimate
+from calib.uncertainty.budget_parts import PASSPORT
+from calib.uncertainty.budget_rows import uncertainty_budget
 from calib.uncertainty.covariance import Uncertainty, rotation_covariance
 from calib.uncertainty.cross_validation import MIN_VIEWS
 
@@ -24,13 +27,15 @@ Array = NDArray[np.float64]
 _WEAK_FOCAL_SIGMA = 0.01
 
 
-def summarize(fitted: Fit) -> Calibration:
-    """Convert a fit to a calibration result.
+def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
+    """Convert a fit to a calibration result, with the whole uncertainty budget.
 
     Parameters
     ----------
     fitted
         The fitted model.
+    options
+        Type B terms, and where the passport comes from.
 
     Returns
     -------
@@ -38,7 +43,12 @@ def summarize(fitted: Fit) -> Calibration:
         Result without candidates.
     """
     parameters, whole, used = fitted.parameters, fitted.whole, fitted.used
-    uncertainty, gimbal = _without_gimbal(fitted), _gimbal_estimate(fitted)
+    sources = {PASSPORT: options.passport_source} if options.passport_source else {}
+    budget = uncertainty_budget(
+        fitted.bundle, parameters, fitted.loss, fitted.uncertainty, options.budget, sources
+    )
+    uncertainty, gimbal = _without_gimbal(budget.applied.uncertainty), _gimbal_estimate(fitted)
+    rotations = rotation_covariance(fitted.bundle, parameters, budget.applied.without_terms)
     residuals = whole.residuals_px(parameters)
     weights = used * fitted.loss.weights(np.linalg.norm(whole.weighted_residuals(parameters), axis=1))
     lengths = np.linalg.norm(residuals, axis=1)
@@ -57,10 +67,10 @@ def summarize(fitted: Fit) -> Calibration:
         weights=[weights[r] for r in rows],
         rms_px=_rms(lengths[used]),
         mean_px=float(lengths[used].mean()),
-        variance_factor=fitted.uncertainty.variance_factor,
-        degrees_of_freedom=fitted.uncertainty.degrees_of_freedom,
-        birge_ratio=fitted.uncertainty.birge_ratio,
-        coverage_factor=fitted.uncertainty.coverage_factor,
+        variance_factor=uncertainty.variance_factor,
+        degrees_of_freedom=uncertainty.degrees_of_freedom,
+        birge_ratio=uncertainty.birge_ratio,
+        coverage_factor=uncertainty.coverage_factor,
         left_out_rms_px=fitted.cross_validation.total_rms_px if fitted.cross_validation else None,
         views=tuple(
             ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
@@ -68,20 +78,29 @@ def summarize(fitted: Fit) -> Calibration:
         ),
         converged=fitted.refined.converged,
         iterations=fitted.refined.iterations,
-        rotation_covariance=rotation_covariance(fitted.bundle, parameters, fitted.uncertainty),
+        rotation_covariance=rotations + budget.applied.rotation_covariance,
         budget={
             source: dict(zip(uncertainty.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
             for source, variances in uncertainty.budget.items()
         },
-        notes=(*_notes(fitted), *reading_notes(gimbal)),
+        notes=(*_notes(fitted), *_doubts(fitted, uncertainty), *reading_notes(gimbal)),
         gimbal=gimbal,
         poses=whole.poses or (),
+        budget_rows=budget.rows,
+        not_included=budget.not_included,
     )
 
 
-def _without_gimbal(fitted: Fit) -> Uncertainty:
+def _doubts(fitted: Fit, uncertainty: Uncertainty) -> tuple[str, ...]:
+    """Return sentences about views that do not fit the others; only a model with one centre for all shows them."""
+    if fitted.model in ("drift", "planar"):
+        return ()
+    sigma = dict(zip(uncertainty.names, np.sqrt(np.diag(uncertainty.covariance)).tolist(), strict=True))
+    return check_adjustment(fitted.kept, fitted.bundle, fitted.parameters, sigma)
+
+
+def _without_gimbal(whole: Uncertainty) -> Uncertainty:
     """Return the uncertainty of camera and collimator alone: the gimbal's parameters are summed out."""
-    whole = fitted.uncertainty
     kept = [i for i, name in enumerate(whole.names) if name not in (*GIMBAL, *PARALLAX)]
     return replace(
         whole,

@@ -97,7 +97,7 @@ def without_gross_stars(views: Sequence[View], found: Sequence[GrossStars]) -> l
         A view without gross errors is returned as it is, the same object.
     """
     return [
-        _part(view, ~one.wrong) if one.wrong.any() else view for view, one in zip(views, found, strict=True)
+        part_of(view, ~one.wrong) if one.wrong.any() else view for view, one in zip(views, found, strict=True)
     ]
 
 
@@ -113,7 +113,7 @@ def _gross_stars(view: View) -> GrossStars:
         )
     if not count:
         return GrossStars(view.name, wrong, np.zeros(0))
-    right = _part(view, ~wrong)
+    right = part_of(view, ~wrong)
     spacing = local_spacing(right.target_mm)
     h = view_homography(right) @ np.diag([spacing, spacing, 1.0])
     predicted = predict_locally(
@@ -122,8 +122,21 @@ def _gross_stars(view: View) -> GrossStars:
     return GrossStars(view.name, wrong, np.linalg.norm(view.points_px[wrong] - predicted, axis=1))
 
 
-def _part(view: View, kept: Bools) -> View:
-    """Return the view with some of its stars."""
+def part_of(view: View, kept: Bools) -> View:
+    """Return a view with some of its stars.
+
+    Parameters
+    ----------
+    view
+        Stars of one pose.
+    kept
+        (N,) bool, which of its N stars to keep.
+
+    Returns
+    -------
+    View
+        The view with these stars.
+    """
     return replace(
         view,
         ids=view.ids[kept],

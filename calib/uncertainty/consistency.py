@@ -6,6 +6,7 @@ themselves, it is compared with the passport's, with both uncertainties.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,13 +19,22 @@ from calib.errors import DegenerateViews, PassportContradicted
 from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
 from calib.model.prior import joined
+from calib.model.type_b_terms import TypeBTerm
 from calib.uncertainty.covariance import covariance_at_optimum
+from calib.uncertainty.target_response import target_response
+from calib.uncertainty.type_b import radius_difference_variance
 
 #: Probability that a correct passport is refused.
 _FALSE_ALARMS = 1e-4
 
 
-def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, passport: Passport) -> None:
+def check_passport(
+    bundle: Bundle,
+    parameters: AdjustmentParameters,
+    loss: Loss,
+    passport: Passport,
+    terms: Sequence[TypeBTerm] = (),
+) -> None:
     """Refuse a passport whose centre contradicts the views, by a chi-square test.
 
     A single view, or views that do not determine the centre, cannot contradict it. Let d be the centre found minus the
@@ -41,6 +51,8 @@ def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss,
         Loss with the limit that the adjustment ended with.
     passport
         The passport.
+    terms
+        Type B terms; what they may change adds to the uncertainty of a certificate's radius.
 
     Raises
     ------
@@ -65,6 +77,9 @@ def check_passport(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss,
     found, covariance = refined.parameters.values(asked), growth**2 * estimate.covariance[np.ix_(at, at)]
     stated, own = np.array([passport.values_by_name[name] for name in asked]), passport.covariance_of(asked)
     off, together = found - stated, covariance + own
+    if passport.is_certificate:
+        response = target_response(free, refined.parameters, loss, names)
+        together = together + radius_difference_variance(response, terms)
     chi_square = float(off @ np.linalg.solve(together, off))
     if chi_square > special.chdtri(len(asked), _FALSE_ALARMS):
         worst = int(np.argmax(np.abs(off) / np.sqrt(np.diag(together))))

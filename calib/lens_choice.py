@@ -1,0 +1,154 @@
+"""Choice of the lens model: which distortion the data support, and whether the lens or the collimator is incomplete.
+
+A missing term of the lens looks like an error of the collimator: the views differ more than star noise explains. Both
+causes are therefore compared in the same way, by poses that had no part in the fit, or with few poses by the Bayesian
+information criterion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from calib.calibration import CalibrationOptions, Candidate
+from calib.diagnosis.gross_stars import GrossStars
+from calib.errors import CalibrationError
+from calib.fit import Fit, fit_model, model_to_fit
+from calib.model.camera import DISTORTION_SETS
+from calib.selection import Choice, as_candidate, choose, enough_poses
+from calib.view import View
+
+#: Lens models that are compared, from the simplest.
+LENSES = ("k1k2", "k1k2k3", "k1k2p1p2", "k1k2k3p1p2", "fisheye")
+#: A richer lens is chosen only if it predicts views better by this share.
+_MIN_IMPROVEMENT = 0.03
+#: With few poses, a richer lens is chosen only if its criterion is smaller by this much: strong evidence (Kass and
+#: Raftery, 1995).
+_MIN_CRITERION = 10.0
+
+
+@dataclass(frozen=True)
+class LensComparison:
+    """Lens models with the same model of the collimator.
+
+    Attributes
+    ----------
+    candidates
+        The candidates by the name of the lens.
+    best
+        Name of the simplest lens that the data support.
+    """
+
+    candidates: Mapping[str, Candidate]
+    best: str
+
+    def sentence(self, used: str) -> str:
+        """Return what the comparison shows, in words.
+
+        Parameters
+        ----------
+        used
+            Name of the lens that the result has.
+
+        Returns
+        -------
+        str
+            One sentence; empty if the data support the lens that was used.
+        """
+        if self.best == used or used not in self.candidates:
+            return ""
+        mine, other = self.candidates[used], self.candidates[self.best]
+        if mine.left_out_rms_px is not None and other.left_out_rms_px is not None:
+            how = (
+                f"it predicts left-out poses to {other.left_out_rms_px:.3f} px rms, {used} to "
+                f"{mine.left_out_rms_px:.3f} px"
+            )
+        else:
+            how = f"its residuals are {other.rms_px:.3f} px rms, those of {used} {mine.rms_px:.3f} px"
+        return f"The data support the lens model {self.best}: {how}."
+
+
+def choose_lens(
+    views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars] = ()
+) -> Choice:
+    """Choose the lens, and the model of the collimator if it is ``auto``.
+
+    The collimator's model is chosen with k1 and k2, then the lens, then the collimator's model again if the lens
+    changed. Own procedure.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    options
+        Model, loss, passport and readings.
+    wrong
+        Stars with a gross error, for each view.
+
+    Returns
+    -------
+    Choice
+        The chosen fit, with all candidates and the reasons.
+    """
+    first = _with_lens(views, options, "k1k2", wrong)
+    found = compare_lenses(views, options, first.fit, wrong)
+    if found.best == "k1k2":
+        return replace(
+            first, notes=(*first.notes, "The lens model k1k2 was kept: no richer one predicts better.")
+        )
+    last = _with_lens(views, options, found.best, wrong)
+    return replace(last, notes=(*last.notes, found.sentence("k1k2")))
+
+
+def compare_lenses(
+    views: Sequence[View], options: CalibrationOptions, fitted: Fit, wrong: Sequence[GrossStars] = ()
+) -> LensComparison:
+    """Compare lens models with the collimator's model of a fit.
+
+    Left-out poses decide from six poses on, as for collimator models; with fewer the Bayesian information criterion
+    (Schwarz, 1978) decides.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    options
+        Loss, passport and readings.
+    fitted
+        Fit whose model of the collimator is used.
+    wrong
+        Stars with a gross error, for each view.
+
+    Returns
+    -------
+    LensComparison
+        The candidates, and the simplest lens that the data support.
+    """
+    found: dict[str, Candidate] = {}
+    for lens in LENSES:
+        with_lens = replace(options, distortion=DISTORTION_SETS[lens])
+        try:
+            one = fit_model(
+                views, with_lens, fitted.model, leave_out=True, discs=fitted.discs or None, wrong=wrong
+            )
+        except CalibrationError:  # too many parameters for these views
+            continue
+        found[lens] = as_candidate(one)
+    judged = {name: one.left_out_rms_px for name, one in found.items() if one.left_out_rms_px is not None}
+    if enough_poses(fitted) and judged:
+        limit = (1 + _MIN_IMPROVEMENT) * min(judged.values())
+        return LensComparison(found, next(name for name in judged if judged[name] <= limit))
+    best = min(found, key=lambda name: found[name].bic, default="k1k2")
+    simplest = next(iter(found), best)
+    strong = bool(found) and found[best].bic < found[simplest].bic - _MIN_CRITERION
+    return LensComparison(found, best if strong else simplest)
+
+
+def _with_lens(
+    views: Sequence[View], options: CalibrationOptions, lens: str, wrong: Sequence[GrossStars]
+) -> Choice:
+    """Fit with one lens: the model that is asked for, or the one that the data choose."""
+    chosen = replace(options, distortion=DISTORTION_SETS[lens])
+    if options.model == "auto" and not options.passport:
+        return choose(views, chosen, wrong)
+    return Choice(fit_model(views, chosen, model_to_fit(chosen), wrong=wrong))
