@@ -18,13 +18,12 @@ from bench.records.history import Attempt, History
 from bench.report.until_text import meaning_of_goal
 from bench.results.measure_again import measure_again
 from bench.results.next_pose import Choice, Wish, choose_pose
-from bench.results.solve_options import solve_options
+from bench.results.solve_options import limited_numbers, solve_options
 from bench.views.expected_grid import best_angles_deg
 from bench.views.measure import Measurement, aligned_poses
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
 from calib.model.passport import Passport
-from calib.uncertainty.projection_uncertainty import projection_uncertainty
 from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, Until
 
@@ -123,10 +122,7 @@ class Decisions:
 
 
 def expanded_uncertainties(calibration: Calibration) -> dict[str, float]:
-    """Return the expanded uncertainties that an ``until`` can ask for.
-
-    Expanded uncertainty U = k u (JCGM 100:2008, 6.2.1). Corners: propagation of the camera's covariance
-    (`calib.uncertainty.projection_uncertainty`), along the worse direction.
+    """Return the expanded uncertainties that an ``until`` can ask for (`bench.results.solve_options.limited_numbers`).
 
     Parameters
     ----------
@@ -138,13 +134,8 @@ def expanded_uncertainties(calibration: Calibration) -> dict[str, float]:
     dict
         ``expanded_fx_px``, and ``worst_corner_px``: the largest over the four corners of the image, px.
     """
-    k = calibration.coverage_factor
-    sigma = projection_uncertainty(calibration.camera, calibration.camera_covariance).sigma_px
-    corners = sigma[[0, 0, -1, -1], [0, -1, 0, -1]]
-    return {
-        "expanded_fx_px": k * calibration.sigma["fx"],
-        "worst_corner_px": k * float(np.nanmax(corners, initial=0.0)),
-    }
+    found = limited_numbers(calibration)
+    return {"expanded_fx_px": found["expanded_fx"], "worst_corner_px": found["worst_corner"]}
 
 
 def fixed_parts(calibration: Calibration) -> dict[str, dict[str, float]]:
