@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from station_texts import PLAIN
 
 from bench.commands.cli import main
-from bench.stations.station import SHIPPED_STATIONS
 
 SEQUENCE = (Path(__file__).parents[2] / "sequences" / "three_pose.yaml").read_text()
-STATION = (SHIPPED_STATIONS / "simulated.yaml").read_text()
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +49,7 @@ FILES = [
 @pytest.mark.parametrize(("in_sequence", "in_station", "place", "words"), FILES)
 def test_faults_of_files_are_placed_and_nothing_is_made(capsys, in_sequence, in_station, place, words):
     sequence = write("sequence.yaml", SEQUENCE.replace(*in_sequence) if in_sequence else SEQUENCE)
-    station = write("station.yaml", STATION.replace(*in_station) if in_station else STATION)
+    station = write("station.yaml", PLAIN.replace(*in_station) if in_station else PLAIN)
     status, said = say(capsys, "run", sequence, "--station", station, "--output", "out")
     assert status == 2
     assert place in said
@@ -62,7 +61,7 @@ def test_faults_of_both_files_come_at_once(capsys):
     sequence = write(
         "sequence.yaml", SEQUENCE.replace("pan_deg: -6", "pan_deg: x").replace("tilt_deg: -3", "tild_deg: -3")
     )
-    station = write("station.yaml", STATION.replace("device: 2", "device: two"))
+    station = write("station.yaml", PLAIN.replace("device: 2", "device: two"))
     status, said = say(capsys, "plan", sequence, "--station", station)
     assert status == 2
     assert said.count("sequence.yaml:") == 2
@@ -77,7 +76,7 @@ def test_a_missing_file_names_what_is_shipped(capsys):
 
 
 def test_another_serial_number_on_the_port_is_refused_before_anything_moves(capsys):
-    station = write("station.yaml", STATION.replace("serial: 100102", "serial: 999999"))
+    station = write("station.yaml", PLAIN.replace("serial: 100102", "serial: 999999"))
     status, said = say(capsys, "run", "three_pose", "--station", station, "--output", "out")
     assert status == 1
     assert "999999" in said
@@ -94,7 +93,7 @@ def test_a_port_in_use_is_refused(capsys, tmp_path):
     port = tmp_path / "port"
     port.symlink_to(os.ttyname(peer))
     fcntl.flock(peer, fcntl.LOCK_EX)
-    station = write("station.yaml", STATION.replace("sim:gimbal", str(port)))
+    station = write("station.yaml", PLAIN.replace("sim:gimbal", str(port)))
     status, said = say(capsys, "run", "three_pose", "--station", station, "--output", "out")
     assert status == 1
     assert str(port) in said
@@ -102,7 +101,7 @@ def test_a_port_in_use_is_refused(capsys, tmp_path):
 
 
 def test_a_port_that_is_not_there_is_named(capsys):
-    station = write("station.yaml", STATION.replace("sim:light", "/dev/serial/by-id/none"))
+    station = write("station.yaml", PLAIN.replace("sim:light", "/dev/serial/by-id/none"))
     status, said = say(capsys, "run", "three_pose", "--station", station, "--output", "out")
     assert status == 1
     assert "/dev/serial/by-id/none" in said
@@ -199,7 +198,7 @@ def test_wrong_words_are_answered(capsys, words, message):
 
 
 def test_a_changed_sequence_is_not_resumed(capsys):
-    station = write("station.yaml", STATION.replace("serial: SG0042", "serial: SG9999"))
+    station = write("station.yaml", PLAIN.replace("serial: SG0042", "serial: SG9999"))
     assert say(capsys, "run", "three_pose", "--station", station, "--output", "out")[0] == 1
     shutil.copy("out/sequence.yaml", "keep")
     Path("out/sequence.yaml").write_text(SEQUENCE.replace("window_ms: 33", "window_ms: 50"))

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 from running import journal, starbench
-
-from bench.stations.station import SHIPPED_STATIONS
+from station_texts import PLAIN
 
 SEQUENCES = Path(__file__).parents[2] / "sequences"
 
@@ -29,11 +28,10 @@ REFUSED = {
 def run(tmp_path: Path, order: str) -> tuple[int, list[dict], str]:
     fault, *parameters = order.split()
     words = ", ".join([f"fault: {fault}", *(p.replace("=", ": ") for p in parameters)])
-    text = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
     station, folder = tmp_path / "station.yaml", tmp_path / "run"
     after = ", after_s: 6" if fault == "trip" else ""
     station.write_text(
-        text.replace("simulation: {}\n", f"simulation: {{faults: [{{device: light, {words}{after}}}]}}\n")
+        PLAIN.replace("simulation: {}\n", f"simulation: {{faults: [{{device: light, {words}{after}}}]}}\n")
     )
     sequence = tmp_path / "sequence.yaml"
     text = (SEQUENCES / "three_pose.yaml").read_text(encoding="utf-8")

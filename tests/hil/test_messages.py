@@ -6,10 +6,10 @@ import sys
 import pytest
 from running import results, starbench
 from servers import MailServer, WebServer, serving
+from station_texts import PLAIN
 
 from bench.messaging.messages import channels_of, send
 from bench.messaging.outbox import DeliveryFailed, Message
-from bench.stations.station import SHIPPED_STATIONS
 from bench.stations.station_messages import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 MESSAGE = Message(
@@ -128,9 +128,7 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     home, folder, station = tmp_path / "home", tmp_path / "run", tmp_path / "station.yaml"
     with serving(WebServer()) as server:
         port, url = server.server_port, server.url
-    station.write_text(
-        (SHIPPED_STATIONS / "simulated.yaml").read_text() + f"\nmessages: {{webhooks: [{{url: '{url}'}}]}}\n"
-    )
+    station.write_text(PLAIN + f"\nmessages: {{webhooks: [{{url: '{url}'}}]}}\n")
     said = starbench("run", "three_pose", "-s", station, "--seed", 7, "-o", folder, home=home)
     assert said.returncode == 0, said.stderr
     assert "Messages not delivered yet: 1" in said.stderr

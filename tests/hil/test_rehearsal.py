@@ -2,9 +2,9 @@
 
 import json
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
+from station_texts import PLAIN
 
 from bench.base.clock import BenchClock, VirtualClock
 from bench.base.errors import RunFolderError
@@ -16,9 +16,9 @@ from bench.records.journal import read_journal
 from bench.records.run_index import read_run
 from bench.rehearsal.rehearsal import rehearse_run
 from bench.run.launch import Launch, read_intentions, resume_run
+from bench.stations.station import SHIPPED_STATIONS
 
 EVENING = datetime(2026, 3, 1, 18, 30, tzinfo=UTC)
-STATION = Path(__file__).parents[2] / "bench" / "stations" / "simulated.yaml"
 QUEUE = """\
 format: starbench/queue/1
 name: Night
@@ -47,10 +47,9 @@ steps:
 def queue(tmp_path):
     folder = tmp_path / "files"
     folder.mkdir()
-    text = STATION.read_text(encoding="utf-8")
     mishaps = "simulation: {rehearsal: {lost_share: 0.1, covered_share: 0.1, room_c_per_h: -1}}"
-    (folder / "station.yaml").write_text(text.replace("simulation: {}", mishaps))
-    (folder / "other.yaml").write_text(text.replace("simulation: {}", "simulation: {camera_serial: '7'}"))
+    (folder / "station.yaml").write_text(PLAIN.replace("simulation: {}", mishaps))
+    (folder / "other.yaml").write_text(PLAIN.replace("simulation: {}", "simulation: {camera_serial: '7'}"))
     (folder / "queue.yaml").write_text(QUEUE)
     return read_queue(folder / "queue.yaml")
 
@@ -131,9 +130,8 @@ def test_a_rehearsal_leaves_nothing_that_passes_for_evidence(queue, tmp_path, mo
 
 def test_mishaps_are_tried_again_skipped_and_told_as_in_a_run(tmp_path):
     (tmp_path / "often.yaml").write_text(TWELVE)
-    text = STATION.read_text(encoding="utf-8")
     mishaps = "simulation: {rehearsal: {lost_share: 0.25, covered_share: 0.25}}"
-    (tmp_path / "station.yaml").write_text(text.replace("simulation: {}", mishaps))
+    (tmp_path / "station.yaml").write_text(PLAIN.replace("simulation: {}", mishaps))
     clock = VirtualClock(EVENING)
     end = rehearse_run(
         str(tmp_path / "often.yaml"), str(tmp_path / "station.yaml"),
@@ -158,9 +156,8 @@ interlocks:
 
 
 def test_interlocks_of_the_bench_hold_in_virtual_time_those_of_this_room_do_not(tmp_path):
-    text = STATION.read_text(encoding="utf-8")
     cooling = "simulation: {rehearsal: {room_c: 25, room_c_per_h: -2, warm_up_min: 0}}"  # 43 C, then less
-    (tmp_path / "station.yaml").write_text(text.replace("simulation: {}", cooling) + INTERLOCKS)
+    (tmp_path / "station.yaml").write_text(PLAIN.replace("simulation: {}", cooling) + INTERLOCKS)
     clock = VirtualClock(EVENING)
     end = rehearse_run(
         "three_pose",
@@ -186,7 +183,9 @@ def test_the_run_folder_keeps_the_files_with_the_settings_in_them(tmp_path):
     text = (tmp_path / "run" / "sequence.yaml").read_text(encoding="utf-8")
     assert "window_ms: '50'" in text
     assert "name: Longer" in text
-    assert (tmp_path / "run" / "station.yaml").read_bytes() == STATION.read_bytes()
+    assert (tmp_path / "run" / "station.yaml").read_bytes() == (
+        SHIPPED_STATIONS / "simulated.yaml"
+    ).read_bytes()
     stored = [
         e.data for e in read_journal(tmp_path / "run" / "journal.jsonl")[0] if e.event == "capture_stored"
     ]

@@ -9,9 +9,9 @@ import subprocess
 import numpy as np
 import pytest
 from running import end_when, entering, journal, numbers, results, starbench, start
+from station_texts import PLAIN
 
 from bench.results.run_reader import load
-from bench.stations.station import SHIPPED_STATIONS
 
 SEED = 7
 
@@ -172,9 +172,7 @@ simulation:
 
 def test_a_camera_that_creeps_where_no_encoder_sees_it_is_refused_by_its_own_stars(home, tmp_path):
     station = tmp_path / "creeping.yaml"
-    station.write_text(
-        (SHIPPED_STATIONS / "simulated.yaml").read_text().replace("simulation: {}\n", CREEPING)
-    )
+    station.write_text(PLAIN.replace("simulation: {}\n", CREEPING))
     folder = tmp_path / "run"
     said = starbench("run", "three_pose", "-s", station, "--seed", SEED, "-o", folder, home=home)
     assert said.returncode == 1

@@ -10,11 +10,12 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from station_texts import PLAIN
 
 from bench.base.clock import BenchClock
 from bench.stations.device_identities import serial_devices
 from bench.stations.devices import Devices
-from bench.stations.station import SHIPPED_STATIONS, Station
+from bench.stations.station import Station
 from drivers.device_hold import FOLDER_VARIABLE, DeviceHold
 from drivers.errors import PortBusy
 from sequences.reader import check_document
@@ -57,7 +58,7 @@ def ports(tmp_path: Path) -> Iterator[list[str]]:
 
 
 def station(port: str) -> Station:
-    text = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8").replace("sim:gimbal", port)
+    text = PLAIN.replace("sim:gimbal", port)
     return check_document(text.encode(), "station.yaml", Station).value
 
 

@@ -12,6 +12,7 @@ import pytest
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, entering, journal, results, start
 from servers import WebServer, serving
+from station_texts import PLAIN
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.linux_process import out_of_memory_kills
@@ -19,7 +20,7 @@ from bench.batch.supervisor import OUT_OF_MEMORY, adopt, supervise
 from bench.run.crash_log import read_crash
 from bench.simulated import SimulatedBench
 from bench.stations.devices import _open_light, make_orphans_safe
-from bench.stations.station import SHIPPED_STATIONS, load_station
+from bench.stations.station import load_station
 from drivers.light import LightSettings
 
 QUEUE = """\
@@ -188,7 +189,7 @@ def test_kills_for_want_of_memory_are_counted_where_the_kernel_tells_them(tmp_pa
 
 def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
     with SimulatedBench({}, 1) as world:
-        text = (SHIPPED_STATIONS / "simulated.yaml").read_text()
+        text = PLAIN
         for name in ("gimbal", "light"):
             text = text.replace(f"sim:{name}", world.endpoints[name])
         (tmp_path / "station.yaml").write_text(text)
@@ -206,9 +207,7 @@ def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
 
 def test_a_device_that_is_gone_does_not_keep_the_other_from_being_made_safe(tmp_path):
     with SimulatedBench({}, 1) as world:
-        text = (
-            (SHIPPED_STATIONS / "simulated.yaml").read_text().replace("sim:light", world.endpoints["light"])
-        )
+        text = PLAIN.replace("sim:light", world.endpoints["light"])
         (tmp_path / "station.yaml").write_text(text.replace("sim:gimbal", "/dev/serial/by-id/gone"))
         station = load_station(str(tmp_path / "station.yaml")).value
         (fault,) = make_orphans_safe(station, BenchClock())

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 from running import PATIENCE_S, STARBENCH, entering, environment, journal, results, starbench, start
-
-from bench.stations.station import SHIPPED_STATIONS
+from station_texts import PLAIN
 
 Order = Callable[[str], None]
 
@@ -48,7 +47,7 @@ def simulated(tmp_path: Path) -> Iterator[tuple[dict[str, str], Order]]:
 @pytest.mark.slow
 def test_another_stage_under_the_same_name_is_refused_and_the_right_one_finishes_the_run(tmp_path, simulated):
     ports, order = simulated
-    text = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8").replace("simulation: {}\n", "")
+    text = PLAIN.replace("simulation: {}\n", "")
     for name, port in ports.items():
         text = text.replace(f"sim:{name}", port)
     station, folder, home = tmp_path / "station.yaml", tmp_path / "run", tmp_path / "home"

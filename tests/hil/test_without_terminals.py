@@ -17,8 +17,7 @@ from pathlib import Path
 import pytest
 from quick_runs import write_sequence
 from running import PATIENCE_S, STARBENCH, environment, journal, results
-
-from bench.stations.station import SHIPPED_STATIONS
+from station_texts import PLAIN
 
 BARE = """
 import fcntl, os, select, signal, stat, subprocess, sys, types
@@ -161,10 +160,9 @@ def test_a_question_is_answered_at_a_terminal_that_select_does_not_take(bare, tm
 
 @pytest.mark.slow
 def test_the_same_run_with_terminals_may_be_asked_to_go_over_tcp(tmp_path) -> None:
-    text = (SHIPPED_STATIONS / "simulated.yaml").read_text()
-    assert "simulation: {}\n" in text
+    assert "simulation: {}\n" in PLAIN
     station = tmp_path / "tcp.yaml"
-    station.write_text(text.replace("simulation: {}\n", "simulation: {ports: tcp}\n"))
+    station.write_text(PLAIN.replace("simulation: {}\n", "simulation: {ports: tcp}\n"))
     folder = tmp_path / "run"
     words = ["run", "three_pose", "-s", station, "--seed", 7, "-o", folder]
     said = subprocess.run(

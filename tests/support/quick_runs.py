@@ -1,6 +1,6 @@
 """A simulated bench with a small sensor and a fast stage, and sequences for it: runs that take seconds."""
 
-from bench.stations.station import SHIPPED_STATIONS
+from station_texts import PLAIN
 
 SIMULATION = (
     "simulation: {%sports: pty, paced: false, noise: typical, "
@@ -39,7 +39,7 @@ TWELVE = "{pan_deg: {first: -6, last: 6, count: 4}, tilt_deg: {first: -3, last: 
 
 def write_station(path, more="", simulation=""):
     """A station file with the small sensor; ``more`` is put at its end, ``simulation`` into its simulation."""
-    text = (SHIPPED_STATIONS / "simulated.yaml").read_text()
+    text = PLAIN
     for old, new in (
         ("simulation: {}", SIMULATION % simulation),
         ("speed_deg_s: 40", "speed_deg_s: 90"),

@@ -3,13 +3,13 @@
 from datetime import UTC, datetime
 
 import pytest
+from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
 from bench.batch.batch_messages import BatchMessages
 from bench.batch.supervisor import WorkerEnd
 from bench.messaging.outbox import Message, Outbox
 from bench.records.journal import Journal
-from bench.stations.station import SHIPPED_STATIONS
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 HOOK = "\nmessages: {webhooks: [{url: 'http://127.0.0.1:1/'}]%s}\n"
@@ -30,7 +30,7 @@ def messages():
 
 def station(folder, more=""):
     path = folder / "station.yaml"
-    path.write_text((SHIPPED_STATIONS / "simulated.yaml").read_text() + HOOK % more)
+    path.write_text(PLAIN + HOOK % more)
     return str(path)
 
 

@@ -5,12 +5,12 @@ from datetime import date
 
 import numpy as np
 import pytest
+from station_texts import PLAIN
 
 from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.plan import load_documents, make_plan
 from bench.plan.plan_text import render_plan
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
-from bench.stations.station import SHIPPED_STATIONS
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 
@@ -37,8 +37,7 @@ def bench(tmp_path, monkeypatch):
     (tmp_path / "a").mkdir()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    shipped = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
-    kept = [line for line in shipped.splitlines() if not line.startswith("collimator:")]
+    kept = [line for line in PLAIN.splitlines() if not line.startswith("collimator:")]
 
     def plan(solve: str = "", collimator: str = "serial: C-1", settings=None, *, more=MORE, **options):
         (tmp_path / "a" / "s.yaml").write_text(SEQUENCE % (more, f": {solve}" if solve else ""))

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
+from station_texts import PLAIN
 
 from bench.base.errors import ScriptError
 from bench.plan.estimate import POSE_BYTES, REPORT_BYTES, travel_s
@@ -20,8 +21,7 @@ from sequences.reader import check_document
 from sequences.schema import Sequence
 
 SEQUENCES = sorted((Path(__file__).parents[4] / "sequences").glob("*.yaml"))
-STATION_TEXT = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
-STATION = check_document(STATION_TEXT.encode(), "b.yaml", Station)
+STATION = check_document(PLAIN.encode(), "b.yaml", Station)
 HEAD = "format: starbench/sequence/1\nname: test\n"
 
 
@@ -34,19 +34,19 @@ def faults(text: str, station=STATION) -> list[str]:
 
 
 def station_with(old: str, new: str):
-    assert old in STATION_TEXT
-    return check_document(STATION_TEXT.replace(old, new).encode(), "b.yaml", Station)
+    assert old in PLAIN
+    return check_document(PLAIN.replace(old, new).encode(), "b.yaml", Station)
 
 
 GOOD = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: 2}}, settle, record, solve, report]\n"
 
 
 @pytest.mark.parametrize("path", SEQUENCES, ids=lambda path: path.stem)
-@pytest.mark.parametrize("station", ["simulated", "example_evk4"])
+@pytest.mark.parametrize("station", ["simulated", "simulated_ideal", "example_evk4"])
 def test_every_shipped_sequence_runs_on_every_shipped_station(path, station):
     made = make_plan(*load_documents(path.stem, station))
     assert (made.faults, made.remarks) == ((), ())
-    assert len(made.poses) == {"three_pose": 3, "nine_pose": 9, "turntable": 7}[path.stem]
+    assert len(made.poses) == {"three_pose": 3, "nine_pose": 9, "turntable": 7, "until_good": 3}[path.stem]
 
 
 def test_the_paper_s_sequence_is_two_periods_of_60_hz_at_three_poses():
@@ -213,8 +213,8 @@ def test_a_frequency_the_lamp_is_too_fast_for_is_a_fault_too():
 
 
 def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
-    begin, end = STATION_TEXT.index("    tilt:"), STATION_TEXT.index("light:\n")
-    turntable = check_document((STATION_TEXT[:begin] + STATION_TEXT[end:]).encode(), "b.yaml", Station)
+    begin, end = PLAIN.index("    tilt:"), PLAIN.index("light:\n")
+    turntable = check_document((PLAIN[:begin] + PLAIN[end:]).encode(), "b.yaml", Station)
     found = {
         path.stem: make_plan(load_documents(path.stem, "simulated")[0], turntable).faults
         for path in SEQUENCES
@@ -290,7 +290,7 @@ def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
     )
     station = tmp_path / "station.yaml"
     station.write_text(
-        STATION_TEXT.replace("driver: scpi", "driver: scpy")  # 19
+        PLAIN.replace("driver: scpi", "driver: scpy")  # 19
         .replace("serial: 100101", "serial:")  # 20
         .replace("[-10, 10]", "[10, -10]")  # 21
         .replace("sim:camera", "sim:webcam")  # 22

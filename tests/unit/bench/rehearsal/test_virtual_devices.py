@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from station_texts import PLAIN
 
 from bench.base.clock import Aborted, VirtualClock
 from bench.plan.estimate import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
@@ -15,8 +16,6 @@ from drivers.errors import NotHomed, OutsideLimits, RecordingFailed, WrongDevice
 from drivers.light import LightSettings
 from sequences.reader import check_document
 
-STATION = load_station("simulated")
-
 
 @pytest.fixture
 def clock():
@@ -24,7 +23,9 @@ def clock():
 
 
 def station(simulation):
-    return check_document(STATION.text.replace(b"simulation: {}", simulation), "station.yaml", Station).value
+    return check_document(
+        PLAIN.encode().replace(b"simulation: {}", simulation), "station.yaml", Station
+    ).value
 
 
 def devices(clock, simulation=b"simulation: {}", seed=1):

@@ -1,6 +1,7 @@
 """Station files: what they may name, what is refused, and what the shipped ones say."""
 
 import pytest
+from station_texts import PLAIN
 
 from bench.stations.station import SHIPPED_STATIONS, Station, load_station
 from bench.stations.station_lights import ScpiLightConfig
@@ -11,8 +12,6 @@ from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.script import Flicker
 
-SIMULATED = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
-
 
 def faults(text: str) -> list[str]:
     with pytest.raises(DocumentFaults) as caught:
@@ -21,13 +20,13 @@ def faults(text: str) -> list[str]:
 
 
 def changed(old: str, new: str) -> str:
-    assert old in SIMULATED
-    return SIMULATED.replace(old, new)
+    assert old in PLAIN
+    return PLAIN.replace(old, new)
 
 
 def with_stage(stage: str) -> str:
-    begin, end = SIMULATED.index("stage:\n"), SIMULATED.index("light:\n")
-    return SIMULATED[:begin] + f"stage: {stage}\n" + SIMULATED[end:]
+    begin, end = PLAIN.index("stage:\n"), PLAIN.index("light:\n")
+    return PLAIN[:begin] + f"stage: {stage}\n" + PLAIN[end:]
 
 
 def test_the_simulated_station_has_the_simulated_bench_s_devices():
@@ -44,8 +43,8 @@ def test_the_simulated_station_has_the_simulated_bench_s_devices():
 
 def test_every_shipped_station_reads_without_a_fault():
     shipped = sorted(path.stem for path in SHIPPED_STATIONS.glob("*.yaml"))
-    assert shipped == ["example_evk4", "simulated", "simulated_frames"]
-    assert [load_station(name).value.is_simulated for name in shipped] == [False, True, True]
+    assert shipped == ["example_evk4", "simulated", "simulated_frames", "simulated_ideal"]
+    assert [load_station(name).value.is_simulated for name in shipped] == [False, True, True, True]
 
 
 def test_an_unknown_station_is_met_with_those_that_are_shipped():
@@ -157,7 +156,7 @@ def test_two_axes_must_differ_in_what_tells_them_apart(driver, axis, shared):
 
 
 def test_the_faults_of_all_devices_come_at_once():
-    text = SIMULATED.replace("scpi", "x").replace("simulated_evk4", "y").replace("zaber_ascii", "z")
+    text = PLAIN.replace("scpi", "x").replace("simulated_evk4", "y").replace("zaber_ascii", "z")
     assert len(faults(text)) == 3
 
 

@@ -1,13 +1,13 @@
 """Section `budget` of the station file: the terms it gives, and what is refused."""
 
 import pytest
+from station_texts import PLAIN
 
-from bench.stations.station import SHIPPED_STATIONS, Station
+from bench.stations.station import Station
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 
-SIMULATED = (SHIPPED_STATIONS / "simulated.yaml").read_text(encoding="utf-8")
-WITHOUT_COLLIMATOR = "\n".join(line for line in SIMULATED.splitlines() if not line.startswith("collimator:"))
+WITHOUT_COLLIMATOR = "\n".join(line for line in PLAIN.splitlines() if not line.startswith("collimator:"))
 FULL = """
 budget:
   print_scale: {value: 20e-6, distribution: rectangular, source: "maker's drawing", correction: 1e-4}
@@ -20,7 +20,7 @@ budget:
 
 
 def station(more: str) -> Station:
-    return check_document((SIMULATED + more).encode(), "b.yaml", Station).value
+    return check_document((PLAIN + more).encode(), "b.yaml", Station).value
 
 
 def faults(more: str) -> list[str]:
@@ -105,6 +105,6 @@ def test_temperatures_come_from_the_section_then_from_the_collimator():
 )
 def test_a_fault_names_line_and_column(section, column, said):
     (fault,) = faults(f"\nbudget:\n  {section}\n")
-    line = SIMULATED.count("\n") + 3
+    line = PLAIN.count("\n") + 3
     assert fault.startswith(f"b.yaml:{line}:{column}: budget")
     assert said in fault

@@ -1,0 +1,20 @@
+"""Station files as texts, for tests that change them."""
+
+import re
+
+from bench.stations.station import SHIPPED_STATIONS
+
+
+def without(text: str, *sections: str) -> str:
+    """The text of a station file without some sections and the comments directly before them."""
+    for name in sections:
+        text, found = re.subn(rf"(?m)(^#.*\n)*^{name}:.*\n((?=[ #]).*\n|\n(?= ))*", "", text)
+        assert found == 1, name
+    return text
+
+
+IDEAL = (SHIPPED_STATIONS / "simulated_ideal.yaml").read_text(encoding="utf-8")
+#: The ideal bench, with nothing stated about its collimator, gimbal and target: the views alone decide.
+PLAIN = (
+    without(IDEAL, "collimator", "gimbal", "budget") + "collimator: {serial: simulated, nominal_r_mm: 255}\n"
+)
