@@ -29,6 +29,8 @@ from sequences.script import ChooseStep, Until
 
 REDUCED_BY_POSES = frozenset({"stars", "known beforehand", "disagreement of the views"})
 """Sources of the uncertainty budget that further poses lower; all others stay as they are."""
+SMALLEST_COVERAGE_FACTOR = 2.0
+"""The k of the expanded uncertainty if many poses determine it."""
 _NEED_THE_RIM = frozenset({"auto", "pupil", "rim", "field", "coma"})
 """Models that are compared or fitted only if enough poses show the rim of the beam."""
 _FEWEST_LABELLED = 3
@@ -141,6 +143,7 @@ def expanded_uncertainties(calibration: Calibration) -> dict[str, float]:
 def fixed_parts(calibration: Calibration) -> dict[str, dict[str, float]]:
     """Return the parts of the expanded uncertainties that further poses do not lower, by source.
 
+    They are expanded by k = 2, the smallest coverage factor, because further poses also lower k.
     The part at the corners is that of the focal lengths, which such a source changes together: a corner at (dx, dy)
     from the principal point moves by dx u(fx) / fx and dy u(fy) / fy (JCGM 100:2008, 5.2, fully correlated inputs).
 
@@ -154,7 +157,7 @@ def fixed_parts(calibration: Calibration) -> dict[str, dict[str, float]]:
     dict
         Expanded uncertainty, px, by the name of the goal and by source; only sources that contribute.
     """
-    k, camera = calibration.coverage_factor, calibration.camera
+    k, camera = SMALLEST_COVERAGE_FACTOR, calibration.camera
     width, height = camera.image_size
     dx = max(camera.cx, width - 1 - camera.cx)
     dy = max(camera.cy, height - 1 - camera.cy)

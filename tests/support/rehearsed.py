@@ -39,11 +39,11 @@ class Hooked:
 class Scene:
     """A station, a sequence and a hook: called with what is about to happen, as ``stage.move_to``."""
 
-    def __init__(self, folder, *, station="", poses=TWO, end="", attempts=2, sequence=None):
+    def __init__(self, folder, *, station="", poses=TWO, end="", attempts=2, sequence=None, settings=None):
         self.folder = folder / "run"
         sequence = sequence or write_sequence(folder / "sequence.yaml", poses, attempts=attempts, end=end)
         planned = make_plan(
-            *load_documents(str(sequence), str(write_station(folder / "station.yaml", station)))
+            *load_documents(str(sequence), str(write_station(folder / "station.yaml", station)), settings)
         )
         assert not planned.faults, [str(fault) for fault in planned.faults]
         self.task = Job.from_plan(planned, seed=1, operator=None)

@@ -4,12 +4,13 @@ import shutil
 
 import pytest
 from quick_runs import END, THREE, write_until
-from rehearsed import Scene
+from rehearsed import Scene, with_runner
 
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.results import next_pose
+from bench.run.control import Command
 from bench.run.resumption import intentions
 from bench.run.status import read_status, status_text
 from drivers.errors import RecordingFailed
@@ -191,3 +192,53 @@ def test_intentions_and_status_name_the_goal(tmp_path):
     assert (status.poses, status.most_poses, status.accepted) == (5, 5, 4)
     assert "U(fx)" in status_text(status)
     assert "wanted 0.001" in status_text(status)
+
+
+def test_a_certificate_that_is_too_coarse_ends_it_at_once_and_is_named(tmp_path):
+    place = "station.collimator.certificate"
+    certificate = {f"{place}.r_mm": "255", f"{place}.uncertainty_mm": "1", f"{place}.number": "C-7"}
+    scene = until_scene(tmp_path, NEVER.replace("0.001", "4"), settings=certificate)
+    assert scene.run().how == "finished"
+    (told,) = decisions(scene)
+    assert told["ended"] == "unreachable"
+    assert "passport of the collimator" in told["why"]
+    assert "cannot reach the goal of 4 px" in told["why"]
+    assert told["fixed"]["expanded_fx_px"]["passport of the collimator"] == pytest.approx(6.5, rel=0.1)
+
+
+def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_path, monkeypatch):
+    scene = with_runner(until_scene(tmp_path, NEVER), monkeypatch)
+    refused = []
+
+    def skip_fourth(name):
+        if name == "stage.move_to" and scene.calls.count(name) == 4:
+            inbox = scene.runner._inbox
+            inbox.decide(Command(word="skip", by="ada", pose=9), "one")
+            inbox.decide(Command(word="skip", by="ada", pose=4), "two")
+            refused.extend(scene.told(Event.COMMANDED))
+
+    scene.hook = skip_fourth
+    assert scene.run().how == "finished"
+    assert [answer["taken"] for answer in refused] == [False, True]
+    assert sorted(angles(scene)) == [1, 2, 3, 5, 6]
+    assert decisions(scene)[-1]["ended"] == "at_most"
+
+
+def test_a_hold_between_choice_and_move_goes_on_at_the_chosen_pose(tmp_path, monkeypatch):
+    scene = with_runner(until_scene(tmp_path, NEVER), monkeypatch)
+    held = []
+
+    def hold_and_release(name):
+        if name == "stage.move_to" and scene.calls.count(name) == 4 and not held:
+            held.append(scene.runner._inbox.decide(Command(word="hold", by="ada"), "one"))
+        elif name == "light.off" and len(held) == 1:
+            held.append(scene.runner._inbox.decide(Command(word="release", by="ada"), "two"))
+
+    scene.hook = hold_and_release
+    assert scene.run().how == "finished"
+    assert "holding" in scene.states()
+    assert len(angles(scene)) == 5
+    chosen = {
+        one["chosen"]["pose"]: one["chosen"]["angles_deg"] for one in decisions(scene) if "chosen" in one
+    }
+    assert all(angles(scene)[pose] == at for pose, at in chosen.items())

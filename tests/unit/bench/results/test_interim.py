@@ -1,0 +1,250 @@
+"""Decisions of an `until`: when it ends and with which words, and that its choice is within limits and never a repeat."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bench.plan.job import Job
+from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
+from bench.records.history import History
+from bench.results import interim, next_pose
+from bench.results.forecasts import expected_bench
+from bench.results.interim import Interim, decide, fixed_parts
+from bench.results.next_pose import Choice, Wish, choose_pose
+from bench.stations.station import load_station
+from calib.model.rotation import euler_zxy
+from calib.studies.pose_choice import GimbalModel, PoseWeigher, Sigmas, fit_gimbal_model, rim_share
+from sequences.script import ChooseStep
+
+TAKEN = [
+    {"pan_deg": -6.0, "tilt_deg": 2.0},
+    {"pan_deg": 6.0, "tilt_deg": 2.0},
+    {"pan_deg": 0.0, "tilt_deg": -3.0},
+]
+WANTED = {"expanded_fx_px": 2.0, "worst_corner_px": 0.3}
+
+
+@pytest.fixture(scope="module")
+def job():
+    plan = make_plan(*load_documents(str(SHIPPED_SEQUENCES / "until_good.yaml"), "simulated"))
+    return Job.from_plan(plan, seed=1, operator=None)
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    monkeypatch.setattr(next_pose, "GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
+    monkeypatch.setattr(next_pose, "REFINEMENTS", ())
+
+
+def wish(**changes):
+    given = {
+        "wanted": WANTED,
+        "now": {},
+        "fixed": {},
+        "rim": False,
+        "roll": False,
+        "needs_tag": True,
+        "min_stars": 40,
+    }
+    return Wish(**(given | changes))
+
+
+def choose(taken=TAKEN, refused=(), station="simulated", **changes):
+    return choose_pose(
+        load_station(station), None, None, taken_deg=taken, refused_deg=list(refused), wish=wish(**changes)
+    )
+
+
+class HistoryOf(History):
+    """A history with as many accepted recordings as a test says, and failed poses."""
+
+    def __init__(self, accepted, chosen=0, worked_s=0.0):
+        super().__init__()
+        self._accepted = {
+            index: SimpleNamespace(
+                stored={"measured_deg": {"pan": float(index), "tilt": 0.0}}, pose_index=index
+            )
+            for index in accepted
+        }
+        self.worked_s = {5: worked_s, 1: 1000.0}
+        first = {"step": 0, "until": 2, "until_last": 999}
+        self.decisions = [
+            {**first, "chosen": {"pose": 4 + i, "angles_deg": {"pan": 9.0 - i, "tilt": 0.0}}}
+            for i in range(chosen)
+        ]
+
+
+def calibration(fx=1.0, corner=0.2, budget=None):
+    return SimpleNamespace(
+        coverage_factor=2.0,
+        model="radial",
+        camera=SimpleNamespace(fx=3300.0, fy=3300.0, cx=640.0, cy=360.0, image_size=(1280, 720)),
+        budget=budget or {"stars": {"fx": fx / 2, "fy": fx / 2}},
+        told=(fx, corner),
+    )
+
+
+@pytest.fixture
+def numbers(monkeypatch):
+    monkeypatch.setattr(
+        interim,
+        "expanded_uncertainties",
+        lambda found: dict(zip(("expanded_fx_px", "worst_corner_px"), found.told, strict=True)),
+    )
+    chosen = Choice(
+        {"pan_deg": 1.25, "tilt_deg": -2.0}, {"expanded_fx_px": 1.5, "worst_corner_px": np.inf}, "", "it"
+    )
+    monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: chosen)
+
+
+def decided(job, history, found, *, last=False):
+    steps = [step for step in job.steps if isinstance(step, ChooseStep)]
+    return decide(
+        steps[-1] if last else steps[0], job, history, Interim([], found, "" if found else "Too few stars.")
+    )
+
+
+@pytest.mark.usefixtures("numbers")
+def test_it_ends_when_every_goal_is_met(job):
+    told = decided(job, HistoryOf([1, 2, 3]), calibration(1.9, 0.3))
+    assert (told["ended"], told["why"]) == ("met", "The goals are met.")
+    assert "chosen" not in told
+
+
+@pytest.mark.usefixtures("numbers")
+def test_it_chooses_while_one_goal_is_missed(job):
+    told = decided(job, HistoryOf([1, 2, 3], worked_s=7.5), calibration(1.9, 0.31))
+    assert "ended" not in told
+    assert told["chosen"] == {
+        "pose": 4,
+        "pose_name": "chosen 1",
+        "angles_deg": {"pan": 1.25, "tilt": -2.0},
+        "expected": {"expanded_fx_px": 1.5},
+        "why": "it",
+    }
+    assert (told["recorded"], told["poses"], told["worked_s"]) == (3, 3, 7.5)
+
+
+@pytest.mark.usefixtures("numbers")
+def test_a_goal_below_what_no_pose_lowers_is_named_with_its_parts(job):
+    budget = {
+        "stars": {"fx": 0.5, "fy": 0.5},
+        "passport of the collimator": {"fx": 1.2, "fy": 1.2},
+        "print scale": {"fx": 0.5, "fy": 0.5},
+    }
+    told = decided(job, HistoryOf([1, 2, 3]), calibration(2.8, 0.5, budget))
+    assert told["ended"] == "unreachable"
+    assert told["why"] == (
+        "U(fx) cannot reach the goal of 2 px: 2.6 px of it do not depend on the number of poses (passport of the "
+        "collimator 2.4 px, print scale 1 px). Reduce these uncertainties, or set a larger goal."
+    )
+
+
+def test_what_poses_lower_is_no_fixed_part():
+    budget = {
+        name: {"fx": 1.0, "fy": 1.0}
+        for name in ("stars", "known beforehand", "disagreement of the views", "thermal")
+    }
+    parts = fixed_parts(calibration(budget=budget))
+    assert parts["expanded_fx_px"] == {"thermal": 2.0}
+    corner = 2.0 * np.hypot(640.0, 360.0) / 3300.0
+    assert parts["worst_corner_px"]["thermal"] == pytest.approx(corner, rel=1e-3)
+
+
+@pytest.mark.usefixtures("numbers")
+def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
+    budget = {"stars": {"fx": 1.0, "fy": 1.0}, "disagreement of the views": {"fx": 2.0, "fy": 2.0}}
+    found = calibration(4.5, 0.2, budget)
+    told = decided(job, HistoryOf(range(1, 26)), found)
+    assert told["ended"] == "at_most"
+    assert told["why"] == (
+        "25 recordings are accepted, the most allowed. U(fx) is 4.5 px; the goal is 2 px. The largest part of U(fx) "
+        "comes from: disagreement of the views, 4 px."
+    )
+    assert decided(job, HistoryOf([1, 2, 3], chosen=10), found)["ended"] == "failures"
+    assert "chosen" in decided(job, HistoryOf([1, 2, 3], chosen=9), found)
+    assert decided(job, HistoryOf([1, 2, 3], worked_s=1200.0), found)["ended"] == "minutes"
+    assert "chosen" in decided(job, HistoryOf([1, 2, 3], worked_s=1199.0), found)
+
+
+@pytest.mark.usefixtures("numbers")
+def test_without_a_calibration_it_goes_on_and_says_why_at_the_end(job, monkeypatch):
+    assert "chosen" in decided(job, HistoryOf([1]), None)
+    monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: "No pose is left.")
+    told = decided(job, HistoryOf([1]), None)
+    assert (told["ended"], told["why"]) == ("no_pose", "No pose is left. Too few stars.")
+    assert told["now"] == {}
+
+
+def test_the_choice_is_the_same_each_time_and_within_the_limits():
+    first, second = choose(), choose()
+    assert first == second
+    for axis, config in load_station("simulated").value.axes.items():
+        assert config.limits_deg[0] <= first.angles_deg[f"{axis}_deg"] <= config.limits_deg[1]
+    assert set(first.expected) == set(WANTED)
+    assert first.why == "it lowers U(fx) most"
+
+
+@pytest.mark.usefixtures("coarse")
+def test_no_pose_is_repeated_and_no_failed_pose_chosen_again():
+    taken, refused = list(TAKEN), []
+    for number in range(8):
+        angles = dict(choose(taken, refused).angles_deg)
+        others = [*taken, *refused]
+        assert all(max(abs(angles[axis] - one[axis]) for axis in angles) >= 0.2 for one in others)
+        (refused if number % 3 == 2 else taken).append(angles)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_rim_that_is_lacking_is_brought_into_view():
+    middle = [{"pan_deg": float(pan), "tilt_deg": 0.0} for pan in (-0.5, 0.5, 0.0)]
+    found = choose(middle, rim=True, needs_tag=False)
+    assert found.lacks == "rim"
+    assert "rim" in found.why
+    bench = expected_bench(load_station("simulated"))
+    angles = [found.angles_deg["pan_deg"], found.angles_deg["tilt_deg"]]
+    assert rim_share(bench, euler_zxy(*angles)) >= next_pose.RIM_IN_VIEW
+    assert rim_share(bench, euler_zxy(0.0, 0.0)) < next_pose.RIM_IN_VIEW
+
+
+def test_no_pose_left_is_said():
+    assert "No pose within the limits" in choose(min_stars=100_000)
+
+
+def test_without_calibration_and_expectations_nothing_can_be_predicted(tmp_path):
+    shipped = load_station("simulated")
+    value = shipped.value.model_copy(update={"expected": None})
+    found = choose_pose(
+        replace(shipped, value=value), None, None, taken_deg=TAKEN, refused_deg=[], wish=wish()
+    )
+    assert "no expected section" in found
+
+
+def test_a_mounting_turned_by_a_quarter_is_found_from_the_views():
+    readings = [{"pan_deg": p, "tilt_deg": t} for p, t in ((-6, 2), (6, 2), (0, -3), (3, 1))]
+    mounting = euler_zxy(1.0, -2.0, 90.0)
+    base = euler_zxy(-1.5, 0.5, -90.0)
+    rotations = np.array([mounting @ euler_zxy(r["pan_deg"], r["tilt_deg"]) @ base for r in readings])
+    model = fit_gimbal_model(rotations, 1e-10 * np.eye(12), readings)
+    here = {"pan_deg": 4.0, "tilt_deg": -4.0}
+    assert model.rotation(here) == pytest.approx(mounting @ euler_zxy(4.0, -4.0) @ base, abs=1e-4)
+    straight = fit_gimbal_model(rotations[:1], np.eye(3), readings[:1])
+    assert straight.rotation(readings[0]) == pytest.approx(rotations[0], abs=1e-9)
+    assert fit_gimbal_model(np.zeros((0, 3, 3)), np.zeros((0, 0)), []).rotation({}) == pytest.approx(
+        np.eye(3)
+    )
+
+
+def test_more_poses_leave_less_and_a_neighbour_brings_less_than_a_far_pose():
+    bench = expected_bench(load_station("simulated"))
+    weigher = PoseWeigher(bench, GimbalModel(np.eye(3), np.eye(3)), TAKEN)
+    near, far, repeat = {"pan_deg": 6.3, "tilt_deg": 2.0}, {"pan_deg": 4.0, "tilt_deg": -3.0}, TAKEN[0]
+    by_near, by_far = weigher.weigh([near, far, repeat])
+    assert by_far.after.worst_px < by_near.after.worst_px < weigher.before.worst_px
+    assert weigher.possible([near, repeat]) == [near]
+    few = PoseWeigher(bench, GimbalModel(np.eye(3), np.eye(3)), TAKEN[:1])
+    assert isinstance(few.before, Sigmas)
+    assert few.before.missing >= 1
+    assert few.weigh([far])[0].after.missing < few.before.missing
