@@ -110,7 +110,9 @@ class Gates:
             The gates; other settings that are None set no limit.
         """
         usual = WAVEFORM_LIMITS.get(waveform, WAVEFORM_LIMITS["square"])
-        every = {name: usual.get(name) if limit is None else limit for name, limit in settings.items()}
+        every: dict[str, Any] = {
+            name: usual.get(name) if limit is None else limit for name, limit in settings.items()
+        }
         limits = {name: limit for name, limit in every.items() if limit is not None}
         stars, rate = limits.pop("min_stars"), limits.pop("max_event_rate_mev_s")
         return cls(stars, rate, limits.pop("require_triggers"), limits)

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, StarsUnnamed, TargetNotFound, TooFewStars
+from calib.model.homography import apply_homography
 from calib.stars.centring import LocalMap, SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import fit_grid_map
-from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
+from calib.stars.growth import GrowthStart, StarGrid, grow_star_grid, start_at_tag
 from calib.stars.labelling import label_by_pose, label_by_tag
 from calib.stars.lattice import find_lattice
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
@@ -215,12 +216,15 @@ def _candidates_without_tag(
 ) -> tuple[_Candidates, float, NamedBy]:
     """Find possible stars starting at any of them, and label them by the visible part of the tag or by the pose."""
     start = find_lattice(image, target.segments)
+    starts = [start] if start is not None else _starts_as_expected(image, expected)
     size = max(target.columns, target.rows)
     grown = StarGrid()
-    if start is not None:
-        grown = grow_star_grid(
-            image, start, target.segments, lambda nodes: np.asarray((np.abs(nodes) < size).all(axis=1))
+    for tried in starts:
+        found = grow_star_grid(
+            image, tried, target.segments, lambda nodes: np.asarray((np.abs(nodes) < size).all(axis=1))
         )
+        if len(found.points) > len(grown.points):
+            start, grown = tried, found
     if start is None or len(grown.points) < MIN_STARS:
         raise TargetNotFound(
             f"Tag {target.tag_id} of family 36h11 is not in the image, and no stars are either.",
@@ -243,6 +247,24 @@ def _candidates_without_tag(
             remedy="Check the target's description and the expected pose.",
         )
     return _Candidates(nodes, grown.places()).select(printed), start.sign, named_by
+
+
+def _starts_as_expected(
+    image: NDArray[np.float32], expected: NDArray[np.float64] | None
+) -> list[GrowthStart]:
+    """Return where growth may start by the expected pose, for either contrast: nodes in the middle of the image.
+
+    An image out of focus may show stars, but none that is found without knowing where it is.
+    """
+    if expected is None:
+        return []
+    height, width = image.shape
+    inverse = np.asarray(np.linalg.inv(expected), np.float64)
+    middle = apply_homography(inverse, np.array([[width / 2.0, height / 2.0]]))
+    steps = np.arange(-2, 3)
+    nodes = (np.round(middle) + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)).astype(np.int64)
+    nothing = np.zeros((0, 2))
+    return [GrowthStart(expected, sign, nodes, nothing, nothing) for sign in (1.0, -1.0)]
 
 
 def _best_centres(
@@ -369,5 +391,5 @@ def _require_enough(
     raise TooFewStars(
         f"{found} The image is out of focus{wide}.",
         where=f"view {name}",
-        remedy="Focus the camera until star edges are narrower than 1.5 px (edge_width_px), or use a sine flicker.",
+        remedy="Focus the camera until star edges are narrower than 1.3 px (edge_width_px), or use a sine flicker.",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,10 @@ import pytest
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker, flicker_from_events
 from calib.events.motion import half_windows, motion_between
-from calib.stars.detect import detect_view
+from calib.stars.detect import detect_stars, detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
-from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
+from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, OpticsTruth, Truth
 from simulators.world.world import LightState
 
 WINDOW_US = 33_000.0
@@ -29,14 +30,14 @@ POSES = (
 )
 
 
-def record(noise, waveform, pose, seed):
+def record(noise, waveform, pose, seed, truth=TRUTH):
     """Return events of 33 ms, as in the paper, the flicker of the light, and the true rotation of the camera."""
-    rotation = pose_rotation(pose, TRUTH.optics)
+    rotation = pose_rotation(pose, truth.optics)
     light = LightState(waveform=waveform, output=True, sync=True)
     phase = float(np.random.default_rng(seed).random())
     level = NOISE_LEVELS[noise]
     events = simulate(
-        render(TRUTH, rotation), light, WINDOW_US, phase=phase, noise=level, camera_seed=7, seed=seed
+        render(truth, rotation), light, WINDOW_US, phase=phase, noise=level, camera_seed=7, seed=seed
     )
     edge = -phase * light.period_us % light.period_us
     return events, Flicker(light.period_us, edge, 0.5, 0.0, 2, 0, 0, "triggers"), rotation
@@ -76,6 +77,22 @@ def test_stars_of_33_ms_are_as_accurate_as_required(waveform, noise, chosen, rms
         best = images(events, flicker).best()
         assert best.name == chosen
         off, z = compare(detect_view(best.image, TARGET), rotation)
+        errors.append(off)
+        squares.append(z)
+    assert np.sqrt((np.concatenate(errors) ** 2).mean()) <= rms_px
+    assert 0.85 < np.sqrt(np.concatenate(squares).mean()) < 1.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("waveform", "rms_px"), [("square", 0.045), ("sine", 0.018)])
+def test_stars_out_of_focus_are_all_found_with_true_covariances(waveform, rms_px):
+    blurred = replace(TRUTH, optics=OpticsTruth(psf_px=1.5))
+    errors, squares = [], []
+    for seed, pose in enumerate(POSES[:2], start=1):
+        events, flicker, rotation = record("typical", waveform, pose, seed, blurred)
+        seen = detect_stars(images(events, flicker).best().image, TARGET)
+        assert 1.1 < seen.edge_width_px < 1.6
+        off, z = compare(seen.view, rotation)
         errors.append(off)
         squares.append(z)
     assert np.sqrt((np.concatenate(errors) ** 2).mean()) <= rms_px

@@ -1,0 +1,148 @@
+"""Which light, and how sharp a lens: stars of simulated recordings, compared with the truth, and the load of the link.
+
+The table has a row for each waveform, level of noise, frequency, level of the light, window and blur of the lens. The
+columns are, over some random poses of the simulated bench: million events per second; data of the link, Gbit/s (it
+carries 1.6), and the share of the time for which the readout waited for it; events of a lit pixel at an edge of the
+light; rms error of the stars per axis, their median stated sigma and the rms z-score; complete stars that were missed;
+width of the edges as measured; poses that were refused.
+
+    python tests/benchmarks/bench_lights.py [--poses 3] [--rows noise | light | focus]
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from calib.errors import CalibrationError
+from calib.events.event_image import make_images
+from calib.events.flicker import Flicker
+from calib.stars.detect import detect_stars
+from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
+from simulators.pixels.evt3_writer import Evt3Writer
+from simulators.pixels.sensor import Sensor
+from simulators.world.truth import NOISE_LEVELS, OpticsTruth, Truth
+from simulators.world.world import FULL_DRIVE_V, LightState
+
+WAVEFORMS = ("square", "sine")
+ROWS = {
+    "noise": [
+        {"waveform": w, "noise": n, "window_ms": ms}
+        for n in ("clean", "typical", "heavy")
+        for w in WAVEFORMS
+        for ms in (33, 100)
+    ],
+    "light": [
+        {"waveform": w, "frequency_hz": hz, "level_percent": level}
+        for w in WAVEFORMS
+        for hz in (15, 30, 60, 120, 240)
+        for level in (100, 30, 10)
+    ],
+    "focus": [
+        {"waveform": w, "psf_px": psf}
+        for w in WAVEFORMS
+        for psf in (0.4, 0.7, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5)
+    ],
+}
+ROW = {
+    "waveform": "square",
+    "noise": "typical",
+    "frequency_hz": 60,
+    "level_percent": 100,
+    "window_ms": 33,
+    "psf_px": 0.7,
+}
+
+
+def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> dict[str, float]:
+    """Return the figures of one recording; without those of its stars if the view is refused."""
+    truth = dataclasses.replace(Truth(), optics=OpticsTruth(psf_px=row["psf_px"]))
+    rotation = pose_rotation(angles_deg, truth.optics)
+    light = LightState(
+        waveform=row["waveform"],
+        frequency_hz=row["frequency_hz"],
+        high_v=FULL_DRIVE_V * row["level_percent"] / 100.0,
+        output=True,
+        sync=True,
+    )
+    phase = float(np.random.default_rng(seed).random())
+    periods = max(1, round(row["window_ms"] * 1e3 / light.period_us))
+    length_us = (periods + 1) * light.period_us
+    sensor = Sensor(noise=NOISE_LEVELS[row["noise"]], camera_seed=7, seed=seed)
+    sensor.begin(render(truth, rotation), light, phase)
+    events = sensor.run(length_us)
+    words = Evt3Writer().write(*events, until_us=math.ceil(length_us) + 1).size
+    figures = {
+        "rate": events.t.size / length_us,
+        "gbit_s": 16e-3 * words / length_us,
+        "waited": sensor.stalled_us / length_us,
+    }
+    edge_us = -phase * light.period_us % light.period_us
+    flicker = Flicker(light.period_us, edge_us, light.high_share, 0.0, 2, 0, 0, "triggers")
+    size = truth.camera.width, truth.camera.height
+    try:
+        images = make_images(*events, size, flicker, window_us=(0.0, length_us), periods=periods)
+        view, _, width_px = detect_stars(images.best().image, TARGET)
+    except CalibrationError:
+        return figures
+    errors = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)
+    whole, _ = star_centres(
+        truth,
+        rotation,
+        clearance=0.72,
+        border_px=truth.camera.fx * TARGET.pitch_mm / truth.collimator.r / math.sqrt(2.0),
+    )
+    squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(view.covariances_px2), errors) / 2.0
+    return figures | {
+        "per_edge": images.facts.events_per_edge,
+        "square": float((errors**2).mean()),
+        "sigma": float(np.median(np.sqrt(np.trace(view.covariances_px2, axis1=1, axis2=2) / 2.0))),
+        "z_square": float(squares.mean()),
+        "missed": len(np.setdiff1d(whole, view.ids)),
+        "whole": len(whole),
+        "width": width_px,
+    }
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--poses", type=int, default=3)
+    parser.add_argument("--rows", choices=tuple(ROWS), action="append")
+    options = parser.parse_args()
+    rng = np.random.default_rng(5)
+    poses = [
+        {"pan": rng.uniform(-6, 6), "tilt": rng.uniform(-3, 3), "roll": rng.uniform(0, 360)}
+        for _ in range(options.poses)
+    ]
+    print(
+        "waveform noise    Hz level ms  blur | Mev/s Gbit/s waited edge | rms px  sigma     z missed width refused"
+    )
+    for table in options.rows or ROWS:
+        for changed in ROWS[table]:
+            row = ROW | changed
+            row["window_ms"] = max(row["window_ms"], 1e3 / row["frequency_hz"])
+            tried = [try_pose(row, pose, seed) for seed, pose in enumerate(poses, start=1)]
+            found = [one for one in tried if "square" in one]
+            mean = {key: float(np.mean([one[key] for one in found])) for key in (found[0] if found else {})}
+            link = [np.mean([one[key] for one in tried]) for key in ("rate", "gbit_s", "waited")]
+            text = (
+                f"{row['waveform']:8s} {row['noise']:7s} {row['frequency_hz']:3d} {row['level_percent']:4d} "
+                f"{row['window_ms']:3.0f} {row['psf_px']:5.2f} | {link[0]:5.0f} {link[1]:6.2f} {link[2]:6.2f} "
+            )
+            if found:
+                text += (
+                    f"{mean['per_edge']:4.1f} | {mean['square'] ** 0.5:.4f} {mean['sigma']:.4f} "
+                    f"{mean['z_square'] ** 0.5:5.2f} {sum(one['missed'] for one in found):6.0f} {mean['width']:5.2f} "
+                )
+            print(text + f"{len(tried) - len(found):7d}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
