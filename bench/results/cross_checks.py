@@ -18,6 +18,10 @@ from calib.studies.hand_eye import check_hand_eye
 from calib.studies.split_half import split_half
 from calib.view import View
 
+_NOT_INDEPENDENT = (
+    "The readings also entered the calibration, so this comparison is not independent of them.",
+)
+
 
 def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
     """Calibrate every other pose and the rest separately, and compare the projections of the two cameras at infinity.
@@ -88,11 +92,16 @@ def gimbal_check(
         "agrees": check.consistent,
         "excess_arcsec": check.excess_arcsec,
         "verdict": check.verdict.kind,
-        "says": list(check.verdict.says),
+        "says": [*check.verdict.says, *(_NOT_INDEPENDENT if _entered(calibration) else ())],
         "pairs": _pairs(check.pairs) if check.pairs is not None else None,
         "slip": slips[0] if slips else None,
         "faults": faults,
     }
+
+
+def _entered(calibration: Calibration) -> bool:
+    """Return whether the readings took part in the calibration."""
+    return calibration.gimbal is not None and calibration.gimbal.entered
 
 
 def _focal_uncertainty(calibration: Calibration) -> float | None:

@@ -326,10 +326,12 @@ def _scale(found: Findings) -> tuple[VerdictKind, str] | None:
         for axis, value in zip(axes, values, strict=True)
     )
     seen = f"Angle seen over angle read: {by_axis} (k = 2). {_of_pairs(found)}"
-    if (seen_off := _common_to_pairs(found)) > off and seen_off <= focal and not differ:
-        off, common = seen_off, found.pairs.ratio if found.pairs else common
+    seen_off = _common_to_pairs(found)
+    by_pairs = off < seen_off <= focal and not differ
+    if by_pairs and found.pairs is not None:
+        off, common = seen_off, found.pairs.ratio
     own_sigma = 1 / float(np.sqrt((own**-2).sum()))
-    shown = found.views_disagree or seen_off > 0 or _significant(found, off, own_sigma)
+    shown = found.views_disagree or by_pairs or _significant(found, off, own_sigma)
     if not differ and (not shown or (off <= focal and off < _SMALL)):
         return "agrees", seen
     if off <= focal and (not differ or found.views_disagree):

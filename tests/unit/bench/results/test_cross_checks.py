@@ -1,5 +1,7 @@
 """Checks beside a result: halves of the poses, and the gimbal's readings."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -50,3 +52,28 @@ def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
     assert told["scale"]["tilt_deg"] == pytest.approx(1.0, abs=4 * told["scale_sigma"]["tilt_deg"])
     assert told["agrees"]
     assert gimbal_check(calibration, [{"pan": 0.0}] * len(POSES)) is None
+    assert told["verdict"] == "scale_or_parallax"
+    assert told["pairs"]["count"] == 28
+    assert told["pairs"]["by_axis"]["pan_deg"] == pytest.approx(0.998, abs=1e-3)
+    assert told["slip"] is None
+    assert told["faults"] == []
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+
+
+def test_a_slip_is_stated_with_axis_pose_and_size(views):
+    calibration = calibrate(views, CalibrationOptions())
+    readings = [
+        {"pan": pan, "tilt": tilt + (0.2 if index >= 5 else 0.0)} for index, (pan, tilt) in enumerate(POSES)
+    ]
+    told = gimbal_check(calibration, readings)
+    assert told is not None
+    assert told["verdict"] == "slip"
+    assert not told["agrees"]
+    slip = told["slip"]
+    assert (slip["axis"], slip["pose"], slip["claimed"]) == ("tilt_deg", 5, True)
+    assert slip["size_deg"] == pytest.approx(-0.2, abs=5 * slip["sigma_deg"])
+    assert told["faults"] == [slip]
+    assert any(
+        "The tilt axis slipped between pose 5 (-4 -2) and pose 6 (5 -2)" in said for said in told["says"]
+    )
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
