@@ -23,12 +23,20 @@ from bench.views.expected_grid import best_angles_deg
 from bench.views.measure import Measurement, aligned_poses
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
+from calib.model.budget_row import WORST_CORNER, BudgetRow
 from calib.model.passport import Passport
+from calib.model.type_b_terms import UNITS
+from calib.uncertainty.budget_parts import GIMBAL_AXES, GIMBAL_SCALE, PARALLAX_BOUND, PRIORS, READINGS, STARS
+from calib.uncertainty.covariance import INCONSISTENCY
 from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, Until
 
-REDUCED_BY_POSES = frozenset({"stars", "known beforehand", "disagreement of the views"})
+REDUCED_BY_POSES = frozenset({STARS, PRIORS, READINGS, GIMBAL_AXES, INCONSISTENCY})
 """Sources of the uncertainty budget that further poses lower; all others stay as they are."""
+REDUCED_SLOWLY = frozenset({PARALLAX_BOUND, GIMBAL_SCALE})
+"""Sources that further poses lower only if the stars determine the focal length without the gimbal's readings."""
+_QUANTITIES = {"expanded_fx_px": "fx", "worst_corner_px": WORST_CORNER}
+"""Column of the budget for each goal."""
 SMALLEST_COVERAGE_FACTOR = 2.0
 """The k of the expanded uncertainty if many poses determine it."""
 _NEED_THE_RIM = frozenset({"auto", "pupil", "rim", "field", "coma"})
@@ -140,35 +148,51 @@ def expanded_uncertainties(calibration: Calibration) -> dict[str, float]:
     return {"expanded_fx_px": found["expanded_fx"], "worst_corner_px": found["worst_corner"]}
 
 
-def fixed_parts(calibration: Calibration) -> dict[str, dict[str, float]]:
+def fixed_parts(calibration: Calibration, more: float = 1.0) -> dict[str, dict[str, float]]:
     """Return the parts of the expanded uncertainties that further poses do not lower, by source.
 
-    They are expanded by k = 2, the smallest coverage factor, because further poses also lower k.
-    The part at the corners is that of the focal lengths, which such a source changes together: a corner at (dx, dy)
-    from the principal point moves by dx u(fx) / fx and dy u(fy) / fy (JCGM 100:2008, 5.2, fully correlated inputs).
+    They are expanded by k = 2, the smallest coverage factor, because further poses also lower k. Parallax and scale of
+    the gimbal count as far as they would remain after all poses: with q, the ratio of the variances of this source and
+    of the stars, the information of `more` times as many poses leaves (1 + q) / (`more` + q) of it (own derivation for
+    one parameter: a prior of information b contributes sqrt(b) / (a + b) if the stars have the information a).
 
     Parameters
     ----------
     calibration
         The calibration, with its uncertainty budget.
+    more
+        How many times as many poses can be recorded in all, at least 1.
 
     Returns
     -------
     dict
         Expanded uncertainty, px, by the name of the goal and by source; only sources that contribute.
     """
-    k, camera = SMALLEST_COVERAGE_FACTOR, calibration.camera
-    width, height = camera.image_size
-    dx = max(camera.cx, width - 1 - camera.cx)
-    dy = max(camera.cy, height - 1 - camera.cy)
-    found: dict[str, dict[str, float]] = {"expanded_fx_px": {}, "worst_corner_px": {}}
-    for source, sigmas in calibration.budget.items():
-        fx, fy = sigmas.get("fx", 0.0), sigmas.get("fy", 0.0)
-        if source in REDUCED_BY_POSES or not fx > 0:
-            continue
-        found["expanded_fx_px"][source] = k * fx
-        found["worst_corner_px"][source] = k * float(np.hypot(dx * fx / camera.fx, dy * fy / camera.fy))
+    found: dict[str, dict[str, float]] = {}
+    for goal, quantity in _QUANTITIES.items():
+        parts = {row.name: row.contribution.get(quantity, 0.0) for row in calibration.budget_rows}
+        free = {row.name for row in calibration.budget_rows if _is_reduced(row)}
+        stars = sum(parts[name] ** 2 for name in free)
+        found[goal] = {
+            name: SMALLEST_COVERAGE_FACTOR
+            * (_remaining(part, stars, more) if name in REDUCED_SLOWLY else part)
+            for name, part in parts.items()
+            if name not in free and part > 0
+        }
     return found
+
+
+def _is_reduced(row: BudgetRow) -> bool:
+    """Return whether further poses lower a source; a wavefront differs over the target, so they may."""
+    return row.name in REDUCED_BY_POSES or row.unit == UNITS["wavefront"]
+
+
+def _remaining(part: float, stars: float, more: float) -> float:
+    """Return what remains of a part whose variance is compared with that of the stars."""
+    if stars <= 0:
+        return part
+    ratio = part**2 / stars
+    return part * (1.0 + ratio) / (more + ratio)
 
 
 def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> UntilDecided:
@@ -189,29 +213,30 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         The decision, for the journal.
     """
     until, accepted, calibration = step.until, history.accepted(), interim.calibration
+    recorded = sum(pose in accepted for pose in until.poses)
+    most = len(accepted) + max(0, until.at_most - recorded)
     decided: UntilDecided = {
         "step": step.number,
         "until": until.first,
         "until_last": until.last,
-        "recorded": sum(pose in accepted for pose in until.poses),
+        "recorded": recorded,
         "poses": len(accepted),
         "worked_s": round(sum(history.worked_s.get(n, 0.0) for n in range(until.first, until.last + 1)), 3),
         "wanted": dict(until.goals),
         "now": expanded_uncertainties(calibration) if calibration else {},
-        "fixed": fixed_parts(calibration) if calibration else {},
+        "fixed": fixed_parts(calibration, most / len(accepted)) if calibration else {},
         "coverage_factor": calibration.coverage_factor if calibration else None,
         "model": calibration.model if calibration else "",
         "lacks": "",
     }
     failed = [pose for pose in history.chosen if pose in until.poses and pose not in accepted]
     end = _end(until, decided, interim, len(failed))
-    if end is None:
-        choice = _choose(step, job, history, interim, decided, failed)
-        if isinstance(choice, Choice):
-            return {**decided, "lacks": choice.lacks, "chosen": _chosen(step, choice)}
-        end = ("no_pose", f"{choice} {interim.why}".strip())
-    how, why = end
-    return {**decided, "ended": how, "why": why}
+    if end is not None:
+        return {**decided, "ended": end[0], "why": end[1]}
+    choice = _choose(step, job, history, interim, decided, failed)
+    if isinstance(choice, Choice):
+        return {**decided, "lacks": choice.lacks, "chosen": _chosen(step, choice)}
+    return {**decided, "ended": "no_pose", "why": f"{choice} {interim.why}".strip()}
 
 
 def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> tuple[UntilEnd, str] | None:
@@ -245,13 +270,13 @@ def _missed(now: Mapping[str, float], wanted: Mapping[str, float]) -> str:
 
 def _largest_source(calibration: Calibration | None) -> str:
     """Return the source that contributes most to U(fx), as text."""
-    sigmas = {
-        source: sigma.get("fx", 0.0) for source, sigma in (calibration.budget if calibration else {}).items()
+    parts = {
+        row.name: row.contribution.get("fx", 0.0) for row in (calibration.budget_rows if calibration else ())
     }
-    if not sigmas or calibration is None:
+    if not parts or calibration is None:
         return ""
-    largest = max(sigmas, key=lambda source: sigmas[source])
-    part = calibration.coverage_factor * sigmas[largest]
+    largest = max(parts, key=lambda source: parts[source])
+    part = calibration.coverage_factor * parts[largest]
     return f"The largest part of U(fx) comes from: {largest}, {part:.3g} px."
 
 

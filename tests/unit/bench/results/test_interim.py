@@ -14,6 +14,7 @@ from bench.results.forecasts import expected_bench
 from bench.results.interim import Interim, decide, fixed_parts
 from bench.results.next_pose import Choice, Wish, choose_pose
 from bench.stations.station import load_station
+from calib.model.budget_row import BudgetRow
 from calib.model.rotation import euler_zxy
 from calib.studies.pose_choice import GimbalModel, PoseWeigher, Sigmas, fit_gimbal_model, rim_share
 from sequences.script import ChooseStep
@@ -76,12 +77,17 @@ class HistoryOf(History):
         ]
 
 
-def calibration(fx=1.0, corner=0.2, budget=None):
+def calibration(fx=1.0, corner=0.2, **parts):
+    """A calibration with these contributions to the standard uncertainty of fx; a tenth of each at the corners."""
     return SimpleNamespace(
         coverage_factor=2.0,
         model="radial",
-        camera=SimpleNamespace(fx=3300.0, fy=3300.0, cx=640.0, cy=360.0, image_size=(1280, 720)),
-        budget=budget or {"stars": {"fx": fx / 2, "fy": fx / 2}},
+        budget_rows=[
+            BudgetRow(
+                name.replace("_", " "), "A", "test", contribution={"fx": part, "worst_corner": part / 10}
+            )
+            for name, part in (parts or {"stars": fx / 2}).items()
+        ],
         told=(fx, corner),
     )
 
@@ -129,12 +135,8 @@ def test_it_chooses_while_one_goal_is_missed(job):
 
 @pytest.mark.usefixtures("numbers")
 def test_a_goal_below_what_no_pose_lowers_is_named_with_its_parts(job):
-    budget = {
-        "stars": {"fx": 0.5, "fy": 0.5},
-        "passport of the collimator": {"fx": 1.2, "fy": 1.2},
-        "print scale": {"fx": 0.5, "fy": 0.5},
-    }
-    told = decided(job, HistoryOf([1, 2, 3]), calibration(2.8, 0.5, budget))
+    found = calibration(2.8, 0.5, stars=0.5, passport_of_the_collimator=1.2, print_scale=0.5)
+    told = decided(job, HistoryOf([1, 2, 3]), found)
     assert told["ended"] == "unreachable"
     assert told["why"] == (
         "U(fx) cannot reach the goal of 2 px: 2.6 px of it do not depend on the number of poses (passport of the "
@@ -143,20 +145,26 @@ def test_a_goal_below_what_no_pose_lowers_is_named_with_its_parts(job):
 
 
 def test_what_poses_lower_is_no_fixed_part():
-    budget = {
-        name: {"fx": 1.0, "fy": 1.0}
-        for name in ("stars", "known beforehand", "disagreement of the views", "thermal")
+    reduced = {
+        "stars": 1.0,
+        "known_beforehand": 1.0,
+        "disagreement_of_the_views": 1.0,
+        "readings_of_the_gimbal": 1.0,
     }
-    parts = fixed_parts(calibration(budget=budget))
-    assert parts["expanded_fx_px"] == {"thermal": 2.0}
-    corner = 2.0 * np.hypot(640.0, 360.0) / 3300.0
-    assert parts["worst_corner_px"]["thermal"] == pytest.approx(corner, rel=1e-3)
+    parts = fixed_parts(calibration(**reduced, thermal=1.0))
+    assert parts == {"expanded_fx_px": {"thermal": 2.0}, "worst_corner_px": {"thermal": 0.2}}
+
+
+@pytest.mark.parametrize(("stars", "left"), [(0.01, 1.0), (1.0, 2 / 9), (10.0, 1.01 / 8.01)])
+def test_parallax_stays_unless_the_stars_determine_the_focal_length_without_readings(stars, left):
+    parts = fixed_parts(calibration(stars=stars, parallax=1.0), more=8.0)
+    assert parts["expanded_fx_px"]["parallax"] == pytest.approx(2.0 * left, rel=1e-3)
+    assert fixed_parts(calibration(parallax=1.0), more=8.0)["expanded_fx_px"]["parallax"] == 2.0
 
 
 @pytest.mark.usefixtures("numbers")
 def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
-    budget = {"stars": {"fx": 1.0, "fy": 1.0}, "disagreement of the views": {"fx": 2.0, "fy": 2.0}}
-    found = calibration(4.5, 0.2, budget)
+    found = calibration(4.5, 0.2, stars=1.0, disagreement_of_the_views=2.0)
     told = decided(job, HistoryOf(range(1, 26)), found)
     assert told["ended"] == "at_most"
     assert told["why"] == (
