@@ -11,6 +11,41 @@ from calib.errors import InputMismatch
 
 
 @dataclass(frozen=True)
+class RimPoints:
+    """The rim of the beam as the image of a pose shows it: points on the target's plane.
+
+    Attributes
+    ----------
+    points_mm
+        (K, 2) float64, mm, points at which the light ends; K is 0 if the rim is out of the frame.
+    sigmas_mm
+        (K,) float64, mm, 1-sigma of each point across the rim.
+    lit_mm
+        (L, 2) float64, mm, points at the border of the frame that are bright: the rim lies farther out.
+    level_sigma_mm
+        1-sigma of the rim's centre along each axis, mm, because the light is not even over the beam.
+
+    Raises
+    ------
+    InputMismatch
+        If shapes disagree, or a number is not finite.
+    """
+
+    points_mm: NDArray[np.float64]
+    sigmas_mm: NDArray[np.float64]
+    lit_mm: NDArray[np.float64]
+    level_sigma_mm: float
+
+    def __post_init__(self) -> None:
+        k, shapes = len(self.points_mm), (self.points_mm.shape, self.sigmas_mm.shape, self.lit_mm.shape)
+        if shapes != ((k, 2), (k,), (len(self.lit_mm), 2)):
+            raise InputMismatch(f"The arrays of the rim have shapes {shapes}.", where="rim points")
+        numbers = (self.points_mm, self.sigmas_mm, self.lit_mm, np.array(self.level_sigma_mm))
+        if not all(np.isfinite(a).all() for a in numbers):
+            raise InputMismatch("The rim holds numbers that are not finite.", where="rim points")
+
+
+@dataclass(frozen=True)
 class View:
     """Stars of one pose.
 
@@ -28,6 +63,8 @@ class View:
         (N, 2) float64, mm, positions X, Y on the target plane (Z = 0).
     covariances_px2
         (N, 2, 2) float64, px^2, covariance of each image point.
+    rim
+        The rim of the beam in the image; None if there is no image, as for a list of points.
 
     Raises
     ------
@@ -41,6 +78,7 @@ class View:
     points_px: NDArray[np.float64]
     target_mm: NDArray[np.float64]
     covariances_px2: NDArray[np.float64]
+    rim: RimPoints | None = None
 
     def __post_init__(self) -> None:
         n = len(self.ids)

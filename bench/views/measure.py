@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from calib.events.flicker import Flicker, flicker_from_events, flicker_from_trig
 from calib.events.motion import half_windows, motion_between
 from calib.model.homography import fit_homography
 from calib.stars.detect import detect_stars, detect_view
+from calib.stars.rim import find_rim
 from calib.stars.vignetting import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
@@ -141,7 +142,9 @@ def find_stars(
     expected_grid: ExpectedGrid | None,
     facts: MeasuredFacts,
 ) -> View:
-    """Detect and label the stars of an image; use the expected grid if the tag does not label them.
+    """Detect and label the stars of an image, and find the rim of the beam in it.
+
+    The expected grid is used if the tag does not label the stars.
 
     Four facts are added to ``facts``: ``named_by`` (``tag``, ``part of the tag`` or ``gimbal``), ``grid``,
     the homography of the view's grid, (3, 3) from [column row 1] to [u v 1] px as lists,
@@ -163,7 +166,7 @@ def find_stars(
     Returns
     -------
     View
-        The stars.
+        The stars and the rim.
 
     Raises
     ------
@@ -187,7 +190,7 @@ def find_stars(
     facts["named_by"] = "gimbal" if detection.named_by == "expected pose" else detection.named_by
     facts["grid"] = grid.tolist()
     facts["edge_width_px"] = detection.edge_width_px
-    return detection.view
+    return replace(detection.view, rim=find_rim(image, detection.view, target))
 
 
 def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import RunFolderError
 from calib.errors import InputMismatch
-from calib.view import View
+from calib.view import RimPoints, View
 
 if TYPE_CHECKING:
     from bench.views.measure import Measurement
@@ -76,6 +76,8 @@ def views_file(
             for name in ("ids", "points_px", "target_mm", "covariances_px2"):
                 group.create_dataset(name, data=getattr(view, name))
             group.create_dataset("residuals_px", data=residuals)
+            if view.rim is not None:
+                _write_rim(group, view.rim)
             group.create_dataset(
                 "picture", data=found.image.decoded(), compression="gzip", compression_opts=4
             )
@@ -142,6 +144,28 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         raise RunFolderError(f"The file cannot be read: {error}.", where=str(path), remedy=_REMEDY) from error
 
 
+def _write_rim(group: h5py.Group, rim: RimPoints) -> None:
+    for name, values in (
+        ("rim_points_mm", rim.points_mm),
+        ("rim_sigmas_mm", rim.sigmas_mm),
+        ("rim_lit_mm", rim.lit_mm),
+    ):
+        group.create_dataset(name, data=values)
+    group.attrs["rim_level_sigma_mm"] = rim.level_sigma_mm
+
+
+def _read_rim(group: h5py.Group) -> RimPoints | None:
+    """Read the rim; None if the image was not searched for it, as in files of earlier versions."""
+    if "rim_points_mm" not in group:
+        return None
+    return RimPoints(
+        points_mm=np.asarray(group["rim_points_mm"][()], np.float64),
+        sigmas_mm=np.asarray(group["rim_sigmas_mm"][()], np.float64),
+        lit_mm=np.asarray(group["rim_lit_mm"][()], np.float64),
+        level_sigma_mm=float(group.attrs["rim_level_sigma_mm"]),
+    )
+
+
 def _group_name(number: int) -> str:
     return f"pose-{number:03d}"
 
@@ -155,6 +179,7 @@ def _stored_view(group: h5py.Group) -> StoredView:
         points_px=np.asarray(group["points_px"][()], np.float64),
         target_mm=np.asarray(group["target_mm"][()], np.float64),
         covariances_px2=np.asarray(group["covariances_px2"][()], np.float64),
+        rim=_read_rim(group),
     )
     residuals_px = np.asarray(group["residuals_px"][()], np.float64)
     if residuals_px.shape != view.points_px.shape:

@@ -1,0 +1,345 @@
+"""Discs of all views of one bench, fitted together to the points at which the light of each view ends.
+
+A short arc of the rim alone says little about the centre of its disc: centre, radius and shape exchange. But the discs
+of one bench are alike. How much alike, the views themselves show. The model is a linear hierarchical one (Lindley and
+Smith, 1972; Gelman et al., Bayesian Data Analysis, chapter 15). For a view i and a point in direction phi, at distance
+rho from the centre c_i,
+
+    rho = R_i + sum over m = 2 to 5 of a_im cos(m phi) + b_im sin(m phi).
+
+Over the views, the centre is c_i = c + W t_i + scatter, where t_i is the point of the target at which the camera looks:
+the disc moves with the camera if the entrance pupil is not on the gimbal's axes. Radius and shape have common values
+and scatters too, so that a stop that is not round, but always the same, is found from all arcs together. The three
+scatters (centre, radius, shape) are unknown. The posterior is averaged over a grid of them, each weighted by its
+marginal likelihood. So a bench with round rims gets small uncertainties, and a bench whose rims differ from view to
+view gets large ones.
+
+A view also shows where the rim is not: points at the border of the frame are bright. Each gives a factor
+Phi((rim - point) / sigma), included by expectation propagation (Minka, 2001). Without these factors the radius would be
+too small, because arcs that lie farther in are in view more often.
+
+The module uses points on the target's plane. It uses no image and no camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr
+
+from calib.view import RimPoints
+
+Array = NDArray[np.float64]
+
+#: Highest Fourier order of the edge's shape; order 1 is the centre.
+_ORDERS = 5
+_UNKNOWNS = 3 + 2 * (_ORDERS - 1)
+#: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each
+#: grid is even in the logarithm, from differences that do not matter to those of the published recordings.
+_CENTRE_SCATTERS = (0.003, 0.01, 0.03, 0.09, 0.2)
+_RADIUS_SCATTERS = (0.001, 0.004, 0.018, 0.08)
+_SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
+#: Prior 1-sigma of what the views have in common: centre and radius as shares of the first guess, motion of the disc
+#: in mm per mm of the camera's look, and coefficients of the shape as shares of the radius.
+_CENTRE_PRIOR, _RADIUS_PRIOR, _WALK_PRIOR, _SHAPE_PRIOR = 0.6, 0.4, 0.3, 0.03
+#: Smallest 1-sigma of a point, mm: neighbouring points share errors of the map.
+_POINT_FLOOR_MM = 0.03
+#: 1-sigma of the border between bright and dark at a bright point of the frame's border, mm.
+_LIT_SIGMA_MM = 0.5
+#: Largest number of bright points of a view that take part, and the share of its new value that a site takes.
+_MOST_BRIGHT, _DAMPING = 30, 0.5
+_ROUNDS, _SETTLED_MM = 12, 1e-3
+_HUBER = 2.5
+#: Scatters, as shares of the radius, with which the fit starts: centre, radius, shape.
+_FIRST_SCATTERS = (0.12, 0.05, 0.03)
+
+
+@dataclass(frozen=True)
+class FittedRim:
+    """The disc of one view.
+
+    Attributes
+    ----------
+    centre_mm
+        (2,) float64, mm.
+    radius_mm
+        Mean radius, mm.
+    covariance_mm2
+        (2, 2) float64, covariance of the centre, mm^2.
+    own_sigma_mm
+        1-sigma of the centre along the worse axis, mm, by the points of this view alone, if the edge were a circle of
+        about the radius of the other views. It tells how much of the rim is in view.
+    """
+
+    centre_mm: Array
+    radius_mm: float
+    covariance_mm2: Array
+    own_sigma_mm: float
+
+
+class _Evidence(NamedTuple):
+    """What the rim points of all views say about their unknowns, linearised.
+
+    Attributes
+    ----------
+    information
+        (V, P, P) Fisher information of the unknowns of each view.
+    product
+        (V, P) normal equations' right sides: information times the best unknowns.
+    """
+
+    information: Array
+    product: Array
+
+
+class _Sites(NamedTuple):
+    """Gaussian sites of the bright points of a view, (L,) precisions and (L,) precisions times means, of the gap."""
+
+    precision: Array
+    shift: Array
+
+
+class _Posterior(NamedTuple):
+    """(V, P) means and (V, P, P) covariances of the unknowns of all views, and the log marginal likelihood."""
+
+    mean: Array
+    covariance: Array
+    log_likelihood: float
+
+
+class _Common(NamedTuple):
+    """What the views have in common: (V, P, Q) designs from Q common values to unknowns; (Q,) prior means, sigmas."""
+
+    designs: Array
+    mean: Array
+    sigmas: Array
+
+
+def fit_rims(
+    rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float
+) -> list[FittedRim]:
+    """Fit the discs of all views together.
+
+    The head of the module gives model and sources. The points enter with weights of Huber (1981).
+
+    Parameters
+    ----------
+    rims
+        Rim points of V views of one bench.
+    looks_mm
+        (V, 2) float64, mm, points of the target at which the camera looks.
+    middle_mm
+        (2,) float64, mm, a point well inside the beam.
+    reach_mm
+        First guess of the radius, mm.
+
+    Returns
+    -------
+    list of FittedRim
+        One for each view, in their order.
+    """
+    common = _common(looks_mm - middle_mm, reach_mm)
+    points = [rim.points_mm - middle_mm for rim in rims]
+    bright = [rim.lit_mm[:: 1 + len(rim.lit_mm) // _MOST_BRIGHT] - middle_mm for rim in rims]
+    sigmas = [np.hypot(rim.sigmas_mm, _POINT_FLOOR_MM) for rim in rims]
+    sites = [_Sites(np.zeros(len(own)), np.zeros(len(own))) for own in bright]
+    means = np.zeros((len(rims), _UNKNOWNS))
+    means[:, 2] = reach_mm
+    weights, scatters = sigmas, _scatters(reach_mm, *_FIRST_SCATTERS)
+    for round_ in range(_ROUNDS):
+        evidence = _evidence(points, weights, means[:, :2])
+        found = _posterior(_with_sites(evidence, bright, sites, means[:, :2]), scatters, common)
+        sites = [
+            _bright_sites(own, site, mean, covariance, centre)
+            for own, site, mean, covariance, centre in zip(
+                bright, sites, found.mean, found.covariance, means[:, :2], strict=True
+            )
+        ]
+        moved = float(np.abs(found.mean[:, :2] - means[:, :2]).max())
+        means = found.mean
+        if round_ > 0:
+            weights = _reweighted(points, sigmas, evidence, found)
+        if moved < _SETTLED_MM and round_ > 1:
+            break
+    evidence = _evidence(points, weights, means[:, :2])
+    found, own = _averaged(evidence, _with_sites(evidence, bright, sites, means[:, :2]), reach_mm, common)
+    discs = []
+    for i, rim in enumerate(rims):
+        covariance = found.covariance[i, :2, :2] + rim.level_sigma_mm**2 * np.eye(2)
+        centre, radius = found.mean[i, :2] + middle_mm, abs(float(found.mean[i, 2]))
+        discs.append(FittedRim(centre, radius, covariance, float(own[i])))
+    return discs
+
+
+def _common(looks_mm: Array, reach_mm: float) -> _Common:
+    """Return how unknowns follow from the common values: centre, motion of the centre, radius, shape."""
+    views, shapes = len(looks_mm), _UNKNOWNS - 3
+    designs = np.zeros((views, _UNKNOWNS, 7 + shapes))
+    designs[:, 0, 0] = designs[:, 1, 1] = 1.0
+    designs[:, 0, 2:4] = designs[:, 1, 4:6] = looks_mm
+    designs[:, 2:, 6:] = np.eye(1 + shapes)
+    sigmas = np.concatenate(
+        [
+            np.full(2, _CENTRE_PRIOR * reach_mm),
+            np.full(4, _WALK_PRIOR),
+            [_RADIUS_PRIOR * reach_mm],
+            np.full(shapes, _SHAPE_PRIOR * reach_mm),
+        ]
+    )
+    mean = np.zeros(7 + shapes)
+    mean[6] = reach_mm
+    return _Common(designs, mean, sigmas)
+
+
+def _scatters(reach_mm: float, centre: float, radius: float, shape: float) -> Array:
+    """Return the (P,) 1-sigma scatters of the unknowns between views, mm, from shares of the radius."""
+    return reach_mm * np.array([centre, centre, radius, *[shape] * (_UNKNOWNS - 3)])
+
+
+def _design(points: Array, centre: Array) -> tuple[Array, Array]:
+    """Return the (K, P) derivatives of the points' distances, and the (K,) linearised distances.
+
+    With the direction u of a point from the centre, distance + u . centre = u . c + R + shape(phi).
+    """
+    away = points - centre
+    rho = np.maximum(np.hypot(*away.T), 1e-9)
+    u = away / rho[:, None]
+    phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * np.arange(2, _ORDERS + 1)
+    waves = np.stack([np.cos(phi), np.sin(phi)], axis=-1).reshape(len(points), _UNKNOWNS - 3)
+    return np.column_stack([u, np.ones(len(points)), waves]), rho + u @ centre
+
+
+def _evidence(points: Sequence[Array], sigmas: Sequence[Array], centres: Array) -> _Evidence:
+    """Linearise the points of all views about the centres."""
+    information = np.zeros((len(points), _UNKNOWNS, _UNKNOWNS))
+    product = np.zeros((len(points), _UNKNOWNS))
+    for i, (own, sigma, centre) in enumerate(zip(points, sigmas, centres, strict=True)):
+        design, distance = _design(own, centre)
+        weighted = design / sigma[:, None] ** 2
+        information[i], product[i] = weighted.T @ design, weighted.T @ distance
+    return _Evidence(information, product)
+
+
+def _posterior(evidence: _Evidence, scatters: Array, common: _Common) -> _Posterior:
+    """Return the posterior of all unknowns for given scatters, averaged over the common values.
+
+    Linear Gaussian model of Lindley and Smith (1972): with information J, product z, scatter S and A = J + S^-1, the
+    information about the mean of a view's unknowns is S^-1 - S^-1 A^-1 S^-1.
+    """
+    loose = scatters**-2.0
+    inverse = np.linalg.inv(evidence.information + np.diag(loose))
+    gain = inverse * loose[None, None, :]
+    about = np.diag(loose) - loose[None, :, None] * gain
+    toward = loose * np.einsum("vij,vj->vi", inverse, evidence.product)
+    d = common.designs
+    h = np.einsum("vpq,vpr,vrs->qs", d, about, d) + np.diag(common.sigmas**-2.0)
+    g = np.einsum("vpq,vp->q", d, toward) + common.mean * common.sigmas**-2.0
+    covariance = np.linalg.inv(h)
+    shared = covariance @ g
+    mean = np.einsum("vij,vj->vi", inverse, evidence.product) + np.einsum("vij,vjq,q->vi", gain, d, shared)
+    spread = np.einsum("vij,vjq->viq", gain, d)
+    whole = inverse + spread @ covariance @ spread.transpose(0, 2, 1)
+    log_det = np.linalg.slogdet(inverse)[1].sum() - 2.0 * len(d) * np.log(scatters).sum()
+    fit = np.einsum("vi,vij,vj->", evidence.product, inverse, evidence.product)
+    likelihood = 0.5 * (log_det + fit + g @ shared - np.linalg.slogdet(h)[1])
+    return _Posterior(mean, whole, float(likelihood))
+
+
+def _averaged(
+    points_only: _Evidence, evidence: _Evidence, reach_mm: float, common: _Common
+) -> tuple[_Posterior, Array]:
+    """Average the posterior over the grid of scatters; return also the (V,) sigmas of the views' own centres, mm."""
+    grid = [
+        _scatters(reach_mm, *shares)
+        for shares in product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)
+    ]
+    every = [_posterior(evidence, scatters, common) for scatters in grid]
+    logs = np.array([one.log_likelihood for one in every])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    kept = weights > 1e-4
+    mean = sum((w * one.mean for w, one in zip(weights, every, strict=True) if w > 1e-4), np.zeros(()))
+    mean = np.asarray(mean / weights[kept].sum())
+    covariance, own = np.zeros((*mean.shape, _UNKNOWNS)), np.zeros(len(mean))
+    for w, one, scatters in zip(weights / weights[kept].sum(), every, grid, strict=True):
+        if w > 1e-4:
+            off = one.mean - mean
+            covariance += w * (one.covariance + off[:, :, None] * off[:, None, :])
+            own += w * _own_variance(points_only, scatters, reach_mm)
+    return _Posterior(mean, covariance, float(logs.max())), np.sqrt(own)
+
+
+def _own_variance(evidence: _Evidence, scatters: Array, reach_mm: float) -> Array:
+    """Return the (V,) variances of the centres, mm^2, of circles located by each view alone."""
+    loose = scatters**-2.0
+    loose[3:] = (_SHAPE_SCATTERS[0] * reach_mm) ** -2.0
+    loose[:2] = (2.0 * reach_mm) ** -2.0
+    covariance = np.linalg.inv(evidence.information + np.diag(loose))
+    return np.asarray(np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1])
+
+
+def _reweighted(
+    points: Sequence[Array], sigmas: Sequence[Array], evidence: _Evidence, found: _Posterior
+) -> list[Array]:
+    """Return the (K,) sigmas of the points of each view, enlarged to what the residuals show, and for outliers.
+
+    The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) that the points' own
+    sigmas do not explain, enlarged for the fitted unknowns. Weights of outliers are Huber's (1981).
+    """
+    off = []
+    for own, mean in zip(points, found.mean, strict=True):
+        design, distance = _design(own, mean[:2])
+        off.append(distance - design @ mean)
+    every = np.concatenate(off)
+    if not len(every):
+        return list(sigmas)
+    used = float(np.einsum("vij,vji->", evidence.information, found.covariance))
+    spare = max(1.0 - used / len(every), 0.2)
+    spread = (float(np.median(np.abs(every))) / 0.6745) ** 2 / spare
+    added = max(spread - float(np.median(np.concatenate(sigmas))) ** 2, 0.0)
+    out = []
+    for own, sigma in zip(off, sigmas, strict=True):
+        whole = np.sqrt(sigma**2 + added)
+        out.append(whole * np.sqrt(np.maximum(np.abs(own) / (_HUBER * whole), 1.0)))
+    return out
+
+
+def _with_sites(
+    evidence: _Evidence, bright: Sequence[Array], sites: Sequence[_Sites], centres: Array
+) -> _Evidence:
+    """Add what the bright points of the frame's border say, by their Gaussian sites."""
+    information, product = evidence.information.copy(), evidence.product.copy()
+    for i, (own, site, centre) in enumerate(zip(bright, sites, centres, strict=True)):
+        design, distance = _design(own, centre)
+        information[i] += (design.T * site.precision) @ design
+        product[i] += design.T @ (site.shift + site.precision * distance)
+    return _Evidence(information, product)
+
+
+def _bright_sites(bright: Array, sites: _Sites, mean: Array, covariance: Array, centre: Array) -> _Sites:
+    """Return better Gaussian sites for bright points, each a factor Phi((rim - point) / sigma).
+
+    Expectation propagation (Minka, 2001) with all sites at once and damping; moments of the probit factor: Rasmussen
+    and Williams (2006), section 3.6.
+    """
+    design, distance = _design(bright, centre)
+    gap = design @ mean - distance
+    variance = np.einsum("ki,ij,kj->k", design, covariance, design)
+    alone = 1.0 / np.maximum(1.0 / variance - sites.precision, 1e-3 / variance)
+    gap_alone = alone * (gap / variance - sites.shift)
+    whole = alone + _LIT_SIGMA_MM**2
+    z = gap_alone / np.sqrt(whole)
+    ratio = np.exp(-0.5 * z * z - log_ndtr(z)) / np.sqrt(2.0 * np.pi)
+    matched = alone - alone**2 * ratio * (z + ratio) / whole
+    matched_gap = gap_alone + alone * ratio / np.sqrt(whole)
+    precision = np.maximum(1.0 / matched - 1.0 / alone, 0.0)
+    shift = matched_gap / matched - gap_alone / alone
+    return _Sites(
+        sites.precision + _DAMPING * (precision - sites.precision),
+        sites.shift + _DAMPING * (shift - sites.shift),
+    )

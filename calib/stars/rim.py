@@ -1,0 +1,252 @@
+"""The rim of the beam in an image: points of the target's plane at which the light ends.
+
+White print inside the beam is bright in the image, and white print outside of it is dark. The stars of the view map the
+print into the image. So the boundary between bright and dark white print is the rim, as far as it lies in the frame.
+The steps are:
+
+1. predict where the nodes of the grid lie in the image, also those up to `_REACH` pitches beyond the last star;
+2. sample the image where the print around each node is white, away from edges of the print, and express each value as
+   a level: 0 is black print, 1 is white print inside the beam;
+3. fit a coarse circle between bright and dark cells, and divide it into sections of one pitch;
+4. fit in each section the place at which the level falls to one half.
+
+In an event image the level falls where pixels stop firing. It does not matter which share of the light that is, if it
+is the same in all directions. The module uses an image and its view; it uses no camera model.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import TooFewStars
+from calib.stars.grid_map import fit_grid_map, predict_locally
+from calib.stars.rim_sections import Samples, rim_in_sections
+from calib.target import StarTarget
+from calib.view import RimPoints, View
+
+Array = NDArray[np.float64]
+
+#: Nodes farther than this from all stars, pitches, are outside of the beam.
+_REACH = 3
+#: Samples along each side of a node's cell, and their least distance from an edge of the print, pitches: first of all
+#: cells, then of those near the rim.
+_COARSE, _FINE = (24, 0.055), (56, 0.04)
+
+
+class _Cells(NamedTuple):
+    """Nodes in the frame as a grid: (rows, columns) bright, (rows, columns) in the frame, and its first node."""
+
+    bright: NDArray[np.bool_]
+    framed: NDArray[np.bool_]
+    first: NDArray[np.int64]
+
+
+class _Map(NamedTuple):
+    """Map of a view: (N, 2) nodes, and for each its (2,) image point and (2, 2) derivatives, px and px per pitch."""
+
+    nodes: NDArray[np.int64]
+    points: Array
+    linear: Array
+
+    def select(self, kept: NDArray[np.bool_]) -> _Map:
+        """Return the map of some nodes, given (N,) bool."""
+        return _Map(self.nodes[kept], self.points[kept], self.linear[kept])
+
+
+class _Levels(NamedTuple):
+    """Grey values of black print and of white print inside the beam; and whether white print is the dark one."""
+
+    black: float
+    white: float
+    inverted: bool
+
+
+def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints | None:
+    """Find the rim of the beam in the image in which the stars of a view were found.
+
+    Own procedure; the head of the module describes it.
+
+    Parameters
+    ----------
+    image
+        (H, W), any numeric dtype, grey values: an event image or a photograph.
+    view
+        Stars found in this image.
+    target
+        The printed target.
+
+    Returns
+    -------
+    RimPoints or None
+        Points at which the light ends, and points at which the frame ends inside the beam; None if the stars are too
+        few for a map, or bright and dark print do not differ.
+    """
+    try:
+        mapped = _map_nodes(view, target)
+    except TooFewStars:
+        return None
+    own = np.isin(target.id_at(mapped.nodes[:, 0], mapped.nodes[:, 1]), view.ids)
+    levels = _levels(image, mapped.select(own), target)
+    if levels is None:
+        return None
+    coarse, values, inside = _sample(image, mapped, levels, target, *_COARSE)
+    cells = _cells(mapped.nodes, values, inside)
+    border = _border_mm(cells, target.pitch_mm)
+    centre, radius = _coarse_circle(border, coarse)
+    fine = coarse
+    if len(border):
+        apart = np.abs(mapped.nodes[:, None, :] * target.pitch_mm - border).max(axis=2).min(axis=1)
+        fine, _, _ = _sample(image, mapped.select(apart < 2.0 * target.pitch_mm), levels, target, *_FINE)
+    return rim_in_sections((coarse, fine), border, centre, radius, target.pitch_mm, _px_per_mm(view))
+
+
+def _px_per_mm(view: View) -> float:
+    """Return the scale of the image, px of the image per mm of the target."""
+    spread_px = view.points_px - view.points_px.mean(axis=0)
+    spread_mm = view.target_mm - view.target_mm.mean(axis=0)
+    return float(np.sqrt((spread_px**2).sum() / (spread_mm**2).sum()))
+
+
+@lru_cache(maxsize=8)
+def _print_offsets(target: StarTarget, along: int, clearance: float) -> tuple[Array, Array]:
+    """Return places in the cell of a node that are white and black, (W, 2) and (B, 2) pitches from the node.
+
+    All print within the clearance of a place is of one kind. Cells of all nodes are alike.
+    """
+    steps = (np.arange(along) + 0.5) / along - 0.5
+    places = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    turn = np.arange(12) * np.pi / 6.0
+    around = np.vstack([[[0.0, 0.0]], clearance * np.column_stack([np.cos(turn), np.sin(turn)])])
+    nodes = target.node_of(target.ids)
+    beside = nodes[:, None, :] + np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    inner = nodes[(target.id_at(beside[..., 0], beside[..., 1]) >= 0).all(axis=1)]
+    if not len(inner):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    at = (inner[0] + places[:, None, :] + around) * target.pitch_mm
+    bright = target.reflectance(at[..., 0], at[..., 1])
+    return places[(bright > 0.5).all(axis=1)], places[(bright < 0.5).all(axis=1)]
+
+
+def _map_nodes(view: View, target: StarTarget) -> _Map:
+    """Map the nodes near the stars into the image. Raises TooFewStars."""
+    grid = target.node_of(view.ids)
+    nodes = _nodes_near(grid, target)
+    fitted, _ = fit_grid_map(grid.astype(float), view.points_px)
+    points = predict_locally(fitted.homography, grid.astype(float), view.points_px, nodes.astype(float))
+    return _Map(nodes, points, _linear(fitted.homography, nodes.astype(float)))
+
+
+def _levels(image: NDArray[Any], stars: _Map, target: StarTarget) -> _Levels | None:
+    """Return the grey values of white and black print at the stars; None if they do not differ clearly."""
+    white, black = _print_offsets(target, *_COARSE)
+    if not len(white) or not len(black):
+        return None
+    bright, dark = (_values(image, stars, offsets)[0] for offsets in (white, black))
+    at_white, at_black = float(np.nanmedian(bright)), float(np.nanmedian(dark))
+    low, high = np.nanpercentile(bright if at_white > at_black else dark, [16.0, 84.0])
+    if not abs(at_white - at_black) > 0.5 * (high - low):
+        return None
+    inverted = at_white < at_black
+    return _Levels(min(at_white, at_black), max(at_white, at_black), inverted)
+
+
+def _sample(
+    image: NDArray[Any], mapped: _Map, levels: _Levels, target: StarTarget, along: int, clearance: float
+) -> tuple[Samples, Array, NDArray[np.bool_]]:
+    """Sample the bright print around nodes; return also the (N, K) levels, nan outside, and which are inside."""
+    offsets = _print_offsets(target, along, clearance)[int(levels.inverted)]
+    values, inside = _values(image, mapped, offsets)
+    values = (values - levels.black) / (levels.white - levels.black)
+    places = ((mapped.nodes[:, None, :] + offsets) * target.pitch_mm)[inside]
+    return Samples(places, values[inside]), values, inside
+
+
+def _cells(nodes: NDArray[np.int64], values: Array, inside: NDArray[np.bool_]) -> _Cells:
+    """Return which cells are in the frame, and which are bright, as grids."""
+    first = nodes.min(axis=0)
+    column, row = (nodes - first).T
+    framed = np.zeros((int(row.max()) + 1, int(column.max()) + 1), np.bool_)
+    bright = framed.copy()
+    seen = inside.sum(axis=1)
+    framed[row, column] = seen >= 0.25 * inside.shape[1]
+    bright[row, column] = (values > 0.5).sum(axis=1) > 0.5 * np.maximum(seen, 1)
+    return _Cells(bright & framed, framed, first)
+
+
+def _nodes_near(grid: NDArray[np.int64], target: StarTarget) -> NDArray[np.int64]:
+    """Return the (N, 2) printed nodes near the stars."""
+    first, last = grid.min(axis=0) - _REACH, grid.max(axis=0) + _REACH
+    shape = int(last[1] - first[1]) + 1, int(last[0] - first[0]) + 1
+    taken = np.zeros(shape, np.uint8)
+    taken[grid[:, 1] - first[1], grid[:, 0] - first[0]] = 1
+    near = cv2.dilate(taken, np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8))
+    nodes = np.argwhere(near > 0)[:, ::-1] + first
+    return np.asarray(nodes[target.id_at(nodes[:, 0], nodes[:, 1]) >= 0])
+
+
+def _linear(h: Array, grid: Array) -> Array:
+    """Return the (N, 2, 2) derivatives of a homography at grid positions, px per pitch."""
+    ones = np.column_stack([grid, np.ones(len(grid))]) @ h.T
+    uv = ones[:, :2] / ones[:, 2:]
+    return np.asarray((h[None, :2, :2] - uv[:, :, None] * h[None, 2:, :2]) / ones[:, 2:, None])
+
+
+def _values(image: NDArray[Any], mapped: _Map, offsets: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the (N, K) grey values at K places around each node, nan outside of the frame, and which are inside."""
+    at = mapped.points[:, :, None] + mapped.linear @ offsets.T
+    u, v = np.rint(at).astype(np.int32).transpose(1, 0, 2)
+    inside = (u >= 0) & (u < image.shape[1]) & (v >= 0) & (v < image.shape[0])
+    values = np.full(inside.shape, np.nan)
+    values[inside] = image[v[inside], u[inside]]
+    return values, inside
+
+
+def _border_mm(cells: _Cells, pitch_mm: float) -> Array:
+    """Return the (B, 2) mm places half-way between neighbouring bright and dark cells.
+
+    Dark cells count only if they reach the frame's border or the last nodes; others are spots inside the beam.
+    """
+    dark = (cells.framed & ~cells.bright).astype(np.uint8)
+    _, parts = cv2.connectedComponents(dark, connectivity=8)
+    outside = cv2.dilate((~cells.framed).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    outside[[0, -1]] = outside[:, [0, -1]] = True
+    reaching = np.unique(parts[outside & (dark > 0)])
+    outer = np.isin(parts, reaching) & (dark > 0)
+    places = []
+    for axis in (0, 1):
+        step = np.array([axis == 1, axis == 0], float)
+        a, b = (np.delete(cells.bright, i, axis=axis) for i in (-1, 0))
+        c, d = (np.delete(outer, i, axis=axis) for i in (-1, 0))
+        places.append(np.argwhere((a & d) | (b & c))[:, ::-1] + 0.5 * step)
+    return np.asarray((np.concatenate(places) + cells.first) * pitch_mm)
+
+
+def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
+    """Fit a circle to the border between bright and dark cells; without a border, one about the bright samples.
+
+    Linear least squares for x^2 + y^2 = 2 a x + 2 b y + c (Kåsa, 1976). If the border is almost straight or curved
+    the other way, the circle is one of twice the size of the bright part, on its side. The circle only divides the rim
+    into sections.
+    """
+    lit = samples.places_mm[samples.levels > 0.5]
+    middle = lit.mean(axis=0)
+    reach = float(np.linalg.norm(lit - middle, axis=1).max())
+    if len(border_mm) < 3:
+        return middle, reach
+    origin = border_mm.mean(axis=0)
+    away = border_mm - origin
+    design = np.column_stack([2.0 * away, np.full(len(away), reach)])
+    weak = np.diag([1.0, 1.0, 0.0])
+    a, b, _ = np.linalg.solve(design.T @ design + weak, design.T @ (away**2).sum(axis=1))
+    centre = np.array([a, b])
+    inward = middle - origin
+    if centre @ inward <= 0.0 or np.linalg.norm(centre) > 4.0 * reach:
+        axes = np.linalg.svd(away, full_matrices=False)[2]
+        normal = axes[1] * np.sign(axes[1] @ inward)
+        centre = 2.0 * reach * normal
+    return origin + centre, float(np.sqrt(np.mean(((away - centre) ** 2).sum(axis=1))))
