@@ -220,6 +220,7 @@ def _with_readings(
             joint = with_turns(views, discs, joint, start)
         test = check_readings(joint, start, stated)
         if not test.contradicted:
+            joint, together = _balanced(joint, replace(together, parameters=start), limit, options)
             return joint, together, limit, test
         if test.scatter * test.times_stated > MAX_READING_SCATTER:
             break
@@ -232,6 +233,21 @@ def _discs_with_rims(views: Sequence[View], discs: Sequence[Disc] | None) -> Seq
     discs = discs or visible_discs(views)
     require_visible_rims(views, discs)
     return discs
+
+
+def _balanced(
+    bundle: Bundle, refined: Refinement, loss: Loss, options: CalibrationOptions
+) -> tuple[Bundle, Refinement]:
+    """Give readings and priors more weight against stars whose views are inconsistent, and adjust again.
+
+    The errors of a collimator are common to neighbouring stars, so the views know less than their many stars suggest.
+    The Birge ratio (Birge, 1932) says how much less.
+    """
+    estimate = covariance_at_optimum(bundle, refined.parameters, loss)
+    if not estimate.inconsistent:
+        return bundle, refined
+    bundle = replace(bundle, noise_variance=estimate.birge_ratio**2 * bundle.noise_variance)
+    return bundle, refine(bundle, refined.parameters, loss, options.max_iterations)
 
 
 def _used_parts(views: Sequence[View], used: NDArray[np.bool_]) -> Sequence[View]:

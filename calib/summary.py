@@ -14,8 +14,9 @@ from calib.diagnosis.checks import check_adjustment
 from calib.fit import Fit
 from calib.model.aberrations import PARALLAX
 from calib.model.collimator import Collimator
-from calib.model.gimbal import GIMBAL, SCALES
+from calib.model.gimbal import GIMBAL, MOUNTING, SCALES
 from calib.model.gimbal_estimate import GimbalEstimate
+from calib.model.rotation import exp_map
 from calib.uncertainty.budget_parts import PASSPORT
 from calib.uncertainty.budget_rows import uncertainty_budget
 from calib.uncertainty.covariance import Uncertainty, rotation_covariance
@@ -25,6 +26,10 @@ Array = NDArray[np.float64]
 
 #: Views are reported as weak if the 1-sigma of a focal length, as a share of it, reaches this.
 _WEAK_FOCAL_SIGMA = 0.01
+_BACKWARDS = (
+    "The gimbal's readings fit the stars only if the camera looked backwards on the head: the sign of one axis (pan or "
+    "tilt) is probably wrong. This changes no result."
+)
 
 
 def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
@@ -152,7 +157,14 @@ def reading_notes(gimbal: GimbalEstimate | None) -> tuple[str, ...]:
     tuple of str
         Sentences; none if the readings agree with the stars as stated.
     """
-    if gimbal is None or (gimbal.entered and gimbal.scatter == 1.0):
+    if gimbal is None:
+        return ()
+    mounting = (
+        exp_map(np.radians([gimbal.values[name] for name in MOUNTING])) if gimbal.entered else np.eye(3)
+    )
+    if mounting[2, 2] < 0:
+        return (_BACKWARDS,)
+    if gimbal.entered and gimbal.scatter == 1.0:
         return ()
     text = (
         f"The gimbal's readings contradict the stars: {gimbal.rms_deg:.3f} degrees rms, chi-square "

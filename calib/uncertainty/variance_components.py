@@ -89,10 +89,10 @@ class _FieldEquations:
         (n, G, G) float64 information of each view on the shared parameters.
     inverse
         (G, G) float64 inverse of the information of all views and the prior.
+    score_noise
+        (n, G, G) float64 covariance of the score of each pose by the noise of stars and readings.
     noise
         Variance of a star's own noise, in units of weighted residuals squared.
-    growth
-        (n,) float64 growth of the noise of each pose by repeated views (`noise_growth`).
     """
 
     score: Array
@@ -102,8 +102,8 @@ class _FieldEquations:
     view: NDArray[np.int64]
     information: Array
     inverse: Array
+    score_noise: Array
     noise: float
-    growth: Array
 
 
 def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> VarianceComponents:
@@ -150,8 +150,7 @@ def _propagate(
         [(response[:, equations.group == kind] ** 2).sum(axis=1) for kind in range(len(variances))]
     )
     fields = (response * variances[equations.group]) @ response.T
-    grown = (equations.growth[:, None, None] * equations.information).sum(axis=0)
-    stars = equations.noise * inverse @ grown @ inverse
+    stars = inverse @ equations.score_noise.sum(axis=0) @ inverse
     prior = np.zeros_like(inverse)
     if bundle.prior is not None:
         at = [bundle.names.index(name) for name in bundle.prior.names]
@@ -177,7 +176,7 @@ def _score_covariances(equations: _FieldEquations, variances: Array) -> Array:
 
     Own derivation: noise A + S D S^T, with the information A of the view.
     """
-    scores = equations.noise * equations.growth[:, None, None] * equations.information
+    scores = equations.score_noise.copy()
     for i in range(len(scores)):
         own = equations.view == i
         scores[i] += (equations.coupling[:, own] * variances[equations.group[own]]) @ equations.coupling[
@@ -223,10 +222,11 @@ def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Los
     readings = bundle.reading_equations(parameters)
     rims = _rim_shapes(bundle, parameters)
     information, normals, couplings, scores, groups, squares = [], [], [], [], [], 0.0
+    read = []
     for views in views_of_poses(bundle):
-        fields, group = _basis_fields(bundle, views, rims)
+        fields, group = basis_fields(bundle, views, rims)
         reduced = np.zeros((count + len(group), count + len(group)))
-        score = np.zeros(len(group))
+        score, by_readings = np.zeros(len(group)), np.zeros((count, count))
         for i, own_fields in zip(views, fields, strict=True):
             columns, weighted = _weighted_columns(bundle, residuals, weights, i, *derivatives[i], own_fields)
             normal = columns @ columns.T
@@ -235,12 +235,16 @@ def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Los
                 normal[:known, :known] += readings[0][i]
             normal[count:known, count:known] += bundle.local_prior_information
             local, rest = slice(count, known), [*range(count), *range(known, len(columns))]
-            reduced += normal[np.ix_(rest, rest)] - normal[rest, local] @ np.linalg.solve(
-                normal[local, local], normal[local, rest]
-            )
+            answer = np.linalg.solve(normal[local, local], normal[local, rest])
+            reduced += normal[np.ix_(rest, rest)] - normal[rest, local] @ answer
+            if readings is not None:
+                # The readings' part of the score: its local parameters are eliminated as those of the whole.
+                turn = np.hstack([np.eye(count), -answer[:, :count].T])
+                by_readings += turn @ readings[0][i] @ turn.T
             score += columns[known:] @ weighted
             squares += float(weighted @ weighted)
         information.append(reduced[:count, :count])
+        read.append(by_readings)
         normals.append(reduced[count:, count:])
         couplings.append(reduced[:count, count:])
         scores.append(score)
@@ -261,8 +265,25 @@ def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Los
     symmetric = 0.5 * (together + together.T)
     grown = noise_growth(bundle, residuals)
     return _FieldEquations(
-        score, symmetric, coupling, group, view, np.array(information), inverse, noise, grown
+        score,
+        symmetric,
+        coupling,
+        group,
+        view,
+        np.array(information),
+        inverse,
+        _score_noise(bundle, np.array(information), np.array(read), noise, grown),
+        noise,
     )
+
+
+def _score_noise(bundle: Bundle, information: Array, read: Array, noise: float, growth: Array) -> Array:
+    """Return (n, G, G) the covariance of each pose's score by the noise of stars and readings.
+
+    Own derivation: stars have the noise that is left beside the fields, readings the one that the bundle gives them.
+    Repeated views enlarge the stars' part.
+    """
+    return np.asarray(growth[:, None, None] * noise * (information - read) + bundle.noise_variance * read)
 
 
 def _weighted_columns(
@@ -286,15 +307,29 @@ def _weighted_columns(
     return columns.reshape(len(columns), -1), (root[:, None] * residuals[rows]).T.reshape(-1)
 
 
-def _basis_fields(
+def basis_fields(
     bundle: Bundle, views: Sequence[int], rims: Array | None
 ) -> tuple[list[Array], NDArray[np.int64]]:
-    """Return for each view of a pose (m, 2, F) basis fields over its stars, and the group of each field.
+    """Return basis fields over the stars of a pose, and the group of each field.
 
-    They are polynomials along each axis, of unit mean square and orthogonal over the stars of the pose. The groups are
-    the shift along X, the shift along Y, and the higher degrees. The last group is that of the rim: the model's own
-    shapes, or those of a disc about the stars' mean. Own choice of the fields; they are made orthogonal by QR
-    decomposition.
+    They are polynomials along each axis, of unit mean square and orthogonal over the stars of the pose. Own choice of
+    the fields; they are made orthogonal by QR decomposition.
+
+    Parameters
+    ----------
+    bundle
+        Bundle with the stars of the pose.
+    views
+        Indices of the views of the pose.
+    rims
+        (N, 2, R) displacements of the model's rim terms; None for those of a disc about the stars' mean.
+
+    Returns
+    -------
+    tuple
+        For each view of the pose (m, 2, F) displacements of its m stars by a unit of each coefficient, mm; and (F,)
+        int64, the group of each coefficient: the shift along X (0), the shift along Y (1), the degrees 1 to 4 (2 to 5),
+        and the rim (6).
     """
     slices = [bundle.observations.slices[i] for i in views]
     target_mm = np.concatenate([bundle.observations.target[rows, :2] for rows in slices])

@@ -22,16 +22,6 @@ FloatArray = NDArray[np.float64]
 
 STAR_SIGMA_PX = 0.014
 BORDER_PX = 14.0
-_LIKE_REAL = COLLIMATORS["like-real"]
-_STILL = replace(_LIKE_REAL, disc_wander_mm=0.0, disc_breathing=0.0)
-#: Profiles of collimators; those of the simulators, and a few that they may not have.
-PROFILES: Mapping[str, CollimatorTruth] = {
-    "S1": _LIKE_REAL,
-    "S2": _STILL,
-    "S3": replace(_STILL, disc_walk=(0.0, 0.0)),
-    "like-bench": replace(_STILL, disc_walk=(-2.0, -2.0), disc_wander_mm=0.05),
-    **COLLIMATORS,
-}
 
 
 def grid(pan_deg: Sequence[float], tilt_deg: Sequence[float]) -> list[dict[str, float]]:
@@ -88,6 +78,7 @@ def draw_bench(
     errors: GimbalErrors | None = None,
     camera: CameraTruth | None = None,
     star_sigma_px: float = STAR_SIGMA_PX,
+    noise_seed: int = 0,
 ) -> DrawnBench:
     """Draw glass, mounting, noise and gimbal errors of a bench from a seed.
 
@@ -105,10 +96,13 @@ def draw_bench(
         The camera; None for the paper's.
     star_sigma_px
         Noise of a star per axis, px.
+    noise_seed
+        Further seed of the stars' noise alone, for repeated recordings.
     """
+    noise = np.random.default_rng((seed, 8, noise_seed))
     rng = np.random.default_rng((seed, 7))
     errors = errors or GimbalErrors()
-    collimator = PROFILES[profile] if isinstance(profile, str) else profile
+    collimator = COLLIMATORS[profile] if isinstance(profile, str) else profile
     mounting = rng.normal((0.0, 0.0, 10.0), 0.25)
     truth = Truth(
         camera or CameraTruth(),
@@ -121,7 +115,7 @@ def draw_bench(
     for number, pose in enumerate(poses, 1):
         wobble = exp_map(np.radians(errors.reading_sigma_deg) * rng.normal(size=3))
         rotation = np.asarray(head @ wobble @ optics.pose_rotation(pose, truth.optics))
-        views.append(seen_view(truth, rotation, f"pose {number}", rng, star_sigma_px))
+        views.append(seen_view(truth, rotation, f"pose {number}", noise, star_sigma_px))
         readings.append(
             {
                 f"{axis}_deg": pose.get(axis, 0.0) / scale

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch
-from calib.model.aberrations import EXPECTED_SIGMA, LADDER, aberration_prior, displacements
+from calib.model.aberrations import EXPECTED_SIGMA, LADDER, aberration_prior, displacements, needs_rim
 from calib.model.beam import Disc
 
 REFERENCE = (10.0, 20.0, 250.0)
@@ -43,8 +43,8 @@ def test_terms_stand_in_the_order_asked_for():
     assert displacements(POINTS, DISC, REFERENCE, []).shape == (4, 2, 0)
 
 
-def test_each_rung_of_the_ladder_contains_the_one_before():
-    rungs = list(LADDER.values())
+def test_each_rung_of_the_ladder_with_a_rim_contains_the_one_before():
+    rungs = [terms for name, terms in LADDER.items() if name != "radial"]
     assert all(set(low) < set(high) for low, high in itertools.pairwise(rungs))
     assert set(rungs[-1]) <= set(EXPECTED_SIGMA)
 
@@ -59,3 +59,24 @@ def test_what_is_expected_of_a_coefficient_is_zero_give_or_take_its_scale():
 def test_an_unknown_aberration_is_refused():
     with pytest.raises(InputMismatch, match="Known: "):
         displacements(POINTS, DISC, REFERENCE, ["ghost"])
+
+
+def test_radial_terms_and_parallax_need_no_disc():
+    found = displacements(
+        POINTS, None, REFERENCE, ["radial", "radial_4", "parallax_x", "parallax_y"], (0.1, -0.2)
+    )
+    x, y, r = REFERENCE
+    h = (POINTS - [x, y]) / r
+    h2 = (h**2).sum(axis=1, keepdims=True)
+    assert np.allclose(found[:, :, 0], r * h2 * h)
+    assert np.allclose(found[:, :, 1], r * h2**2 * h)
+    assert np.allclose(found[:, :, 2], [0.1 * r, 0.0])
+    assert np.allclose(found[:, :, 3], [0.0, -0.2 * r])
+    assert not needs_rim(["radial", "radial_4", "parallax_x"])
+    assert needs_rim(["radial", "pupil_shift"])
+
+
+def test_a_stated_bow_narrows_the_prior_of_the_radial_terms_only():
+    narrow = aberration_prior(["radial", "radial_4", "coma"], 0.015)
+    usual = aberration_prior(["radial", "radial_4", "coma"])
+    assert np.allclose(np.diag(narrow.information) / np.diag(usual.information), [100.0, 100.0, 1.0])

@@ -8,6 +8,7 @@ import pytest
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch, PassportContradicted
 from calib.model.passport import Passport
+from calib.model.type_b_terms import TypeBTerm
 
 EXACT = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), np.diag([1e-4, 1e-4, 1e-4]) ** 2)
 
@@ -36,9 +37,20 @@ def test_the_passports_own_uncertainty_enters(bench):
 def test_a_certificate_of_the_radius_alone_helps_too(bench):
     views = bench.views(np.random.default_rng(63), 0.05)
     certificate = Passport.of_radius(255.0, 0.02, {"certificate": "A-17"})
-    known = calibrate(views, with_passport(certificate))
+    same = TypeBTerm("effective radius", "effective_radius", 1e-6, "of the simulation")
+    known = calibrate(views, with_passport(certificate, budget=(same,)))
     assert known.sigma["fx"] < 0.3 * calibrate(views).sigma["fx"]
     assert known.camera.fx == pytest.approx(bench.fx, abs=4 * known.sigma["fx"])
+
+
+def test_a_certificate_leaves_the_radial_terms_free_and_its_radius_may_differ_from_the_effective_one(bench):
+    views = bench.views(np.random.default_rng(63), 0.05)
+    known = calibrate(views, with_passport(Passport.of_radius(255.0, 0.02), model="auto"))
+    assert known.model == "radial"
+    assert set(known.collimator.aberrations) == {"radial", "radial_4"}
+    share = {row.name: row.contribution["fx"] for row in known.budget_rows}
+    assert share["effective radius"] == pytest.approx(6e-4 * bench.fx, rel=0.05)
+    assert share["passport of the collimator"] == pytest.approx(0.02 / 255.0 * bench.fx, rel=0.05)
 
 
 def test_a_passport_made_from_views_calibrates_another_camera(make_bench, bench):

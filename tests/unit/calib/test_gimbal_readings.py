@@ -1,0 +1,136 @@
+"""Readings of the gimbal as observations of the adjustment."""
+
+import numpy as np
+import pytest
+
+from calib.adjustment.gimbal_observations import GimbalObservations
+from calib.engine import CalibrationOptions, calibrate
+from calib.errors import InputMismatch
+from calib.model.gimbal import GIMBAL, Gimbal, aligned_gimbal
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from calib.model.rotation import exp_map
+from tests.support.drawn_benches import NINE, THREE, GimbalErrors, draw_bench
+
+ON_PIVOT = ParallaxBound(0.066, 0.01, 0.0, 0.05)
+
+
+def readings(bench, bound=ON_PIVOT, sigma_deg=0.002, scale_sigma=0.0, change=lambda pose: pose):
+    angles = tuple(change(dict(pose)) for pose in bench.readings_deg)
+    return GimbalReadings(angles, sigma_deg, scale_sigma, 0.0, bound, "drawn")
+
+
+def solved(bench, given, model="radial"):
+    return calibrate(bench.views, CalibrationOptions(model=model, gimbal=given))
+
+
+@pytest.mark.parametrize("profile", ["ideal", "S3"])
+def test_readings_determine_the_focal_length_without_a_certificate(profile):
+    bench = draw_bench(profile, NINE, 11)
+    result = solved(bench, readings(bench))
+    expanded = result.coverage_factor * result.sigma["fx"]
+    assert result.gimbal is not None
+    assert result.gimbal.entered
+    assert abs(result.camera.fx - bench.truth.camera.fx) < min(expanded, 2.5)
+    assert expanded < 3.0
+
+
+def test_without_a_bound_of_the_parallax_readings_do_not_enter():
+    bench = draw_bench("S3", THREE, 12)
+    witness = solved(bench, readings(bench, bound=None))
+    alone = calibrate(bench.views, CalibrationOptions(model="radial"))
+    assert witness.gimbal is None
+    assert witness.camera.fx == alone.camera.fx
+    assert witness.sigma["fx"] == alone.sigma["fx"]
+
+
+def test_a_wide_bound_of_the_parallax_appears_in_the_uncertainty_as_a_scale():
+    bench = draw_bench("ideal", NINE, 13)
+    wide = solved(bench, readings(bench, ParallaxBound(0.0, 0.01, 0.0, 20.0)))
+    # 0.01 x 20 mm / 255 mm = 8e-4 of the focal length, 2.6 px; the stars alone know it to 0.8 px.
+    narrow = solved(bench, readings(bench))
+    assert wide.sigma["fx"] > 1.5 * narrow.sigma["fx"]
+
+
+def test_the_scale_of_the_encoders_enters_as_stated():
+    bench = draw_bench("S3", NINE, 14)
+    result = solved(bench, readings(bench, scale_sigma=1e-3))
+    assert 0.5e-3 < result.sigma["fx"] / bench.truth.camera.fx < 1.25e-3
+    assert abs(result.camera.fx - bench.truth.camera.fx) < 2.0 * result.sigma["fx"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda pose: {**pose, "pan_deg": 1.05 * pose["pan_deg"]},
+        lambda pose: {**pose, "tilt_deg": pose["tilt_deg"] + (0.3 if pose["pan_deg"] > 1 else 0.0)},
+    ],
+    ids=["a wrong scale", "an axis that slips"],
+)
+def test_readings_that_contradict_the_stars_are_named_and_change_nothing(change):
+    bench = draw_bench("S3", NINE, 15)
+    result = solved(bench, readings(bench, change=change))
+    alone = calibrate(bench.views, CalibrationOptions(model="radial"))
+    assert result.gimbal is not None
+    assert not result.gimbal.entered
+    assert result.camera.fx == alone.camera.fx
+    assert result.sigma["fx"] == alone.sigma["fx"]
+    assert any("readings contradict the stars" in note for note in result.notes)
+
+
+def test_a_wrong_sign_of_one_axis_is_named_and_changes_nothing():
+    bench = draw_bench("S3", NINE, 15)
+    result = solved(bench, readings(bench, change=lambda pose: {**pose, "pan_deg": -pose["pan_deg"]}))
+    right = solved(bench, readings(bench))
+    assert result.camera.fx == pytest.approx(right.camera.fx, abs=0.05)
+    assert any("looked backwards on the head" in note for note in result.notes)
+    assert not any("backwards" in note for note in right.notes)
+
+
+def test_readings_that_scatter_more_than_stated_get_less_weight_and_the_result_says_so():
+    bench = draw_bench("S3", NINE, 16, errors=GimbalErrors(reading_sigma_deg=0.005))
+    result = solved(bench, readings(bench))
+    assert result.gimbal is not None
+    assert result.gimbal.entered
+    assert 1.5 < result.gimbal.scatter < 4.0
+    assert any("times more than stated" in note for note in result.notes)
+    assert abs(result.camera.fx - bench.truth.camera.fx) < result.coverage_factor * result.sigma["fx"]
+
+
+def test_residuals_and_derivatives_of_readings_agree_with_differences():
+    rng = np.random.default_rng(3)
+    angles = rng.uniform(-8, 8, (5, 3))
+    gimbal = Gimbal(exp_map(rng.normal(size=3)), exp_map(rng.normal(size=3)), (1.01, 0.99, 1.0), 0.004)
+    observations = GimbalObservations(angles, 1e-4)
+    assert np.abs(observations.residuals(gimbal, gimbal.rotations(angles))).max() < 1e-12
+    rotations = gimbal.rotations(angles)
+    found = observations.derivatives(gimbal, GIMBAL)
+    for at, name in enumerate(GIMBAL):
+        ends = [observations.residuals(gimbal.after_step({name: s}), rotations) for s in (-1e-5, 1e-5)]
+        assert np.allclose(found[:, :, at], (ends[1] - ends[0]) / 2e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 100.0, 180.0, -60.0])
+def test_mounting_and_standing_are_found_however_the_camera_hangs(roll_deg):
+    rng = np.random.default_rng(int(roll_deg) + 200)
+    angles = np.array([[p["pan"], p["tilt"], 0.0] for p in NINE])
+    mounting = exp_map(np.radians([0.0, 0.0, roll_deg])) @ exp_map(rng.normal(scale=0.02, size=3))
+    gimbal = Gimbal(mounting, exp_map(rng.normal(scale=0.05, size=3)))
+    found = aligned_gimbal(gimbal.rotations(angles), angles)
+    # A start for the adjustment, not an estimate.
+    assert np.allclose(found.rotations(angles), gimbal.rotations(angles), atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"reading_sigma_deg": 0.0}, "reading_sigma_deg is 0.0; it must be positive"),
+        ({"scale_sigma": -1e-4}, "scale_sigma is -0.0001; it must not be negative"),
+        ({"eccentricity_deg": -1.0}, "eccentricity_deg"),
+        ({"angles_deg": ({"yaw_deg": 1.0},)}, "Unknown axis 'yaw_deg'"),
+    ],
+)
+def test_statements_out_of_range_are_refused(changed, said):
+    with pytest.raises(InputMismatch, match=said):
+        GimbalReadings(**{"angles_deg": ({"pan_deg": 1.0},), "reading_sigma_deg": 0.002, **changed})
+    with pytest.raises(InputMismatch, match="must not be negative"):
+        ParallaxBound(0.0, -0.1, 0.0, 0.0)
