@@ -18,7 +18,7 @@ from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.linearised import ShiftEquations, image_shifts, plain_bundle
-from calib.diagnosis.star_noise import noise_px
+from calib.diagnosis.star_noise import typical_noise_px
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
@@ -255,7 +255,7 @@ def _spread(bundle: Bundle, parameters: AdjustmentParameters) -> float:
 def _variance_factor(views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters) -> float:
     """Return the variance of a weighted residual component, enlarged if the residuals are mostly systematic."""
     variance = _spread(bundle, parameters) ** 2
-    noise = float(np.nanmedian([noise_px(view) for view in views])) * bundle.observations.sigmas_per_px
+    noise = typical_noise_px(views) * bundle.observations.sigmas_per_px
     if not variance > (_SYSTEMATIC * noise) ** 2:
         return max(variance, noise**2)
     stars = len(bundle.observations.view) / len(bundle.observations.slices)

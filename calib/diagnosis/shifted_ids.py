@@ -18,7 +18,7 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.linearised import plain_bundle, target_shifts
-from calib.diagnosis.star_noise import noise_px
+from calib.diagnosis.star_noise import typical_noise_px
 from calib.model.local_consistency import local_spacing
 from calib.view import View
 
@@ -137,7 +137,7 @@ def find_shifted_ids(
     if len(views) < 2 or pitch is None:
         return None
     bundle = plain_bundle(bundle, parameters, _STARS)
-    noise = float(np.nanmedian([noise_px(view) for view in views]))
+    noise = typical_noise_px(views)
     start = AdjustmentParameters(
         parameters.camera, parameters.collimator, parameters.rotations, np.zeros((len(views), 3))
     )

@@ -1,14 +1,18 @@
-"""The noise of the stars of a view, without any model of camera or collimator."""
+"""The noise of the stars of views, without any model of camera or collimator."""
 
 from __future__ import annotations
 
-from calib.model.homography import apply_homography, view_homography
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.model.homography import apply_homography, fit_homography
 from calib.model.local_consistency import local_sigma_px
 from calib.view import View
 
 
 def noise_px(view: View) -> float:
-    """Return the noise of a view as its neighbouring stars show it, without any model of camera or collimator.
+    """Return the noise of a view as its neighbouring stars show it.
 
     Own estimate, that of `calib.model.local_consistency.local_sigma_px`.
 
@@ -21,6 +25,27 @@ def noise_px(view: View) -> float:
     -------
     float
         1-sigma per axis, px; NaN for fewer than 8 stars.
+
+    Raises
+    ------
+    TooFewStars
+        If the stars do not determine a homography.
     """
-    mapped = apply_homography(view_homography(view), view.target_mm)
-    return local_sigma_px(view.target_mm, mapped, view.points_px)
+    h = fit_homography(view.target_mm, view.points_px)
+    return local_sigma_px(view.target_mm, apply_homography(h, view.target_mm), view.points_px)
+
+
+def typical_noise_px(views: Sequence[View]) -> float:
+    """Return the median noise of views as their neighbouring stars show it.
+
+    Parameters
+    ----------
+    views
+        Views without gross errors, at least one of them with 8 stars or more.
+
+    Returns
+    -------
+    float
+        1-sigma per axis, px.
+    """
+    return float(np.nanmedian([noise_px(view) for view in views]))

@@ -59,7 +59,8 @@ def check_target_units(
     views
         Views of one camera, without gross errors.
     r_mm
-        Radius of the collimator from an adjustment of these views in which it was free, mm; None for a closed form.
+        Radius of the collimator from an adjustment of these views in which it was free, mm. Without it, a closed form
+        is compared with a known radius.
     known_r_mm
         Radius from a passport, a certificate or a data sheet, mm; None if it is not known. Without it, only implausible
         numbers are noticed.
@@ -70,7 +71,7 @@ def check_target_units(
         None if nothing is implausible. That is no proof of the unit.
     """
     tolerance = _TOLERANCE_ADJUSTED
-    if r_mm is None:
+    if r_mm is None and known_r_mm is not None:
         r_mm, tolerance = closed_form_radius(views), _TOLERANCE_CLOSED_FORM
     if r_mm is not None and known_r_mm is not None:
         unit = _unit(known_r_mm / r_mm, tolerance)

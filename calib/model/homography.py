@@ -160,7 +160,11 @@ def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
 def _wrong_about(h: Array, view: View) -> Bools:
     """Return which stars contradict their neighbours after subtraction of a homography, (N,) bool."""
     mapped = apply_homography(h, view.target_mm)
-    return contradicts_neighbours(view.target_mm, mapped, view.points_px)
+    variances = np.trace(view.covariances_px2, axis1=1, axis2=2)
+    stated = bool(variances.min() > 0.0 and variances.max() > variances.min())
+    return contradicts_neighbours(
+        view.target_mm, mapped, view.points_px, np.sqrt(variances) if stated else None
+    )
 
 
 def _part(view: View, kept: Bools) -> View:

@@ -32,6 +32,8 @@ _ROUNDS = 6
 _RIM_FACTOR = 4.0
 #: If more than this share of the stars is suspicious, all stars are tested.
 _MANY = 0.25
+#: The noise of the best stars is this quantile of the stated ones.
+_BEST_STARS = 0.1
 #: A prediction needs this number of trusted neighbours.
 _FEWEST = 3
 _ROUNDING_PX = 1e-6
@@ -64,7 +66,7 @@ class _Neighbours:
         return _Neighbours(self.which[stars], self.design[stars])
 
 
-def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools:
+def contradicts_neighbours(target: Array, mapped: Array, points: Array, sigmas: Array | None = None) -> Bools:
     """Return which stars lie far from where their neighbours predict them.
 
     A rough map of the plane is subtracted first, so that little but distortion and errors remains. Two tests follow.
@@ -74,7 +76,7 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools
     the neighbours. The limit is the larger of `LIMIT_SIGMAS` robust standard deviations and `LIMIT_PX`. The deviations
     are those of all stars or of the neighbours, whichever are larger. `LIMIT_PX` is enlarged by `_RIM_FACTOR` where
     the neighbours lie on one side: at the rim of a real beam, aberrations move a star by up to 2 px against its
-    neighbours. Own procedure.
+    neighbours. A star that is stated to be noisier than the best stars has a wider limit. Own procedure.
 
     Parameters
     ----------
@@ -84,6 +86,8 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools
         (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
     points
         (N, 2) image points found, px.
+    sigmas
+        (N,) stated 1-sigma of the points in any unit; None if all are equal.
 
     Returns
     -------
@@ -97,7 +101,8 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools
     near = neighbours.which
     apart = _outside_the_largest_patch(mapped, off, distance, near, spacing)
     wrong = apart.copy()
-    least = LIMIT_PX * (1.0 + _RIM_FACTOR * neighbours.one_sidedness)
+    wider = 1.0 if sigmas is None else np.maximum(sigmas / np.quantile(sigmas, _BEST_STARS), 1.0)
+    least = LIMIT_PX * (1.0 + _RIM_FACTOR * neighbours.one_sidedness) * wider
     plain = _plain_deviations(neighbours, off)
     suspects = np.flatnonzero(wrong | ~(plain <= least))
     if len(suspects) > _MANY * len(off):
@@ -106,7 +111,8 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools
         deviations, local = _robust_deviations(neighbours.of(suspects), off, suspects, ~wrong)
         some = deviations if len(suspects) == len(off) else plain
         general = float(np.median(some[~wrong])) / _RAYLEIGH_MEDIAN if not wrong.all() else 0.0
-        beyond = deviations > np.maximum(LIMIT_SIGMAS * np.maximum(local, general), least[suspects])
+        noise = np.maximum(local, general * np.broadcast_to(wider, len(off))[suspects])
+        beyond = deviations > np.maximum(LIMIT_SIGMAS * noise, least[suspects])
         # A star is trusted again if enough trusted neighbours now predict it.
         certain = np.count_nonzero(~wrong[near[suspects]], axis=1) >= _FEWEST
         now = apart[suspects] | beyond | (wrong[suspects] & ~certain)
@@ -119,8 +125,8 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array) -> Bools
 def local_sigma_px(target: Array, mapped: Array, points: Array) -> float:
     """Return the noise of the stars as their neighbours show it: no model of camera or collimator takes part.
 
-    The median of the distances between stars and local affine least squares predictions, over 1.1774 = sqrt(2 ln 2),
-    the median length of a two-dimensional vector of standard normal components. Own estimate.
+    The median of the distances between stars and local quadratic least squares predictions, over 1.1774 =
+    sqrt(2 ln 2), the median length of a two-dimensional vector of standard normal components. Own estimate.
 
     Parameters
     ----------
@@ -138,7 +144,11 @@ def local_sigma_px(target: Array, mapped: Array, points: Array) -> float:
     """
     if len(target) < MIN_STARS:
         return float("nan")
-    return float(np.median(_plain_deviations(_nearest(target)[0], points - mapped))) / _RAYLEIGH_MEDIAN
+    affine, _, _ = _nearest(target)
+    x, y = affine.design[:, :, 1], affine.design[:, :, 2]
+    bent = np.concatenate([affine.design, np.stack([x * x, x * y, y * y], axis=2)], axis=2)
+    deviations = _plain_deviations(_Neighbours(affine.which, bent), points - mapped)
+    return float(np.median(deviations)) / _RAYLEIGH_MEDIAN
 
 
 def local_spacing(target: Array) -> float:
@@ -201,12 +211,12 @@ def _robust_deviations(
 
 
 def _solve(design: Array, values: Array, weights: Array) -> tuple[Array, Array]:
-    """Return weighted local fits, (N, 3, 2), and the (N,) variances of their constants for unit weights.
+    """Return weighted local fits, (N, T, 2), and the (N,) variances of their constants for unit weights.
 
-    Normal equations with a small ridge on the slopes, for neighbours on one line (Hoerl and Kennard, 1970).
+    Normal equations with a small ridge on all but the constants, for neighbours on one line (Hoerl and Kennard, 1970).
     """
     weighted = design * weights[:, :, None]
-    ridge = np.diag([1e-9, 1e-3, 1e-3])
+    ridge = np.diag([1e-9] + [1e-3] * (design.shape[2] - 1))
     inverse = np.linalg.inv(np.swapaxes(weighted, 1, 2) @ design + ridge)
     return inverse @ (np.swapaxes(weighted, 1, 2) @ values), np.maximum(inverse[:, 0, 0], 0.0)
 

@@ -47,3 +47,21 @@ def test_every_doubt_after_the_adjustment_is_a_note(views):
     first, second = after(wrong)
     assert "shift the ids of view pose-002 by -1 column" in first
     assert "probably 1280 x 720" in second
+
+
+def test_another_origin_is_a_note():
+    poses = (
+        (-5, 2),
+        (0.5, -2.5, 10),
+        (5, 2.5, -20),
+        (0, 0, 45),
+        (-5, -2, 90),
+        (5, -2, 0),
+        (0, 2.5, -60),
+        (-3, 2, 20),
+    )
+    views = Bench().views(np.random.default_rng(4), 0.005, poses=poses)
+    for place in (1, 4):
+        views[place] = replace(views[place], points_px=views[place].points_px + 0.5)
+    (note,) = after(views)
+    assert "views pose-002, pose-005 lie" in note

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.model.homography import apply_homography, gross_errors, view_homography
-from calib.model.local_consistency import LIMIT_PX, contradicts_neighbours
+from calib.model.local_consistency import LIMIT_PX, contradicts_neighbours, local_sigma_px
 from calib.view import View
 from tests.unit.calib.conftest import TARGET, Bench
 
@@ -136,3 +136,23 @@ def test_small_deviations_are_left_to_the_robust_loss():
         shifts = np.zeros((len(view), 2))
         shifts[middle] = size, 0.0
         assert gross_errors(moved(view, shifts))[middle] == expected
+
+
+def test_a_star_that_is_stated_to_be_noisy_may_lie_farther_off():
+    rng, view = np.random.default_rng(6), view_of_bench(6, 0.05)
+    noisy = np.arange(len(view)) % 2 == 0
+    shifts = 2.0 * noisy[:, None] * rng.standard_normal((len(view), 2))
+    covariances = view.covariances_px2 + np.eye(2) * np.where(noisy, 4.0, 0.0)[:, None, None]
+    assert not gross_errors(replace(moved(view, shifts), covariances_px2=covariances)).any()
+    shifts[10] = 100.0, 0.0
+    assert np.flatnonzero(
+        gross_errors(replace(moved(view, shifts), covariances_px2=covariances))
+    ).tolist() == [10]
+
+
+@pytest.mark.parametrize("sigma", [0.002, 0.02, 0.5])
+def test_neighbours_show_the_noise(sigma):
+    for pose in range(3):
+        view = view_of_bench(7, sigma, pose)
+        mapped = apply_homography(view_homography(view), view.target_mm)
+        assert local_sigma_px(view.target_mm, mapped, view.points_px) == pytest.approx(sigma, rel=0.2)
