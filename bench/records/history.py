@@ -25,6 +25,7 @@ from bench.records.events import (
     Solved,
     UntilDecided,
 )
+from bench.records.journal import CLOCK_JUMPED
 from bench.records.journal_entry import Entry
 
 _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
@@ -166,7 +167,9 @@ class History:
         """
         if entry.event == Event.RUN_RESUMED:  # another process, whose clock begins anew
             self._at_step = None
-        elif self._at_step is not None:
+        elif (
+            self._at_step is not None and entry.event != CLOCK_JUMPED
+        ):  # it may be the first line of that process
             passed_s = entry.mono_s - self._last_mono_s
             self.worked_s[self._at_step] = self.worked_s.get(self._at_step, 0.0) + passed_s
         self._last_mono_s = entry.mono_s

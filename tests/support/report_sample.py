@@ -82,6 +82,7 @@ def results(views, *, simulated=True):
             "agrees": True,
         },
         "gates": _gates(),
+        "untils": _untils(),
         "deviations": ["Pose second was recorded twice: the first recording had 31 stars."],
         "failures": [
             {
@@ -95,6 +96,38 @@ def results(views, *, simulated=True):
         "truth": {"camera": TRUE, "collimator": COLLIMATOR} if simulated else None,
         "comparison": _comparison(values) if simulated else [],
     }
+
+
+def _untils():
+    """An `until` that chose one pose and met its goal."""
+    head = {
+        "until": 2,
+        "until_last": 66,
+        "wanted": {"expanded_fx_px": 3.0},
+        "fixed": {"expanded_fx_px": {}},
+        "coverage_factor": 2.0,
+        "model": "spherical",
+        "lacks": "",
+    }
+    pose = {
+        "pose": 3,
+        "pose_name": "chosen 1",
+        "angles_deg": {"pan": -2.5, "tilt": 4.0},
+        "expected": {"expanded_fx_px": 2.7},
+        "why": "it lowers U(fx) most",
+    }
+    counts = {"recorded": 2, "poses": 2, "worked_s": 9.1}, {"recorded": 3, "poses": 3, "worked_s": 13.7}
+    return [
+        {**head, **counts[0], "step": 8, "now": {"expanded_fx_px": 4.1}, "chosen": pose},
+        {
+            **head,
+            **counts[1],
+            "step": 12,
+            "now": {"expanded_fx_px": 2.8},
+            "ended": "met",
+            "why": "The goals are met.",
+        },
+    ]
 
 
 def _calibration(views, values):

@@ -1,6 +1,6 @@
 """History of a run: entries of the journal are found at once, however long the run."""
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
@@ -48,3 +48,40 @@ def test_a_recording_that_was_never_stored_cannot_be_checked(tmp_path):
 def test_a_history_created_with_attempts_holds_them():
     one = Attempt(4, "p", 1, {}, {"accepted": True})
     assert dict(History(attempts=[one]).accepted()) == {4: one}
+
+
+def test_time_counts_for_the_step_at_work_without_holds_and_without_the_time_between_processes(tmp_path):
+    now = {"s": 0.0}
+    begin = datetime(2026, 3, 1, tzinfo=UTC)
+    clocks = {"utc_now": lambda: begin + timedelta(seconds=now["s"]), "monotonic": lambda: now["s"]}
+    with Journal.create(tmp_path / "j", **clocks) as journal:
+        for after_s, event, data in (
+            (1.0, Event.ENTERING, {"state": "preflight", "from": "idle"}),
+            (2.0, Event.ENTERING, {"state": "slewing", "from": "preflight", "step": 7}),
+            (3.0, Event.LEFT_OFF, {"state": "slewing"}),
+            (3.5, Event.ENTERING, {"state": "holding", "from": "slewing", "step": 8}),
+            (60.0, Event.ENTERING, {"state": "settling", "from": "holding", "step": 8}),
+            (62.0, Event.LEFT_OFF, {"state": "settling"}),
+        ):
+            now["s"] = after_s
+            journal.append_unsynced(event, **data)
+        now["s"] = 5000.0
+        journal.append_unsynced(Event.RUN_RESUMED, torn_bytes=0, software={})
+        journal.append_unsynced(Event.ENTERING, state="settling", **{"from": "idle"}, step=8)
+        now["s"] = 5001.0
+        journal.append_unsynced(Event.STEP_DONE, step=8)
+        history = replay(journal.entries)
+    assert history.worked_s == {7: 1.5, 8: 3.0}
+
+
+def test_decisions_give_the_chosen_poses_and_what_is_left_out(tmp_path):
+    with Journal.create(tmp_path / "j", **CLOCKS) as journal:
+        head = {"until": 2, "until_last": 30}
+        chosen = {"pose": 4, "pose_name": "chosen 1", "angles_deg": {"pan": 1.5}, "expected": {}, "why": ""}
+        journal.append_unsynced(Event.UNTIL_DECIDED, step=11, chosen=chosen, **head)
+        before = replay(journal.entries)
+        journal.append_unsynced(Event.UNTIL_DECIDED, step=15, ended="met", why="", **head)
+        after = replay(journal.entries)
+    assert before.chosen == after.chosen == {4: {"pan": 1.5}}
+    assert not any(before.is_left_out(step) for step in range(40))
+    assert [step for step in range(40) if after.is_left_out(step)] == list(range(16, 31))

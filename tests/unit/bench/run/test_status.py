@@ -143,3 +143,39 @@ def test_a_plan_of_another_program_is_refused(run):
     (run.path / "plan.json").write_text("[]")
     with pytest.raises(RunFolderError, match=r"plan\.json cannot be read"):
         run.status()
+
+
+def until_decided(number, fx, **more):
+    return {
+        "step": number,
+        "until": 2,
+        "until_last": 147,
+        "recorded": 3,
+        "poses": 3,
+        "worked_s": 9.0,
+        "wanted": {"expanded_fx_px": 2.0},
+        "now": {"expanded_fx_px": fx},
+        "fixed": {},
+        "coverage_factor": 2.0,
+        "model": "spherical",
+        "lacks": "",
+    } | more
+
+
+def test_a_run_that_chooses_its_poses_shows_what_it_has_reached_and_wants(tmp_path):
+    run = Run(tmp_path / "run", make_plan(*load_documents("until_good", "simulated")).to_dict())
+    assert (run.status().poses, run.status().most_poses, run.status().uncertainty) == (3, 25, "")
+    pose = {"pose": 4, "pose_name": "chosen 1", "angles_deg": {"pan": 1.0}, "expected": {}, "why": ""}
+    run.tell(Event.UNTIL_DECIDED, **until_decided(11, 3.25, chosen=pose))
+    run.tell(Event.ENTERING, state="slewing", pose=4, step=12)
+    text = status_text(run.status())
+    assert "running: slewing, pose 4 of at most 25 (chosen 1)" in text
+    assert "Uncertainty after 3 poses: U(fx) 3.25 px (wanted 2)" in text
+    assert "next: pose 4 at pan 1 deg" in text
+    left_s = run.status().left_s
+    run.tell(Event.UNTIL_DECIDED, **until_decided(15, 1.5, ended="met", why="The goals are met."))
+    status = run.status()
+    assert (status.poses, status.most_poses) == (4, 4)
+    assert status.left_s < 5 < left_s
+    assert "The goals are met." in status_text(status)
+    run.die()

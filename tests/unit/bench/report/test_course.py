@@ -1,0 +1,122 @@
+"""The course of an `until` in the report: a row for each decision, a plot, and why it ended."""
+
+import pytest
+from report_sample import SMALL, sample
+
+from bench.report.course import courses
+from bench.report.html import ReportData, printed_text, render_report
+from bench.report.run_tables import alerts
+from bench.report.text import MINUS, NOTHING
+from bench.report.until_text import decision_text, goals_text, reached_text
+
+WANTED = {"expanded_fx_px": 2.0, "worst_corner_px": 0.3}
+
+
+def decided(poses, fx, corner, *, until=5, **more):
+    told = {
+        "step": until + 9 + 4 * (poses - 3),
+        "until": until,
+        "until_last": 200,
+        "recorded": poses,
+        "poses": poses,
+        "worked_s": 60.0 * poses,
+        "wanted": WANTED,
+        "now": {"expanded_fx_px": fx, "worst_corner_px": corner} if fx else {},
+        "fixed": {"expanded_fx_px": {"certificate": 1.1}, "worst_corner_px": {"certificate": 0.2}}
+        if fx
+        else {},
+        "coverage_factor": 2.1 if fx else None,
+        "model": "radial" if fx else "",
+        "lacks": "",
+    }
+    return told | more
+
+
+def chosen(number, expected, why="it lowers U(fx) most"):
+    return {
+        "chosen": {
+            "pose": number,
+            "pose_name": f"chosen {number - 3}",
+            "angles_deg": {"pan": -1.25, "tilt": 4.0},
+            "expected": expected,
+            "why": why,
+        }
+    }
+
+
+COURSE = [
+    decided(3, None, None, **chosen(4, {})),
+    decided(4, 5.125, 0.9, **chosen(5, {"expanded_fx_px": 3.5, "worst_corner_px": 0.6}, "the rim")),
+    decided(5, 1.9, 0.29, ended="met", why="The goals are met."),
+]
+
+
+def page(untils):
+    data = sample(size=SMALL)
+    return render_report(ReportData({**data.results, "untils": untils}, (), data.journal_head))
+
+
+def test_every_decision_is_a_row_with_what_was_reached_and_what_follows():
+    (course,) = courses(COURSE, draw=False)
+    assert course.columns == ("U(fx)", "U at the corners")
+    assert [row.reached for row in course.rows] == [(NOTHING, NOTHING), ("5.12", "0.900"), ("1.90", "0.290")]
+    assert course.rows[1].expected == ("3.50", "0.600")
+    assert course.rows[1].angles == f"pan {MINUS}1.250, tilt 4.000"
+    assert (course.rows[1].why, course.rows[2].why) == ("the rim", "the goals are met")
+    assert course.met
+    assert course.minutes == "5.0"
+
+
+def test_the_page_says_how_it_ended_and_draws_the_course():
+    html = page(COURSE)
+    words = " ".join(printed_text(html))
+    assert "Until the goals: U(fx) is at most 2 px and U at the corners at most 0.3 px" in words
+    assert "The goals are met." in words
+    assert "worked for 5.0 minutes" in words
+    assert 'aria-label="Expanded uncertainty after each pose"' in html
+    assert "does not depend on the poses" in html
+    bare = render_report(ReportData({**sample(size=SMALL).results, "untils": COURSE}), draw=False)
+    assert "Expanded uncertainty after each pose" not in bare
+    assert printed_text(bare) == printed_text(html) or "Until the goals" in " ".join(printed_text(bare))
+
+
+def test_a_run_without_such_a_step_has_no_course():
+    assert "Until the goal" not in page([])
+    assert courses([]) == []
+
+
+@pytest.mark.parametrize("how", ["unreachable", "at_most", "minutes", "failures", "no_pose"])
+def test_a_goal_that_was_not_met_is_named_before_the_values(how):
+    course = [*COURSE[:2], decided(5, 2.9, 0.4, ended=how, why="Because of the lamp.")]
+    told = alerts({"untils": course})
+    assert told == ["The goal of a step was not met. Because of the lamp."]
+    assert not courses(course, draw=False)[0].met
+    assert "Because of the lamp." in courses(course, draw=False)[0].end
+    assert alerts({"untils": COURSE}) == []
+
+
+def test_two_of_them_are_two_courses_with_plots_of_their_own():
+    other = [decided(6, 1.0, 0.1, until=300, ended="met", why="The goals are met.")]
+    first, second = courses([*COURSE, *other])
+    assert len(first.rows), len(second.rows) == (3, 1)
+    assert 'id="course-5-' in first.plot
+    assert 'id="course-300-' in second.plot
+
+
+def test_one_that_a_stop_cut_off_says_so():
+    (course,) = courses(COURSE[:2], draw=False)
+    assert course.end == "The step did not end."
+
+
+def test_names_are_escaped():
+    told = [decided(4, 2.5, 0.4, **chosen(5, {}, "<script>"))]
+    assert "<script>" not in page(told)
+
+
+def test_lines_for_people():
+    assert goals_text({"worst_corner_px": 0.25}) == "U at the corners is at most 0.25 px"
+    assert reached_text(COURSE[0]) == "3 poses: the camera is not determined yet"
+    assert decision_text(COURSE[1]) == (
+        "4 poses: U(fx) 5.12 px (wanted 2), U at the corners 0.9 px (wanted 0.3); next: pose 5 at pan -1.25, tilt 4 deg"
+    )
+    assert decision_text(COURSE[2]).endswith("(wanted 0.3). The goals are met.")
