@@ -14,6 +14,14 @@ Json = Mapping[str, Any]
 Rows = list[tuple[str, str]]
 
 
+_ORIGINS = {
+    "sequence": "file named by the sequence",
+    "station": "file named by the station",
+    "station certificate": "stated in the station file",
+    "command line": "file named on the command line",
+}
+
+
 def passport_rows(passport: Json | None) -> Rows:
     """List what the results state about the collimator's passport.
 
@@ -44,8 +52,7 @@ def passport_rows(passport: Json | None) -> Rows:
         f"dated {passport['date']}" if passport["date"] else "",
         f"valid until {passport['valid_until']}" if passport["valid_until"] else "",
         f"at {passport['temperature_c']:g} °C" if passport["temperature_c"] is not None else "",
-        f"named by the {passport['source']}"
-        + (f" ({passport['name']})" if passport["source"] != "station certificate" else ""),
+        f"{_ORIGINS.get(passport['source'], passport['source'])} ({passport['name']})",
     ]
     return [
         ("Collimator passport", ", ".join(part for part in stated if part)),
@@ -54,13 +61,15 @@ def passport_rows(passport: Json | None) -> Rows:
     ]
 
 
-def readings_rows(readings: Json | None) -> Rows:
+def readings_rows(readings: Json | None, estimate: Json | None) -> Rows:
     """List whether the readings of the gimbal entered the calibration, with what statement, or why not.
 
     Parameters
     ----------
     readings
         ``gimbal_readings`` of results.json; None if the calibration had no readings.
+    estimate
+        ``calibration.gimbal`` of results.json; None if the readings took no part.
 
     Returns
     -------
@@ -71,7 +80,7 @@ def readings_rows(readings: Json | None) -> Rows:
         return []
     rows: Rows = []
     if readings["entered"]:
-        rows.append(("Gimbal readings", "entered the adjustment as measurements"))
+        rows.append(("Gimbal readings", f"entered the adjustment as measurements{_agreement(estimate)}"))
     else:
         rows.append(("Gimbal readings", f"compared with the result only. {readings['why_not']}"))
     stated, bound = readings["statement"], readings["bound"]
@@ -103,6 +112,22 @@ def source_rows(sources: Sequence[Json]) -> list[tuple[str, str, str, str]]:
     ]
 
 
+def _agreement(estimate: Json | None) -> str:
+    """Return how the readings agree with the stars."""
+    if not estimate:
+        return ""
+    enlarged = (
+        f"; entered with a standard uncertainty of {estimate['reading_sigma_deg']:.3g}°, because they scatter more "
+        "than stated"
+        if estimate["scatter"] > 1
+        else ""
+    )
+    return (
+        f"; chi-square {estimate['chi_square']:.3g} with {estimate['degrees_of_freedom']} degrees of freedom, "
+        f"{3600 * estimate['rms_deg']:.2g} arc seconds RMS{enlarged}"
+    )
+
+
 def _bound(bound: Json) -> str:
     text = (
         f"parallax bounded by a defocus of {bound['defocus']:g}, standard uncertainty {bound['defocus_sigma']:g}, "
@@ -112,4 +137,5 @@ def _bound(bound: Json) -> str:
     if "parallax" not in bound:
         return text
     share, sigma = 100 * bound["parallax"], 100 * bound["parallax_sigma"]
-    return f"{text}: {share:.2g} % of the focal length, standard uncertainty {sigma:.2g} %"
+    shown = number(share, 2)
+    return f"{text}: {shown} % of the focal length, standard uncertainty {sigma:.2g} %"

@@ -100,7 +100,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
         ("Lens", value_text(camera.get("lens"))),
         *([("Collimator", _collimator(collimator))] if collimator else []),
         *passport_rows(results.get("passport")),
-        *readings_rows(results.get("gimbal_readings")),
+        *readings_rows(results.get("gimbal_readings"), results["calibration"].get("gimbal")),
         ("Laboratory", value_text(run.get("laboratory"))),
         ("Operator", value_text(run.get("operator"))),
         ("Sequence", value_text(run.get("sequence"))),

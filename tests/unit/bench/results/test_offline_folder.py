@@ -26,7 +26,7 @@ def points(tmp_path_factory):
     from datetime import UTC, datetime
 
     folder = tmp_path_factory.mktemp("points")
-    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated")).station)
+    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated_ideal")).station)
     rng = np.random.default_rng(5)
     for name, pan, tilt in (("left", -6, 2), ("right", 6, 2), ("below", 0, -3)):
         view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, name)
