@@ -201,7 +201,7 @@ def find_other_origins(
     OtherOrigin or None
         None if all views agree, or if the views cannot decide.
     """
-    if len(views) < 3:
+    if len(views) < 3 or not np.isfinite(typical_noise_px(views)):
         return None
     plain = plain_bundle(bundle, parameters, _STARS)
     equations = image_shifts(plain, parameters)
@@ -255,7 +255,7 @@ def _spread(bundle: Bundle, parameters: AdjustmentParameters) -> float:
 def _variance_factor(views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters) -> float:
     """Return the variance of a weighted residual component, enlarged if the residuals are mostly systematic."""
     variance = _spread(bundle, parameters) ** 2
-    noise = typical_noise_px(views) * bundle.observations.sigmas_per_px
+    noise = np.nan_to_num(typical_noise_px(views)) * bundle.observations.sigmas_per_px
     if not variance > (_SYSTEMATIC * noise) ** 2:
         return max(variance, noise**2)
     stars = len(bundle.observations.view) / len(bundle.observations.slices)

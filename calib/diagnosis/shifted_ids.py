@@ -131,13 +131,16 @@ def find_shifted_ids(
     Returns
     -------
     ShiftedIds or None
-        None if the views agree, if no shift explains the residuals, or if the stars lie on no lattice.
+        None if the views agree, if no shift explains the residuals, if the stars lie on no lattice, or if all views
+        have fewer than 8 stars.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
         return None
-    bundle = plain_bundle(bundle, parameters, _STARS)
     noise = typical_noise_px(views)
+    if not np.isfinite(noise):
+        return None
+    bundle = plain_bundle(bundle, parameters, _STARS)
     start = AdjustmentParameters(
         parameters.camera, parameters.collimator, parameters.rotations, np.zeros((len(views), 3))
     )
@@ -164,7 +167,8 @@ def find_shifted_ids(
 
 def _weight(bundle: Bundle, rms: float, noise: float) -> float:
     """Return the number of independent residual components if the rms length of residual vectors is as given, px."""
-    components = 2 * len(bundle.observations.view)
+    obs = bundle.observations
+    components = max(2 * len(obs.view) - len(bundle.names) - 3 * len(obs.slices), 0)
     systematic = rms / np.sqrt(2.0) > _SYSTEMATIC * noise
     return float(min(components, _INDEPENDENT) if systematic else components)
 

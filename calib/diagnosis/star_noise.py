@@ -41,11 +41,12 @@ def typical_noise_px(views: Sequence[View]) -> float:
     Parameters
     ----------
     views
-        Views without gross errors, at least one of them with 8 stars or more.
+        Views without gross errors.
 
     Returns
     -------
     float
-        1-sigma per axis, px.
+        1-sigma per axis, px; NaN if all views have fewer than 8 stars.
     """
-    return float(np.nanmedian([noise_px(view) for view in views]))
+    known = [sigma for sigma in map(noise_px, views) if np.isfinite(sigma)]
+    return float(np.median(known)) if known else float("nan")

@@ -65,3 +65,23 @@ def test_another_origin_is_a_note():
         views[place] = replace(views[place], points_px=views[place].points_px + 0.5)
     (note,) = after(views)
     assert "views pose-002, pose-005 lie" in note
+
+
+def test_views_of_few_stars_are_not_judged(views):
+    few = []
+    for view in views:
+        corners = [
+            np.argmin(a * view.points_px[:, 0] + b * view.points_px[:, 1])
+            for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+        ]
+        few.append(
+            replace(
+                view,
+                ids=view.ids[corners],
+                points_px=view.points_px[corners],
+                target_mm=view.target_mm[corners],
+                covariances_px2=view.covariances_px2[corners],
+            )
+        )
+    assert check_views(few) == ()
+    assert after(few) == ()
