@@ -1,7 +1,8 @@
 """Benches drawn at random: views and gimbal readings of a simulated camera, without images.
 
 The stars come from the simulators' optics with Gaussian noise, so that a bench takes milliseconds. Errors of finding
-stars in event images are not in these views; `tests/hil` has those.
+stars in event images are not in these views; `tests/hil` has those. The gimbal has either simple noise
+(`GimbalErrors`) or the errors of the simulators' own section (`GimbalTruth`).
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +18,39 @@ from numpy.typing import NDArray
 from calib.model.rotation import exp_map
 from calib.view import View
 from simulators.optics import picture as optics
-from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
+from simulators.world.gimbal import GimbalTruth, load_angles_deg
+from simulators.world.mount import drift_since_on_arcsec
+from simulators.world.truth import (
+    COLLIMATORS,
+    CameraTruth,
+    CollimatorTruth,
+    MountTruth,
+    OpticsTruth,
+    ReticleTruth,
+    Truth,
+)
 
 FloatArray = NDArray[np.float64]
 
 STAR_SIGMA_PX = 0.014
 BORDER_PX = 14.0
+#: Time from pose to pose, s.
+POSE_S = 30.0
 
 
 def grid(pan_deg: Sequence[float], tilt_deg: Sequence[float]) -> list[dict[str, float]]:
-    """Return the poses of a grid, degrees."""
+    """Return the poses of a grid, degrees.
+
+    Parameters
+    ----------
+    pan_deg, tilt_deg
+        Angles of each axis, degrees; pan changes fastest.
+
+    Returns
+    -------
+    list of dict
+        Poses with ``pan`` and ``tilt``.
+    """
     return [{"pan": float(p), "tilt": float(t)} for t in tilt_deg for p in pan_deg]
 
 
@@ -79,6 +104,10 @@ def draw_bench(
     camera: CameraTruth | None = None,
     star_sigma_px: float = STAR_SIGMA_PX,
     noise_seed: int = 0,
+    common_share: float = 0.0,
+    gimbal: GimbalTruth | None = None,
+    reticle: ReticleTruth | None = None,
+    mount: MountTruth | None = None,
 ) -> DrawnBench:
     """Draw glass, mounting, noise and gimbal errors of a bench from a seed.
 
@@ -87,19 +116,34 @@ def draw_bench(
     profile
         Name of a collimator's profile, or the collimator.
     poses
-        True angles ``pan``, ``tilt``, ``roll`` of the poses, degrees.
+        Angles ``pan``, ``tilt``, ``roll`` of the poses, degrees: the true ones, or the readings if `gimbal` is given.
     seed
         Seed of everything that is drawn.
     errors
-        Errors of the gimbal; None for noise of .002 degrees.
+        Simple errors of the gimbal; None for noise of .002 degrees. They have no effect if `gimbal` is given.
     camera
         The camera; None for the paper's.
     star_sigma_px
         Noise of a star per axis, px.
     noise_seed
         Further seed of the stars' noise alone, for repeated recordings.
+    common_share
+        Share of the noise's variance that all recordings of a pose have in common, whatever `noise_seed` is.
+    gimbal
+        Errors of the gimbal as the simulated bench has them; None for `errors`.
+    reticle
+        Errors of the print; None for a flat print without errors.
+    mount
+        Drift of the mount; its vibration and shift have no effect. None for no drift. A pose is recorded every
+        `POSE_S`.
+
+    Returns
+    -------
+    DrawnBench
+        Truth, views and readings.
     """
     noise = np.random.default_rng((seed, 8, noise_seed))
+    common = np.random.default_rng((seed, 9))
     rng = np.random.default_rng((seed, 7))
     errors = errors or GimbalErrors()
     collimator = COLLIMATORS[profile] if isinstance(profile, str) else profile
@@ -108,14 +152,19 @@ def draw_bench(
         camera or CameraTruth(),
         replace(collimator, glass_seed=seed + 1000),
         OpticsTruth(mounting_deg=tuple(mounting.tolist())),
+        mount=mount or MountTruth(),
+        reticle=reticle or ReticleTruth(),
+        gimbal=gimbal or GimbalTruth(),
     )
     head = exp_map(np.radians(rng.normal(0.0, 1.0, 3)))
-    scales = 1.0 + errors.scale * rng.normal(size=3)
+    scales = np.ones(3) if gimbal else 1.0 + errors.scale * rng.normal(size=3)
     views, readings = [], []
-    for number, pose in enumerate(poses, 1):
-        wobble = exp_map(np.radians(errors.reading_sigma_deg) * rng.normal(size=3))
-        rotation = np.asarray(head @ wobble @ optics.pose_rotation(pose, truth.optics))
-        views.append(seen_view(truth, rotation, f"pose {number}", noise, star_sigma_px))
+    for number, (pose, angles) in enumerate(zip(poses, _loads(poses, truth), strict=True), 1):
+        wobble = np.eye(3)
+        if gimbal is None:
+            wobble = exp_map(np.radians(errors.reading_sigma_deg) * rng.normal(size=3))
+        rotation = np.asarray(head @ wobble @ optics.true_rotation(angles, truth))
+        views.append(seen_view(truth, rotation, f"pose {number}", noise, star_sigma_px, common, common_share))
         readings.append(
             {
                 f"{axis}_deg": pose.get(axis, 0.0) / scale
@@ -126,14 +175,95 @@ def draw_bench(
     return DrawnBench(truth, views, readings)
 
 
+def draw_repeats(
+    profile: str | CollimatorTruth,
+    poses: Sequence[Mapping[str, float]],
+    seed: int,
+    times: int,
+    **drawn: Any,
+) -> DrawnBench:
+    """Draw a bench that records each pose several times, one round after the other.
+
+    Glass, mounting and gimbal errors are the same in every round. The stars' noise is new, apart from the common share.
+
+    Parameters
+    ----------
+    profile, poses, seed
+        As for `draw_bench`.
+    times
+        Number of rounds.
+    **drawn
+        Further parameters of `draw_bench`, without `noise_seed`.
+
+    Returns
+    -------
+    DrawnBench
+        Bench with ``times * len(poses)`` views.
+    """
+    rounds = [draw_bench(profile, poses, seed, noise_seed=number, **drawn) for number in range(times)]
+    views = [
+        replace(view, name=f"{view.name} round {number}" if number > 1 else view.name)
+        for number, one in enumerate(rounds, 1)
+        for view in one.views
+    ]
+    return DrawnBench(rounds[0].truth, views, [pose for one in rounds for pose in one.readings_deg])
+
+
+def _loads(poses: Sequence[Mapping[str, float]], truth: Truth) -> list[dict[str, float]]:
+    """Return the angles of the loads in each pose, degrees: behind the backlash, and with the drift of the mount."""
+    sides: dict[str, float] = {}
+    last: Mapping[str, float] = {}
+    loads = []
+    for number, pose in enumerate(poses):
+        for axis in pose:
+            moved = pose[axis] - last.get(axis, 0.0)
+            sides[axis] = math.copysign(1.0, moved) if moved else sides.get(axis, 0.0)
+        drift = dict(zip(("pan", "tilt"), drift_since_on_arcsec(truth.mount, POSE_S * number), strict=True))
+        behind = load_angles_deg(pose, sides, truth.gimbal)
+        loads.append({axis: angle + drift.get(axis, 0.0) / 3600.0 for axis, angle in behind.items()})
+        last = pose
+    return loads
+
+
 def seen_view(
-    truth: Truth, rotation: FloatArray, name: str, rng: np.random.Generator, star_sigma_px: float
+    truth: Truth,
+    rotation: FloatArray,
+    name: str,
+    rng: np.random.Generator,
+    star_sigma_px: float,
+    common: np.random.Generator | None = None,
+    common_share: float = 0.0,
 ) -> View:
-    """Return the stars that the camera sees in a pose, with noise."""
+    """Return the stars that the camera sees in a pose, with noise.
+
+    Parameters
+    ----------
+    truth
+        Camera, collimator and target.
+    rotation
+        (3, 3) camera <- target.
+    name
+        Name of the view.
+    rng
+        Source of the stars' noise.
+    star_sigma_px
+        Noise of a star per axis, px.
+    common
+        Source of the noise that all recordings of the pose have in common; None if there is none.
+    common_share
+        Share of that noise in the variance.
+
+    Returns
+    -------
+    View
+        The stars in the bright part of the disc and inside the image.
+    """
     c = truth.collimator
     half_rim = 0.5 * c.rim * c.r * math.tan(math.radians(c.half_angle_deg)) / optics.TARGET.pitch_mm
     ids, points = optics.star_centres(truth, rotation, border_px=BORDER_PX, clearance=half_rim)
-    noisy = points + rng.normal(0.0, star_sigma_px, points.shape)
+    noisy = points + rng.normal(0.0, star_sigma_px * math.sqrt(1.0 - common_share), points.shape)
+    if common is not None and common_share > 0.0:
+        noisy = noisy + common.normal(0.0, star_sigma_px * math.sqrt(common_share), points.shape)
     covariances = np.tile(np.eye(2) * star_sigma_px**2, (len(ids), 1, 1))
     size = (truth.camera.width, truth.camera.height)
     return View(name, size, ids, noisy, np.asarray(optics.TARGET.positions_mm(ids)), covariances)
