@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -104,14 +105,25 @@ def read_job(path: Path) -> JobConfig:
 
 
 def _resolve_files(job: JobConfig, base: Path) -> JobConfig:
-    """Replace the file names of a job by full paths: beside the queue file, otherwise in the current folder."""
-    names = {}
+    """Replace the file names of a job by full paths: beside the queue file, otherwise in the current folder.
+
+    Names of passports in the settings are file names too.
+    """
+    names: dict[str, Any] = {}
     for key in ("sequence", "station"):
-        name = Path(getattr(job, key))
-        found = next((path for path in (base / name, name) if path.is_file()), None)
-        if found is not None:
-            names[key] = str(found.resolve())
-    return job.model_copy(update=names)
+        if found := _beside(base, getattr(job, key)):
+            names[key] = found
+    passports = {path: text for path, text in job.settings.items() if path.endswith(".passport")}
+    found_passports = {
+        path: json.dumps(file) for path, text in passports.items() if (file := _beside(base, text))
+    }
+    return job.model_copy(update={**names, "settings": {**job.settings, **found_passports}})
+
+
+def _beside(base: Path, name: str) -> str | None:
+    """Return the full path of a file beside the queue file or in the current folder; None if there is none."""
+    found = next((path for path in (base / name, Path(name)) if path.is_file()), None)
+    return str(found.resolve()) if found is not None else None
 
 
 def job_faults(job: JobConfig) -> list[str]:
