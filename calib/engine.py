@@ -11,7 +11,7 @@ from calib.diagnosis.checks import check_views
 from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit_model, model_to_fit
-from calib.lens_choice import choose_lens
+from calib.lens_choice import choose_lens, compare_lenses, lens_name
 from calib.model.type_b_terms import corrected_passport, corrected_views
 from calib.selection import Choice, choose
 from calib.summary import summarize
@@ -57,7 +57,10 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     known_r = options.passport.values_by_name["r"] if options.passport else None
     doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
     choice = _choice(views, options, wrong)
-    result = summarize(choice.fit, options)
+    lens = ""
+    if choice.fit.uncertainty.inconsistent and not options.compares_lenses:
+        lens = compare_lenses(options, choice.fit).sentence(lens_name(options.distortion))
+    result = summarize(choice.fit, options, lens)
     named = (one.sentence for one in wrong if one.sentence)
     notes = (*named, *doubts, *result.notes, *choice.notes)
     return replace(result, candidates=choice.candidates, notes=notes)

@@ -118,6 +118,7 @@ def fit_model(
     leave_out: bool = False,
     discs: Sequence[Disc] | None = None,
     wrong: Sequence[GrossStars] = (),
+    enlarge: bool = True,
 ) -> Fit:
     """Fit one model to views.
 
@@ -135,6 +136,8 @@ def fit_model(
         The visible discs of the views, if they are known already.
     wrong
         Stars with a gross error, for each view; they are left out. None if there are none.
+    enlarge
+        Whether to enlarge the uncertainty of inconsistent views at once; else `with_uncertainty` does it later.
 
     Returns
     -------
@@ -167,10 +170,11 @@ def fit_model(
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
     if passport:
         check_passport(bundle, refined.parameters, loss, passport, options.budget)
-    estimate, left_out = _uncertainty(kept, options, bundle, refined, loss, leave_out=leave_out)
+    estimate, left_out = _constrained(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole = bundle if used.all() else _with_all_stars(views, discs, bundle, refined.parameters)
     shown = discs if needs_rim(terms) else ()
-    return Fit(model, views, kept, bundle, refined, loss, whole, used, estimate, left_out, shown, test)
+    found = Fit(model, views, kept, bundle, refined, loss, whole, used, estimate, left_out, shown, test)
+    return with_uncertainty(found, options) if enlarge else found
 
 
 def model_to_fit(options: CalibrationOptions) -> str:
@@ -361,7 +365,7 @@ def refine_robustly(
     return bundle, replace(refined, iterations=iterations), loss
 
 
-def _uncertainty(
+def _constrained(
     views: Sequence[View],
     options: CalibrationOptions,
     bundle: Bundle,
@@ -388,17 +392,40 @@ def _uncertainty(
     left_out = None
     if len(views_of_poses(bundle)) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
         left_out = leave_one_out(bundle, parameters, loss)
-    passport = options.passport
+    return estimate, left_out
+
+
+def with_uncertainty(fitted: Fit, options: CalibrationOptions) -> Fit:
+    """Return a fit with its final uncertainty: enlarged if the views are inconsistent, with the passport's share.
+
+    Variance components: Patterson and Thompson (1971). Scores: Bell and McCaffrey (2002). Passport: consider covariance
+    (Tapley, Schutz and Born, 2004, chapter 6).
+
+    Parameters
+    ----------
+    fitted
+        A fit with the uncertainty that holds if its model is right.
+    options
+        The passport.
+
+    Returns
+    -------
+    Fit
+        The same fit.
+
+    Raises
+    ------
+    DegenerateViews
+        If the views do not constrain the camera with this passport.
+    """
+    bundle, parameters, loss = fitted.bundle, fitted.parameters, fitted.loss
+    estimate, passport = fitted.uncertainty, options.passport
     if passport is None or passport.is_certificate:
         components = partial(variance_components, bundle, parameters, loss)
         estimate = inflate(estimate, bundle, parameters, loss, components)
-    if passport is None:
-        return estimate, left_out
-    if passport.is_certificate:
-        estimate = add_certificate(bundle, parameters, estimate, passport)
-    else:
-        estimate = propagate_passport(bundle, parameters, estimate, passport)
-    require_constrained(
-        parameters, estimate.names, estimate.covariance, "The passport does not constrain it either."
-    )
-    return estimate, left_out
+    if passport is not None:
+        add = add_certificate if passport.is_certificate else propagate_passport
+        estimate = add(bundle, parameters, estimate, passport)
+        why = "The passport does not constrain it either."
+        require_constrained(parameters, estimate.names, estimate.covariance, why)
+    return replace(fitted, uncertainty=estimate)

@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from calib.calibration import CalibrationOptions, Candidate
-from calib.diagnosis.gross_stars import GrossStars
+from calib.diagnosis.gross_stars import GrossStars, part_of
 from calib.errors import CalibrationError
 from calib.fit import Fit, fit_model, model_to_fit
 from calib.model.camera import DISTORTION_SETS
@@ -25,6 +27,8 @@ _MIN_IMPROVEMENT = 0.03
 #: With few poses, a richer lens is chosen only if its criterion is smaller by this much: strong evidence (Kass and
 #: Raftery, 1995).
 _MIN_CRITERION = 10.0
+#: Stars of a view that take part in a comparison, about.
+_COMPARED_STARS = 150
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,7 @@ def choose_lens(
         The chosen fit, with all candidates and the reasons.
     """
     first = _with_lens(views, options, "k1k2", wrong)
-    found = compare_lenses(views, options, first.fit, wrong)
+    found = compare_lenses(options, first.fit)
     if found.best == "k1k2":
         return replace(
             first, notes=(*first.notes, "The lens model k1k2 was kept: no richer one predicts better.")
@@ -100,24 +104,18 @@ def choose_lens(
     return replace(last, notes=(*last.notes, found.sentence("k1k2")))
 
 
-def compare_lenses(
-    views: Sequence[View], options: CalibrationOptions, fitted: Fit, wrong: Sequence[GrossStars] = ()
-) -> LensComparison:
-    """Compare lens models with the collimator's model of a fit.
+def compare_lenses(options: CalibrationOptions, fitted: Fit) -> LensComparison:
+    """Compare lens models with the collimator's model of a fit, on some of its stars and without the gimbal's readings.
 
     Left-out poses decide from six poses on, as for collimator models; with fewer the Bayesian information criterion
     (Schwarz, 1978) decides.
 
     Parameters
     ----------
-    views
-        Views of one camera.
     options
-        Loss, passport and readings.
+        Distortion, loss and passport.
     fitted
-        Fit whose model of the collimator is used.
-    wrong
-        Stars with a gross error, for each view.
+        Fit whose stars and whose model of the collimator are used.
 
     Returns
     -------
@@ -125,11 +123,18 @@ def compare_lenses(
         The candidates, and the simplest lens that the data support.
     """
     found: dict[str, Candidate] = {}
-    for lens in LENSES:
-        with_lens = replace(options, distortion=DISTORTION_SETS[lens])
+    kept = [_thinned(view) for view in fitted.kept]
+    without = replace(options, gimbal=None, guard_band=1.0)
+    for lens in dict.fromkeys((*LENSES, lens_name(options.distortion))):
+        coefficients = DISTORTION_SETS.get(lens, tuple(options.distortion))
         try:
             one = fit_model(
-                views, with_lens, fitted.model, leave_out=True, discs=fitted.discs or None, wrong=wrong
+                kept,
+                replace(without, distortion=coefficients),
+                fitted.model,
+                leave_out=True,
+                discs=fitted.discs or None,
+                enlarge=False,
             )
         except CalibrationError:  # too many parameters for these views
             continue
@@ -142,6 +147,30 @@ def compare_lenses(
     simplest = next(iter(found), best)
     strong = bool(found) and found[best].bic < found[simplest].bic - _MIN_CRITERION
     return LensComparison(found, best if strong else simplest)
+
+
+def lens_name(coefficients: str | Sequence[str]) -> str:
+    """Return the name of a set of coefficients.
+
+    Parameters
+    ----------
+    coefficients
+        Names of the coefficients, in the order of their family.
+
+    Returns
+    -------
+    str
+        Name in `calib.model.camera.DISTORTION_SETS`; the joined coefficients if the set has no name.
+    """
+    known = {names: name for name, names in DISTORTION_SETS.items()}
+    return known.get(tuple(coefficients), "".join(coefficients))
+
+
+def _thinned(view: View) -> View:
+    """Return a view with fewer stars, evenly spread over its list: enough to compare lenses."""
+    kept = np.zeros(len(view), np.bool_)
+    kept[:: max(1, len(view) // _COMPARED_STARS)] = True
+    return view if kept.all() else part_of(view, kept)
 
 
 def _with_lens(

@@ -23,7 +23,7 @@ import numpy as np
 from calib.calibration import CalibrationOptions, Candidate
 from calib.diagnosis.gross_stars import GrossStars
 from calib.errors import CalibrationError
-from calib.fit import Fit, fit_model
+from calib.fit import Fit, fit_model, with_uncertainty
 from calib.model.aberrations import LADDER, needs_rim
 from calib.model.beam import visible_discs
 from calib.view import View
@@ -89,7 +89,9 @@ def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[G
     errors: dict[str, CalibrationError] = {}
     for model in MODELS:
         try:
-            fits.append(fit_model(views, options, model, leave_out=True, discs=discs, wrong=wrong))
+            fits.append(
+                fit_model(views, options, model, leave_out=True, discs=discs, wrong=wrong, enlarge=False)
+            )
         except CalibrationError as error:
             errors[model] = error
     if not fits:
@@ -102,7 +104,7 @@ def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[G
     if candidates[place].model == "spherical" and options.radial_sigma is None:
         at = next((i for i, one in enumerate(candidates) if one.model == "radial"), place)
         reason, place = f"{reason} {_KEPT_RADIAL}" if at != place else reason, at
-    return Choice(fits[place], candidates, (*_not_fitted(errors), reason))
+    return Choice(with_uncertainty(fits[place], options), candidates, (*_not_fitted(errors), reason))
 
 
 def enough_poses(fitted: Fit) -> bool:

@@ -32,7 +32,7 @@ _BACKWARDS = (
 )
 
 
-def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
+def summarize(fitted: Fit, options: CalibrationOptions, lens: str = "") -> Calibration:
     """Convert a fit to a calibration result, with the whole uncertainty budget.
 
     Parameters
@@ -41,6 +41,8 @@ def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
         The fitted model.
     options
         Type B terms, and where the passport comes from.
+    lens
+        What a comparison of lens models shows, if another lens explains the views better; else empty.
 
     Returns
     -------
@@ -88,7 +90,7 @@ def summarize(fitted: Fit, options: CalibrationOptions) -> Calibration:
             source: dict(zip(uncertainty.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
             for source, variances in uncertainty.budget.items()
         },
-        notes=(*_notes(fitted), *_doubts(fitted, uncertainty), *reading_notes(gimbal)),
+        notes=(*_notes(fitted, lens), *_doubts(fitted, uncertainty), *reading_notes(gimbal)),
         gimbal=gimbal,
         poses=whole.poses or (),
         budget_rows=budget.rows,
@@ -179,16 +181,19 @@ def reading_notes(gimbal: GimbalEstimate | None) -> tuple[str, ...]:
     return (text,)
 
 
-def _notes(fitted: Fit) -> tuple[str, ...]:
+def _notes(fitted: Fit, lens: str) -> tuple[str, ...]:
     """Return the notes for the reader of the result."""
     notes = [*_weakness(fitted), *_rims_out_of_view(fitted)]
     if not fitted.uncertainty.inconsistent:
         return tuple(notes)
     notes.append(
-        f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains; uncertainties are "
-        f"enlarged accordingly. The {fitted.model} model is probably incomplete."
+        f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains. The uncertainties "
+        "include what differs from view to view. An error that all views have in common, as a bow of the reticle, "
+        "does not show in them."
     )
-    if fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:
+    if lens:
+        notes.append(f"{lens} Set distortion to it, or to auto.")
+    elif fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:
         drift = centre_drift(fitted.bundle, fitted.parameters, fitted.loss)
         if np.linalg.norm(drift) > BIASING_DRIFT:
             shares = " / ".join(f"{100 * share:.2f}" for share in drift)
@@ -196,6 +201,8 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
                 f"The centre moves by {shares} % of r (rms along x / y / z) from view to view, so the spherical "
                 "model is biased. Use the model auto, or a passport that contains the collimator's aberrations."
             )
+    elif fitted.model not in ("drift", "planar"):
+        notes.append(f"The collimator has errors that the {fitted.model} model does not describe.")
     return tuple(notes)
 
 

@@ -24,7 +24,10 @@ SCALES = ("scale_pan", "scale_tilt", "scale_roll")
 NON_ORTHOGONALITY = "non_orthogonality"
 GIMBAL = (*MOUNTING, *STANDING, *SCALES, NON_ORTHOGONALITY)
 
-_ROUNDS = 300
+#: Axes of pan, tilt and roll in the head's frame.
+_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+_ALTERNATIONS = 10
+_NEWTON_STEPS = 6
 #: Rolls of the mounting from which the search starts, degrees: a camera may hang upside down or on its side.
 _START_ROLLS_DEG = range(0, 360, 45)
 
@@ -63,11 +66,10 @@ class Gimbal:
         Array
             (n, 3, 3) rotations, head <- base.
         """
-        scaled = angles_deg * np.array(self.scales)
-        skewed = exp_map(np.array([0.0, 0.0, self.non_orthogonality]))
-        return np.array(
-            [euler_zxy(0.0, tilt, roll) @ skewed @ euler_zxy(pan, 0.0) for pan, tilt, roll in scaled]
-        )
+        scaled = np.radians(angles_deg * np.array(self.scales))
+        skew = np.array([0.0, 0.0, self.non_orthogonality])
+        pan, tilt, roll = (exp_map(scaled[:, [k]] * axis) for k, axis in enumerate(_AXES))
+        return np.asarray(roll @ tilt @ exp_map(skew) @ pan)
 
     def rotations(self, angles_deg: Array) -> Array:
         """Return the rotations of the camera.
@@ -126,8 +128,8 @@ class Gimbal:
 def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
     """Return mounting and standing of a gimbal with unit scales, for the start of an adjustment.
 
-    Alternating least squares from several rolls of the mounting: with A known, B is the mean of G^T A^T R, and the
-    reverse; the mean of rotations is the one of Markley et al. (2007). Own procedure.
+    From several rolls of the mounting: alternating least squares, where with A known B is the mean of G^T A^T R (mean
+    of rotations: Markley et al., 2007), then steps of Gauss and Newton on both. Own procedure.
 
     Parameters
     ----------
@@ -146,12 +148,15 @@ def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
     best, least = Gimbal(), np.inf
     for roll in _START_ROLLS_DEG:
         a = euler_zxy(0.0, 0.0, float(roll))
-        for _ in range(_ROUNDS):
+        for _ in range(_ALTERNATIONS):
             b = nearest_rotation(np.mean(back @ a.T @ rotations, axis=0))
-            turned = nearest_rotation(np.mean(rotations @ b.T @ back, axis=0))
-            change, a = np.abs(turned - a).max(), turned
-            if change < 1e-10:
-                break
+            a = nearest_rotation(np.mean(rotations @ b.T @ back, axis=0))
+        for _ in range(_NEWTON_STEPS):
+            turned = a @ heads
+            off = log_map(rotations @ np.swapaxes(turned @ b, 1, 2))
+            jacobian = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2)
+            step = np.linalg.lstsq(jacobian.reshape(-1, 6), off.reshape(-1), rcond=1e-9)[0]
+            a, b = exp_map(step[:3]) @ a, exp_map(step[3:]) @ b
         off = log_map(rotations @ np.swapaxes(a @ heads @ b, 1, 2))
         if (off**2).sum() < least:
             best, least = Gimbal(a, b), float((off**2).sum())

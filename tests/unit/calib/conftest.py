@@ -57,7 +57,7 @@ class Bench:
         matrix = np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
         world = np.column_stack([target_mm, np.zeros(len(target_mm))])
         shift = -turn @ centre
-        coefficients = np.array([*self.k, 0.0, 0.0])
+        coefficients = np.array([*self.k, 0.0, 0.0][:4])
         return cv2.projectPoints(world, cv2.Rodrigues(turn)[0], shift, matrix, coefficients)[0][:, 0]
 
     turn = staticmethod(rotation)

@@ -116,8 +116,7 @@ def test_mounting_and_standing_are_found_however_the_camera_hangs(roll_deg):
     mounting = exp_map(np.radians([0.0, 0.0, roll_deg])) @ exp_map(rng.normal(scale=0.02, size=3))
     gimbal = Gimbal(mounting, exp_map(rng.normal(scale=0.05, size=3)))
     found = aligned_gimbal(gimbal.rotations(angles), angles)
-    # A start for the adjustment, not an estimate.
-    assert np.allclose(found.rotations(angles), gimbal.rotations(angles), atol=5e-3)
+    assert np.allclose(found.rotations(angles), gimbal.rotations(angles), atol=1e-6)
 
 
 @pytest.mark.parametrize(

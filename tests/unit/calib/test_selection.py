@@ -119,3 +119,22 @@ def test_few_views_without_a_rim_let_the_centre_drift_where_it_does(make_bench):
 def test_when_no_model_fits_the_first_reason_is_given(bench):
     with pytest.raises(DegenerateViews, match="same pose"):
         calibrate(bench.views(poses=((1, 1),) * 3), AUTO)
+
+
+def test_a_missing_lens_term_is_not_blamed_on_the_collimator(make_bench):
+    bench = make_bench(k=(0.06, -0.9, 0.004, -0.003))
+    views = bench.views(np.random.default_rng(52), 0.02, poses=POSES)
+    result = calibrate(views, CalibrationOptions(model="spherical"))
+    assert any("support the lens model k1k2p1p2" in note for note in result.notes)
+    assert not any("centre moves" in note for note in result.notes)
+    chosen = calibrate(views, CalibrationOptions(model="spherical", distortion="auto"))
+    assert set(chosen.camera.distortion) == {"k1", "k2", "p1", "p2"}
+    assert chosen.camera.distortion["p1"] == pytest.approx(0.004, abs=4 * chosen.sigma["p1"])
+    assert chosen.rms_px < 0.2 * result.rms_px
+
+
+def test_an_adequate_lens_is_kept(bench):
+    views = bench.views(np.random.default_rng(53), 0.02, poses=POSES)
+    result = calibrate(views, CalibrationOptions(model="spherical", distortion="auto"))
+    assert set(result.camera.distortion) == {"k1", "k2"}
+    assert any("k1k2 was kept" in note for note in result.notes)
