@@ -130,7 +130,7 @@ def test_a_missing_lens_term_is_not_blamed_on_the_collimator(make_bench):
     chosen = calibrate(views, CalibrationOptions(model="spherical", distortion="auto"))
     assert set(chosen.camera.distortion) == {"k1", "k2", "p1", "p2"}
     assert chosen.camera.distortion["p1"] == pytest.approx(0.004, abs=4 * chosen.sigma["p1"])
-    assert chosen.rms_px < 0.2 * result.rms_px
+    assert chosen.rms_px < 0.25 * result.rms_px
 
 
 def test_an_adequate_lens_is_kept(bench):
