@@ -44,6 +44,9 @@ _UNKNOWNS = 3 + 2 * (_ORDERS - 1)
 _CENTRE_SCATTERS = (0.003, 0.01, 0.03, 0.09, 0.2)
 _RADIUS_SCATTERS = (0.001, 0.004, 0.018, 0.08)
 _SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
+#: Prior weight of a scatter: its power of this exponent. A few arcs cannot exclude large scatters, and sigmas would be
+#: too small on benches whose rims differ from view to view; where the rims are alike, the data decide.
+_SCATTER_POWER = 0.5
 #: Prior 1-sigma of what the views have in common: centre and radius as shares of the first guess, motion of the disc
 #: in mm per mm of the camera's look, and coefficients of the shape as shares of the radius.
 _CENTRE_PRIOR, _RADIUS_PRIOR, _WALK_PRIOR, _SHAPE_PRIOR = 0.6, 0.4, 0.3, 0.03
@@ -259,7 +262,8 @@ def _averaged(
         for shares in product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)
     ]
     every = [_posterior(evidence, scatters, common) for scatters in grid]
-    logs = np.array([one.log_likelihood for one in every])
+    preference = [_SCATTER_POWER * float(np.log(s[[0, 2, 3]]).sum()) for s in grid]
+    logs = np.array([one.log_likelihood for one in every]) + preference
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     kept = weights > 1e-4
