@@ -1,0 +1,119 @@
+"""Error of a calibrated camera against the truth of a drawn bench: the focal length, and the corners of the sensor.
+
+A camera that is rotated a little is the same camera, so the best common rotation is removed before corners are
+compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.calibration import Calibration
+from calib.model.camera import CameraModel
+from calib.uncertainty.projection_uncertainty import (
+    camera_difference,
+    projection_derivatives,
+    projection_uncertainty,
+    sensor_grid,
+)
+from simulators.world.truth import CameraTruth
+
+FloatArray = NDArray[np.float64]
+
+_ACROSS = 17
+
+
+@dataclass(frozen=True)
+class WorstCorner:
+    """Error of a camera where its stated projection uncertainty is largest, along the direction of the largest.
+
+    Attributes
+    ----------
+    error_px
+        Error there, px.
+    sigma_px
+        Stated standard uncertainty, px.
+    """
+
+    error_px: float
+    sigma_px: float
+
+
+def true_camera(truth: CameraTruth) -> CameraModel:
+    """Return the true camera as the engine describes cameras.
+
+    Parameters
+    ----------
+    truth
+        Lens and sensor; not a fisheye.
+
+    Returns
+    -------
+    CameraModel
+        Camera with k1, k2, p1, p2 and k3.
+    """
+    lens = {name: getattr(truth, name) for name in ("k1", "k2", "p1", "p2", "k3")}
+    return CameraModel(truth.fx, truth.fy, truth.cx, truth.cy, (truth.width, truth.height), lens)
+
+
+def corner_errors_urad(camera: CameraModel, truth: CameraTruth) -> FloatArray:
+    """Return the angles between calibrated and true rays of the sensor's corners, after the best common rotation.
+
+    The rotation is that of Kabsch (1976) over a grid on the whole sensor.
+
+    Parameters
+    ----------
+    camera
+        The calibrated camera.
+    truth
+        The true one.
+
+    Returns
+    -------
+    FloatArray
+        (4,) angles, urad.
+    """
+    exact = true_camera(truth)
+    grid = sensor_grid(camera.image_size, _ACROSS).reshape(-1, 2)
+    found, right = _unit(camera.rays(grid)), _unit(exact.rays(grid))
+    u, _, v = np.linalg.svd(right.T @ found)
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    w, h = truth.width - 1.0, truth.height - 1.0
+    corners = np.array([[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]])
+    away = _unit(camera.rays(corners)) @ turn.T - _unit(exact.rays(corners))
+    return np.asarray(1e6 * np.linalg.norm(away, axis=1))
+
+
+def worst_corner(found: Calibration, truth: CameraTruth) -> WorstCorner:
+    """Return the error where the stated projection uncertainty is largest.
+
+    Parameters
+    ----------
+    found
+        Calibration with its covariance.
+    truth
+        The true camera.
+
+    Returns
+    -------
+    WorstCorner
+        Error along the direction in which the uncertainty is largest, and that uncertainty.
+    """
+    across = 33
+    sigma = projection_uncertainty(found.camera, found.camera_covariance, across).sigma_px
+    place = np.unravel_index(int(np.nanargmax(sigma)), sigma.shape)
+    pixels, derivatives = projection_derivatives(found.camera, across)
+    grid = sensor_grid(found.camera.image_size, across)
+    nearest = int(np.argmin(np.linalg.norm(pixels - grid[place], axis=1)))
+    own = derivatives[nearest]
+    direction = np.linalg.eigh(own @ found.camera_covariance @ own.T)[1][:, 1]
+    offset = camera_difference(found.camera, true_camera(truth), across).offset_px[place]
+    return WorstCorner(float(direction @ offset), float(sigma[place]))
+
+
+def _unit(rays: FloatArray) -> FloatArray:
+    """Return rays of length 1."""
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
