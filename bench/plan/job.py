@@ -22,6 +22,7 @@ from bench.views.gates import Gate, at_most
 from calib.calibration import CalibrationOptions
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
+from calib.model.type_b_terms import TypeBTerm
 from calib.target import StarTarget
 from drivers.light import LightSettings
 from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
@@ -411,7 +412,10 @@ def documents_of(plan: Plan) -> dict[str, bytes]:
 
 
 def calibration_options(
-    step: SolveStep, passport: Passport | None = None, gimbal: GimbalReadings | None = None
+    step: SolveStep,
+    passport: Passport | None = None,
+    gimbal: GimbalReadings | None = None,
+    budget: tuple[TypeBTerm, ...] = (),
 ) -> CalibrationOptions:
     """Return the engine's options for a solve step.
 
@@ -423,11 +427,13 @@ def calibration_options(
         Passport of the collimator that the step uses (`bench.plan.plan.Plan.passport_for`).
     gimbal
         Readings of the gimbal, one for each view, if the step lets them enter the adjustment.
+    budget
+        Type B terms that the station states.
 
     Returns
     -------
     CalibrationOptions
-        Model, distortion, loss, passport, readings, guard band and drift. A step without a model is solved with
+        Model, distortion, loss, passport, readings, budget, guard band and drift. A step without a model is solved with
         ``auto`` if a passport or the gimbal's readings determine the focal length, else with ``spherical``.
     """
     enters = gimbal is not None and gimbal.parallax is not None
@@ -441,4 +447,5 @@ def calibration_options(
         guard_band=step.guard_band,
         drift_mm=step.drift_mm,
         gimbal=gimbal,
+        budget=budget,
     )

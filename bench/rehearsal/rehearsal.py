@@ -17,7 +17,7 @@ from typing import Any
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.plan.estimate import CHECK_S, CHOOSE_S, PREFLIGHT_S, REPORT_S, SOLVE_S
-from bench.plan.job import Job, calibration_options, documents_of
+from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.records.events import Event, MeasuredFacts, Solved, UntilDecided
 from bench.records.history import History, replay
@@ -29,6 +29,7 @@ from bench.rehearsal.virtual_devices import VirtualDevices, read_view
 from bench.results.comparison import compare_with_truth
 from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter, main_numbers, software
+from bench.results.solve_options import solve_options
 from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
@@ -130,11 +131,10 @@ class RehearsedResults(ResultWriter):
         """See `ResultWriter.solve`. Without checks and planar comparison."""
         check()
         self._clock.sleep(SOLVE_S)
-        found = [
-            measured.get(index) or self._measure_again(attempt)
-            for index, attempt in sorted(history.accepted().items())
-        ]
-        options = calibration_options(step, self._job.plan.passport_for(step))
+        accepted = sorted(history.accepted().items())
+        found = [measured.get(index) or self._measure_again(attempt) for index, attempt in accepted]
+        readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
+        options = solve_options(self._job, step, readings)
         self._calibration = calibrate([m.view for m in found if m.view is not None], options)
         return main_numbers(self._calibration)
 

@@ -193,7 +193,7 @@ class OfflineOptions:
         options = solve_options(job, changed, measured_deg)
         if self.without_passport or self.passport is not None:
             passport = self.passport.passport if self.passport else None
-            options = calibration_options(changed, passport, options.gimbal)
+            options = calibration_options(changed, passport, options.gimbal, options.budget)
         return options if self.distortion is None else replace(options, distortion=self.distortion)
 
     def step_of_run(self, step: SolveStep) -> SolveStep:

@@ -44,10 +44,12 @@ def solve_options(
     Returns
     -------
     CalibrationOptions
-        Options with the passport of the run and the readings of the gimbal.
+        Options with the passport of the run, the readings of the gimbal and the station's budget.
     """
-    readings = None if step.readings == "witness" else gimbal_readings(job.station, measured_deg)
-    return calibration_options(step, job.plan.passport_for(step), readings)
+    station = job.station
+    readings = None if step.readings == "witness" else gimbal_readings(station, measured_deg)
+    budget = station.budget.terms(station.collimator)
+    return calibration_options(step, job.plan.passport_for(step), readings, budget)
 
 
 def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]]) -> GimbalReadings | None:
@@ -134,7 +136,7 @@ def readings_result(
         ``bound``: what bounds the parallax, and the parallax that follows, as a share of r; ``why_not``.
     """
     readings = options.gimbal
-    entered = readings is not None and getattr(calibration, "gimbal", None) is not None
+    entered = calibration.gimbal is not None and calibration.gimbal.entered
     return {
         "entered": entered,
         "statement": readings
@@ -178,4 +180,11 @@ def _why_not(
         return (
             f"The {calibration.model} model frees the centre of each view, so readings do not determine it."
         )
-    return "They contradict the stars by far more than the station states."
+    found = calibration.gimbal
+    if found is None:
+        return "They took no part in this calibration."
+    return (
+        f"They contradict the stars: {found.rms_deg:.2g} degrees RMS, chi-square {found.chi_square:.4g} with "
+        f"{found.degrees_of_freedom} degrees of freedom. Check the station's gimbal section, the signs and scales of "
+        "the axes, and the collimator's passport."
+    )
