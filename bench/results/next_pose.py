@@ -21,16 +21,15 @@ from bench.stations.station_stages import AxisConfig
 from calib.engine import Calibration
 from calib.model.collimator import Collimator
 from calib.model.passport import Passport
+from calib.studies.expected_uncertainty import Sigmas
 from calib.studies.pose_choice import (
     Angles,
     GimbalModel,
     PoseWeigher,
-    Sigmas,
     WeighedPose,
     fit_gimbal_model,
-    rim_share,
 )
-from calib.studies.predicted_views import ExpectedBench
+from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench, rim_share
 from sequences.reader import Located
 
 Array = NDArray[np.float64]
@@ -43,8 +42,6 @@ LARGEST_ROLL_DEG = 90.0
 """Largest roll that is chosen, degrees: beyond a quarter of a turn, the pattern of the stars repeats itself."""
 ALIGNED_ROLL_DEG = 5.0
 """A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees."""
-RIM_IN_VIEW = 0.15
-"""A pose shows the rim if at least this share of its circumference is in view."""
 ENOUGH_RIMS = 0.6
 """Share of the poses that should show the rim, if the model needs it."""
 MORE_STARS = 1.2

@@ -1,30 +1,39 @@
-"""Planning: the uncertainty that a set of poses will give, and the best pose to add next.
+"""Planning: the uncertainty that a set of poses will give, and the best poses to add.
 
-The information of the views adds up. A pose is judged by the projection uncertainty that remains at the worst point of
-the sensor (the G-optimality of experimental design; Kiefer and Wolfowitz, 1960). The forecast contains star noise only,
-not the inconsistency of real views.
+A forecast contains star noise, the errors of the collimator, the gimbal's readings, priors, a passport, and the type B
+terms of the budget. Repeats of a pose count as one. A pose to add is judged by the projection uncertainty that remains
+at the worst point of the sensor (the G-optimality of experimental design; Kiefer and Wolfowitz, 1960).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.bundle import Bundle
-from calib.adjustment.observations import Observations
-from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.levenberg_marquardt import Loss
+from calib.adjustment.poses import SAME_POSE_DEG, members, poses_of
 from calib.errors import DegenerateViews, TooFewStars
-from calib.model.collimator import CENTRE, Collimator
-from calib.studies.predicted_views import ExpectedBench, predicted_view
-from calib.uncertainty.covariance import inverse_information
-from calib.uncertainty.passport_propagation import consider_covariance
+from calib.model.aberrations import LADDER, PARALLAX, needs_rim
+from calib.model.budget_row import WORST_CORNER, BudgetRow
+from calib.studies.expected_fit import ExpectedFit, entering_readings, model_to_expect, reading_scatter
+from calib.studies.expected_uncertainty import PoseJudge, expected_estimate
+from calib.studies.pose_distance import distance_deg, share_of_news
+from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench, predicted_view, rim_share
+from calib.uncertainty.budget_parts import covariance_parts
+from calib.uncertainty.budget_rows import budget_rows, not_included
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
+from calib.uncertainty.target_response import target_response
+from calib.uncertainty.type_b import add_terms
 from calib.view import View
 
 Array = NDArray[np.float64]
+Angles = Mapping[str, float]
+
+#: Share of the poses that should show the rim of the beam if the model needs it.
+_SHOWING_RIM = 0.5
 
 
 @dataclass(frozen=True)
@@ -34,25 +43,49 @@ class Forecast:
     Attributes
     ----------
     sigma
-        Expected 1-sigma of each parameter.
+        Expected 1-sigma of each parameter, without those of the gimbal.
     covariance
         (G, G) float64 expected covariance of the parameters, in the order of `sigma`.
+    coverage_factor
+        The k for which value +- k sigma is expected to cover 95.45 %.
     projection_map
-        Expected projection uncertainty over the sensor, at infinity.
+        Expected projection uncertainty over the sensor, at infinity, 1 sigma.
     stars
         Number of stars that each pose will show.
+    model
+        Model that the calibration is expected to fit.
+    budget
+        Expected rows of the uncertainty budget.
+    not_included
+        What nobody stated, with what it could do, in words.
+    remarks
+        What limits the forecast, in words.
     """
 
     sigma: Mapping[str, float]
     covariance: Array
+    coverage_factor: float
     projection_map: ProjectionMap
     stars: tuple[int, ...]
+    model: str
+    budget: tuple[BudgetRow, ...] = ()
+    not_included: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def limited(self) -> Mapping[str, float]:
+        """Expected numbers that the limits and goals of a sequence judge, by name without unit."""
+        k = self.coverage_factor
+        corners = self.projection_map.sigma_px[[0, 0, -1, -1], [0, -1, 0, -1]]
+        return {
+            **{f"sigma_{name}": sigma for name, sigma in self.sigma.items()},
+            **{f"expanded_{name}": k * self.sigma[name] for name in ("fx", "fy")},
+            WORST_CORNER: k * float(np.nanmax(corners, initial=0.0)),
+        }
 
 
-def forecast(bench: ExpectedBench, poses_deg: Sequence[Mapping[str, float]]) -> Forecast:
+def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
     """Return the expected uncertainty of a calibration from a set of poses.
-
-    The covariance is the inverse of the sum of the views' Fisher information: the Cramér-Rao bound (Rao, 1945).
 
     Parameters
     ----------
@@ -64,7 +97,7 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Mapping[str, float]]) -> 
     Returns
     -------
     Forecast
-        Expected uncertainties, and the number of stars of each pose.
+        Expected uncertainties by source, and the number of stars of each pose.
 
     Raises
     ------
@@ -74,22 +107,88 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Mapping[str, float]]) -> 
         If the poses do not constrain the camera.
     """
     views = [predicted_view(bench, pose, f"pose {i}") for i, pose in enumerate(poses_deg, start=1)]
-    information = sum((_information(bench, *view) for view in views), start=_no_information(bench))
-    covariance = _covariance(bench, information)
-    names = _names(bench)
-    sigma = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    return Forecast(sigma, covariance, _map(bench, covariance), tuple(len(view) for view, _ in views))
+    rotations = np.array([rotation for _, rotation in views])
+    firsts = [repeats[0] for repeats in members(poses_of(rotations))]
+    fit = ExpectedFit(bench, [views[i][0] for i in firsts], rotations[firsts], [poses_deg[i] for i in firsts])
+    loss = Loss("l2")
+    estimate = expected_estimate(fit, fit.shares)
+    response = target_response(fit.bundle, fit.parameters, loss, estimate.names)
+    applied = add_terms(response, estimate, bench.terms)
+    parts = covariance_parts(fit.bundle, fit.parameters, loss, estimate)
+    whole = applied.uncertainty
+    shown = (*bench.camera.parameter_names, *fit.parameters.collimator.parameter_names)
+    at = [i for i, name in enumerate(whole.names) if name in shown and name not in PARALLAX]
+    covariance = whole.covariance[np.ix_(at, at)]
+    size = len(bench.camera.parameter_names)
+    return Forecast(
+        dict(zip([whole.names[i] for i in at], np.sqrt(np.diag(covariance)).tolist(), strict=True)),
+        covariance,
+        whole.coverage_factor,
+        projection_uncertainty(bench.camera, covariance[:size, :size]),
+        tuple(len(view) for view, _ in views),
+        model_to_expect(bench),
+        budget_rows(bench.camera, applied, parts),
+        not_included(bench.camera, applied),
+        _remarks(bench, rotations),
+    )
+
+
+def _remarks(bench: ExpectedBench, rotations: Array) -> tuple[str, ...]:
+    """Return what limits a forecast: readings that will not enter, and rims that a model needs but no pose shows."""
+    found = []
+    if bench.readings is not None and bench.readings.parallax is None:
+        found.append(
+            "The gimbal's readings will not enter: the station does not bound their parallax (collimator: {defocus}, "
+            "gimbal: {pupil_off_pivot_mm})."
+        )
+    elif bench.readings is not None and entering_readings(bench) is None:
+        found.append(
+            f"The gimbal's readings will not enter: they will scatter {reading_scatter(bench):.0f} times more than "
+            "stated, because the pupil wanders across the beam."
+        )
+    if needs_rim(LADDER.get(bench.model, ())):
+        shown = sum(_shows_rim(bench, rotation) for rotation in rotations)
+        if shown < _SHOWING_RIM * len(rotations):
+            found.append(
+                f"The {bench.model} model needs the rim of the beam, but only {shown} of {len(rotations)} poses show "
+                "enough of it. The calibration will refuse this model."
+            )
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class SuggestedPose:
+    """A pose to add.
+
+    Attributes
+    ----------
+    angles_deg
+        Angles of the gimbal, degrees.
+    worst_px
+        Largest projection uncertainty over the sensor with this pose and those before it, 1 sigma, px, without type B
+        terms; infinite if these poses do not determine the camera yet.
+    rim_share
+        Share of the rim of the beam that the pose shows, 0 to 1.
+    for_rim
+        Whether the pose was chosen because it shows the rim, which too few poses show.
+    """
+
+    angles_deg: Angles
+    worst_px: float
+    rim_share: float
+    for_rim: bool
 
 
 def next_poses(
     bench: ExpectedBench,
-    taken_deg: Sequence[Mapping[str, float]],
-    candidates_deg: Sequence[Mapping[str, float]],
+    taken_deg: Sequence[Angles],
+    candidates_deg: Sequence[Angles],
     count: int = 1,
-) -> tuple[Mapping[str, float], ...]:
+) -> tuple[SuggestedPose, ...]:
     """Return the poses that lower the worst projection uncertainty most, chosen one after the other (greedy).
 
-    Criterion: G-optimality (Kiefer and Wolfowitz, 1960). The greedy choice is this project's own.
+    Criterion: G-optimality (Kiefer and Wolfowitz, 1960). The greedy choice is this project's own. If the model needs
+    the rim of the beam and too few poses show it, poses that show it come first. No pose repeats another one.
 
     Parameters
     ----------
@@ -104,7 +203,7 @@ def next_poses(
 
     Returns
     -------
-    tuple of Mapping
+    tuple of SuggestedPose
         The chosen poses, the best first.
 
     Raises
@@ -114,70 +213,104 @@ def next_poses(
     DegenerateViews
         If too few candidates show the target.
     """
-    known = _no_information(bench)
-    for pose in taken_deg:
-        known = known + _information(bench, *predicted_view(bench, pose, "taken"))
-    possible = []
-    for pose in candidates_deg:
-        try:
-            possible.append((pose, _information(bench, *predicted_view(bench, pose, "candidate"))))
-        except TooFewStars:
-            continue
-    if len(possible) < count:
-        raise DegenerateViews(
-            f"Only {len(possible)} of the candidate poses show the target; {count} are needed."
-        )
-    chosen: list[Mapping[str, float]] = []
+    taken = [_Shown(pose, *predicted_view(bench, pose, "taken")) for pose in taken_deg]
+    possible = list(_possible(bench, candidates_deg))
+    choice = _Choice(bench, [*taken, *possible]) if possible else None
+    for place in range(len(taken) if choice else 0):
+        choice.take(place)
+    chosen: list[SuggestedPose] = []
     for _ in range(count):
-        remaining = [_worst(bench, known + information) for _, information in possible]
-        pose, information = possible.pop(int(np.argmin(remaining)))
-        chosen.append(pose)
-        known = known + information
+        best = choice.best(range(len(taken), len(taken) + len(possible))) if choice else None
+        if best is None:
+            raise DegenerateViews(
+                f"Only {len(chosen)} of the candidate poses show the target and repeat no other pose; {count} are "
+                "needed."
+            )
+        chosen.append(best)
     return tuple(chosen)
 
 
-def _names(bench: ExpectedBench) -> tuple[str, ...]:
-    """Return the names of the parameters that the views share."""
-    return (*bench.camera.parameter_names, *CENTRE)
+@dataclass(frozen=True)
+class _Shown:
+    """A pose that shows enough stars."""
+
+    angles_deg: Angles
+    view: View
+    rotation: Array
 
 
-def _information(bench: ExpectedBench, view: View, rotation: Array) -> Array:
-    """Return (G, G) information of a view on the shared parameters, with its rotation unknown."""
-    ideal = Collimator(bench.collimator.x, bench.collimator.y, bench.collimator.r)
-    bundle = Bundle(Observations.from_views([view]), _names(bench))
-    parameters = AdjustmentParameters(bench.camera, ideal, rotation[None], np.zeros((1, 3)))
-    ((information, _),) = bundle.scores(parameters, np.zeros((len(view), 2)))
-    return information
+def _possible(bench: ExpectedBench, candidates_deg: Sequence[Angles]) -> Iterator[_Shown]:
+    """Yield the candidates that show enough stars."""
+    for pose in candidates_deg:
+        try:
+            yield _Shown(pose, *predicted_view(bench, pose, "candidate"))
+        except TooFewStars:
+            continue
 
 
-def _no_information(bench: ExpectedBench) -> Array:
-    """Return (G, G) zeros: the information before any view."""
-    return np.zeros((len(_names(bench)), len(_names(bench))))
+class _Choice:
+    """Poses chosen one after the other, and what they leave.
 
-
-def _covariance(bench: ExpectedBench, information: Array) -> Array:
-    """Return (G, G) covariance of the shared parameters for this information, with a passport held."""
-    if bench.passport is None:
-        return inverse_information(information, _names(bench))
-    return consider_covariance(information, _names(bench), bench.passport.subset(CENTRE))
-
-
-def _map(bench: ExpectedBench, covariance: Array) -> ProjectionMap:
-    """Return the projection uncertainty for a (G, G) covariance of the shared parameters."""
-    size = len(bench.camera.parameter_names)
-    return projection_uncertainty(bench.camera, covariance[:size, :size], 9)
-
-
-def _worst(bench: ExpectedBench, information: Array) -> float:
-    """Return the worst projection uncertainty, px; with too little information, a large number that falls with it.
-
-    G-optimality: Kiefer and Wolfowitz (1960). Own substitute if the information is singular: a large number minus the
-    sum of the logarithms of the eigenvalues.
+    A pose next to a chosen one counts less if the collimator has errors, which neighbouring poses share.
     """
-    try:
-        return _map(bench, _covariance(bench, information)).worst_px
-    except DegenerateViews:
-        # Not solvable yet: the pose that determines the most directions is best; any solvable pose is better.
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-        eigenvalues = np.linalg.eigvalsh(information * np.outer(scale, scale))
-        return float(1e12 - np.log(np.maximum(eigenvalues, 1e-15)).sum())
+
+    def __init__(self, bench: ExpectedBench, poses: Sequence[_Shown]) -> None:
+        self._bench, self._poses = bench, poses
+        self._fit = ExpectedFit(
+            bench,
+            [pose.view for pose in poses],
+            np.array([pose.rotation for pose in poses]),
+            [pose.angles_deg for pose in poses],
+        )
+        self._judge = PoseJudge(self._fit)
+        self._neighbours_share = bench.errors.field_px(bench.star_sigma_px) > 0
+        self._taken: list[int] = []
+        self._information, self._noise = np.zeros((2, len(self._fit.names), len(self._fit.names)))
+
+    def take(self, place: int) -> None:
+        """Add a pose; a repeat adds nothing."""
+        self._information, self._noise = self._with(place)
+        self._taken.append(place)
+
+    def best(self, places: Sequence[int]) -> SuggestedPose | None:
+        """Take the best of some poses; None if each of them repeats a pose."""
+        free = [place for place in places if not self._repeats(place)]
+        wants_rim = self._wants_rim()
+        free = [p for p in free if wants_rim and self._rim(p) >= RIM_IN_VIEW] or free
+        if not free:
+            return None
+        left = {place: self._judge.sigmas(*self._with(place)) for place in free}
+        place = min(free, key=lambda p: (left[p].missing, left[p].worst_px))
+        share = self._rim(place)
+        self.take(place)
+        return SuggestedPose(
+            self._poses[place].angles_deg, left[place].worst_px, share, wants_rim and share >= RIM_IN_VIEW
+        )
+
+    def _with(self, place: int) -> tuple[Array, Array]:
+        """Return the sums of information and noise with a pose."""
+        weight = 0.0 if self._repeats(place) else 1.0
+        if weight and self._neighbours_share:
+            weight = share_of_news(
+                self._poses[place].angles_deg, (self._poses[p].angles_deg for p in self._taken)
+            )
+        share = self._fit.shares[place]
+        noise = share.noise + share.field_noise
+        return self._information + weight * share.information, self._noise + weight * noise
+
+    def _repeats(self, place: int) -> bool:
+        own = self._poses[place].angles_deg
+        return any(distance_deg(own, self._poses[p].angles_deg) < SAME_POSE_DEG for p in self._taken)
+
+    def _wants_rim(self) -> bool:
+        """Return whether the model needs the rim, and too few of the poses show it."""
+        if not needs_rim(LADDER.get(self._bench.model, ())):
+            return False
+        return sum(self._rim(p) >= RIM_IN_VIEW for p in self._taken) < _SHOWING_RIM * (len(self._taken) + 1)
+
+    def _rim(self, place: int) -> float:
+        return rim_share(self._bench, self._poses[place].rotation)
+
+
+def _shows_rim(bench: ExpectedBench, rotation: Array) -> bool:
+    return rim_share(bench, rotation) >= RIM_IN_VIEW

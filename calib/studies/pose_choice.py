@@ -13,32 +13,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.bundle import Bundle
-from calib.adjustment.observations import Observations
-from calib.adjustment.parameters import AdjustmentParameters
-from calib.errors import CalibrationError, DegenerateViews, TooFewStars
-from calib.model.collimator import CENTRE, Collimator
+from calib.adjustment.poses import SAME_POSE_DEG
+from calib.errors import CalibrationError, TooFewStars
+from calib.model.collimator import CENTRE
+from calib.model.passport import Passport
 from calib.model.rotation import euler_zxy, nearest_rotation
+from calib.studies.expected_fit import ExpectedFit
+from calib.studies.expected_uncertainty import PoseJudge, Sigmas
 from calib.studies.hand_eye import check_hand_eye
-from calib.studies.predicted_views import ExpectedBench, predicted_view
-from calib.uncertainty.covariance import inverse_information
-from calib.uncertainty.passport_propagation import consider_covariance
-from calib.uncertainty.projection_uncertainty import projection_derivatives
+from calib.studies.pose_distance import distance_deg, share_of_news
+from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share
 from calib.view import View
 
 Array = NDArray[np.float64]
 Angles = Mapping[str, float]
 
-#: Distance at which two poses share about a third of their errors, degrees.
-SHARED_ERROR_DEG = 1.5
-#: Poses closer than this are repeats: the second one brings no new information, degrees.
-REPEAT_DEG = 0.2
 #: A fitted gimbal model is used if its rotations agree with those seen to this, arc seconds.
 _POINTING_ARCSEC = 1800.0
 _MIN_VIEWS = 3
-_RIM_POINTS = 72
-_GRID_POINTS = 9
-_SMALLEST_EIGENVALUE = 1e-15
 
 
 @dataclass(frozen=True)
@@ -108,25 +100,6 @@ def fit_gimbal_model(rotations: Array, covariance: Array, readings_deg: Sequence
 
 
 @dataclass(frozen=True)
-class Sigmas:
-    """Standard uncertainties that the star noise of some poses leaves; infinite if the poses do not suffice.
-
-    Attributes
-    ----------
-    fx_px
-        1-sigma of the focal length fx, px.
-    worst_px
-        Largest projection uncertainty over the sensor, 1 sigma, px.
-    missing
-        0 if the poses determine the camera; otherwise a measure, at least 1, of how far they are from that.
-    """
-
-    fx_px: float
-    worst_px: float
-    missing: float = 0.0
-
-
-@dataclass(frozen=True)
 class WeighedPose:
     """What a possible pose would add.
 
@@ -179,18 +152,19 @@ class PoseWeigher:
         refused_deg: Sequence[Angles] = (),
         min_stars: int = 0,
     ) -> None:
-        self._bench = bench
+        self._bench = replace(bench, passport=_as_exact(bench.passport))
         self._gimbal = gimbal
         self._taken = tuple(taken_deg)
         self._refused = tuple(refused_deg)
         self._min_stars = min_stars
-        self._names = (*bench.camera.parameter_names, *CENTRE)
-        self._by_parameters = projection_derivatives(bench.camera, _GRID_POINTS)[1]
-        self._known = np.zeros((len(self._names),) * 2)
-        for i, pose in enumerate(self._taken):
-            if (view := self._view(pose)) is not None:
-                self._known += _share_of_news(pose, self._taken[:i]) * self._information(view, pose)
-        self.before = self._sigmas(self._known)
+        self._known: Array | float = 0.0
+        self.before = Sigmas(np.inf, np.inf, 1.0)
+        shown = [(i, view) for i, pose in enumerate(self._taken) if (view := self._view(pose)) is not None]
+        if shown:
+            fit = self._fit([view for _, view in shown], [self._taken[i] for i, _ in shown])
+            news = (share_of_news(self._taken[i], self._taken[:i]) for i, _ in shown)
+            self._known = sum(share * own for share, own in zip(news, _sums(fit), strict=True))
+            self.before = PoseJudge(fit).sigmas(*self._known)
 
     def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
         """Return the poses that show enough of the target and repeat no recorded or failed pose.
@@ -220,18 +194,22 @@ class PoseWeigher:
         list of WeighedPose
             The possible poses, in their order.
         """
-        weighed = []
-        for pose in candidates_deg:
-            view = self._possible_view(pose)
-            if view is None:
-                continue
-            news = _share_of_news(pose, self._taken) * self._information(view, pose)
-            share = rim_share(self._bench, self._gimbal.rotation(pose))
-            weighed.append(WeighedPose(pose, self._sigmas(self._known + news), share))
-        return weighed
+        shown = [(pose, view) for pose in candidates_deg if (view := self._possible_view(pose)) is not None]
+        if not shown:
+            return []
+        fit = self._fit([view for _, view in shown], [pose for pose, _ in shown])
+        judge = PoseJudge(fit)
+        return [
+            WeighedPose(
+                pose,
+                judge.sigmas(*(self._known + share_of_news(pose, self._taken) * own)),
+                rim_share(self._bench, self._gimbal.rotation(pose)),
+            )
+            for (pose, _), own in zip(shown, _sums(fit), strict=True)
+        ]
 
     def _possible_view(self, pose: Angles) -> View | None:
-        if any(_distance_deg(pose, other) < REPEAT_DEG for other in (*self._taken, *self._refused)):
+        if any(distance_deg(pose, other) < SAME_POSE_DEG for other in (*self._taken, *self._refused)):
             return None
         view = self._view(pose)
         return view if view is not None and len(view) >= self._min_stars else None
@@ -244,70 +222,24 @@ class PoseWeigher:
         except TooFewStars:
             return None
 
-    def _information(self, view: View, pose: Angles) -> Array:
-        """Return (G, G) information of a view on the shared parameters, with its rotation unknown."""
-        centre = self._bench.collimator
-        ideal = Collimator(centre.x, centre.y, centre.r)
-        rotation = self._gimbal.rotation(pose)[None]
-        bundle = Bundle(Observations.from_views([view]), self._names)
-        parameters = AdjustmentParameters(self._bench.camera, ideal, rotation, np.zeros((1, 3)))
-        ((information, _),) = bundle.scores(parameters, np.zeros((len(view), 2)))
-        return np.asarray(information)
-
-    def _sigmas(self, information: Array) -> Sigmas:
-        """Return the uncertainties that this (G, G) information leaves, with a passport's values held as exact.
-
-        With too little information, the logarithms of its eigenvalues, scaled to a unit diagonal, order the poses: the
-        pose that determines the most directions is the best one (own substitute).
-        """
-        try:
-            covariance = self._covariance(information)
-        except DegenerateViews:
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-            eigenvalues = np.linalg.eigvalsh(information * np.outer(scale, scale))
-            missing = -np.log(np.clip(eigenvalues, _SMALLEST_EIGENVALUE, 1.0)).sum()
-            return Sigmas(np.inf, np.inf, 1.0 + float(missing))
-        left = self._by_parameters
-        size = left.shape[2]
-        variances = left @ covariance[:size, :size] @ np.swapaxes(left, 1, 2)
-        worst = float(np.linalg.eigvalsh(variances)[:, 1].max())
-        fx = self._names.index("fx")
-        return Sigmas(float(np.sqrt(covariance[fx, fx])), float(np.sqrt(max(worst, 0.0))))
-
-    def _covariance(self, information: Array) -> Array:
-        """Return the (G, G) covariance that this information leaves; raises DegenerateViews if it is too little."""
-        if self._bench.passport is None:
-            return inverse_information(information, self._names)
-        passport = self._bench.passport.subset(CENTRE)
-        exact = replace(passport, covariance=0.0 * passport.covariance)
-        return consider_covariance(information, self._names, exact)
+    def _fit(self, views: Sequence[View], poses: Sequence[Angles]) -> ExpectedFit:
+        """Return the expected adjustment of some views."""
+        return ExpectedFit(
+            self._bench, views, np.array([self._gimbal.rotation(pose) for pose in poses]), poses
+        )
 
 
-def rim_share(bench: ExpectedBench, rotation: Array) -> float:
-    """Return the share of the rim of the beam's disc that is in view at a pose.
+def _sums(fit: ExpectedFit) -> Array:
+    """Return (n, 2, G, G) the information of each view and the covariance of its score."""
+    return np.array([(share.information, share.noise + share.field_noise) for share in fit.shares])
 
-    Parameters
-    ----------
-    bench
-        Bench as it is known now.
-    rotation
-        (3, 3) rotation of the pose, camera <- target.
 
-    Returns
-    -------
-    float
-        Share of the circumference, 0 to 1.
-    """
-    angles = np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False)
-    radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
-    # The rim as seen from the collimator's centre (x, y, -r).
-    rim = np.column_stack(
-        [radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), bench.collimator.r)]
-    )
-    pixels = bench.camera.project(rim @ rotation.T)
-    limit = np.array(bench.camera.image_size) - 1.0
-    with np.errstate(invalid="ignore"):
-        return float(((pixels > 0) & (pixels < limit)).all(axis=1).mean())
+def _as_exact(passport: Passport | None) -> Passport | None:
+    """Return the passport of the centre, with its values as exact."""
+    if passport is None:
+        return None
+    centre = passport.subset(CENTRE)
+    return replace(centre, covariance=0.0 * centre.covariance)
 
 
 def _head(angles_deg: Angles) -> Array:
@@ -315,17 +247,6 @@ def _head(angles_deg: Angles) -> Array:
     return euler_zxy(
         angles_deg.get("pan_deg", 0.0), angles_deg.get("tilt_deg", 0.0), angles_deg.get("roll_deg", 0.0)
     )
-
-
-def _distance_deg(one: Angles, other: Angles) -> float:
-    """Return the largest difference between the angles of two poses, degrees."""
-    return max((abs(one.get(axis, 0.0) - other.get(axis, 0.0)) for axis in {*one, *other}), default=0.0)
-
-
-def _share_of_news(pose: Angles, others: Sequence[Angles]) -> float:
-    """Return the share of a pose's information that recorded poses do not hold yet, 0 to 1."""
-    nearest = min((_distance_deg(pose, other) for other in others), default=np.inf)
-    return float(1.0 - np.exp(-((nearest / SHARED_ERROR_DEG) ** 2)))
 
 
 def _equivalent_angles(rotation: Array) -> dict[str, float]:

@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from calib.errors import TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
+from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 from calib.model.rotation import euler_zxy
+from calib.model.type_b_terms import TypeBTerm
+from calib.studies.collimator_errors import CollimatorErrors
 from calib.target import StarTarget
 from calib.view import View
 
@@ -21,6 +24,9 @@ Array = NDArray[np.float64]
 #: Stars closer than this to the border of the image are not detected.
 _BORDER_PX = 10.0
 _MIN_STARS = 20
+#: A pose shows the rim of the beam if at least this share of its circumference is in view.
+RIM_IN_VIEW = 0.15
+_RIM_POINTS = 72
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,20 @@ class ExpectedBench:
         Passport of the collimator, if one will be used.
     needs_tag
         Whether a pose must show the whole tag.
+    model
+        Model that will be fitted: one of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``. Of the comparison
+        ``auto``, ``radial`` is expected, which needs no rim of the beam.
+    errors
+        Errors of the collimator.
+    readings
+        Uncertainty of the gimbal's readings and the bound of their parallax, if they may enter the adjustment; its
+        angles do not matter.
+    terms
+        Type B terms of the uncertainty budget.
+    radial_sigma
+        Prior 1-sigma of the radial term, if the bench states it.
+    drift_mm
+        Prior 1-sigma per axis of the centre of a view, mm, for the model ``drift``.
     """
 
     camera: CameraModel
@@ -52,6 +72,12 @@ class ExpectedBench:
     target: StarTarget = field(default_factory=StarTarget)
     passport: Passport | None = None
     needs_tag: bool = True
+    model: str = "spherical"
+    errors: CollimatorErrors = field(default_factory=CollimatorErrors)
+    readings: GimbalReadings | None = None
+    terms: tuple[TypeBTerm, ...] = ()
+    radial_sigma: float | None = None
+    drift_mm: float = 0.3
 
 
 def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -> tuple[View, Array]:
@@ -95,6 +121,33 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
     covariances = np.tile(np.eye(2) * bench.star_sigma_px**2, (int(shown.sum()), 1, 1))
     view = View(name, bench.camera.image_size, ids[shown], pixels[shown], stars[shown], covariances)
     return view, rotation
+
+
+def rim_share(bench: ExpectedBench, rotation: Array) -> float:
+    """Return the share of the rim of the beam's disc that is in view at a pose.
+
+    Parameters
+    ----------
+    bench
+        The expected bench.
+    rotation
+        (3, 3) rotation of the pose, camera <- target.
+
+    Returns
+    -------
+    float
+        Share of the circumference, 0 to 1.
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False)
+    radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
+    # The rim as seen from the collimator's centre (x, y, -r).
+    rim = np.column_stack(
+        [radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), bench.collimator.r)]
+    )
+    pixels = bench.camera.project(rim @ rotation.T)
+    limit = np.array(bench.camera.image_size) - 1.0
+    with np.errstate(invalid="ignore"):
+        return float(((pixels > 0) & (pixels < limit)).all(axis=1).mean())
 
 
 def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -16,7 +16,9 @@ from bench.results.next_pose import Choice, Wish, choose_pose
 from bench.stations.station import load_station
 from calib.model.budget_row import BudgetRow
 from calib.model.rotation import euler_zxy
-from calib.studies.pose_choice import GimbalModel, PoseWeigher, Sigmas, fit_gimbal_model, rim_share
+from calib.studies.expected_uncertainty import Sigmas
+from calib.studies.pose_choice import GimbalModel, PoseWeigher, fit_gimbal_model
+from calib.studies.predicted_views import rim_share
 from sequences.script import ChooseStep
 
 TAKEN = [

@@ -49,7 +49,7 @@ def test_the_next_pose_lowers_the_worst_uncertainty_more_than_any_other():
     worst = {
         i: forecast(BENCH, [*POSES[:2], pose]).projection_map.worst_px for i, pose in enumerate(candidates)
     }
-    assert candidates.index(best) == min(worst, key=lambda i: worst[i])
+    assert candidates.index(best.angles_deg) == min(worst, key=lambda i: worst[i])
 
 
 def test_poses_chosen_from_nothing_beat_random_ones():
@@ -60,7 +60,8 @@ def test_poses_chosen_from_nothing_beat_random_ones():
         for tilt in (-3.0, 0.0, 3.0)
         for roll in (0.0, 90.0)
     ]
-    chosen = forecast(BENCH, next_poses(BENCH, [], candidates, 3)).projection_map.worst_px
+    suggested = next_poses(BENCH, [], candidates, 3)
+    chosen = forecast(BENCH, [pose.angles_deg for pose in suggested]).projection_map.worst_px
     drawn = [
         forecast(
             BENCH, [candidates[i] for i in rng.choice(len(candidates), 3, replace=False)]

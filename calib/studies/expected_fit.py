@@ -1,0 +1,265 @@
+"""The adjustment that a calibration will do, set up from predicted views.
+
+Each pose contributes information on the shared parameters, and noise of its score: star noise, readings of the gimbal,
+and the errors of the collimator, which differ from pose to pose. Both add up over the poses.
+`calib.studies.expected_uncertainty` turns the sums into uncertainties.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.collimator_terms import add_terms
+from calib.adjustment.observations import Observations
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.readings import add_readings
+from calib.fit import MAX_READING_SCATTER, WITHOUT_READINGS
+from calib.model.aberrations import LADDER
+from calib.model.beam import Disc
+from calib.model.collimator import CENTRE, Collimator
+from calib.model.gimbal_readings import GimbalReadings
+from calib.studies.collimator_errors import KEYSTONE_PER_PUPIL, SPECTRUM
+from calib.studies.predicted_views import ExpectedBench
+from calib.uncertainty.variance_components import basis_fields
+from calib.view import View
+
+Array = NDArray[np.float64]
+Angles = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class PoseShare:
+    """What a pose contributes to the adjustment, with its rotation eliminated.
+
+    Attributes
+    ----------
+    information
+        (G, G) float64 information on the shared parameters, those of a passport included.
+    noise
+        (G, G) float64 covariance of the score by star noise and readings.
+    coupling
+        (G, F) float64 change of the score by the coefficients of the collimator's fields.
+    fields
+        (F, F) float64 normal matrix of these coefficients.
+    variances
+        (F,) float64 expected variance of each coefficient, mm^2.
+    group
+        (F,) int64 variance component that each coefficient belongs to.
+    """
+
+    information: Array
+    noise: Array
+    coupling: Array
+    fields: Array
+    variances: Array
+    group: NDArray[np.int64]
+
+    @property
+    def field_noise(self) -> Array:
+        """(G, G) float64 covariance of the score by the collimator's fields."""
+        return np.asarray((self.coupling * self.variances) @ self.coupling.T)
+
+
+class ExpectedFit:
+    """The expected adjustment of predicted views.
+
+    Parameters
+    ----------
+    bench
+        The expected bench.
+    views
+        Predicted views, one for each pose.
+    rotations
+        (n, 3, 3) rotations of the views, camera <- target.
+    angles_deg
+        Angles of the gimbal for each view, degrees; needed if the bench has readings.
+
+    Attributes
+    ----------
+    bundle
+        Bundle of the views; its names are the free parameters.
+    parameters
+        The expected parameters.
+    names
+        Names of the G parameters: the free ones, then those that the passport holds.
+    passport
+        Passport of the collimator, if one holds parameters.
+    shares
+        Contribution of each pose.
+    """
+
+    def __init__(
+        self,
+        bench: ExpectedBench,
+        views: Sequence[View],
+        rotations: Array,
+        angles_deg: Sequence[Angles] = (),
+    ) -> None:
+        self._bench = bench
+        self._field_px = bench.errors.field_px(bench.star_sigma_px)
+        self._spread_px = float(np.hypot(bench.star_sigma_px, self._field_px))
+        model = model_to_expect(bench)
+        own = np.eye(2) * self._spread_px**2
+        weighted = [replace(view, covariances_px2=np.tile(own, (len(view), 1, 1))) for view in views]
+        held = bench.passport.names if bench.passport else ()
+        free = tuple(name for name in CENTRE if name not in held and model != "planar")
+        bundle = Bundle(
+            Observations.from_views(weighted),
+            (*bench.camera.parameter_names, *free),
+            free_centres=model in WITHOUT_READINGS,
+            drift_mm=bench.drift_mm if model == "drift" else float("inf"),
+        )
+        centre = bench.collimator
+        parameters = AdjustmentParameters(
+            bench.camera, Collimator(centre.x, centre.y, centre.r), rotations, np.zeros((len(views), 3))
+        )
+        terms = tuple(name for name in LADDER.get(model, ()) if name not in held)
+        discs = self._discs(rotations)
+        if terms or (bench.passport and bench.passport.terms):
+            bundle, parameters = add_terms(
+                weighted, discs, bundle, parameters, terms, bench.passport, bench.radial_sigma
+            )
+        readings = entering_readings(bench)
+        if readings is not None:
+            readings = replace(readings, angles_deg=tuple(dict(one) for one in angles_deg))
+            bundle, parameters = add_readings(weighted, discs, bundle, parameters, readings)
+        self.bundle, self.parameters = bundle, parameters
+        self.names = (*bundle.names, *held)
+        self.passport = bench.passport
+        self.shares = tuple(self._shares())
+
+    @property
+    def prior_information(self) -> Array:
+        """(G, G) float64 prior information on the parameters; zero for those that the passport holds."""
+        return np.pad(self.bundle.prior_information, (0, len(self.names) - len(self.bundle.names)))
+
+    def _discs(self, rotations: Array) -> list[Disc]:
+        """Return the disc of each view: it follows the pupil across the beam."""
+        centre, errors = self._bench.collimator, self._bench.errors
+        radius = centre.r * np.tan(np.deg2rad(self._bench.half_angle_deg))
+        places = np.array([centre.x, centre.y]) + errors.pupil_off_pivot_mm * _turns(rotations)
+        return [Disc(place, float(radius), 0.0) for place in places]
+
+    def _shares(self) -> Iterator[PoseShare]:
+        """Yield the contribution of each view.
+
+        Local parameters are eliminated by the Schur complement (Triggs et al., 2000, section 6.1).
+        """
+        whole = replace(self.bundle, names=self.names)
+        moving = replace(self.bundle, names=("x", "y"), prior=None, free_centres=False, gimbal=None)
+        readings = whole.reading_equations(self.parameters)
+        count = len(self.names)
+        known = count + (6 if whole.free_centres else 3)
+        share = (self._bench.star_sigma_px / self._spread_px) ** 2
+        for i, (jacobian, moves) in enumerate(
+            zip(whole.jacobians(self.parameters), moving.jacobians(self.parameters), strict=True)
+        ):
+            fields, variances, group = self._fields(i)
+            by_field = -np.einsum("aim,maf->fim", moves[:2], fields)
+            columns = np.concatenate([jacobian, by_field]).reshape(known + len(group), -1) / self._spread_px
+            normal = columns @ columns.T
+            besides = np.zeros_like(normal)
+            if readings is not None:
+                besides[:known, :known] += readings[0][i]
+            besides[count:known, count:known] += self.bundle.local_prior_information
+            normal += besides
+            rest = [*range(count), *range(known, len(normal))]
+            turned = -np.linalg.solve(normal[count:known, count:known], normal[count:known, rest])
+            reduced = normal[np.ix_(rest, rest)] + normal[rest, count:known] @ turned
+            lift = np.vstack([np.eye(count), turned[:, :count]])
+            extra = lift.T @ besides[:known, :known] @ lift
+            information = reduced[:count, :count]
+            yield PoseShare(
+                information,
+                share * information + (1.0 - share) * extra,
+                reduced[:count, count:],
+                reduced[count:, count:],
+                variances,
+                group,
+            )
+
+    def _fields(self, view: int) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Return the fields (m, 2, F) of a view, the variances (F,) of their coefficients, mm^2, and their groups."""
+        if self._field_px == 0.0:
+            stars = self.bundle.observations.slices[view]
+            return np.zeros((stars.stop - stars.start, 2, 0)), np.zeros(0), np.zeros(0, np.int64)
+        centre, obs = self._bench.collimator, self.bundle.observations
+        (smooth,), group = basis_fields(self.bundle, [view], None)
+        field_mm = self._field_px * centre.r / self._bench.camera.fx
+        h = (obs.target[obs.slices[view], :2] - centre.centre[:2]) / centre.r
+        keystone = h[:, :, None] * h[:, None, :]
+        pupil_mm = self._bench.errors.pupil_mm(_turns(self.parameters.rotations))
+        sizes = [*(field_mm * np.array(SPECTRUM)[group]), *(KEYSTONE_PER_PUPIL * pupil_mm)]
+        groups = np.array([*group, group.max() + 1, group.max() + 2])
+        return np.concatenate([smooth, keystone], axis=2), np.square(sizes), groups
+
+
+def model_to_expect(bench: ExpectedBench) -> str:
+    """Return the model that a calibration on a bench will fit, as far as that is known beforehand.
+
+    Parameters
+    ----------
+    bench
+        The expected bench.
+
+    Returns
+    -------
+    str
+        ``radial`` if the data choose the model: this model needs no rim, and the engine keeps it where it could choose
+        the spherical one.
+    """
+    return "radial" if bench.model == "auto" else bench.model
+
+
+def entering_readings(bench: ExpectedBench) -> GimbalReadings | None:
+    """Return the readings of the gimbal with the uncertainty that they will have in the adjustment.
+
+    Readings that scatter more than stated get less weight, and do not enter beyond `calib.fit.MAX_READING_SCATTER`
+    times. The pupil that wanders across the beam of a collimator out of focus turns the pattern as seen by the camera.
+
+    Parameters
+    ----------
+    bench
+        The expected bench.
+
+    Returns
+    -------
+    GimbalReadings or None
+        None if readings do not enter: nothing bounds their parallax, or they will scatter too much.
+    """
+    stated = bench.readings
+    if stated is None or stated.parallax is None or model_to_expect(bench) in WITHOUT_READINGS:
+        return None
+    scatter = reading_scatter(bench)
+    if scatter > MAX_READING_SCATTER:
+        return None
+    return replace(stated, reading_sigma_deg=scatter * stated.reading_sigma_deg)
+
+
+def reading_scatter(bench: ExpectedBench) -> float:
+    """Return how many times more than stated the readings of the gimbal will scatter about the stars.
+
+    Parameters
+    ----------
+    bench
+        The expected bench, with readings.
+
+    Returns
+    -------
+    float
+        At least 1.
+    """
+    assert bench.readings is not None
+    moved_rad = bench.errors.defocus * bench.errors.pupil_wander_mm / bench.collimator.r
+    return float(np.hypot(1.0, np.rad2deg(moved_rad) / bench.readings.reading_sigma_deg))
+
+
+def _turns(rotations: Array) -> Array:
+    """Return (n, 2) the tangents of the camera's turn along the target's X and Y."""
+    axes = rotations[:, 2]
+    return np.asarray(axes[:, :2] / axes[:, 2:])
