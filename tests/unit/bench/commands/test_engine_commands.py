@@ -18,7 +18,7 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
 def points(tmp_path_factory):
     """Point files of five imagined views with 0.03 px of noise, and the truth they were made of."""
     folder = tmp_path_factory.mktemp("points")
-    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated")).station)
+    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated_ideal")).station)
     rng = np.random.default_rng(4)
     for number, (pan, tilt) in enumerate(POSES, 1):
         view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, str(number))

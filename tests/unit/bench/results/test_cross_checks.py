@@ -16,7 +16,7 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
 
 @pytest.fixture(scope="module")
 def views():
-    bench = expected_bench(make_plan(*load_documents("nine_pose", "simulated")).station)
+    bench = expected_bench(make_plan(*load_documents("nine_pose", "simulated_ideal")).station)
     rng = np.random.default_rng(3)
     seen = []
     for pan, tilt in POSES:
