@@ -1,0 +1,117 @@
+"""How a solve step of a run is calibrated: readings of the gimbal, and why they enter or not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.plan.job import Job
+from bench.plan.plan import load_documents, make_plan
+from bench.report.bench_knowledge import readings_rows
+from bench.results.forecasts import expected_bench
+from bench.results.solve_options import (
+    NO_BOUND,
+    NO_SECTION,
+    gimbal_readings,
+    limited_numbers,
+    readings_result,
+    solve_options,
+)
+from bench.views.gates import solution_gates
+from calib.engine import calibrate
+from calib.studies.predicted_views import predicted_view
+from sequences.script import SolveStep
+
+GIMBAL = "{reading_sigma_deg: 0.002, scale_sigma: 1e-4, source: G-3%s}"
+OFF_PIVOT = ", pupil_off_pivot_mm: {value: 2, sigma: 0.5}"
+DEFOCUS = "{value: 0.06, sigma: 0.01}"
+POSES = [(pan, tilt) for tilt in (-2.5, 0, 2.5) for pan in (-6, 0, 6)]
+
+
+def job(gimbal: str | None, defocus: str | None = DEFOCUS) -> Job:
+    settings = {
+        "station.gimbal": gimbal or "",
+        "station.collimator.defocus": defocus or "",
+        "station.collimator.certificate": "",
+    }
+    planned = make_plan(*load_documents("nine_pose", "simulated_ideal", settings))
+    assert planned.faults == ()
+    return Job.from_plan(planned, seed=1, operator=None)
+
+
+def solved(task: Job, measured_deg=None, **settings):
+    """Calibrate nine predicted poses as the task's solve step does, with other settings of the step."""
+    bench = expected_bench(task.plan.station)
+    rng = np.random.default_rng(3)
+    views = []
+    for pan, tilt in POSES:
+        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, f"{pan} {tilt}")
+        noise = rng.normal(0, 0.02, view.points_px.shape)
+        views.append(replace(view, points_px=view.points_px + noise))
+    (step,) = (step for step in task.steps if isinstance(step, SolveStep))
+    step = replace(step, **{"model": "spherical", **settings})
+    read = measured_deg or [{"pan": float(pan), "tilt": float(tilt)} for pan, tilt in POSES]
+    options = solve_options(task, step, read)
+    calibration = calibrate(views, options)
+    stated, witness = task.station.gimbal is not None, step.readings == "witness"
+    return calibration, options, readings_result(calibration, options, witness=witness, stated=stated)
+
+
+def test_encoders_replace_the_readings_of_their_axes():
+    task = job(GIMBAL % OFF_PIVOT)
+    found = gimbal_readings(task.station, [{"pan": 1.0, "pan_encoder": 1.1, "tilt": 2.0}])
+    assert found.angles_deg == ({"pan_deg": 1.1, "tilt_deg": 2.0},)
+    assert (found.reading_sigma_deg, found.scale_sigma, found.source) == (0.002, 1e-4, "G-3")
+    assert (found.parallax.defocus, found.parallax.pupil_off_pivot_sigma_mm) == (0.06, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("task", "settings", "why"),
+    [
+        (job(None), {}, NO_SECTION),
+        (job(GIMBAL % ""), {}, NO_BOUND),
+        (job(GIMBAL % OFF_PIVOT, None), {}, NO_BOUND),
+        (job(GIMBAL % OFF_PIVOT), {"readings": "witness"}, "The sequence keeps them out"),
+        (job(GIMBAL % OFF_PIVOT), {"model": "planar"}, "The planar model frees the centre"),
+    ],
+    ids=["no section", "no pupil", "no defocus", "witness", "planar"],
+)
+def test_readings_that_do_not_enter_say_why_not(task, settings, why):
+    _, _, found = solved(task, **settings)
+    assert found["entered"] is False
+    assert found["why_not"].startswith(why)
+    (first, *_) = readings_rows(found, None)
+    assert first[0] == "Gimbal readings"
+    assert why in first[1]
+
+
+def test_readings_with_a_bound_enter_and_the_report_says_how_they_agree():
+    calibration, options, found = solved(job(GIMBAL % OFF_PIVOT))
+    assert found["entered"] is True
+    assert found["statement"]["source"] == "G-3"
+    assert found["bound"]["parallax"] == pytest.approx(-0.06 * 2 / calibration.collimator.r)
+    rows = dict(readings_rows(found, calibration.to_dict()["gimbal"]))
+    assert "chi-square" in rows["Gimbal readings"]
+    assert "\N{MINUS SIGN}0.047 % of the focal length" in rows["Uncertainty of the readings"]
+    assert options.gimbal is not None
+
+
+def test_readings_with_a_wrong_scale_are_named():
+    scaled = [{"pan": 1.05 * pan, "tilt": float(tilt)} for pan, tilt in POSES]
+    _, _, found = solved(job(GIMBAL % OFF_PIVOT), scaled)
+    assert found["entered"] is False
+    assert "They contradict the stars" in found["why_not"]
+
+
+def test_limits_judge_expanded_uncertainties_and_the_worst_corner():
+    calibration, _, _ = solved(job(None))
+    numbers = limited_numbers(calibration)
+    k = calibration.coverage_factor
+    assert numbers["expanded_fx"] == pytest.approx(k * calibration.sigma["fx"])
+    assert numbers["worst_corner"] > 0
+    gates = solution_gates({"expanded_fx_px": 1e-6, "worst_corner_px": 100, "sigma_k1": 1}, numbers)
+    assert [(gate.name, gate.verdict) for gate in gates] == [
+        ("expanded fx", "fail"),
+        ("worst corner", "pass"),
+        ("sigma k1", "pass"),
+    ]
