@@ -7,7 +7,7 @@ clock, no chance, no device. The journal keeps each decision, so a resumed run d
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -298,7 +298,11 @@ def _choose(
     decided: UntilDecided,
     failed: Sequence[int],
 ) -> Choice | str:
-    """Return the pose to record next, or why there is none."""
+    """Return the pose to record next, or why there is none.
+
+    A pose without the tag is chosen only if no pose with the tag is left, the gimbal's angles can identify the stars,
+    and no pose has failed: its stars are found less surely.
+    """
     taken = [_pose(a.stored["measured_deg"]) for _, a in sorted(history.accepted().items())]
     chosen = history.chosen
     labelled = sum(m.facts.get("named_by", "tag") in {"tag", "part of the tag"} for m in interim.measurements)
@@ -306,22 +310,28 @@ def _choose(
     fixed = {
         goal: float(np.sqrt(sum(p**2 for p in parts.values()))) for goal, parts in decided["fixed"].items()
     }
-    return choose_pose(
-        job.plan.station,
-        interim.calibration,
-        interim.passport,
-        taken_deg=taken,
-        refused_deg=[_pose(chosen[pose]) for pose in failed],
-        wish=Wish(
-            decided["wanted"],
-            decided["now"],
-            fixed,
-            rim=interim.passport is None and interim.model in _NEED_THE_RIM,
-            roll=2 * aligned_poses(m.facts for m in interim.measurements) > len(taken),
-            needs_tag=labelled < _FEWEST_LABELLED or bool(failed),
-            min_stars=record.gates.min_stars if record else 0,
-        ),
+    wish = Wish(
+        decided["wanted"],
+        decided["now"],
+        fixed,
+        rim=interim.passport is None and interim.model in _NEED_THE_RIM,
+        roll=2 * aligned_poses(m.facts for m in interim.measurements) > len(taken),
+        needs_tag=True,
+        min_stars=record.gates.min_stars if record else 0,
     )
+    choice: Choice | str = ""
+    for needs_tag in (True,) if labelled < _FEWEST_LABELLED or failed else (True, False):
+        choice = choose_pose(
+            job.plan.station,
+            interim.calibration,
+            interim.passport,
+            taken_deg=taken,
+            refused_deg=[_pose(chosen[pose]) for pose in failed],
+            wish=replace(wish, needs_tag=needs_tag),
+        )
+        if isinstance(choice, Choice):
+            break
+    return choice
 
 
 def _pose(angles_deg: Mapping[str, float]) -> dict[str, float]:

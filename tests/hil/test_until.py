@@ -66,11 +66,11 @@ def test_the_final_solve_states_what_the_last_decision_reached(undisturbed):
 @pytest.mark.parametrize(
     "reached",
     [
-        entering("choosing"),
+        pytest.param(entering("choosing"), marks=pytest.mark.slow),
         entering("slewing", 4),
         pytest.param(entering("settling", 4), marks=pytest.mark.slow),
         pytest.param(entering("recording", 4), marks=pytest.mark.slow),
-        entering("checking", 4),
+        pytest.param(entering("checking", 4), marks=pytest.mark.slow),
         pytest.param(lambda line: line["event"] == "until_decided", marks=pytest.mark.slow),
     ],
     ids=["choosing", "slewing", "settling", "recording", "checking", "decided"],
@@ -108,5 +108,13 @@ def test_a_goal_is_met_and_nothing_further_is_recorded(files, tmp_path):
 
 def test_it_is_rehearsed(files, tmp_path):
     home, sequence, station = files
-    said = starbench("rehearse", sequence, "-s", station, "--seed", SEED, home=home, cwd=tmp_path)
+    queue = tmp_path / "queue.yaml"
+    queue.write_text(
+        f"format: starbench/queue/1\nname: Night\njobs: [{{name: one, sequence: {sequence}, station: {station}}}]\n"
+    )
+    night = tmp_path / "night"
+    said = starbench("rehearse", queue, "--output", night, "--quiet", home=home)
     assert said.returncode == 0, said.stderr + said.stdout
+    (folder,) = (path.parent for path in night.rglob("journal.jsonl") if decisions(path.parent))
+    assert [one["recorded"] for one in decisions(folder)] == [3, 4, 5]
+    assert json.loads((folder / "results.json").read_text())["untils"][-1]["ended"] == "at_most"
