@@ -178,7 +178,7 @@ def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]
         The result of each method; if a method has no result, its entry says why.
     """
     lens = tuple(result.calibration.camera.distortion)
-    options = replace(result.options, distortion=lens, passport=None, gimbal=None)
+    options = replace(result.options, distortion=lens, gimbal=None)
     return [starbench_result(result.calibration), *reference_results(result.views, options)]
 
 
