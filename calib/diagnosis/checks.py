@@ -14,6 +14,7 @@ from calib.diagnosis.image_origin import find_other_origins
 from calib.diagnosis.image_size import check_image_size, require_points_inside
 from calib.diagnosis.shifted_ids import find_shifted_ids
 from calib.diagnosis.target_units import check_target_units
+from calib.errors import InputMismatch
 from calib.view import View
 
 
@@ -35,11 +36,18 @@ def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tu
     Raises
     ------
     InputMismatch
-        If points lie outside of the stated image size.
+        If points lie outside of the stated image size, or if the known radius shows another unit of the target.
     """
     require_points_inside(views)
     notes = [one.sentence for one in find_duplicates(views)]
     units = check_target_units(views, known_r_mm=known_r_mm)
+    if units and units.unit and known_r_mm is not None:
+        # With a known radius, another unit contradicts the views; the adjustment would end in an obscure refusal.
+        raise InputMismatch(
+            f"{units.why} The target positions look like {units.unit}.",
+            where="target positions",
+            remedy="Give them in mm.",
+        )
     return (*notes, units.sentence) if units else tuple(notes)
 
 

@@ -109,7 +109,9 @@ def view_homography(view: View) -> Array:
         If the image shows the target mirrored.
     """
     h, wrong = _fit_without_gross_errors(view)
-    return _oriented(h, view if not wrong.any() else _part(view, ~wrong))
+    kept = ~wrong
+    part = wrong.any() and np.count_nonzero(kept) >= MIN_STARS
+    return _oriented(h, _part(view, kept) if part else view)
 
 
 def gross_errors(view: View) -> Bools:
@@ -153,13 +155,17 @@ def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
     h = _least_median_homography(view.target_mm, view.points_px, where)
     wrong = _wrong_about(h, view)
     if len(view) - np.count_nonzero(wrong) < MIN_STARS:
-        return h, np.zeros(len(view), bool)
+        return _reweighted_homography(view.target_mm, view.points_px, where), wrong
     return _reweighted_homography(view.target_mm[~wrong], view.points_px[~wrong], where), wrong
 
 
 def _wrong_about(h: Array, view: View) -> Bools:
     """Return which stars contradict their neighbours after subtraction of a homography, (N,) bool."""
-    mapped = apply_homography(h, view.target_mm)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mapped = apply_homography(h, view.target_mm)
+    if not np.isfinite(mapped).all():
+        # Stars on the horizon of a wrong homography: any smooth map will do.
+        mapped = apply_homography(fit_affine(view.target_mm, view.points_px), view.target_mm)
     variances = np.trace(view.covariances_px2, axis1=1, axis2=2)
     stated = bool(variances.min() > 0.0 and variances.max() > variances.min())
     return contradicts_neighbours(

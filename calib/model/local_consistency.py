@@ -25,6 +25,8 @@ _NEIGHBOURS = 14
 #: neighbours within `_BESIDE` times the spacing of the stars.
 _PATCH_SHARE = 0.5
 _BESIDE = 1.5
+#: If fewer than this share of the pairs of neighbours agree, the view has no order that patches could show.
+_ORDERED_SHARE = 0.4
 #: Median length of a two-dimensional vector of standard normal components: sqrt(2 ln 2).
 _RAYLEIGH_MEDIAN = 1.1774100225154747
 _ROUNDS = 6
@@ -232,7 +234,8 @@ def _outside_the_largest_patch(
 ) -> Bools:
     """Return which stars belong to a patch beside the largest one that does not agree with it.
 
-    Patches are the connected components of the graph of agreeing neighbours. Own rule.
+    Patches are the connected components of the graph of agreeing neighbours. If hardly any neighbours agree, as with
+    random ids, all stars that contradict most of their neighbours are returned instead. Own rule.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -242,6 +245,9 @@ def _outside_the_largest_patch(
     apart = np.linalg.norm(mapped[one] - mapped[other], axis=1)
     agree = np.linalg.norm(off[one] - off[other], axis=1) <= _PATCH_SHARE * apart
     n = len(off)
+    if len(one) and agree.mean() < _ORDERED_SHARE:
+        pairs, agreeing = np.bincount(one, minlength=n), np.bincount(one[agree], minlength=n)
+        return np.asarray(2 * agreeing < pairs)
     _, patch = connected_components(
         coo_array((np.ones(agree.sum()), (one[agree], other[agree])), shape=(n, n)), directed=False
     )

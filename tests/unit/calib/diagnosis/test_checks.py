@@ -85,3 +85,10 @@ def test_views_of_few_stars_are_not_judged(views):
         )
     assert check_views(few) == ()
     assert after(few) == ()
+
+
+@pytest.mark.parametrize("length", [25.4, 1000.0])
+def test_another_unit_than_the_known_radius_shows_is_refused(views, length):
+    wrong = [replace(view, target_mm=view.target_mm / length) for view in views]
+    with pytest.raises(InputMismatch, match=r"target positions: .* Give them in mm\."):
+        check_views(wrong, known_r_mm=255.0)

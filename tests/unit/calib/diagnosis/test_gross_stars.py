@@ -79,3 +79,12 @@ def test_a_calibration_survives_five_per_cent_of_gross_errors(size):
     assert result.camera.fx == pytest.approx(expected.camera.fx, abs=expected.sigma["fx"])
     assert result.sigma["fx"] > 0.95 * expected.sigma["fx"]
     assert result.rms_px == pytest.approx(expected.rms_px, rel=0.05)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_a_view_of_random_ids_is_refused_by_name(seed):
+    rng = np.random.default_rng(seed)
+    view = Bench().views(rng, 0.05)[1]
+    with pytest.raises(InputMismatch, match="view pose-002"):
+        find_gross_stars([replace(view, points_px=rng.permutation(view.points_px))])
