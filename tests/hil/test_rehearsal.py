@@ -198,7 +198,12 @@ def test_uncertainties_of_a_rehearsal_hold(tmp_path):
     clock, errors = VirtualClock(EVENING), []
     for seed in range(30):
         end = rehearse_run(
-            "three_pose", "simulated", seed=seed, operator=None, folder=tmp_path / f"r{seed}", clock=clock
+            "three_pose",
+            "simulated_ideal",
+            seed=seed,
+            operator=None,
+            folder=tmp_path / f"r{seed}",
+            clock=clock,
         )
         rows = {row["name"]: row["error_sigmas"] for row in end.outcome.results["comparison"]}
         errors.append(rows["fx"])

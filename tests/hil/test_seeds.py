@@ -15,7 +15,17 @@ SEEDS = int(os.environ.get("STARBENCH_SEEDS", "20"))
 @pytest.mark.timeout(3600)
 def test_every_parameter_lies_within_its_stated_uncertainty_of_the_truth(tmp_path):
     def errors(seed: int) -> list[float]:
-        words = ("run", "three_pose", "-s", "simulated", "--seed", seed, "-o", tmp_path / str(seed), "--json")
+        words = (
+            "run",
+            "three_pose",
+            "-s",
+            "simulated_ideal",
+            "--seed",
+            seed,
+            "-o",
+            tmp_path / str(seed),
+            "--json",
+        )
         run = starbench(*words, home=tmp_path / "home")
         assert run.returncode == 0, run.stderr
         return [row["error_sigmas"] for row in json.loads(run.stdout)["results"]["comparison"]]

@@ -58,7 +58,7 @@ def run(folder, home, poses):
     sequence = folder / "poses.yaml"
     sequence.write_text(SEQUENCE.format(poses=lines))
     said = starbench(
-        "run", sequence, "-s", "simulated", "--seed", 5, "-o", folder / "run", "--json", home=home
+        "run", sequence, "-s", "simulated_ideal", "--seed", 5, "-o", folder / "run", "--json", home=home
     )
     return said, folder / "run"
 
