@@ -23,7 +23,7 @@ from bench.report.text import with_uncertainty
 from sequences.queue import Queue
 
 if TYPE_CHECKING:
-    from calib.studies.planning import Forecast
+    from bench.results.forecasts import PlanForecast
 
 _SHOWN = ("fx", "cx", "cy", "r")
 _MOST_LINES = 80
@@ -275,7 +275,7 @@ def show_night(queue: Path, *, begin: datetime | None, as_json: bool) -> int:
     night = plan_batch(read.value, _begin(read.value, begin))
     forecasts = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
     if as_json:
-        expected = {name: dict(found.sigma) if found else None for name, found in forecasts.items()}
+        expected = {name: dict(found.forecast.sigma) if found else None for name, found in forecasts.items()}
         print_json({**night.to_dict(), "expected_sigma": expected})
     else:
         click.echo(_night_text(night, forecasts))
@@ -289,7 +289,7 @@ def _begin(queue: Queue, begin: datetime | None) -> datetime:
     return (begin.replace(tzinfo=queue.tzinfo) if queue.tzinfo else begin).astimezone(UTC)
 
 
-def _night_text(night: BatchPlan, forecasts: Mapping[str, Forecast | None]) -> str:
+def _night_text(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) -> str:
     zone = night.queue.tzinfo
 
     def clock(at_s: float) -> str:
@@ -316,7 +316,9 @@ def _night_text(night: BatchPlan, forecasts: Mapping[str, Forecast | None]) -> s
     for name, planned in night.plans.items():
         found = forecasts[name]
         sigmas = (
-            ", ".join(f"{n} {found.sigma[n]:.2g}" for n in _SHOWN if n in found.sigma) if found else "unknown"
+            ", ".join(f"{n} {found.forecast.sigma[n]:.2g}" for n in _SHOWN if n in found.forecast.sigma)
+            if found
+            else "unknown"
         )
         lines.append(
             f"{name:<16} {duration_text(planned.duration_s):>12} {size_text(planned.size_bytes):>8}  {sigmas}"

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import click
 
 from bench.commands.output import print_json
 from bench.plan.plan import Plan
 from bench.plan.plan_text import render_plan
-from bench.results.forecasts import expected_uncertainty, suggest_poses
+from bench.results.forecasts import PlanForecast, expected_uncertainty, suggest_poses
+from calib.model.budget_row import WORST_CORNER, BudgetRow
+from calib.studies.planning import SuggestedPose
 
-if TYPE_CHECKING:
-    from calib.studies.planning import Forecast
+_MOST_TERMS = 5
+_SMALLEST_SHARE = 0.005
+"""Terms with a smaller share of the variance are not printed."""
 
 
 def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
@@ -32,35 +37,83 @@ def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
     int
         Exit status: 0, or 2 if the files have faults.
     """
-    forecast = None if planned.faults else expected_uncertainty(planned)
+    found = None if planned.faults else expected_uncertainty(planned)
     suggested = suggest_poses(planned, suggest) if suggest and not planned.faults else []
     if as_json:
-        print_json({**planned.to_dict(), "expected": _forecast_dict(forecast), "suggested": suggested})
+        poses = [
+            {
+                **pose.angles_deg,
+                "worst_px": pose.worst_px if math.isfinite(pose.worst_px) else None,
+                "rim_share": round(pose.rim_share, 3),
+                "why": _why(pose),
+            }
+            for pose in suggested
+        ]
+        print_json({**planned.to_dict(), "expected": _forecast_dict(found), "suggested": poses})
     else:
         click.echo(render_plan(planned))
-        if forecast is not None:
-            click.echo(_forecast_text(forecast))
+        if found is not None:
+            click.echo(f"\n{_forecast_text(found)}")
         for pose in suggested:
-            angles = ", ".join(f"{name}: {angle:g}" for name, angle in pose.items())
-            click.echo(f"Suggested: {{{angles}}}")
+            angles = ", ".join(f"{name}: {angle:g}" for name, angle in pose.angles_deg.items())
+            click.echo(f"Suggested: {{{angles}}} {_why(pose)}")
     return 2 if planned.faults else 0
 
 
-def _forecast_dict(forecast: Forecast | None) -> dict[str, Any] | None:
-    if forecast is None:
+def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
+    """Return a forecast for programs."""
+    if found is None:
         return None
+    forecast = found.forecast
     return {
+        "model": forecast.model,
+        "poses": found.poses,
+        "chosen_in_run": found.chosen,
         "sigma": dict(forecast.sigma),
+        "coverage_factor": forecast.coverage_factor,
+        "expanded_fx_px": forecast.limited["expanded_fx"],
+        "worst_corner_px": forecast.limited[WORST_CORNER],
         "worst_px": forecast.projection_map.worst_px,
         "stars": list(forecast.stars),
+        "budget_rows": [row.to_dict() for row in forecast.budget_rows],
+        "not_included": list(forecast.not_included),
+        "remarks": list(found.remarks),
     }
 
 
-def _forecast_text(forecast: Forecast) -> str:
-    shown = ("fx", "cx", "cy", "r")
-    sigmas = ", ".join(f"{name} {forecast.sigma[name]:.2g}" for name in shown if name in forecast.sigma)
-    worst = forecast.projection_map
-    return (
-        f"Expected, 1 sigma: {sigmas}; direction anywhere on the sensor at most {worst.worst_px:.2g} px"
-        f" ({worst.worst_arcsec:.2g} arcsec)."
-    )
+def _forecast_text(found: PlanForecast) -> str:
+    """Return a forecast for people: expanded uncertainties, the largest terms, and remarks."""
+    forecast = found.forecast
+    k = forecast.coverage_factor
+    poses = f"{found.poses} poses" if found.poses != 1 else "1 pose"
+    chosen = f", {found.chosen} of them chosen in the run" if found.chosen else ""
+    fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
+    arcsec = k * forecast.projection_map.worst_arcsec
+    lines = [
+        f"Expected with {poses}{chosen}, {forecast.model} model, k = {k:.1f}:",
+        f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, of a direction at most {arcsec:.2g} arcsec",
+        f"  {'largest terms, 1 sigma, px':<44}{'fx':>8}{'corners':>10}",
+    ]
+    for row in _largest(forecast.budget_rows):
+        parts = [row.contribution.get(name, 0.0) for name in ("fx", WORST_CORNER)]
+        lines.append(f"  {row.name:<44}{parts[0]:>8.2g}{parts[1]:>10.2g}")
+    return "\n".join([*lines, *found.remarks])
+
+
+def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:
+    """Return the rows that matter for the focal length or at the corners, the largest first."""
+    share = {row.name: max(row.share.get("fx", 0.0), row.share.get(WORST_CORNER, 0.0)) for row in rows}
+    shown = sorted(rows, key=lambda row: -share[row.name])[:_MOST_TERMS]
+    return [row for row in shown if share[row.name] >= _SMALLEST_SHARE]
+
+
+def _why(pose: SuggestedPose) -> str:
+    """Return why a pose is suggested."""
+    if pose.rim_reason:
+        why = f"shows {100 * pose.rim_share:.0f} % of the rim of the beam, which {pose.rim_reason}"
+        return (
+            why if not math.isfinite(pose.worst_px) else f"{why}; largest uncertainty {pose.worst_px:.2g} px"
+        )
+    if not math.isfinite(pose.worst_px):
+        return "the poses do not determine the camera yet"
+    return f"largest uncertainty on the sensor {pose.worst_px:.2g} px, 1 sigma"

@@ -1,27 +1,64 @@
-"""Forecasts before anything moves: the uncertainty that planned poses will reach, and poses that lower it most."""
+"""Forecasts before anything moves: the uncertainty that planned poses will reach, and poses that lower it most.
+
+The forecast is that of the last calibration of a sequence: its model, lens and passport, the gimbal's readings, and the
+station's budget. The errors of the collimator are those that the station expects.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from bench.base.errors import UsageError
 from bench.plan.plan import Plan
+from bench.report.until_text import meaning_of_goal
+from bench.results.solve_options import gimbal_readings
 from bench.stations.station import Station
 from calib.errors import DegenerateViews, TooFewStars
+from calib.model.budget_row import WORST_CORNER
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
-from calib.studies.planning import Forecast, forecast, next_poses
+from calib.studies.planning import REDUCED_BY_POSES, Forecast, SuggestedPose, forecast, next_poses
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
+from sequences.script import ChooseStep, SolveStep
 
 _CENTRE = 0.5
-_CANDIDATES_AN_AXIS = 13
+_CANDIDATES = {"pan": 13, "tilt": 13, "roll": 7}
+_LARGEST_ROLL_DEG = 90.0
+_SMALLEST_K = 2.0
+_QUANTITIES = {"expanded_fx_px": "fx", "expanded_fy_px": "fy", "worst_corner_px": WORST_CORNER}
+"""Column of the budget for each goal or limit that the budget explains."""
+_UNITS = ("_px", "_mm")
+
+
+@dataclass(frozen=True)
+class PlanForecast:
+    """The forecast of a plan.
+
+    Attributes
+    ----------
+    forecast
+        Expected uncertainties.
+    poses
+        Number of poses that it is about.
+    chosen
+        How many of them an ``until`` is expected to choose during the run.
+    remarks
+        What the operator should know: limits and goals that will not be met, and why; what limits the forecast.
+    """
+
+    forecast: Forecast
+    poses: int
+    chosen: int
+    remarks: tuple[str, ...]
 
 
 def expected_bench(station: Located[Station], *, noise_px: float | None = None) -> ExpectedBench:
-    """Return the bench that a station file expects: approximate values, sufficient for planning.
+    """Return the bench that a station file expects, without errors: approximate values, sufficient for studies.
 
     Parameters
     ----------
@@ -67,10 +104,8 @@ def expected_bench(station: Located[Station], *, noise_px: float | None = None) 
     )
 
 
-def expected_uncertainty(planned: Plan) -> Forecast | None:
-    """Predict the uncertainties that the poses of a plan will give.
-
-    A sequence is not refused if the prediction fails, because the real bench may differ from the expected one.
+def forecast_bench(planned: Plan) -> ExpectedBench:
+    """Return the bench that a plan expects, with what its last calibration uses.
 
     Parameters
     ----------
@@ -79,20 +114,70 @@ def expected_uncertainty(planned: Plan) -> Forecast | None:
 
     Returns
     -------
-    Forecast or None
+    ExpectedBench
+        Bench with the errors of its collimator, the model and the lens that will be fitted, the passport, the readings
+        of the gimbal and the budget.
+
+    Raises
+    ------
+    UsageError
+        When the station file has no ``expected`` section.
+    """
+    bench, station = expected_bench(planned.station), planned.station.value
+    assert station.expected is not None
+    bench = replace(
+        bench,
+        errors=station.expected.errors(station.collimator, station.gimbal),
+        terms=station.budget.terms(station.collimator),
+    )
+    step = _last_solve(planned)
+    if step is None:
+        return bench
+    terms = ("k1", "k2") if isinstance(step.distortion, str) else step.distortion
+    known = bench.camera.distortion
+    lens = replace(bench.camera, distortion={name: known.get(name, 0.0) for name in terms})
+    model = planned.model_for(step)
+    return replace(
+        bench,
+        camera=lens,
+        model=model,
+        passport=planned.passport_for(step) if model != "planar" else None,
+        readings=gimbal_readings(station, []) if step.readings == "auto" else None,
+        drift_mm=step.drift_mm,
+    )
+
+
+def expected_uncertainty(planned: Plan) -> PlanForecast | None:
+    """Predict the uncertainties that the poses of a plan will give.
+
+    A sequence is not refused if the prediction fails, because the real bench may differ from the expected one. Poses
+    that an ``until`` chooses during the run are predicted too, as many as it allows.
+
+    Parameters
+    ----------
+    planned
+        The plan.
+
+    Returns
+    -------
+    PlanForecast or None
         None if the station expects nothing, the plan has no poses, or the poses show too few stars.
     """
-    station = planned.station.value
-    if station.expected is None or not planned.poses:
+    if planned.station.value.expected is None or not planned.poses:
         return None
-    poses = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
+    bench, poses = forecast_bench(planned), _poses_deg(planned)
+    further = planned.most_poses - len(poses)
     try:
-        return forecast(expected_bench(planned.station), poses)
+        if further > 0:
+            chosen = next_poses(bench, poses, list(_candidates(planned)), further)
+            poses = [*poses, *(dict(pose.angles_deg) for pose in chosen)]
+        found = forecast(bench, poses)
     except (TooFewStars, DegenerateViews):
         return None
+    return PlanForecast(found, len(poses), further, (*_missed(planned, found), *found.remarks))
 
 
-def suggest_poses(planned: Plan, count: int) -> list[dict[str, float]]:
+def suggest_poses(planned: Plan, count: int) -> list[SuggestedPose]:
     """Suggest further poses, within the station's limits, that improve the calibration most.
 
     Parameters
@@ -104,8 +189,8 @@ def suggest_poses(planned: Plan, count: int) -> list[dict[str, float]]:
 
     Returns
     -------
-    list of dict
-        Angle of each axis, deg (``pan_deg``).
+    list of SuggestedPose
+        Poses with the angle of each axis, degrees (``pan_deg``), the best first.
 
     Raises
     ------
@@ -114,11 +199,62 @@ def suggest_poses(planned: Plan, count: int) -> list[dict[str, float]]:
     calib.errors.CalibrationError
         When no pose is suitable.
     """
-    station = planned.station.value
-    taken = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
-    steps = {
-        f"{name}_deg": np.linspace(*axis.limits_deg, _CANDIDATES_AN_AXIS)
-        for name, axis in station.axes.items()
-    }
-    candidates = [dict(zip(steps, map(float, angles), strict=True)) for angles in product(*steps.values())]
-    return [dict(pose) for pose in next_poses(expected_bench(planned.station), taken, candidates, count)]
+    bench = forecast_bench(planned)
+    return list(next_poses(bench, _poses_deg(planned), list(_candidates(planned)), count))
+
+
+def _poses_deg(planned: Plan) -> list[dict[str, float]]:
+    return [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
+
+
+def _candidates(planned: Plan) -> Iterator[dict[str, float]]:
+    """Yield a grid of poses over the station's limits; a roll beyond a quarter of a turn repeats the pattern."""
+    steps = {}
+    for name, axis in planned.station.value.axes.items():
+        lowest, highest = axis.limits_deg
+        if name == "roll":
+            lowest, highest = max(lowest, -_LARGEST_ROLL_DEG), min(highest, _LARGEST_ROLL_DEG)
+        steps[f"{name}_deg"] = np.linspace(lowest, highest, _CANDIDATES.get(name, _CANDIDATES["pan"]))
+    for angles in product(*steps.values()):
+        yield dict(zip(steps, map(float, angles), strict=True))
+
+
+def _last_solve(planned: Plan) -> SolveStep | None:
+    """Return the options of the last calibration of a plan."""
+    for step in reversed(planned.script):
+        if isinstance(step, SolveStep):
+            return step
+        if isinstance(step, ChooseStep):
+            return step.solve
+    return None
+
+
+def _missed(planned: Plan, found: Forecast) -> Iterator[str]:
+    """Yield a sentence for each limit or goal that the forecast exceeds, with the term that prevents it."""
+    step = _last_solve(planned)
+    asked = dict(step.limits) if step else {}
+    for until in planned.untils:
+        asked |= until.goals
+    for name, most in asked.items():
+        plain = next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)
+        expected = found.limited.get(plain)
+        if expected is None or expected <= most:
+            continue
+        unit = name.removeprefix(plain).removeprefix("_")
+        text = f"{meaning_of_goal(name)} of at most {most:g} {unit}".rstrip()
+        yield f"{text} will not be met: {expected:.2g} expected.{_cause(found, name, most)}"
+
+
+def _cause(found: Forecast, name: str, most: float) -> str:
+    """Return the largest term of a number, and whether more poses lower it; nothing if the budget does not have it."""
+    quantity = _QUANTITIES.get(name)
+    if quantity is None or not found.budget_rows:
+        return ""
+    parts = {row.name: row.contribution.get(quantity, 0.0) for row in found.budget_rows}
+    fixed = {name: part for name, part in parts.items() if name not in REDUCED_BY_POSES}
+    floor = _SMALLEST_K * float(np.sqrt(sum(part**2 for part in fixed.values())))
+    if floor > most:
+        largest = max(fixed, key=lambda each: fixed[each])
+        return f" More poses do not help: the {largest} alone leaves {_SMALLEST_K * fixed[largest]:.2g} px (k = 2)."
+    largest = max(parts, key=lambda each: parts[each])
+    return f" The largest term is the {largest} ({parts[largest]:.2g} px, 1 sigma); more poses lower it."

@@ -26,13 +26,11 @@ from calib.errors import CalibrationError
 from calib.model.budget_row import WORST_CORNER, BudgetRow
 from calib.model.passport import Passport
 from calib.model.type_b_terms import UNITS
-from calib.uncertainty.budget_parts import GIMBAL_AXES, GIMBAL_SCALE, PARALLAX_BOUND, PRIORS, READINGS, STARS
-from calib.uncertainty.covariance import INCONSISTENCY
+from calib.studies.planning import REDUCED_BY_POSES
+from calib.uncertainty.budget_parts import GIMBAL_SCALE, PARALLAX_BOUND
 from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, Until
 
-REDUCED_BY_POSES = frozenset({STARS, PRIORS, READINGS, GIMBAL_AXES, INCONSISTENCY})
-"""Sources of the uncertainty budget that further poses lower; all others stay as they are."""
 REDUCED_SLOWLY = frozenset({PARALLAX_BOUND, GIMBAL_SCALE})
 """Sources that further poses lower only if the stars determine the focal length without the gimbal's readings."""
 _QUANTITIES = {"expanded_fx_px": "fx", "worst_corner_px": WORST_CORNER}
@@ -148,7 +146,7 @@ def expanded_uncertainties(calibration: Calibration) -> dict[str, float]:
     return {"expanded_fx_px": found["expanded_fx"], "worst_corner_px": found["worst_corner"]}
 
 
-def fixed_parts(calibration: Calibration, more: float = 1.0) -> dict[str, dict[str, float]]:
+def fixed_parts(rows: Sequence[BudgetRow], more: float = 1.0) -> dict[str, dict[str, float]]:
     """Return the parts of the expanded uncertainties that further poses do not lower, by source.
 
     They are expanded by k = 2, the smallest coverage factor, because further poses also lower k. Parallax and scale of
@@ -158,8 +156,8 @@ def fixed_parts(calibration: Calibration, more: float = 1.0) -> dict[str, dict[s
 
     Parameters
     ----------
-    calibration
-        The calibration, with its uncertainty budget.
+    rows
+        Uncertainty budget of the calibration.
     more
         How many times as many poses can be recorded in all, at least 1.
 
@@ -170,8 +168,8 @@ def fixed_parts(calibration: Calibration, more: float = 1.0) -> dict[str, dict[s
     """
     found: dict[str, dict[str, float]] = {}
     for goal, quantity in _QUANTITIES.items():
-        parts = {row.name: row.contribution.get(quantity, 0.0) for row in calibration.budget_rows}
-        free = {row.name for row in calibration.budget_rows if _is_reduced(row)}
+        parts = {row.name: row.contribution.get(quantity, 0.0) for row in rows}
+        free = {row.name for row in rows if _is_reduced(row)}
         stars = sum(parts[name] ** 2 for name in free)
         found[goal] = {
             name: SMALLEST_COVERAGE_FACTOR
@@ -224,7 +222,7 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         "worked_s": round(sum(history.worked_s.get(n, 0.0) for n in range(until.first, until.last + 1)), 3),
         "wanted": dict(until.goals),
         "now": expanded_uncertainties(calibration) if calibration else {},
-        "fixed": fixed_parts(calibration, most / len(accepted)) if calibration else {},
+        "fixed": fixed_parts(calibration.budget_rows, most / len(accepted)) if calibration else {},
         "coverage_factor": calibration.coverage_factor if calibration else None,
         "model": calibration.model if calibration else "",
         "lacks": "",

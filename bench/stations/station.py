@@ -1,8 +1,9 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
 The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`, those of the collimator and
-of the gimbal's readings in `station_collimator`; `devices` opens the devices. docs/stations.md describes every key. A
-simulated bench and a real one differ in the station file only; the same sequences run on both.
+of the gimbal's readings in `station_collimator`, and the expected values in `station_expected`; `devices` opens the
+devices. docs/stations.md describes every key. A simulated bench and a real one differ in the station file only; the
+same sequences run on both.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pydantic_core import PydanticCustomError
 from bench.stations.station_budget import BudgetConfig
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
 from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
+from bench.stations.station_expected import ExpectedConfig
 from bench.stations.station_fields import SIMULATED_PREFIX, Positive, Text
 from bench.stations.station_interlocks import InterlocksConfig
 from bench.stations.station_lights import LightConfig
@@ -70,18 +72,6 @@ class TargetConfig(StrictModel):
             tag_square=self.tag_square,
             tag_squares=self.tag_squares,
         )
-
-
-class ExpectedConfig(StrictModel):
-    """Approximate properties of the bench, for plans and studies only; no estimator uses them."""
-
-    focal_px: Positive
-    r_mm: Positive
-    half_angle_deg: Annotated[float, Field(gt=0, lt=60, description="Half angle of the beam.")]
-    image_size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (1280, 720)
-    k1: float = 0.0
-    k2: float = 0.0
-    star_sigma_px: Annotated[Positive, Field(description="Uncertainty of a star, per axis.")] = 0.02
 
 
 class DiskConfig(StrictModel):

@@ -22,8 +22,9 @@ from calib.studies.expected_fit import ExpectedFit, entering_readings, model_to_
 from calib.studies.expected_uncertainty import PoseJudge, expected_estimate
 from calib.studies.pose_distance import distance_deg, share_of_news
 from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench, predicted_view, rim_share
-from calib.uncertainty.budget_parts import covariance_parts
+from calib.uncertainty.budget_parts import GIMBAL_AXES, PRIORS, READINGS, STARS, covariance_parts
 from calib.uncertainty.budget_rows import budget_rows, not_included
+from calib.uncertainty.covariance import INCONSISTENCY
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.uncertainty.target_response import target_response
 from calib.uncertainty.type_b import add_terms
@@ -32,6 +33,8 @@ from calib.view import View
 Array = NDArray[np.float64]
 Angles = Mapping[str, float]
 
+#: Sources of the uncertainty budget that further poses lower; all others stay about as they are.
+REDUCED_BY_POSES = frozenset({STARS, PRIORS, READINGS, GIMBAL_AXES, INCONSISTENCY})
 #: Share of the poses that should show the rim of the beam if the model needs it.
 _SHOWING_RIM = 0.5
 
@@ -54,7 +57,7 @@ class Forecast:
         Number of stars that each pose will show.
     model
         Model that the calibration is expected to fit.
-    budget
+    budget_rows
         Expected rows of the uncertainty budget.
     not_included
         What nobody stated, with what it could do, in words.
@@ -68,7 +71,7 @@ class Forecast:
     projection_map: ProjectionMap
     stars: tuple[int, ...]
     model: str
-    budget: tuple[BudgetRow, ...] = ()
+    budget_rows: tuple[BudgetRow, ...] = ()
     not_included: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -146,6 +149,11 @@ def _remarks(bench: ExpectedBench, rotations: Array) -> tuple[str, ...]:
             f"The gimbal's readings will not enter: they will scatter {reading_scatter(bench):.0f} times more than "
             "stated, because the pupil wanders across the beam."
         )
+    if bench.errors.field_px(bench.star_sigma_px) > 0 and not _knows_focal_length(bench):
+        found.append(
+            "Nothing but the stars determines the focal length. A certificate of the collimator, or the gimbal's "
+            "readings with a bounded parallax, would lower its uncertainty."
+        )
     if needs_rim(LADDER.get(bench.model, ())):
         shown = sum(_shows_rim(bench, rotation) for rotation in rotations)
         if shown < _SHOWING_RIM * len(rotations):
@@ -169,14 +177,14 @@ class SuggestedPose:
         terms; infinite if these poses do not determine the camera yet.
     rim_share
         Share of the rim of the beam that the pose shows, 0 to 1.
-    for_rim
-        Whether the pose was chosen because it shows the rim, which too few poses show.
+    rim_reason
+        Why the rim must be in view, if the pose was chosen because it shows the rim; empty otherwise.
     """
 
     angles_deg: Angles
     worst_px: float
     rim_share: float
-    for_rim: bool
+    rim_reason: str = ""
 
 
 def next_poses(
@@ -275,8 +283,8 @@ class _Choice:
     def best(self, places: Sequence[int]) -> SuggestedPose | None:
         """Take the best of some poses; None if each of them repeats a pose."""
         free = [place for place in places if not self._repeats(place)]
-        wants_rim = self._wants_rim()
-        free = [p for p in free if wants_rim and self._rim(p) >= RIM_IN_VIEW] or free
+        reason = self._rim_reason()
+        free = [p for p in free if reason and self._rim(p) >= RIM_IN_VIEW] or free
         if not free:
             return None
         left = {place: self._judge.sigmas(*self._with(place)) for place in free}
@@ -284,7 +292,7 @@ class _Choice:
         share = self._rim(place)
         self.take(place)
         return SuggestedPose(
-            self._poses[place].angles_deg, left[place].worst_px, share, wants_rim and share >= RIM_IN_VIEW
+            self._poses[place].angles_deg, left[place].worst_px, share, reason if share >= RIM_IN_VIEW else ""
         )
 
     def _with(self, place: int) -> tuple[Array, Array]:
@@ -302,14 +310,27 @@ class _Choice:
         own = self._poses[place].angles_deg
         return any(distance_deg(own, self._poses[p].angles_deg) < SAME_POSE_DEG for p in self._taken)
 
-    def _wants_rim(self) -> bool:
-        """Return whether the model needs the rim, and too few of the poses show it."""
-        if not needs_rim(LADDER.get(self._bench.model, ())):
-            return False
-        return sum(self._rim(p) >= RIM_IN_VIEW for p in self._taken) < _SHOWING_RIM * (len(self._taken) + 1)
+    def _rim_reason(self) -> str:
+        """Return why the next pose should show the rim; empty if no model needs it, or enough poses show it."""
+        bench = self._bench
+        if sum(self._rim(p) >= RIM_IN_VIEW for p in self._taken) >= _SHOWING_RIM * (len(self._taken) + 1):
+            return ""
+        if needs_rim(LADDER.get(bench.model, ())):
+            return f"the {bench.model} model needs"
+        if bench.model == "auto" and self._neighbours_share and not _knows_focal_length(bench):
+            return (
+                "lets the data choose a model with the collimator's aberrations: nothing but the stars determines the "
+                "focal length (no certificate, and no readings with a bounded parallax)"
+            )
+        return ""
 
     def _rim(self, place: int) -> float:
         return rim_share(self._bench, self._poses[place].rotation)
+
+
+def _knows_focal_length(bench: ExpectedBench) -> bool:
+    """Return whether anything but the stars determines the focal length."""
+    return bench.passport is not None or entering_readings(bench) is not None
 
 
 def _shows_rim(bench: ExpectedBench, rotation: Array) -> bool:

@@ -150,10 +150,10 @@ def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
     limits = planned.station.value.axes
     for pose in suggest_poses(planned, 2):
         for axis, words in limits.items():
-            assert words.limits_deg[0] <= pose[f"{axis}_deg"] <= words.limits_deg[1]
+            assert words.limits_deg[0] <= pose.angles_deg[f"{axis}_deg"] <= words.limits_deg[1]
     nine = expected_uncertainty(make_plan(*load_documents("nine_pose", "simulated")))
     assert nine is not None
-    assert nine.projection_map.worst_px < told["expected"]["worst_px"]
+    assert nine.forecast.projection_map.worst_px < told["expected"]["worst_px"]
 
 
 def test_a_study_finds_that_the_sigmas_hold_and_plots_them(capsys, tmp_path):

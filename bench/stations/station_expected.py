@@ -1,0 +1,65 @@
+"""Section `expected` of the station file: approximate values of the bench, for forecasts and studies only."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
+from bench.stations.station_fields import Positive
+from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
+from sequences.strict_model import StrictModel
+
+
+class ExpectedCollimatorConfig(StrictModel):
+    """How far the views of this collimator deviate from the model that is fitted to them."""
+
+    rms_px: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=100,
+            description="rms_px that a finished run of this bench has in its results.json; 0: no errors.",
+        ),
+    ] = TYPICAL_RMS_PX
+    pupil_wander_mm: Annotated[
+        float,
+        Field(ge=0, le=1000, description="Random shift of the camera's pupil across the beam between poses."),
+    ] = 0.0
+
+
+class ExpectedConfig(StrictModel):
+    """Approximate properties of the bench, for plans and studies only; no estimator uses them."""
+
+    focal_px: Positive
+    r_mm: Positive
+    half_angle_deg: Annotated[float, Field(gt=0, lt=60, description="Half angle of the beam.")]
+    image_size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (1280, 720)
+    k1: float = 0.0
+    k2: float = 0.0
+    star_sigma_px: Annotated[Positive, Field(description="Uncertainty of a star, per axis.")] = 0.02
+    collimator: ExpectedCollimatorConfig = ExpectedCollimatorConfig()
+
+    def errors(self, collimator: CollimatorConfig, gimbal: GimbalConfig | None) -> CollimatorErrors:
+        """Return the expected errors of the collimator.
+
+        Parameters
+        ----------
+        collimator
+            What the station states about the collimator: its defocus.
+        gimbal
+            What the station states about the gimbal: how far the pupil is from the pivot.
+
+        Returns
+        -------
+        CollimatorErrors
+            Errors for a forecast; a defocus that is not stated has a typical size.
+        """
+        off = gimbal.pupil_off_pivot_mm if gimbal else None
+        return CollimatorErrors(
+            self.collimator.rms_px,
+            self.collimator.pupil_wander_mm,
+            collimator.defocus.value if collimator.defocus else TYPICAL_DEFOCUS,
+            off.value if off else 0.0,
+        )
