@@ -168,13 +168,15 @@ def passport() -> None:
 @passport.command("make")
 @_views_and_options
 @click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
-@click.option("--collimator", help="Serial number or name of the collimator.")
+@click.option(
+    "--collimator", help="Serial number or name of the collimator.  [default: as in the run's station]"
+)
 @click.option(
     "--temperature",
     "temperature_c",
     type=Number(),
     metavar="C",
-    help="Temperature of the collimator, degrees Celsius.",
+    help="Temperature of the collimator, degrees Celsius.  [default: as in the run's station]",
 )
 def passport_make(
     paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **options: Any
@@ -190,8 +192,8 @@ def passport_make(
     result = calibrate_paths(paths, OfflineOptions.from_command_line(**options))
     made = passport_from_calibration(
         result.calibration,
-        collimator=collimator,
-        temperature_c=temperature_c,
+        collimator=collimator or result.collimator.serial,
+        temperature_c=temperature_c if temperature_c is not None else result.collimator.temperature_c,
         now=datetime.now(UTC),
         sources=[str(path) for path in paths],
     )

@@ -17,6 +17,7 @@ from bench.results.comparison import planar_calibration
 from bench.results.offline_options import OfflineOptions
 from bench.results.solve_options import readings_result
 from bench.results.view_sources import ViewSource, view_sources
+from bench.stations.station_collimator import CollimatorConfig
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError, DegenerateViews
@@ -71,6 +72,15 @@ class OfflineResult:
         stated = job.station.gimbal is not None
         witness = stated and self.options.gimbal is None
         return readings_result(self.calibration, self.options, witness=witness, stated=stated)
+
+    @property
+    def collimator(self) -> CollimatorConfig:
+        """What the station states about the collimator, if all views are of runs on one station; else nothing."""
+        stated = [
+            source.job.station.collimator if source.job else CollimatorConfig() for source in self.sources
+        ]
+        alike = bool(stated) and all(one == stated[0] for one in stated)
+        return stated[0] if alike else CollimatorConfig()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content as ``--json`` prints it.
