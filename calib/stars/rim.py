@@ -37,6 +37,9 @@ _REACH = 3
 #: cells, then of those near the rim.
 _COARSE, _FINE = (24, 0.055), (56, 0.04)
 
+#: A border whose width is at most this share of its length may be straight.
+_FLAT = 0.35
+
 
 class _Cells(NamedTuple):
     """Nodes in the frame as a grid: (rows, columns) bright, (rows, columns) in the frame, and its first node."""
@@ -245,8 +248,9 @@ def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
     a, b, _ = np.linalg.solve(design.T @ design + weak, design.T @ (away**2).sum(axis=1))
     centre = np.array([a, b])
     inward = middle - origin
-    if centre @ inward <= 0.0 or np.linalg.norm(centre) > 4.0 * reach:
-        axes = np.linalg.svd(away, full_matrices=False)[2]
+    _, lengths, axes = np.linalg.svd(away, full_matrices=False)
+    least = (0.5 if lengths[1] < _FLAT * lengths[0] else -0.5) * lengths[0] ** 2 / len(away)
+    if centre @ inward <= least or np.linalg.norm(centre) > 4.0 * reach:
         normal = axes[1] * np.sign(axes[1] @ inward)
         centre = 2.0 * reach * normal
     return origin + centre, float(np.sqrt(np.mean(((away - centre) ** 2).sum(axis=1))))

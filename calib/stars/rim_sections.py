@@ -92,8 +92,8 @@ def rim_in_sections(
     section, rho, phi, levels = section[near], rho[near], phi[near], fine.levels[near]
     fit = _fall(section, rho, (phi - middle[section]) * radius, levels, start)
     found = _accepted(section, rho, levels, fit, pitch_mm)
-    direction = np.column_stack([np.cos(middle), np.sin(middle)])
-    points = centre + fit.place[:, None] * direction
+    direction = middle + fit.shift / radius
+    points = centre + fit.place[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
     lit = _last_bright(all_sections, all_rho, coarse.levels > 0.5, np.isnan(start), pitch_mm)
     return RimPoints(
         points[found],
@@ -117,12 +117,15 @@ class _Fall(NamedTuple):
     ----------
     place, sigma
         (C,) distance of the rim from the circle's centre and its 1-sigma, mm; nan if a section has no rim.
+    shift
+        (C,) distance along the rim from the middle of the section to the middle of the samples that show it, mm.
     width
         Width of the fall from 1 to 0, mm, alike in all sections.
     """
 
     place: Array
     sigma: Array
+    shift: Array
     width: float
 
 
@@ -157,7 +160,8 @@ def _fall(section: NDArray[np.int64], rho: Array, along: Array, levels: Array, s
     t) / width)), where t is the distance along the rim. The width with the smallest sum of squares is taken.
     """
     level = np.clip(levels, -0.3, 1.3)
-    best, best_squares = _Fall(start, np.full(len(start), np.nan), 0.0), np.inf
+    nothing = np.full(len(start), np.nan)
+    best, best_squares = _Fall(start, nothing, nothing, 0.0), np.inf
     for width in _WIDTHS_MM:
         place, slope = start.copy(), np.zeros(len(start))
         for _ in range(_ROUNDS):
@@ -171,7 +175,9 @@ def _fall(section: NDArray[np.int64], rho: Array, along: Array, levels: Array, s
             slope = np.clip(slope + np.clip((a * sums[4] - b * sums[3]) / determinant, -0.2, 0.2), -1.5, 1.5)
         if squares < best_squares:
             noise = float(sums[5].sum() / max(sums[0].sum(), 1e-12))
-            best, best_squares = _Fall(place, np.sqrt(noise * c / determinant), 4.0 * width), squares
+            shift = b / a
+            best = _Fall(place + slope * shift, np.sqrt(noise / a), shift, 4.0 * width)
+            best_squares = squares
     return best
 
 

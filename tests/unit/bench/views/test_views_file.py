@@ -1,6 +1,7 @@
 """`views.h5`: what is written is read again, and a damaged file is refused in one message."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -13,7 +14,7 @@ from bench.base.errors import RunFolderError
 from bench.views.measure import Measurement
 from bench.views.stored_image import StoredImage
 from bench.views.views_file import read_picture, read_views, views_file
-from calib.view import View
+from calib.view import RimPoints, View
 
 DOCUMENT = Path(__file__).parents[4] / "docs" / "run-folder.md"
 RNG = np.random.default_rng(5)
@@ -63,10 +64,29 @@ def test_a_thousand_poses_keep_their_order(tmp_path):
     assert [stored.view.name for stored in read_views(path)] == [view.name for view in views]
 
 
+def rim_of(points, lit):
+    return RimPoints(RNG.random((points, 2)), RNG.random(points), RNG.random((lit, 2)), 0.25)
+
+
+@pytest.mark.parametrize(("points", "lit"), [(3, 2), (0, 2), (0, 0)])
+def test_a_rim_is_read_back_and_a_view_without_one_has_none(tmp_path, points, lit):
+    rim = rim_of(points, lit)
+    views = [replace(view_of("one", 5), rim=rim), view_of("two", 5)]
+    path = tmp_path / "views.h5"
+    path.write_bytes(views_file([measurement_of(view) for view in views], [np.zeros((5, 2))] * 2))
+    found, none = (stored.view.rim for stored in read_views(path))
+    assert none is None
+    assert found.level_sigma_mm == rim.level_sigma_mm
+    for field in ("points_mm", "sigmas_mm", "lit_mm"):
+        assert np.array_equal(getattr(found, field), getattr(rim, field))
+        assert getattr(found, field).shape == getattr(rim, field).shape
+
+
 @pytest.fixture
 def path(tmp_path):
+    view = replace(view_of("one", 5), rim=rim_of(3, 2))
     path = tmp_path / "views.h5"
-    path.write_bytes(views_file([measurement_of(view_of("one", 5))], [np.zeros((5, 2))]))
+    path.write_bytes(views_file([measurement_of(view)], [np.zeros((5, 2))]))
     return path
 
 
@@ -75,7 +95,7 @@ def documented_layout():
     section = DOCUMENT.read_text(encoding="utf-8").partition("## views.h5")[2].partition("\n## ")[0]
     assert "`starbench/views/1`" in section
     rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| \(([^)]*)\) (\w+) \|", section, re.MULTILINE)
-    sizes = {"N": 5, "H": 48, "W": 64}
+    sizes = {"N": 5, "H": 48, "W": 64, "K": 3, "L": 2}
     return {
         name: (tuple(sizes.get(n) or int(n) for n in re.findall(r"\w+", shape)), dtype)
         for name, kind, shape, dtype in rows
@@ -88,7 +108,7 @@ def test_the_file_has_the_documented_layout(path):
         assert dict(file.attrs) == {"format": "starbench/views/1"}
         (group,) = file.values()
         assert group.name == "/pose-001"
-        assert set(group.attrs) == {"name", "image_size"}
+        assert set(group.attrs) == {"name", "image_size", "rim_level_sigma_mm"}
         assert group.attrs["image_size"].dtype == np.int64
         assert {name: (data.shape, str(data.dtype)) for name, data in group.items()} == documented_layout()
 
