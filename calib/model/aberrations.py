@@ -41,8 +41,8 @@ Array = NDArray[np.float64]
 #: three views it prevents that coefficients follow the noise.
 EXPECTED_SIGMA: Mapping[str, float] = {
     "pupil_shift": 0.2,
-    "radial": 0.15,
-    "radial_4": 3.0,
+    "radial": 0.05,
+    "radial_4": 1.0,
     "field_curve": 0.05,
     "tilt_x": 0.01,
     "tilt_y": 0.01,
@@ -52,6 +52,8 @@ EXPECTED_SIGMA: Mapping[str, float] = {
     "rim_4": 0.005,
     "rim_10": 0.0015,
 }
+#: Prior 1-sigma of ``radial`` in the model that has no other terms, and stands for all of them.
+RADIAL_ALONE_SIGMA = 0.15
 _RIM = ("pupil_shift", "radial", "rim_4", "rim_10")
 _FIELD = (*_RIM, "field_curve", "tilt_x", "tilt_y")
 #: The ladder of collimator models. From ``pupil`` on, each model has all aberrations of the model before it.
@@ -113,7 +115,8 @@ def aberration_prior(terms: Sequence[str], radial_sigma: float | None = None) ->
     terms
         Names of aberrations.
     radial_sigma
-        1-sigma of ``radial``, if the bench states it; that of ``radial_4`` changes in proportion.
+        1-sigma of ``radial``, if the bench states it; that of ``radial_4`` changes in proportion. None for
+        `EXPECTED_SIGMA`, or for `RADIAL_ALONE_SIGMA` if there are no other terms.
 
     Returns
     -------
@@ -122,6 +125,8 @@ def aberration_prior(terms: Sequence[str], radial_sigma: float | None = None) ->
     """
     if not terms:
         return None
+    if radial_sigma is None and set(terms) <= FIELD_ONLY:
+        radial_sigma = RADIAL_ALONE_SIGMA
     share = 1.0 if radial_sigma is None else radial_sigma / EXPECTED_SIGMA["radial"]
     sigmas = [EXPECTED_SIGMA[name] * (share if name in FIELD_ONLY else 1.0) for name in terms]
     information = np.diag([sigma**-2 for sigma in sigmas])
