@@ -248,7 +248,13 @@ def measure(seed: int, index: int) -> dict[str, Any]:
 
 
 def explain(seed: int, index: int) -> None:
-    """Print all about one bench: what was drawn, what was found, and what other models give."""
+    """Print all about one bench: what was drawn, what was found, and what other models give.
+
+    Parameters
+    ----------
+    seed, index
+        As for `draw_case`.
+    """
     case = draw_case(seed, index)
     for name, value in measure(seed, index).items():
         print(f"{name}: {json.dumps(value, ensure_ascii=False)}")
