@@ -11,25 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, UsageError
-from bench.plan.passport_file import determines_one_view
 from bench.plan.passports import PassportInUse
 from bench.results.comparison import planar_calibration
 from bench.results.offline_options import OfflineOptions
-from bench.results.solve_options import readings_result
+from bench.results.solve_options import readings_result, require_enough_views
 from bench.results.view_sources import ViewSource, view_sources
 from bench.stations.station_collimator import CollimatorConfig
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration, calibrate
-from calib.errors import CalibrationError, DegenerateViews
+from calib.errors import CalibrationError
 from calib.studies.reference_methods import MethodFailure, MethodResult, reference_results, starbench_result
 from calib.view import View
 from sequences.script import SolveStep
-
-ONE_VIEW = (
-    "With a passport of this collimator (`starbench passport make`), one view is enough: on the published recordings "
-    "it gives the focal length to about 3 px of 2409 px. With a certificate, which states the focal length of the "
-    "collimator alone, two views are enough."
-)
 
 
 @dataclass(frozen=True)
@@ -120,8 +113,6 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
         When a requested view does not exist, or a path cannot be used.
     BenchError
         When a file cannot be read, the image sizes differ, or no view is left.
-    DegenerateViews
-        When there is one view, and no passport that holds the collimator's centre.
     calib.errors.CalibrationError
         When the views do not determine the camera.
     """
@@ -135,9 +126,7 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, used, skipped = _read_views(chosen)
     options, passport, cautions = _engine_options(used, choices)
-    if len(views) == 1 and not (options.passport and determines_one_view(options.passport)):
-        remedy = f"Record the target from more angles. {ONE_VIEW}"
-        raise DegenerateViews("1 view given; at least 2 needed.", remedy=remedy)
+    require_enough_views(views, options)
     calibration = calibrate(views, options)
     calibration = replace(calibration, notes=(*calibration.notes, *cautions))
     planar = planar_calibration(views, options) if calibration.model != "planar" else None

@@ -29,7 +29,12 @@ from bench.report.view_picture import ViewPicture
 from bench.results.comparison import compare_with_truth, planar_calibration
 from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.exports import exports
-from bench.results.solve_options import limited_numbers, readings_result, solve_options
+from bench.results.solve_options import (
+    limited_numbers,
+    readings_result,
+    require_enough_views,
+    solve_options,
+)
 from bench.views.camera_kinds import CameraKind
 from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import Gate, solution_gates
@@ -141,6 +146,7 @@ class ResultWriter:
         views = [m.view for m in measurements if m.view is not None]
         readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
         options = solve_options(self._job, step, readings)
+        require_enough_views(views, options)
         calibration = _with_notes(calibrate(views, options), self._notes(step, history, measurements))
         check()
         planar = planar_calibration(views, options) if calibration.model != "planar" else None

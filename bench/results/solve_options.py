@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 
 from bench.plan.job import Job, calibration_options
+from bench.plan.passport_file import determines_one_view
 from bench.stations.station import Station
 from bench.views.expected_grid import best_angles_deg
 from calib.calibration import Calibration, CalibrationOptions
+from calib.errors import DegenerateViews
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
+from calib.view import View
 from sequences.script import SolveStep
 
 NO_SECTION = (
@@ -24,6 +27,11 @@ NO_SECTION = (
 )
 NO_BOUND = (
     "The station does not bound the parallax; a parallax of about 1 % of the focal length cannot be excluded."
+)
+ONE_VIEW = (
+    "With a passport of this collimator (`starbench passport make`), one view is enough: on the published recordings "
+    "it gives the focal length to about 3 px of 2409 px. With a certificate, which states the focal length of the "
+    "collimator alone, two views are enough."
 )
 
 
@@ -50,6 +58,26 @@ def solve_options(
     readings = None if step.readings == "witness" else gimbal_readings(station, measured_deg)
     budget = station.budget.terms(station.collimator)
     return calibration_options(step, job.plan.passport_for(step), readings, budget)
+
+
+def require_enough_views(views: Sequence[View], options: CalibrationOptions) -> None:
+    """Refuse one view without a passport that holds the collimator's centre.
+
+    Parameters
+    ----------
+    views
+        Views to calibrate from.
+    options
+        Options of the calibration.
+
+    Raises
+    ------
+    DegenerateViews
+        If there is one view, and it does not determine the camera; says what a passport would give.
+    """
+    if len(views) == 1 and not (options.passport and determines_one_view(options.passport)):
+        remedy = f"Record the target from more angles. {ONE_VIEW}"
+        raise DegenerateViews("1 view given; at least 2 needed.", remedy=remedy)
 
 
 def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]]) -> GimbalReadings | None:

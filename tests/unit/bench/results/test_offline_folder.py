@@ -12,10 +12,11 @@ from bench.commands.cli import cli
 from bench.plan.plan import load_documents, make_plan
 from bench.report.html import printed_text
 from bench.results.forecasts import expected_bench
-from bench.results.offline import ONE_VIEW, calibrate_paths
+from bench.results.offline import calibrate_paths
 from bench.results.offline_folder import require_new, write_offline_results
 from bench.results.offline_options import OfflineOptions
 from bench.results.passports import passport_from_certificate, write_passport
+from bench.results.solve_options import ONE_VIEW
 from calib.errors import DegenerateViews
 from calib.studies.predicted_views import predicted_view
 
