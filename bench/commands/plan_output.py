@@ -12,6 +12,7 @@ from bench.commands.output import print_json
 from bench.plan.plan import Plan
 from bench.plan.plan_text import render_plan
 from bench.results.forecasts import PlanForecast, expected_uncertainty, suggest_poses
+from bench.results.until_forecast import expected_courses
 from calib.model.budget_row import WORST_CORNER, BudgetRow
 from calib.studies.planning import SuggestedPose
 
@@ -38,6 +39,7 @@ def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
         Exit status: 0, or 2 if the files have faults.
     """
     found = None if planned.faults else expected_uncertainty(planned)
+    courses = [] if planned.faults else expected_courses(planned)
     suggested = suggest_poses(planned, suggest) if suggest and not planned.faults else []
     if as_json:
         poses = [
@@ -49,11 +51,20 @@ def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
             }
             for pose in suggested
         ]
-        print_json({**planned.to_dict(), "expected": _forecast_dict(found), "suggested": poses})
+        print_json(
+            {
+                **planned.to_dict(),
+                "expected": _forecast_dict(found),
+                "expected_untils": [course.to_dict() for course in courses],
+                "suggested": poses,
+            }
+        )
     else:
         click.echo(render_plan(planned))
         if found is not None:
             click.echo(f"\n{_forecast_text(found)}")
+        for course in courses:
+            click.echo(course.text)
         for pose in suggested:
             angles = ", ".join(f"{name}: {angle:g}" for name, angle in pose.angles_deg.items())
             click.echo(f"Suggested: {{{angles}}} {_why(pose)}")

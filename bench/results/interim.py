@@ -37,6 +37,8 @@ _QUANTITIES = {"expanded_fx_px": "fx", "worst_corner_px": WORST_CORNER}
 """Column of the budget for each goal."""
 SMALLEST_COVERAGE_FACTOR = 2.0
 """The k of the expanded uncertainty if many poses determine it."""
+_WORTH_NAMING = 0.1
+"""A part is named if it is more than this share of all parts together."""
 _NEED_THE_RIM = frozenset({"auto", "pupil", "rim", "field", "coma"})
 """Models that are compared or fitted only if enough poses show the rim of the beam."""
 _FEWEST_LABELLED = 3
@@ -280,7 +282,9 @@ def _largest_source(calibration: Calibration | None) -> str:
 
 def _unreachable(goal: str, most: float, whole: float, parts: Mapping[str, float]) -> str:
     sources = ", ".join(
-        f"{source} {part:.3g} px" for source, part in sorted(parts.items(), key=lambda item: -item[1])
+        f"{source} {part:.3g} px"
+        for source, part in sorted(parts.items(), key=lambda item: -item[1])
+        if part > _WORTH_NAMING * whole
     )
     return (
         f"{meaning_of_goal(goal)} cannot reach the goal of {most:g} px: {whole:.3g} px of it do not depend on the "

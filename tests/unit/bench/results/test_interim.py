@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.plan.job import Job
-from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
+from bench.plan.plan import load_documents, make_plan
 from bench.records.history import History
 from bench.results import interim, next_pose
 from bench.results.forecasts import expected_bench
@@ -31,7 +31,8 @@ WANTED = {"expanded_fx_px": 2.0, "worst_corner_px": 0.3}
 
 @pytest.fixture(scope="module")
 def job():
-    plan = make_plan(*load_documents(str(SHIPPED_SEQUENCES / "until_good.yaml"), "simulated"))
+    goals = {f"sequence.steps.1.until.{name}": str(goal) for name, goal in WANTED.items()}
+    plan = make_plan(*load_documents("until_good", "simulated", goals))
     return Job.from_plan(plan, seed=1, operator=None)
 
 
@@ -153,15 +154,15 @@ def test_what_poses_lower_is_no_fixed_part():
         "disagreement_of_the_views": 1.0,
         "readings_of_the_gimbal": 1.0,
     }
-    parts = fixed_parts(calibration(**reduced, thermal=1.0))
+    parts = fixed_parts(calibration(**reduced, thermal=1.0).budget_rows)
     assert parts == {"expanded_fx_px": {"thermal": 2.0}, "worst_corner_px": {"thermal": 0.2}}
 
 
 @pytest.mark.parametrize(("stars", "left"), [(0.01, 1.0), (1.0, 2 / 9), (10.0, 1.01 / 8.01)])
 def test_parallax_stays_unless_the_stars_determine_the_focal_length_without_readings(stars, left):
-    parts = fixed_parts(calibration(stars=stars, parallax=1.0), more=8.0)
+    parts = fixed_parts(calibration(stars=stars, parallax=1.0).budget_rows, more=8.0)
     assert parts["expanded_fx_px"]["parallax"] == pytest.approx(2.0 * left, rel=1e-3)
-    assert fixed_parts(calibration(parallax=1.0), more=8.0)["expanded_fx_px"]["parallax"] == 2.0
+    assert fixed_parts(calibration(parallax=1.0).budget_rows, more=8.0)["expanded_fx_px"]["parallax"] == 2.0
 
 
 @pytest.mark.usefixtures("numbers")
