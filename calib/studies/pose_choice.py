@@ -157,13 +157,13 @@ class PoseWeigher:
         self._taken = tuple(taken_deg)
         self._refused = tuple(refused_deg)
         self._min_stars = min_stars
-        self._known: Array | float = 0.0
+        self._known: Array | None = None
         self.before = Sigmas(np.inf, np.inf, 1.0)
         shown = [(i, view) for i, pose in enumerate(self._taken) if (view := self._view(pose)) is not None]
         if shown:
             fit = self._fit([view for _, view in shown], [self._taken[i] for i, _ in shown])
             news = (share_of_news(self._taken[i], self._taken[:i]) for i, _ in shown)
-            self._known = sum(share * own for share, own in zip(news, _sums(fit), strict=True))
+            self._known = np.sum([share * own for share, own in zip(news, _sums(fit), strict=True)], axis=0)
             self.before = PoseJudge(fit).sigmas(*self._known)
 
     def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
@@ -199,10 +199,11 @@ class PoseWeigher:
             return []
         fit = self._fit([view for _, view in shown], [pose for pose, _ in shown])
         judge = PoseJudge(fit)
+        known = 0.0 if self._known is None else self._known
         return [
             WeighedPose(
                 pose,
-                judge.sigmas(*(self._known + share_of_news(pose, self._taken) * own)),
+                judge.sigmas(*(known + share_of_news(pose, self._taken) * own)),
                 rim_share(self._bench, self._gimbal.rotation(pose)),
             )
             for (pose, _), own in zip(shown, _sums(fit), strict=True)

@@ -9,7 +9,7 @@ from rehearsed import Scene, with_runner
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
-from bench.results import next_pose
+from bench.results import interim, next_pose
 from bench.run.control import Command
 from bench.run.resumption import intentions
 from bench.run.status import read_status, status_text
@@ -242,3 +242,38 @@ def test_a_hold_between_choice_and_move_goes_on_at_the_chosen_pose(tmp_path, mon
         one["chosen"]["pose"]: one["chosen"]["angles_deg"] for one in decisions(scene) if "chosen" in one
     }
     assert all(angles(scene)[pose] == at for pose, at in chosen.items())
+
+
+def test_without_a_start_it_begins_with_what_the_station_expects(tmp_path):
+    scene = until_scene(tmp_path, "{expanded_fx_px: 0.001, at_most: 4}")
+    assert scene.run().how == "finished"
+    told = decisions(scene)
+    assert [one["recorded"] for one in told] == [0, 1, 2, 3, 4]
+    assert told[0]["now"] == told[1]["now"] == {}
+    assert told[-1]["now"]["expanded_fx_px"] > 0
+    assert len(angles(scene)) == 4
+
+
+def test_poses_recorded_before_it_count_in_the_calibration_but_not_in_its_bound(tmp_path):
+    text = write_until(tmp_path / "s.yaml", "{expanded_fx_px: 0.001, at_most: 2}").read_text()
+    before = f"  - repeat: {{poses: {THREE}, steps: [move, settle, record]}}\n  - until:"
+    (tmp_path / "s.yaml").write_text(text.replace("  - until:", before))
+    scene = Scene(tmp_path, sequence=tmp_path / "s.yaml")
+    assert scene.run().how == "finished"
+    assert [(one["poses"], one["recorded"]) for one in decisions(scene)] == [(3, 0), (4, 1), (5, 2)]
+
+
+def test_a_stop_while_it_chooses_ends_the_run_safely_and_it_goes_on(tmp_path, monkeypatch):
+    scene = until_scene(tmp_path, NEVER)
+    real, asked = next_pose.choose_pose, []
+
+    def choose(*given, **more):
+        if not asked:
+            asked.append(scene.clock.request_stop("enough"))
+        return real(*given, **more)
+
+    monkeypatch.setattr(interim, "choose_pose", choose)
+    assert scene.run().how == "aborted"
+    assert not scene.light_is_on()
+    assert scene.run().how == "finished"
+    assert [one["step"] for one in decisions(scene)] == [11, 15, 19]
