@@ -85,6 +85,23 @@ class FittedRim:
     own_sigma_mm: float
 
 
+@dataclass(frozen=True)
+class DiscMotion:
+    """How the discs of a bench move with the point at which the camera looks.
+
+    Attributes
+    ----------
+    matrix
+        (2, 2) float64, motion of the disc along x and y (rows), mm, per mm of the look along x and y (columns).
+    covariance
+        (4, 4) float64, covariance of the entries of the matrix, row by row. Errors that the discs have in common, such
+        as those of the radius, are included.
+    """
+
+    matrix: Array
+    covariance: Array
+
+
 class _Evidence(NamedTuple):
     """What the rim points of all views say about their unknowns, linearised.
 
@@ -108,10 +125,22 @@ class _Sites(NamedTuple):
 
 
 class _Posterior(NamedTuple):
-    """(V, P) means and (V, P, P) covariances of the unknowns of all views, and the log marginal likelihood."""
+    """Means and covariances of all unknowns, and the log marginal likelihood.
+
+    Attributes
+    ----------
+    mean, covariance
+        (V, P) and (V, P, P), of the unknowns of the views.
+    shared, shared_covariance
+        (Q,) and (Q, Q), of the common values.
+    log_likelihood
+        Logarithm of the marginal likelihood, without a constant.
+    """
 
     mean: Array
     covariance: Array
+    shared: Array
+    shared_covariance: Array
     log_likelihood: float
 
 
@@ -146,6 +175,28 @@ def fit_rims(
     list of FittedRim
         One for each view, in their order.
     """
+    return fit_rims_and_motion(rims, looks_mm, middle_mm, reach_mm)[0]
+
+
+def fit_rims_and_motion(
+    rims: Sequence[RimPoints], looks_mm: Array, middle_mm: Array, reach_mm: float
+) -> tuple[list[FittedRim], DiscMotion]:
+    """Fit the discs of all views together, and how they move with the look of the camera.
+
+    The head of the module gives model and sources. A line through the discs would take their errors as independent.
+    They are not: if the radius is too large, the discs of all views that show the right rim lie too far left, and those
+    of all views that show the left rim too far right. So the motion is a common value of the fit.
+
+    Parameters
+    ----------
+    rims, looks_mm, middle_mm, reach_mm
+        As for `fit_rims`.
+
+    Returns
+    -------
+    tuple
+        One `FittedRim` for each view, and the `DiscMotion`. Its prior is zero with a 1-sigma of 0.3 for each entry.
+    """
     common = _common(looks_mm - middle_mm, reach_mm)
     points = [rim.points_mm - middle_mm for rim in rims]
     bright = [rim.lit_mm[:: 1 + len(rim.lit_mm) // _MOST_BRIGHT] - middle_mm for rim in rims]
@@ -176,7 +227,8 @@ def fit_rims(
         covariance = found.covariance[i, :2, :2] + rim.level_sigma_mm**2 * np.eye(2)
         centre, radius = found.mean[i, :2] + middle_mm, abs(float(found.mean[i, 2]))
         discs.append(FittedRim(centre, radius, covariance, float(own[i])))
-    return discs
+    motion = slice(2, 6)
+    return discs, DiscMotion(found.shared[motion].reshape(2, 2), found.shared_covariance[motion, motion])
 
 
 def _common(looks_mm: Array, reach_mm: float) -> _Common:
@@ -250,7 +302,7 @@ def _posterior(evidence: _Evidence, scatters: Array, common: _Common) -> _Poster
     log_det = np.linalg.slogdet(inverse)[1].sum() - 2.0 * len(d) * np.log(scatters).sum()
     fit = np.einsum("vi,vij,vj->", evidence.product, inverse, evidence.product)
     likelihood = 0.5 * (log_det + fit + g @ shared - np.linalg.slogdet(h)[1])
-    return _Posterior(mean, whole, float(likelihood))
+    return _Posterior(mean, whole, shared, covariance, float(likelihood))
 
 
 def _averaged(
@@ -267,15 +319,26 @@ def _averaged(
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     kept = weights > 1e-4
-    mean = sum((w * one.mean for w, one in zip(weights, every, strict=True) if w > 1e-4), np.zeros(()))
-    mean = np.asarray(mean / weights[kept].sum())
-    covariance, own = np.zeros((*mean.shape, _UNKNOWNS)), np.zeros(len(mean))
-    for w, one, scatters in zip(weights / weights[kept].sum(), every, grid, strict=True):
-        if w > 1e-4:
-            off = one.mean - mean
-            covariance += w * (one.covariance + off[:, :, None] * off[:, None, :])
-            own += w * _own_variance(points_only, scatters, reach_mm)
-    return _Posterior(mean, covariance, float(logs.max())), np.sqrt(own)
+    share = weights[kept] / weights[kept].sum()
+    likely = [one for one, keep in zip(every, kept, strict=True) if keep]
+    mean, covariance = _mixed(share, [one.mean for one in likely], [one.covariance for one in likely])
+    shared, shared_covariance = _mixed(
+        share, [one.shared for one in likely], [one.shared_covariance for one in likely]
+    )
+    own = np.zeros(len(mean))
+    for w, scatters in zip(share, [s for s, keep in zip(grid, kept, strict=True) if keep], strict=True):
+        own += w * _own_variance(points_only, scatters, reach_mm)
+    found = _Posterior(mean, covariance, shared, shared_covariance, float(logs.max()))
+    return found, np.sqrt(own)
+
+
+def _mixed(weights: Array, means: Sequence[Array], covariances: Sequence[Array]) -> tuple[Array, Array]:
+    """Return (..., P) means and (..., P, P) covariances of a mixture, from those of its parts."""
+    every = np.array(means)
+    mean = np.tensordot(weights, every, axes=1)
+    off = every - mean
+    within = np.tensordot(weights, np.array(covariances), axes=1)
+    return mean, within + np.einsum("w,w...i,w...j->...ij", weights, off, off)
 
 
 def _own_variance(evidence: _Evidence, scatters: Array, reach_mm: float) -> Array:
