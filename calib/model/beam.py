@@ -137,7 +137,8 @@ def _discs_of_rims(views: Sequence[View], rims: Sequence[RimPoints]) -> list[Dis
 def _look_mm(view: View) -> Array:
     """Return the (2,) point of the target, mm, that lies in the middle of the image."""
     middle = (np.array(view.image_size) - 1.0) / 2.0
-    return apply_homography(np.linalg.inv(view_homography(view)), middle[None, :])[0]
+    back = np.asarray(np.linalg.inv(view_homography(view)), np.float64)
+    return np.asarray(apply_homography(back, middle[None, :])[0])
 
 
 def visible_disc(view: View, expected: tuple[Array, Array] | None = None) -> Disc:
