@@ -45,7 +45,7 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
         click.echo(f"camera       {entry}  # {camera.description}{trouble}")
     for sentence in found.missing:
         click.echo(f"missing      {sentence}")
-    click.echo("simulated    -s simulated, -s simulated_frames: stations that need no device")
+    click.echo("simulated    -s simulated, simulated_frames, simulated_ideal: stations that need no device")
     return 0
 
 
