@@ -35,7 +35,7 @@ def terms(more: str):
 
 
 def with_collimator(section: str) -> str:
-    assert "collimator:" not in WITHOUT_COLLIMATOR
+    assert "\ncollimator:" not in WITHOUT_COLLIMATOR
     read = check_document(f"{WITHOUT_COLLIMATOR}\n{FULL}{section}".encode(), "b.yaml", Station).value
     return {term.kind: term for term in read.budget.terms(read.collimator)}
 
