@@ -28,7 +28,7 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     Parameters
     ----------
     views
-        Two or more poses of one camera; with a passport, one or more.
+        Two or more poses of one camera; one is enough with a passport that holds more than the radius.
     options
         Model, distortion, loss, passport and guard band; None for the defaults.
 
@@ -51,7 +51,7 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
         If the adjustment did not reach an optimum.
     """
     options = options or CalibrationOptions()
-    _check(views, 1 if options.passport else 2)
+    _check(views, 1 if options.passport and not options.passport.is_certificate else 2)
     options, views = _corrected(options, views)
     wrong = find_gross_stars(views)
     known_r = options.passport.values_by_name["r"] if options.passport else None

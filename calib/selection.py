@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.adjustment.degeneracy import MAX_FOCAL_SIGMA
 from calib.calibration import CalibrationOptions, Candidate
 from calib.diagnosis.gross_stars import GrossStars
 from calib.errors import CalibrationError
@@ -98,13 +99,33 @@ def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[G
         raise next(iter(errors.values()))
     candidates = tuple(as_candidate(one) for one in fits)
     few = not enough_poses(fits[0])
-    eligible = _eligible(fits)
-    place = _by_criterion(candidates, eligible) if few else _by_prediction(candidates, eligible)
-    reason = _reason(place, candidates, eligible, few=few)
-    if candidates[place].model == "spherical" and options.radial_sigma is None:
-        at = next((i for i, one in enumerate(candidates) if one.model == "radial"), place)
-        reason, place = f"{reason} {_KEPT_RADIAL}" if at != place else reason, at
-    return Choice(with_uncertainty(fits[place], options), candidates, (*_not_fitted(errors), reason))
+    eligible, notes, choice = _eligible(fits), [*_not_fitted(errors)], None
+    while eligible:
+        place = _by_criterion(candidates, eligible) if few else _by_prediction(candidates, eligible)
+        reason = _reason(place, candidates, eligible, few=few)
+        if candidates[place].model == "spherical" and options.radial_sigma is None:
+            at = next(iter(_first(candidates, "radial")), place)
+            reason, place = f"{reason} {_KEPT_RADIAL}" if at != place else reason, at
+        chosen = with_uncertainty(fits[place], options)
+        choice = choice or Choice(chosen, candidates, (*notes, reason))
+        if _is_constrained(chosen):
+            return Choice(chosen, candidates, (*notes, reason))
+        notes.append(f"The {candidates[place].model} model explains the views, but does not determine fx.")
+        eligible = [i for i in eligible if i not in (place, *_first(candidates, "spherical"))]
+    assert choice is not None
+    return choice
+
+
+def _is_constrained(fitted: Fit) -> bool:
+    """Tell whether a fit determines the focal length with its final uncertainty."""
+    at = fitted.uncertainty.names.index("fx")
+    sigma = float(np.sqrt(fitted.uncertainty.covariance[at, at]))
+    return sigma <= MAX_FOCAL_SIGMA * fitted.parameters.camera.fx
+
+
+def _first(candidates: Sequence[Candidate], model: str) -> list[int]:
+    """Return the index of a model, if it was fitted."""
+    return [i for i, one in enumerate(candidates) if one.model == model][:1]
 
 
 def enough_poses(fitted: Fit) -> bool:

@@ -41,7 +41,7 @@ _OPTIONS = (
     click.option(
         "--model",
         type=click.Choice(_MODELS),
-        help=f"{_MODEL_HELP}  [default: as in the run; else spherical, or auto with a passport]",
+        help=f"{_MODEL_HELP}  [default: as in the run; else auto]",
     ),
     click.option(
         "--distortion",

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bench.base.errors import ScriptError
-from bench.plan.passports import default_model
-from bench.plan.plan import Plan, load_documents, make_plan
+from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
@@ -434,12 +433,11 @@ def calibration_options(
     -------
     CalibrationOptions
         Model, distortion, loss, passport, readings, budget, guard band and drift. A step without a model is solved with
-        ``auto`` if a passport or the gimbal's readings determine the focal length, else with ``spherical``.
+        ``auto``.
     """
-    enters = gimbal is not None and gimbal.parallax is not None
     passport = passport if step.model != "planar" else None  # it has no collimator
     return CalibrationOptions(
-        step.model or default_model(with_passport=passport is not None, readings_enter=enters),
+        step.model or DEFAULT_MODEL,
         step.distortion,
         step.loss,
         step.huber_px,

@@ -24,8 +24,7 @@ from calib.model.passport import Passport
 from sequences.reader import Located
 from sequences.schema import Sequence
 from sequences.script import SolveStep, Step
-from sequences.solve_schema import CalibrationModel
-from sequences.tree import DocumentPath, Fault
+from sequences.solve_schema from sequences.tree import DocumentPath, Fault
 
 NO_PASSPORT = "none"
 """Word in a sequence: use no passport, not even the station's."""
@@ -180,24 +179,6 @@ class PassportChoice:
         if self.in_use is not None and not determines_one_view(self.in_use.passport):
             return frozenset()
         return self.steps
-
-
-def default_model(*, with_passport: bool, readings_enter: bool) -> CalibrationModel:
-    """Return the model of a solve step that names none.
-
-    Parameters
-    ----------
-    with_passport
-        Whether the step uses a passport of the collimator.
-    readings_enter
-        Whether the gimbal's readings may enter the adjustment and their parallax is bounded.
-
-    Returns
-    -------
-    str
-        ``auto`` if anything but the stars determines the focal length, else ``spherical``.
-    """
-    return "auto" if with_passport or readings_enter else "spherical"
 
 
 def certificate_passport(collimator: CollimatorConfig, certificate: CertificateConfig) -> Passport:

@@ -15,7 +15,7 @@ from typing import Any
 
 from bench.base.errors import ScriptError
 from bench.plan.estimate import Estimate
-from bench.plan.passports import PassportChoice, choose_passport, default_model
+from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script
 from bench.stations.placeholders import find_placeholders
 from bench.stations.station import Station, load_station
@@ -110,7 +110,7 @@ class Plan:
         return in_use.passport if in_use is not None and step.number in self.passport.steps else None
 
     def model_for(self, step: SolveStep) -> CalibrationModel:
-        """Return the model of a solve step: its own, or the default on this station.
+        """Return the model of a solve step: its own, or `DEFAULT_MODEL`.
 
         Parameters
         ----------
@@ -122,9 +122,7 @@ class Plan:
         str
             Name of the model.
         """
-        enters = self.station.value.bounds_parallax and step.readings == "auto"
-        with_passport = self.passport_for(step) is not None
-        return step.model or default_model(with_passport=with_passport, readings_enter=enters)
+        return step.model or DEFAULT_MODEL
 
     @property
     def script(self) -> tuple[Step, ...]:

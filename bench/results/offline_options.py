@@ -12,6 +12,7 @@ from bench.base.errors import UsageError
 from bench.plan.job import Job, calibration_options
 from bench.plan.passport_file import read_passport_file
 from bench.plan.passports import NO_PASSPORT, PassportInUse
+from bench.plan.plan import DEFAULT_MODEL
 from bench.results.point_files import Origin
 from bench.results.solve_options import solve_options
 from bench.stations.station import load_station
@@ -148,7 +149,7 @@ class OfflineOptions:
         Returns
         -------
         CalibrationOptions
-            The options; without a model, ``auto`` with a passport and ``spherical`` without.
+            The options; without a model, ``auto``.
 
         Raises
         ------
@@ -158,7 +159,7 @@ class OfflineOptions:
         used = self.passport or (None if self.without_passport else passport)
         found = used.passport if used and self.model != "planar" else None
         return CalibrationOptions(
-            self.model or ("auto" if found else "spherical"),
+            self.model or DEFAULT_MODEL,
             self.distortion or ("k1", "k2"),
             self.loss or "huber",
             passport=found,
