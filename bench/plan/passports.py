@@ -24,7 +24,7 @@ from calib.model.passport import Passport
 from sequences.reader import Located
 from sequences.schema import Sequence
 from sequences.script import SolveStep, Step
-from sequences.solve_schema from sequences.tree import DocumentPath, Fault
+from sequences.tree import DocumentPath, Fault
 
 NO_PASSPORT = "none"
 """Word in a sequence: use no passport, not even the station's."""

@@ -41,6 +41,8 @@ from sequences.tree import Fault
 
 SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
 SEQUENCE_DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep)
+DEFAULT_MODEL: CalibrationModel = "auto"
+"""Model of a solve step that names none: no other model is honest on every collimator."""
 
 
 @dataclass(frozen=True)
