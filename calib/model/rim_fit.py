@@ -189,8 +189,14 @@ def fit_rims_and_motion(
 
     Parameters
     ----------
-    rims, looks_mm, middle_mm, reach_mm
-        As for `fit_rims`.
+    rims
+        Rim points of V views of one bench.
+    looks_mm
+        (V, 2) float64, mm, points of the target at which the camera looks.
+    middle_mm
+        (2,) float64, mm, a point well inside the beam.
+    reach_mm
+        First guess of the radius, mm.
 
     Returns
     -------
