@@ -31,7 +31,7 @@ _CANDIDATES = {"pan": 13, "tilt": 13, "roll": 7}
 _LARGEST_ROLL_DEG = 90.0
 _SMALLEST_K = 2.0
 _QUANTITIES = {"expanded_fx_px": "fx", "expanded_fy_px": "fy", "worst_corner_px": WORST_CORNER}
-"""Column of the budget for each goal or limit that the budget explains."""
+"""Column of the budget for each limit that the budget explains."""
 _UNITS = ("_px", "_mm")
 
 
@@ -48,7 +48,7 @@ class PlanForecast:
     chosen
         How many of them an ``until`` is expected to choose during the run.
     remarks
-        What the operator should know: limits and goals that will not be met, and why; what limits the forecast.
+        What the operator should know: limits that will not be met, and why; what limits the forecast.
     """
 
     forecast: Forecast
@@ -230,12 +230,9 @@ def _last_solve(planned: Plan) -> SolveStep | None:
 
 
 def _missed(planned: Plan, found: Forecast) -> Iterator[str]:
-    """Yield a sentence for each limit or goal that the forecast exceeds, with the term that prevents it."""
+    """Yield a sentence for each limit that the forecast exceeds, with the term that prevents it."""
     step = _last_solve(planned)
-    asked = dict(step.limits) if step else {}
-    for until in planned.untils:
-        asked |= until.goals
-    for name, most in asked.items():
+    for name, most in (step.limits if step else {}).items():
         plain = next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)
         expected = found.limited.get(plain)
         if expected is None or expected <= most:

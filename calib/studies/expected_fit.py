@@ -44,20 +44,14 @@ class PoseShare:
         (G, G) float64 covariance of the score by star noise and readings.
     coupling
         (G, F) float64 change of the score by the coefficients of the collimator's fields.
-    fields
-        (F, F) float64 normal matrix of these coefficients.
     variances
         (F,) float64 expected variance of each coefficient, mm^2.
-    group
-        (F,) int64 variance component that each coefficient belongs to.
     """
 
     information: Array
     noise: Array
     coupling: Array
-    fields: Array
     variances: Array
-    group: NDArray[np.int64]
 
     @property
     def field_noise(self) -> Array:
@@ -78,6 +72,9 @@ class ExpectedFit:
         (n, 3, 3) rotations of the views, camera <- target.
     angles_deg
         Angles of the gimbal for each view, degrees; needed if the bench has readings.
+    growth
+        How many times less the stars weigh against readings and priors than their residuals suggest
+        (`calib.studies.expected_uncertainty.expected_fit`).
 
     Attributes
     ----------
@@ -99,10 +96,11 @@ class ExpectedFit:
         views: Sequence[View],
         rotations: Array,
         angles_deg: Sequence[Angles] = (),
+        growth: float = 1.0,
     ) -> None:
-        self._bench = bench
+        self._bench, self.growth = bench, growth
         self._field_px = bench.errors.field_px(bench.star_sigma_px)
-        self._spread_px = float(np.hypot(bench.star_sigma_px, self._field_px))
+        self._spread_px = growth * float(np.hypot(bench.star_sigma_px, self._field_px))
         model = model_to_expect(bench)
         own = np.eye(2) * self._spread_px**2
         weighted = [replace(view, covariances_px2=np.tile(own, (len(view), 1, 1))) for view in views]
@@ -159,9 +157,11 @@ class ExpectedFit:
         for i, (jacobian, moves) in enumerate(
             zip(whole.jacobians(self.parameters), moving.jacobians(self.parameters), strict=True)
         ):
-            fields, variances, group = self._fields(i)
+            fields, variances = self._fields(i)
             by_field = -np.einsum("aim,maf->fim", moves[:2], fields)
-            columns = np.concatenate([jacobian, by_field]).reshape(known + len(group), -1) / self._spread_px
+            columns = (
+                np.concatenate([jacobian, by_field]).reshape(known + len(variances), -1) / self._spread_px
+            )
             normal = columns @ columns.T
             besides = np.zeros_like(normal)
             if readings is not None:
@@ -178,16 +178,14 @@ class ExpectedFit:
                 information,
                 share * information + (1.0 - share) * extra,
                 reduced[:count, count:],
-                reduced[count:, count:],
                 variances,
-                group,
             )
 
-    def _fields(self, view: int) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return the fields (m, 2, F) of a view, the variances (F,) of their coefficients, mm^2, and their groups."""
+    def _fields(self, view: int) -> tuple[Array, Array]:
+        """Return the fields (m, 2, F) of a view, and the variances (F,) of their coefficients, mm^2."""
         if self._field_px == 0.0:
             stars = self.bundle.observations.slices[view]
-            return np.zeros((stars.stop - stars.start, 2, 0)), np.zeros(0), np.zeros(0, np.int64)
+            return np.zeros((stars.stop - stars.start, 2, 0)), np.zeros(0)
         centre, obs = self._bench.collimator, self.bundle.observations
         (smooth,), group = basis_fields(self.bundle, [view], None)
         field_mm = self._field_px * centre.r / self._bench.camera.fx
@@ -195,8 +193,7 @@ class ExpectedFit:
         keystone = h[:, :, None] * h[:, None, :]
         pupil_mm = self._bench.errors.pupil_mm(_turns(self.parameters.rotations))
         sizes = [*(field_mm * np.array(SPECTRUM)[group]), *(KEYSTONE_PER_PUPIL * pupil_mm)]
-        groups = np.array([*group, group.max() + 1, group.max() + 2])
-        return np.concatenate([smooth, keystone], axis=2), np.square(sizes), groups
+        return np.concatenate([smooth, keystone], axis=2), np.square(sizes)
 
 
 def model_to_expect(bench: ExpectedBench) -> str:

@@ -15,12 +15,14 @@ from scipy import special
 
 from calib.errors import DegenerateViews
 from calib.model.passport import Passport
-from calib.studies.expected_fit import ExpectedFit, PoseShare
+from calib.studies.expected_fit import Angles, ExpectedFit, PoseShare
+from calib.studies.predicted_views import ExpectedBench
 from calib.uncertainty.budget_parts import PASSPORT, PRIORS, STARS
 from calib.uncertainty.cluster_robust import cluster_robust_covariance
 from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty, inverse_information
 from calib.uncertainty.passport_propagation import consider_covariance
 from calib.uncertainty.projection_uncertainty import projection_derivatives
+from calib.view import View
 
 Array = NDArray[np.float64]
 
@@ -28,12 +30,44 @@ Array = NDArray[np.float64]
 _SCORE_POSES = 5
 #: A pose determines a direction of the shared parameters if the relative eigenvalue exceeds this.
 _DETERMINED = 1e-6
-#: Combinations of field coefficients with a smaller relative eigenvalue are not determined.
-_DETERMINED_FIELDS = 1e-7
 #: Probability that consistent poses are reported as inconsistent.
 _FALSE_ALARMS = 1e-3
 _GRID_POINTS = 9
 _SMALLEST_EIGENVALUE = 1e-15
+
+
+def expected_fit(
+    bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
+) -> ExpectedFit:
+    """Return the expected adjustment of views, with the weight that the engine gives to readings of the gimbal.
+
+    If the poses are inconsistent, stars weigh less against the readings by the Birge ratio (Birge, 1932), as in
+    `calib.fit`.
+
+    Parameters
+    ----------
+    bench
+        The expected bench.
+    views
+        Predicted views, one for each pose.
+    rotations
+        (n, 3, 3) rotations of the views, camera <- target.
+    angles_deg
+        Angles of the gimbal for each view, degrees.
+
+    Returns
+    -------
+    ExpectedFit
+        The adjustment.
+    """
+    fit = ExpectedFit(bench, views, rotations, angles_deg)
+    if fit.bundle.gimbal is None:
+        return fit
+    try:
+        birge = expected_estimate(fit, fit.shares).birge_ratio
+    except DegenerateViews:
+        return fit
+    return fit if birge == 1.0 else ExpectedFit(bench, views, rotations, angles_deg, birge)
 
 
 @dataclass(frozen=True)
@@ -155,6 +189,7 @@ def expected_estimate(fit: ExpectedFit, shares: Sequence[PoseShare]) -> Uncertai
     whole = sum((share.information for share in shares), start=fit.prior_information)
     own = inverse_information(whole[:count, :count], fit.bundle.names)
     ratio, freedom = _birge(shares, own, prior)
+    ratio *= fit.growth**2
     inconsistent = freedom > 0 and ratio > special.chdtri(freedom, _FALSE_ALARMS) / freedom
     parts = {STARS: own - own @ prior @ own, PRIORS: own @ prior @ own}
     effective = np.inf
@@ -167,7 +202,7 @@ def expected_estimate(fit: ExpectedFit, shares: Sequence[PoseShare]) -> Uncertai
             )
         )
         parts |= {STARS: stars, INCONSISTENCY: fields}
-        effective = _degrees_of_freedom(shares, own, prior, sum(parts.values(), start=np.zeros_like(own)))
+        effective = _degrees_of_freedom(shares, own, prior)
     parts = {source: _padded(part, len(fit.names)) for source, part in parts.items()}
     birge = float(np.sqrt(ratio)) if inconsistent else 1.0
     if fit.passport is not None and not fit.passport.is_certificate:
@@ -231,46 +266,17 @@ def _birge(shares: Sequence[PoseShare], own: Array, prior: Array) -> tuple[float
     return (total / freedom, freedom) if freedom > 0 else (1.0, 0)
 
 
-def _degrees_of_freedom(shares: Sequence[PoseShare], own: Array, prior: Array, covariance: Array) -> float:
-    """Return the degrees of freedom with which the engine estimates the covariance of inconsistent poses."""
-    count = len(own)
-    if len(shares) >= _SCORE_POSES:
-        informations, noises = (
-            np.array([each[:count, :count] for each in matrices])
-            for matrices in (
-                [share.information for share in shares],
-                [share.noise + share.field_noise for share in shares],
-            )
-        )
-        still = np.zeros((len(shares), count))
-        shown = cluster_robust_covariance(still, informations, noises, prior, prior)
-        return max(1.0, float(np.median(shown.degrees_of_freedom)))
-    return max(1.0, _of_variance_components(shares, own, np.diag(covariance)))
+def _degrees_of_freedom(shares: Sequence[PoseShare], own: Array, prior: Array) -> float:
+    """Return the degrees of freedom with which the engine estimates the covariance of inconsistent poses.
 
-
-def _of_variance_components(shares: Sequence[PoseShare], own: Array, variances: Array) -> float:
-    """Return the degrees of freedom of the least certain variance if variance components are estimated.
-
-    Degrees of freedom of a variance V: 2 V^2 / Var(V) (Satterthwaite, 1946). The variances of the components follow
-    from their Fisher information, as in `calib.uncertainty.variance_components`.
+    From five poses on, those of the scores (Bell and McCaffrey, 2002). With fewer poses, those of the variance
+    components scatter from one drawn bench to the next; their median is about the number of poses minus one.
     """
+    if len(shares) < _SCORE_POSES:
+        return max(1.0, len(shares) - 1.0)
     count = len(own)
-    coupling = np.hstack([share.coupling[:count] for share in shares])
-    group = np.concatenate([share.group for share in shares])
-    expected = np.concatenate([share.variances for share in shares])
-    ends = np.cumsum([0, *(len(share.group) for share in shares)])
-    normal = -coupling.T @ own @ coupling
-    for share, begin, end in zip(shares, ends[:-1], ends[1:], strict=True):
-        normal[begin:end, begin:end] += share.fields
-    eigenvalues, vectors = np.linalg.eigh(0.5 * (normal + normal.T))
-    determined = eigenvalues > _DETERMINED_FIELDS * eigenvalues[-1]
-    scaled = np.sqrt(eigenvalues[determined])[:, None] * vectors[:, determined].T * np.sqrt(expected)
-    noise = float(np.mean([np.trace(share.noise) / np.trace(share.information) for share in shares]))
-    inverse = np.linalg.inv(scaled @ scaled.T + noise * np.eye(len(scaled)))
-    response = (own @ coupling) ** 2 * expected
-    kinds = np.unique(group)
-    parts = [inverse @ scaled[:, group == kind] @ scaled[:, group == kind].T for kind in kinds]
-    fisher = 0.5 * np.array([[(a * b.T).sum() for b in parts] for a in parts])
-    by_log = np.stack([response[:, group == kind].sum(axis=1) for kind in kinds], axis=1)
-    spread = np.einsum("gk,kl,gl->g", by_log, np.linalg.pinv(fisher, rcond=1e-6, hermitian=True), by_log)
-    return float((2.0 * variances**2 / np.maximum(spread, np.finfo(float).tiny)).min())
+    informations = np.array([share.information[:count, :count] for share in shares])
+    noises = np.array([(share.noise + share.field_noise)[:count, :count] for share in shares])
+    still = np.zeros((len(shares), count))
+    shown = cluster_robust_covariance(still, informations, noises, prior, prior)
+    return max(1.0, float(np.median(shown.degrees_of_freedom)))

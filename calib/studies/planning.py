@@ -18,8 +18,8 @@ from calib.adjustment.poses import SAME_POSE_DEG, members, poses_of
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.aberrations import LADDER, PARALLAX, needs_rim
 from calib.model.budget_row import WORST_CORNER, BudgetRow
-from calib.studies.expected_fit import ExpectedFit, entering_readings, model_to_expect, reading_scatter
-from calib.studies.expected_uncertainty import PoseJudge, expected_estimate
+from calib.studies.expected_fit import entering_readings, model_to_expect, reading_scatter
+from calib.studies.expected_uncertainty import PoseJudge, expected_estimate, expected_fit
 from calib.studies.pose_distance import distance_deg, share_of_news
 from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench, predicted_view, rim_share
 from calib.uncertainty.budget_parts import GIMBAL_AXES, PRIORS, READINGS, STARS, covariance_parts
@@ -112,7 +112,9 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
     views = [predicted_view(bench, pose, f"pose {i}") for i, pose in enumerate(poses_deg, start=1)]
     rotations = np.array([rotation for _, rotation in views])
     firsts = [repeats[0] for repeats in members(poses_of(rotations))]
-    fit = ExpectedFit(bench, [views[i][0] for i in firsts], rotations[firsts], [poses_deg[i] for i in firsts])
+    fit = expected_fit(
+        bench, [views[i][0] for i in firsts], rotations[firsts], [poses_deg[i] for i in firsts]
+    )
     loss = Loss("l2")
     estimate = expected_estimate(fit, fit.shares)
     response = target_response(fit.bundle, fit.parameters, loss, estimate.names)
@@ -264,7 +266,7 @@ class _Choice:
 
     def __init__(self, bench: ExpectedBench, poses: Sequence[_Shown]) -> None:
         self._bench, self._poses = bench, poses
-        self._fit = ExpectedFit(
+        self._fit = expected_fit(
             bench,
             [pose.view for pose in poses],
             np.array([pose.rotation for pose in poses]),

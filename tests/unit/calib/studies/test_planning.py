@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
-from calib.errors import DegenerateViews, TooFewStars
+from calib.errors import DegenerateViews, InputMismatch, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
+from calib.model.type_b_terms import TypeBTerm
+from calib.studies.collimator_errors import CollimatorErrors
 from calib.studies.planning import forecast, next_poses
-from calib.studies.predicted_views import ExpectedBench
+from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench
+from calib.uncertainty.budget_parts import PARALLAX_BOUND, PASSPORT
+from calib.uncertainty.covariance import INCONSISTENCY
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
 
 CAMERA = CameraModel(3345.0, 3345.0, 640.0, 360.0, (1280, 720), {"k1": 0.06, "k2": -0.9})
@@ -84,3 +89,120 @@ def test_one_pose_twice_will_not_constrain():
     square = {"pan_deg": 0.0}
     with pytest.raises(DegenerateViews, match="cannot separate fx and r"):
         forecast(BENCH, [square])
+
+
+ERRORS = CollimatorErrors(rms_px=0.09)
+REAL = replace(BENCH, star_sigma_px=0.014, model="radial", errors=ERRORS)
+NINE = [{"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, 0.0, 6.0) for tilt in (-2.5, 0.0, 2.5)]
+CERTIFICATE = Passport.of_radius(255.0, 0.05)
+
+
+def readings(bound):
+    return GimbalReadings((), 0.002, parallax=bound, source="test")
+
+
+def largest(found):
+    return max(found.budget_rows, key=lambda row: row.share["fx"]).name
+
+
+def test_errors_of_the_collimator_dominate_and_more_poses_lower_them():
+    ideal = forecast(replace(REAL, errors=CollimatorErrors()), NINE)
+    three, nine = forecast(REAL, POSES), forecast(REAL, NINE)
+    assert ideal.coverage_factor == pytest.approx(2.0, abs=0.01)
+    assert min(nine.coverage_factor, three.coverage_factor) > 2.1
+    assert nine.limited["expanded_fx"] > 10 * ideal.limited["expanded_fx"]
+    assert nine.limited["expanded_fx"] < three.limited["expanded_fx"]
+    assert largest(nine) == INCONSISTENCY
+    assert sum(row.share["fx"] for row in nine.budget_rows) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "bench", [REAL, replace(REAL, errors=CollimatorErrors()), replace(REAL, passport=CERTIFICATE)]
+)
+def test_repeats_of_a_pose_count_as_one(bench):
+    once, often = forecast(bench, POSES), forecast(bench, [*POSES, *POSES, {**POSES[0], "pan_deg": -5.1}])
+    assert often.limited == pytest.approx(once.limited)
+    assert len(often.stars) == 7
+
+
+def test_a_certificate_leaves_its_own_uncertainty_and_that_of_the_effective_radius():
+    found = forecast(replace(REAL, passport=CERTIFICATE), NINE)
+    rows = {row.name: row.contribution["fx"] for row in found.budget_rows}
+    assert rows[PASSPORT] == pytest.approx(3345 * 0.05 / 255, rel=0.02)
+    assert largest(found) == "effective radius"
+    stated = TypeBTerm("effective radius", "effective_radius", 1e-5, "test")
+    better = forecast(replace(REAL, passport=CERTIFICATE, terms=(stated,)), NINE)
+    assert largest(better) == PASSPORT
+    assert better.limited["expanded_fx"] < found.limited["expanded_fx"]
+
+
+def test_parallax_dominates_if_its_bound_is_wide():
+    narrow = forecast(replace(REAL, readings=readings(ParallaxBound(0.066, 0.001, 0.0, 0.05))), NINE)
+    wide = forecast(replace(REAL, readings=readings(ParallaxBound(0.066, 0.005, 5.0, 4.0))), NINE)
+    assert largest(wide) == PARALLAX_BOUND
+    assert largest(narrow) != PARALLAX_BOUND
+    assert narrow.limited["expanded_fx"] < 4 < wide.limited["expanded_fx"]
+    assert narrow.remarks == wide.remarks == ()
+
+
+def test_readings_that_will_not_enter_are_named():
+    alone = forecast(REAL, NINE)
+    assert "Nothing but the stars" in alone.remarks[0]
+    unbounded = forecast(replace(REAL, readings=readings(None)), NINE)
+    hand_held = replace(REAL, errors=replace(ERRORS, pupil_wander_mm=8.0))
+    bound = ParallaxBound(0.066, 0.001, 0.0, 0.05)
+    wandering = forecast(replace(hand_held, readings=readings(bound)), NINE)
+    assert unbounded.limited == pytest.approx(alone.limited)
+    assert "does not bound their parallax" in unbounded.remarks[0]
+    assert "times more than stated" in wandering.remarks[0]
+    assert wandering.limited == pytest.approx(forecast(hand_held, NINE).limited)
+
+
+@pytest.mark.parametrize("model", ["spherical", "drift", "planar", "auto", "pupil", "field", "coma"])
+def test_every_model_has_a_forecast(model):
+    found = forecast(replace(REAL, model=model), NINE)
+    assert found.model == ("radial" if model == "auto" else model)
+    assert 0.1 < found.sigma["fx"] < 1000
+    assert found.sigma.keys().isdisjoint({"parallax_x", "mounting_x"})
+
+
+def test_a_passport_from_views_holds_its_terms():
+    names = ("x", "y", "r", "radial", "radial_4")
+    values = np.array([97.0, 140.1, 255.0, 0.1, 0.0])
+    passport = Passport(names, values, np.diag([0.01, 0.01, 0.01, 1e-4, 1e-2]), (97.0, 140.1, 255.0))
+    found = forecast(replace(REAL, passport=passport), POSES[:1])
+    assert largest(found) == PASSPORT
+    assert found.sigma["radial"] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("bench", [BENCH, REAL])
+def test_no_suggested_pose_repeats_another_one(bench):
+    near = [{**pose, "pan_deg": pose["pan_deg"] + 0.1} for pose in POSES]
+    far = [{"pan_deg": 3.0, "tilt_deg": -2.0}, {"pan_deg": 3.1, "tilt_deg": -2.1}]
+    (only,) = next_poses(bench, POSES, [*POSES, *near, *far])
+    assert only.angles_deg in far
+    with pytest.raises(DegenerateViews, match="Only 1 of the candidate poses"):
+        next_poses(bench, POSES, [*POSES, *near, *far], 2)
+
+
+def test_poses_that_show_the_rim_come_first_if_the_model_needs_it():
+    candidates = [
+        {"pan_deg": pan, "tilt_deg": tilt} for pan in (-9.0, -3.0, 3.0, 9.0) for tilt in (-3.0, 3.0)
+    ]
+    inside = [{"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in ((-1.0, 0.0), (1.0, 0.5), (0.0, -0.5))]
+    field = replace(REAL, model="field")
+    (first,) = next_poses(field, inside, candidates)
+    assert first.rim_share >= RIM_IN_VIEW
+    assert "field model needs" in first.rim_reason
+    assert "only 0 of 3 poses" in " ".join(forecast(field, inside).remarks)
+    assert (
+        "nothing but the stars" in next_poses(replace(REAL, model="auto"), inside, candidates)[0].rim_reason
+    )
+    known = replace(REAL, model="auto", passport=CERTIFICATE)
+    assert next_poses(known, inside, candidates)[0].rim_reason == ""
+
+
+def test_impossible_errors_are_refused():
+    for wrong in ({"rms_px": -0.1}, {"pupil_wander_mm": -1.0}, {"defocus": float("nan")}):
+        with pytest.raises(InputMismatch):
+            CollimatorErrors(**wrong)

@@ -1,0 +1,101 @@
+"""Forecasts of plans: what a station expects, limits that cannot be met, suggested poses, and how they are printed."""
+
+import json
+import re
+
+import pytest
+
+from bench.commands.cli import main
+from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
+from bench.results.forecasts import expected_uncertainty, forecast_bench, suggest_poses
+from bench.stations.station_expected import ExpectedConfig
+from calib.model.camera import distortion_names
+from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX
+from calib.studies.pose_distance import distance_deg
+
+NINE = (SHIPPED_SEQUENCES / "nine_pose.yaml").read_text()
+
+
+def plan(sequence, station="simulated"):
+    return make_plan(*load_documents(sequence, station))
+
+
+@pytest.fixture
+def solved(tmp_path):
+    """The plan of nine poses with another solve step."""
+
+    def write(step):
+        (tmp_path / "nine.yaml").write_text(re.sub("- solve: .*", f"- solve: {step}", NINE))
+        return plan(str(tmp_path / "nine.yaml"))
+
+    return write
+
+
+def test_what_a_station_does_not_state_is_typical():
+    planned = plan("nine_pose")
+    station = planned.station.value
+    expected = ExpectedConfig(focal_px=3300, r_mm=255, half_angle_deg=12)
+    typical = expected.errors(station.collimator.model_copy(update={"defocus": None}), None)
+    assert (typical.rms_px, typical.defocus) == (TYPICAL_RMS_PX, TYPICAL_DEFOCUS)
+    assert typical.pupil_off_pivot_mm == 0
+    assert expected.errors(station.collimator, station.gimbal).pupil_off_pivot_mm == 2
+
+
+def test_a_plan_is_forecast_as_its_last_solve_step_calibrates(solved):
+    bench = forecast_bench(solved("{distortion: [k1, k2, p1, p2]}"))
+    assert tuple(bench.camera.distortion) == distortion_names("k1k2p1p2")
+    assert bench.model == "auto"
+    assert bench.passport.is_certificate
+    assert bench.readings.parallax is not None
+    assert {term.kind for term in bench.terms} >= {"print_scale", "print_bow", "effective_radius"}
+    witness = forecast_bench(solved("{readings: witness}"))
+    assert witness.readings is None
+    alone = forecast_bench(solved("{passport: none}"))
+    assert alone.passport is None
+
+
+def test_a_limit_that_cannot_be_met_is_named_with_its_term(solved):
+    solve = "{model: radial, passport: none, readings: witness, limits: {expanded_fx_px: 1, sigma_k2: 1e-9, rms_px: 9}}"
+    found = expected_uncertainty(solved(solve))
+    k2, fx, alone = found.remarks
+    assert fx.startswith("U(fx) of at most 1 px will not be met")
+    assert "more poses lower it" in fx
+    assert k2.startswith("sigma_k2 of at most 1e-09 will not be met")
+    assert "Nothing but the stars" in alone
+
+
+def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is_named(tmp_path):
+    text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text()
+    (tmp_path / "until.yaml").write_text(
+        text.replace("  - report", "  - solve: {limits: {expanded_fx_px: 1}}\n  - report")
+    )
+    found = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
+    assert found.chosen == found.poses - 3 > 0
+    assert "More poses do not help: the effective radius alone leaves" in found.remarks[0]
+
+
+def test_suggested_poses_stay_within_limits_and_never_repeat(solved):
+    planned = solved("{model: field}")
+    taken = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
+    for pose in suggest_poses(planned, 3):
+        assert min(distance_deg(pose.angles_deg, other) for other in taken) >= 0.2
+        assert all(abs(angle) <= 15 for angle in pose.angles_deg.values())
+        taken.append(pose.angles_deg)
+
+
+def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys):
+    with pytest.raises(SystemExit):
+        main(["plan", "nine_pose", "-s", "simulated", "--suggest", "1"])
+    printed = capsys.readouterr().out
+    assert "Expected with 9 poses, radial model, k = 2." in printed
+    assert "U(fx)" in printed
+    assert "\n  effective radius  " in printed
+    assert "\nSuggested: {pan_deg: " in printed
+    with pytest.raises(SystemExit):
+        main(["plan", "nine_pose", "-s", "simulated", "--suggest", "1", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    expected = found["expected"]
+    assert expected["poses"] == 9
+    assert 1 < expected["expanded_fx_px"] < 10
+    assert {row["name"] for row in expected["budget_rows"]} >= {"stars", "effective radius"}
+    assert found["suggested"][0].keys() == {"pan_deg", "tilt_deg", "worst_px", "rim_share", "why"}
