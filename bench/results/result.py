@@ -29,6 +29,7 @@ from bench.report.view_picture import ViewPicture
 from bench.results.comparison import compare_with_truth, planar_calibration
 from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.exports import exports
+from bench.results.parallax_check import parallax_check
 from bench.results.solve_options import (
     limited_numbers,
     readings_result,
@@ -75,7 +76,7 @@ class Solution:
     judged
         Gates of the solve step, as judged.
     checks
-        `halves` and `gimbal` of the results, as far as they can be calculated.
+        `halves`, `gimbal` and `parallax` of the results, as far as they can be calculated.
     readings
         Whether the readings of the gimbal entered, with what statement, or why not.
     passport
@@ -151,7 +152,13 @@ class ResultWriter:
         check()
         planar = planar_calibration(views, options) if calibration.model != "planar" else None
         found = limited_numbers(calibration)
-        checks = {"halves": split_half_check(views, options), "gimbal": gimbal_check(calibration, readings)}
+        checks = {
+            "halves": split_half_check(views, options),
+            "gimbal": gimbal_check(calibration, readings),
+            "parallax": parallax_check(
+                calibration, views, self._job.station, str(history.started["sequence"])
+            ),
+        }
         check()
         self._solution = Solution(
             calibration,

@@ -104,9 +104,8 @@ class PupilWalk:
     @property
     def station_entry(self) -> str:
         """The entry of the station file that states the place of the pupil, as YAML."""
-        places = max(0, 1 - int(np.floor(np.log10(self.sigma_mm))))
-        value, sigma = round(self.pupil_off_pivot_mm, places) + 0.0, round(self.sigma_mm, places)
-        return f"gimbal: {{pupil_off_pivot_mm: {{value: {value:g}, sigma: {sigma:g}}}}}"
+        value, sigma = _rounded(self.pupil_off_pivot_mm, self.sigma_mm)
+        return f"gimbal: {{pupil_off_pivot_mm: {{value: {value}, sigma: {sigma}}}}}"
 
     def says(self) -> tuple[str, ...]:
         """Describe the result in sentences, with what to write into the station file.
@@ -116,22 +115,22 @@ class PupilWalk:
         tuple of str
             Sentences for the reader.
         """
-        (x, y), (sx, sy) = self.walk_mm, self.walk_sigma_mm
-        off, sigma = self.pupil_off_pivot_mm, self.sigma_mm
+        x, y = (" +- ".join(_rounded(*both)) for both in zip(self.walk_mm, self.walk_sigma_mm, strict=True))
+        off, sigma = _rounded(abs(self.pupil_off_pivot_mm), self.sigma_mm)
         seen = self.views - len(self.without_rim)
         found = (
-            f"The disc of the beam moves on the target by {x:.2g} +- {sx:.2g} mm along x and {y:.2g} +- {sy:.2g} mm "
-            f"along y per unit tangent of the turn ({seen} of {self.views} views show the rim; standard uncertainties)."
+            f"The disc of the beam moves on the target by {x} mm along x and {y} mm along y "
+            f"per unit tangent of the turn ({seen} of {self.views} views show the rim; standard uncertainties)."
         )
-        place = f"{abs(off):.2g} mm {'in front of' if off >= 0 else 'behind'} the pivot"
+        place = f"{off} mm {'in front of' if self.pupil_off_pivot_mm >= 0 else 'behind'} the pivot"
         if self.axes_differ:
             pivot = (
                 f"The walks along x and y differ by {self.difference_in_sigmas:.1f} standard uncertainties, so the "
                 f"axes may have separate pivots. The entrance pupil is about {place}; the standard uncertainty, "
-                f"{sigma:.2g} mm, covers both."
+                f"{sigma} mm, covers both."
             )
         else:
-            pivot = f"The entrance pupil is {place}, standard uncertainty {sigma:.2g} mm."
+            pivot = f"The entrance pupil is {place}, standard uncertainty {sigma} mm."
         return found, pivot, f"To state this, write into the station file: {self.station_entry}"
 
     def parallax(
@@ -242,3 +241,9 @@ def _mean_of_axes(off: Array, covariance: Array) -> tuple[float, float]:
 def _difference_sigma(covariance: Array) -> float:
     """Return the 1-sigma of the difference of two values with a (2, 2) covariance."""
     return float(np.sqrt(np.array([1.0, -1.0]) @ covariance @ [1.0, -1.0]))
+
+
+def _rounded(value: float, sigma: float) -> tuple[str, str]:
+    """Return a value and its sigma with two digits of the sigma (JCGM 100:2008, 7.2.6)."""
+    places = max(0, 1 - int(np.floor(np.log10(float(f"{sigma:.1e}")))))
+    return f"{round(value, places) + 0.0:.{places}f}", f"{sigma:.{places}f}"
