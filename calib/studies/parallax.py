@@ -122,7 +122,8 @@ class PupilWalk:
             f"The disc of the beam moves on the target by {x} mm along x and {y} mm along y "
             f"per unit tangent of the turn ({seen} of {self.views} views show the rim; standard uncertainties)."
         )
-        place = f"{off} mm {'in front of' if self.pupil_off_pivot_mm >= 0 else 'behind'} the pivot"
+        side = "in front of" if self.pupil_off_pivot_mm >= 0 else "behind"
+        place = f"{off} mm {side} the pivot" if float(off) else "on the pivot"
         if self.axes_differ:
             pivot = (
                 f"The walks along x and y differ by {self.difference_in_sigmas:.1f} standard uncertainties, so the "

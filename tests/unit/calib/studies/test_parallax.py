@@ -1,0 +1,159 @@
+"""The parallax test: the place of the entrance pupil from drawn rims, with a sigma that holds."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import sequences
+from calib.errors import DegenerateViews, InputMismatch
+from calib.model.collimator import Collimator
+from calib.model.rotation import exp_map
+from calib.studies.parallax import PupilWalk, pupil_walk
+from calib.view import RimPoints, View
+
+R_MM, HALF_FRAME = 255.0, np.array([48.8, 27.4])
+COLLIMATOR = Collimator(97.0, 140.0, R_MM)
+MIDDLE, RADIUS, SECTIONS = np.array([97.0, 140.0]), 56.0, 86
+SHIPPED = yaml.safe_load((Path(sequences.__file__).parent / "parallax_test.yaml").read_text())["poses"]
+POSES = [(pose["pan_deg"], pose["tilt_deg"]) for pose in (*SHIPPED["near"], *SHIPPED["far"])]
+
+
+def rotation_of(pan, tilt):
+    """Return camera <- target of a camera that is also rolled by 10 degrees."""
+    y, x, z = (
+        exp_map(np.radians(angle) * axis)
+        for angle, axis in zip((pan, tilt, 10.0), np.eye(3)[[1, 0, 2]], strict=True)
+    )
+    return (y @ x @ z).T
+
+
+def draw(seed, walk, *, common=0.0, uneven=0.0, wander=0.0, sigma=0.1, poses=POSES):
+    """Return views with rims of discs that walk, and their rotations; waves of the edge as shares of the radius."""
+    rng = np.random.default_rng(seed)
+    shared = common * rng.standard_normal(8)
+    rotations = np.array([rotation_of(*pose) for pose in poses])
+    offset = rng.normal(0.0, 3.0, 2)
+    views = []
+    for number, axis in enumerate(rotations[:, 2]):
+        tangent = axis[:2] / axis[2]
+        disc = MIDDLE + offset + np.asarray(walk) * tangent + wander * rng.standard_normal(2)
+        waves = shared + uneven * rng.standard_normal(8)
+        views.append(view_of(f"pose {number}", MIDDLE + R_MM * tangent, disc, waves, sigma, rng))
+    return views, rotations
+
+
+def view_of(name, look, disc, waves, sigma, rng):
+    phi = (np.arange(SECTIONS) + 0.5) * 2 * np.pi / SECTIONS
+    orders = phi[:, None] * np.arange(2, 6)
+    direction = np.column_stack([np.cos(phi), np.sin(phi)])
+    edge = (
+        disc + (RADIUS * (1 + np.cos(orders) @ waves[:4] + np.sin(orders) @ waves[4:]))[:, None] * direction
+    )
+    framed = (np.abs(edge - look) < HALF_FRAME).all(axis=1)
+    points = edge[framed] + rng.normal(0.0, sigma, (framed.sum(), 1)) * direction[framed]
+    rim = RimPoints(points, np.full(len(points), sigma), np.zeros((0, 2)), 0.0)
+    stars = look + HALF_FRAME * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]])
+    stars = stars[np.linalg.norm(stars - disc, axis=1) < 0.95 * RADIUS]
+    n = len(stars)
+    return View(name, (1280, 720), np.arange(n), stars, stars, np.tile(np.eye(2) * 1e-4, (n, 1, 1)), rim)
+
+
+@pytest.mark.parametrize(
+    ("errors", "largest_sigma"),
+    [
+        ({"common": 0.03}, 1.5),  # one stop, not round, as on a bench with a gimbal
+        ({"common": 0.03, "wander": 0.05}, 1.5),
+        ({"uneven": 0.03}, 15.0),  # rims that differ from view to view
+        ({"uneven": 0.03, "wander": 5.0}, 20.0),
+    ],
+    ids=["stop", "steady", "uneven", "wandering"],
+)
+def test_the_stated_sigma_holds(errors, largest_sigma):
+    scores, sigmas = [], []
+    for seed in range(10):
+        walk = np.random.default_rng((seed, 1)).uniform(-40.0, 40.0) * np.ones(2)
+        found = pupil_walk(*draw(seed, walk, **errors), COLLIMATOR)
+        off = found.walk_mm - walk
+        scores.append(off @ np.linalg.solve(found.covariance_mm2, off) / 2)
+        scores.append(((found.pupil_off_pivot_mm + walk[0]) / found.sigma_mm) ** 2)
+        sigmas.append(found.sigma_mm)
+    assert 0.3 < np.sqrt(np.mean(scores)) < 1.5
+    assert np.median(sigmas) < largest_sigma
+
+
+def test_an_error_of_the_radius_is_part_of_the_sigma():
+    """With rims on one side only, radius and walk along x cannot be separated well."""
+    both = pupil_walk(*draw(3, (-2, -2), common=0.03), COLLIMATOR)
+    right = [pose for pose in POSES if pose[0] >= 0]
+    one_side = pupil_walk(*draw(3, (-2, -2), common=0.03, poses=right), COLLIMATOR)
+    assert one_side.walk_sigma_mm[0] > 1.5 * both.walk_sigma_mm[0]
+
+
+def test_separate_pivots_are_noticed_and_covered():
+    found = pupil_walk(*draw(4, (-30.0, -5.0), common=0.02), COLLIMATOR)
+    assert found.axes_differ
+    assert found.difference_in_sigmas > 2.5
+    assert abs(found.pupil_off_pivot_mm - 30.0) < 1.5 * found.sigma_mm
+    assert abs(found.pupil_off_pivot_mm - 5.0) < 1.5 * found.sigma_mm
+    assert any("separate pivots" in said for said in found.says())
+    same = pupil_walk(*draw(4, (-30.0, -30.0), common=0.02), COLLIMATOR)
+    assert not same.axes_differ
+    assert not any("separate pivots" in said for said in same.says())
+
+
+def test_views_without_rim_are_named_and_do_not_disturb():
+    views, rotations = draw(5, (-10.0, -10.0), common=0.02)
+    near = view_of("near", MIDDLE, MIDDLE, np.zeros(8), 0.1, np.random.default_rng(1))
+    bare = View(*(getattr(near, name) for name in list(vars(near))[:6]))
+    more = np.concatenate([rotations, [rotation_of(0, 0)] * 2])
+    found = pupil_walk([*views, near, bare], more, COLLIMATOR)
+    assert found.without_rim == ("near", "near")
+    assert found.views == len(views) + 2
+    assert found.pupil_off_pivot_mm == pytest.approx(10.0, abs=3 * found.sigma_mm)
+    assert "15 of 17 views show the rim" in found.says()[0]
+
+
+def test_too_few_rims_are_refused_with_advice():
+    views, rotations = draw(6, (0.0, 0.0), poses=[(0, 0)] * 3 + [(13, 0), (-13, 0)])
+    with pytest.raises(DegenerateViews, match=r"2 of 5 views show the rim.* Turn the camera farther"):
+        pupil_walk(views, rotations, COLLIMATOR)
+    with pytest.raises(InputMismatch, match="5 views, but 4 rotations"):
+        pupil_walk(views, rotations[:4], COLLIMATOR)
+
+
+def test_rims_along_one_axis_do_not_determine_the_other():
+    poses = [(pan, 0) for pan in (-14, -13, -12, 12, 13, 14)]
+    with pytest.raises(DegenerateViews, match=r"along y.*both axes"):
+        pupil_walk(*draw(7, (-2.0, -2.0), uneven=0.03, wander=5.0, poses=poses), COLLIMATOR)
+
+
+def walk_of(off, sigma):
+    return PupilWalk(np.array([-off, -off]), np.eye(2) * 2 * sigma**2, off, sigma, 9, ())
+
+
+@pytest.mark.parametrize(
+    ("off", "sigma", "entry", "place"),
+    [
+        (1.94, 0.41, "{value: 1.94, sigma: 0.41}", "1.94 mm in front of the pivot"),
+        (-43.6, 7.34, "{value: -43.6, sigma: 7.3}", "43.6 mm behind the pivot"),
+        (2.67, 0.996, "{value: 2.7, sigma: 1.0}", "2.7 mm in front of the pivot"),
+        (-0.01, 12.3, "{value: 0, sigma: 12}", "is on the pivot"),
+    ],
+)
+def test_the_sentences_state_what_to_write_into_the_station_file(off, sigma, entry, place):
+    found = walk_of(off, sigma)
+    assert found.station_entry == f"gimbal: {{pupil_off_pivot_mm: {entry}}}"
+    assert place in found.says()[1]
+    assert found.says()[-1].endswith(found.station_entry)
+
+
+def test_the_parallax_follows_from_the_defocus():
+    found = walk_of(44.0, 2.0).parallax(0.066, 0.01, source="station", r_mm=255.0, fx_px=3345.0)
+    assert found.share == pytest.approx(-0.066 * 44 / 255)
+    expected = np.sqrt((0.066 * 2) ** 2 + (44 * 0.01) ** 2 + (0.01 * 2) ** 2) / 255
+    assert found.share_sigma == pytest.approx(expected)
+    assert found.fx_px == pytest.approx(38.1, abs=0.1)
+    assert found.fx_sigma_px == pytest.approx(3345 * expected)
+    assert found.bound.pupil_off_pivot_mm == 44.0
