@@ -42,7 +42,7 @@ FILES = [
     (("poses: three", "poses: four"), (), "sequence.yaml", "four"),
     ((), ("driver: zaber_ascii", "driver: zaber_binary"), "station.yaml", "zaber_ascii"),
     ((), ("serial: 100101", "serial: [1]"), "station.yaml", "serial"),
-    ((), ("simulation: {}", "# no simulation"), "station.yaml:10:9", "simulation section"),
+    ((), ("simulation: {}", "# no simulation"), "station.yaml:12:9", "simulation section"),
 ]
 
 
