@@ -184,8 +184,8 @@ def _seen_half_angle_deg(calibration: Calibration, poses: int) -> float:
 
 def _gimbal(calibration: Calibration | None, taken_deg: Sequence[Angles]) -> GimbalModel:
     if calibration is None or len(calibration.rotations) != len(taken_deg):
-        return fit_gimbal_model(np.zeros((0, 3, 3)), np.zeros((0, 0)), [])
-    return fit_gimbal_model(calibration.rotations, calibration.rotation_covariance, taken_deg)
+        return fit_gimbal_model(np.zeros((0, 3, 3)), [])
+    return fit_gimbal_model(calibration.rotations, taken_deg)
 
 
 def _ranges(

@@ -9,18 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.poses import SAME_POSE_DEG
-from calib.errors import CalibrationError, TooFewStars
+from calib.errors import TooFewStars
 from calib.model.collimator import CENTRE
+from calib.model.gimbal_readings import AXES
 from calib.model.passport import Passport
-from calib.model.rotation import euler_zxy, nearest_rotation
+from calib.model.rotation import euler_zxy, log_map, nearest_rotation
 from calib.studies.expected_fit import ExpectedFit
 from calib.studies.expected_uncertainty import PoseJudge, Sigmas
-from calib.studies.hand_eye import check_hand_eye
+from calib.studies.gimbal_model import GimbalModel as ReadGimbal
+from calib.studies.hand_eye_fit import starts
 from calib.studies.pose_distance import distance_deg, share_of_news
 from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share
 from calib.view import View
@@ -28,9 +31,10 @@ from calib.view import View
 Array = NDArray[np.float64]
 Angles = Mapping[str, float]
 
-#: A fitted gimbal model is used if its rotations agree with those seen to this, arc seconds.
-_POINTING_ARCSEC = 1800.0
 _MIN_VIEWS = 3
+_MOVED_DEG = 0.5
+#: Number of closed forms among the starts of the hand-eye fit.
+_CLOSED_FORMS = 3
 
 
 @dataclass(frozen=True)
@@ -64,19 +68,18 @@ class GimbalModel:
         return np.asarray(self.camera_from_head @ _head(angles_deg) @ self.base_from_target)
 
 
-def fit_gimbal_model(rotations: Array, covariance: Array, readings_deg: Sequence[Angles]) -> GimbalModel:
+def fit_gimbal_model(rotations: Array, readings_deg: Sequence[Angles]) -> GimbalModel:
     """Fit the model of the gimbal to the poses recorded so far, well enough to predict what a pose shows.
 
-    From three views on, both rotations are fitted (`calib.studies.hand_eye`). With fewer views, or if that fit does not
-    follow the views, the camera is assumed to be mounted straight, and only the base is fitted: the mean of the
-    rotations that the views give, projected on the rotations (Moakher, 2002).
+    If three or more views turned about two axes, both rotations come from closed forms (`calib.studies.hand_eye_fit`;
+    Park and Martin, 1994), without a fit of the gimbal's errors. Otherwise, or if they do not follow the views, the
+    camera is assumed to be mounted straight, and only the base is fitted: the mean of the rotations that the views
+    give, projected on the rotations (Moakher, 2002).
 
     Parameters
     ----------
     rotations
         (n, 3, 3) rotations of the views, camera <- target.
-    covariance
-        (3 n, 3 n) joint covariance of their rotation vectors, rad^2.
     readings_deg
         For each view, ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
 
@@ -87,16 +90,20 @@ def fit_gimbal_model(rotations: Array, covariance: Array, readings_deg: Sequence
     """
     if not len(rotations):
         return GimbalModel(np.eye(3), np.eye(3))
-    if len(rotations) >= _MIN_VIEWS:
-        try:
-            check = check_hand_eye(rotations, covariance, readings_deg)
-        except CalibrationError:  # no axis moved
-            pass
-        else:
-            if check.rms_arcsec < _POINTING_ARCSEC:
-                return GimbalModel(check.camera_from_head, check.base_from_target)
-    bases = [_head(angles).T @ seen for angles, seen in zip(readings_deg, rotations, strict=True)]
-    return GimbalModel(np.eye(3), nearest_rotation(np.mean(bases, axis=0)))
+    heads = np.array([_head(angles) for angles in readings_deg])
+    straight = np.eye(3), nearest_rotation(np.mean(np.swapaxes(heads, 1, 2) @ rotations, axis=0))
+    angles = np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg])
+    if len(rotations) < _MIN_VIEWS or (np.ptp(angles, axis=0) > _MOVED_DEG).sum() < 2:
+        return GimbalModel(*straight)
+    read = ReadGimbal(angles, ())
+    pairs = [*islice(starts(rotations, read, read.start, 0), _CLOSED_FORMS), straight]
+    return GimbalModel(*min(pairs, key=lambda pair: _mean_off(rotations, heads, *pair)))
+
+
+def _mean_off(rotations: Array, heads: Array, camera_from_head: Array, base_from_target: Array) -> float:
+    """Return the mean square angle between rotations seen and rotations read, rad^2."""
+    read = camera_from_head @ heads @ base_from_target
+    return float((log_map(rotations @ np.swapaxes(read, 1, 2)) ** 2).sum(axis=1).mean())
 
 
 @dataclass(frozen=True)
