@@ -23,7 +23,7 @@ TYPICAL_RMS_PX = 0.08
 #: shifts along X and Y, polynomials of degree 1 to 4, rim of the beam.
 SPECTRUM = (0.45, 0.45, 0.37, 0.28, 0.24, 0.15, 0.28)
 #: Keystone of a view over the displacement of the pupil: a moved pupil acts as a moved centre of the collimator.
-KEYSTONE_PER_PUPIL = 0.2
+KEYSTONE_PER_PUPIL = 0.18
 #: Defocus of a collimator whose defocus is not stated.
 TYPICAL_DEFOCUS = 0.066
 

@@ -225,12 +225,10 @@ def next_poses(
     """
     taken = [_Shown(pose, *predicted_view(bench, pose, "taken")) for pose in taken_deg]
     possible = list(_possible(bench, candidates_deg))
-    choice = _Choice(bench, [*taken, *possible]) if possible else None
-    for place in range(len(taken) if choice else 0):
-        choice.take(place)
+    choice = _Choice(bench, [*taken, *possible], len(taken)) if possible else None
     chosen: list[SuggestedPose] = []
     for _ in range(count):
-        best = choice.best(range(len(taken), len(taken) + len(possible))) if choice else None
+        best = choice.best() if choice else None
         if best is None:
             raise DegenerateViews(
                 f"Only {len(chosen)} of the candidate poses show the target and repeat no other pose; {count} are "
@@ -259,12 +257,12 @@ def _possible(bench: ExpectedBench, candidates_deg: Sequence[Angles]) -> Iterato
 
 
 class _Choice:
-    """Poses chosen one after the other, and what they leave.
+    """Poses chosen one after the other, and what they leave; the first `taken` poses are chosen already.
 
     A pose next to a chosen one counts less if the collimator has errors, which neighbouring poses share.
     """
 
-    def __init__(self, bench: ExpectedBench, poses: Sequence[_Shown]) -> None:
+    def __init__(self, bench: ExpectedBench, poses: Sequence[_Shown], taken: int) -> None:
         self._bench, self._poses = bench, poses
         self._fit = expected_fit(
             bench,
@@ -276,15 +274,17 @@ class _Choice:
         self._neighbours_share = bench.errors.field_px(bench.star_sigma_px) > 0
         self._taken: list[int] = []
         self._information, self._noise = np.zeros((2, len(self._fit.names), len(self._fit.names)))
+        for place in range(taken):
+            self._take(place)
 
-    def take(self, place: int) -> None:
+    def _take(self, place: int) -> None:
         """Add a pose; a repeat adds nothing."""
         self._information, self._noise = self._with(place)
         self._taken.append(place)
 
-    def best(self, places: Sequence[int]) -> SuggestedPose | None:
-        """Take the best of some poses; None if each of them repeats a pose."""
-        free = [place for place in places if not self._repeats(place)]
+    def best(self) -> SuggestedPose | None:
+        """Take the best of the poses that are left; None if each of them repeats a pose."""
+        free = [place for place in range(len(self._poses)) if not self._repeats(place)]
         reason = self._rim_reason()
         free = [p for p in free if reason and self._rim(p) >= RIM_IN_VIEW] or free
         if not free:
@@ -292,7 +292,7 @@ class _Choice:
         left = {place: self._judge.sigmas(*self._with(place)) for place in free}
         place = min(free, key=lambda p: (left[p].missing, left[p].worst_px))
         share = self._rim(place)
-        self.take(place)
+        self._take(place)
         return SuggestedPose(
             self._poses[place].angles_deg, left[place].worst_px, share, reason if share >= RIM_IN_VIEW else ""
         )
