@@ -72,7 +72,8 @@ def run(
 ) -> int:
     """Run a SEQUENCE on a station and write a sealed report.
 
-    SEQUENCE is a file, or the name of a sequence that is included (three_pose, nine_pose, turntable, until_good).
+    SEQUENCE is a file, or the name of a sequence that is included (three_pose, nine_pose, turntable, until_good,
+    parallax_test).
 
     The first Ctrl-C stops the run safely: stage stopped, light off, files closed. The third one ends the process at
     once.

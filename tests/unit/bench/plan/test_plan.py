@@ -45,8 +45,13 @@ GOOD = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: 2}
 @pytest.mark.parametrize("station", ["simulated", "simulated_ideal", "example_evk4"])
 def test_every_shipped_sequence_runs_on_every_shipped_station(path, station):
     made = make_plan(*load_documents(path.stem, station))
+    if (path.stem, station) == ("parallax_test", "example_evk4"):  # the rim is out of reach of this stage
+        assert all("is outside the limits of the station" in fault.message for fault in made.faults)
+        assert len(made.faults) > 0
+        return
     assert (made.faults, made.remarks) == ((), ())
-    assert len(made.poses) == {"three_pose": 3, "nine_pose": 9, "turntable": 7, "until_good": 3}[path.stem]
+    counts = {"three_pose": 3, "nine_pose": 9, "turntable": 7, "until_good": 3, "parallax_test": 15}
+    assert len(made.poses) == counts[path.stem]
 
 
 def test_the_paper_s_sequence_is_two_periods_of_60_hz_at_three_poses():
