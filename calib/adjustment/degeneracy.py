@@ -82,7 +82,10 @@ def require_constrained(
 
 
 def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
-    """Refuse views if most of them do not show the rim of their beam; models with aberrations need the rim.
+    """Refuse views if most of the discs of their beam are unknown; models with aberrations need the discs.
+
+    A disc is known if its centre is known to 0.06 of its radius (1-sigma), by the view's own rim or with the help of
+    others.
 
     Parameters
     ----------
@@ -94,9 +97,9 @@ def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
     Raises
     ------
     DegenerateViews
-        If fewer than half of the views show the rim; names the first that does not.
+        If fewer than half of the discs are known; names the first view whose disc is not.
     """
-    hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.rim_visible]
+    hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.is_known]
     unknown = any(not np.isfinite(disc.sigma_mm) for disc in discs)
     if unknown or len(hidden) > (1.0 - _SHOWING_RIM) * len(views):
         raise DegenerateViews(

@@ -76,6 +76,11 @@ class Disc:
         sigma_mm = self.sigma_mm if self.circle_sigma_mm is None else self.circle_sigma_mm
         return not self.uses_other_views and sigma_mm <= _VISIBLE_RIM_SIGMA * self.radius_mm
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the centre is known well enough for the aberrations of a collimator."""
+        return self.sigma_mm <= _VISIBLE_RIM_SIGMA * self.radius_mm
+
 
 def visible_discs(views: Sequence[View]) -> list[Disc]:
     """Fit the disc of each view; the discs of views that show their rim help where a rim is out of view.

@@ -99,6 +99,8 @@ def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain
         "1280x720",
         "-o",
         file,
+        "--model",
+        "spherical",
         "--collimator",
         "C7",
         "--temperature",

@@ -195,19 +195,19 @@ def test_a_run_reads_the_copy_in_its_folder(bench, tmp_path):
     assert "The run folder has no passport.json" in str(missing.faults)
 
 
-def test_readings_with_a_bound_let_the_data_choose_the_model(bench):
-    step = solve_of(bench())
-    readings = GimbalReadings(({"pan_deg": 1.0},), 0.002)
-    assert calibration_options(step, None, readings).model == "spherical"
+def test_a_step_that_names_no_model_lets_the_data_choose(bench):
     bounded = GimbalReadings(({"pan_deg": 1.0},), 0.002, parallax=ParallaxBound(0, 0, 0, 1))
-    assert calibration_options(step, None, bounded).model == "auto"
+    for readings in (None, bounded):
+        options = calibration_options(solve_of(bench()), None, readings)
+        assert (options.model, options.gimbal) == ("auto", readings)
 
 
 def test_the_plan_names_the_model_and_the_passport(bench):
     plan = bench("", f"serial: C-1, {CERTIFICATE}")
     assert "solve auto, k1 k2, huber, passport certificate" in render_plan(plan)
     assert plan.to_dict()["passport"]["number"] == "T-1"
-    assert "solve spherical, k1 k2, huber" in render_plan(bench())
+    assert "solve auto, k1 k2, huber" in render_plan(bench())
+    assert "solve spherical, k1 k2, huber" in render_plan(bench("{model: spherical}"))
     assert bench().to_dict()["passport"] is None
 
 
