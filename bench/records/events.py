@@ -288,6 +288,8 @@ class UntilDecided(TypedDict):
         Name of the model of the calibration; empty without one.
     lacks
         What the poses lack besides information: ``rim``, ``roll``, or nothing.
+    problem
+        Why there is no calibration yet; absent if there is one.
     chosen
         The next pose.
     ended, why
@@ -306,6 +308,7 @@ class UntilDecided(TypedDict):
     coverage_factor: float | None
     model: str
     lacks: Literal["", "rim", "roll"]
+    problem: NotRequired[str]
     chosen: NotRequired[ChosenPose]
     ended: NotRequired[UntilEnd]
     why: NotRequired[str]

@@ -42,7 +42,7 @@ class CourseRow:
     expected
         Expanded uncertainty that the choice expected for each goal, px.
     why
-        Why this pose was chosen, or how the step ended.
+        Why there is no calibration yet, why this pose was chosen, or how the step ended.
     """
 
     poses: str
@@ -138,5 +138,5 @@ def _row(decided: Json) -> CourseRow:
         chosen.get("pose_name", NOTHING),
         angles or NOTHING,
         tuple(number(expected.get(name), 3) for name in goals),
-        chosen.get("why") or _ENDS.get(decided.get("ended", ""), NOTHING).lower(),
+        decided.get("problem") or chosen.get("why") or _ENDS.get(decided.get("ended", ""), NOTHING).lower(),
     )

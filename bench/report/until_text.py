@@ -62,7 +62,7 @@ def reached_text(decided: Mapping[str, Any]) -> str:
     now = decided["now"]
     poses = f"{decided['poses']} pose{'' if decided['poses'] == 1 else 's'}"
     if not now:
-        return f"{poses}: the camera is not determined yet"
+        return f"{poses}: no calibration yet. {decided.get('problem', '')}".strip()
     parts = [
         f"{meaning_of_goal(name)} {now[name]:.3g} px (wanted {goal:.3g})"
         for name, goal in decided["wanted"].items()

@@ -229,6 +229,8 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         "model": calibration.model if calibration else "",
         "lacks": "",
     }
+    if calibration is None:
+        decided["problem"] = interim.why
     failed = [pose for pose in history.chosen if pose in until.poses and pose not in accepted]
     end = _end(until, decided, interim, len(failed))
     if end is not None:

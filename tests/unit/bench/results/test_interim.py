@@ -187,6 +187,7 @@ def test_without_a_calibration_it_goes_on_and_says_why_at_the_end(job, monkeypat
     told = decided(job, HistoryOf([1]), None)
     assert (told["ended"], told["why"]) == ("no_pose", "No pose is left. Too few stars.")
     assert told["now"] == {}
+    assert told["problem"] == "Too few stars."
 
 
 def test_the_choice_is_the_same_each_time_and_within_the_limits():
