@@ -19,7 +19,7 @@ TEXT = DOCUMENT.read_text(encoding="utf-8")
 def in_a_lab(tmp_path, monkeypatch):
     """A folder with a run at the place that the document names."""
     (tmp_path / "runs").mkdir()
-    write_solved_run(tmp_path).rename(tmp_path / "runs" / "demo")
+    write_solved_run(tmp_path, model="radial").rename(tmp_path / "runs" / "demo")
     monkeypatch.chdir(tmp_path)
     mpl.use("agg")
     yield tmp_path
@@ -34,7 +34,7 @@ def test_every_block_of_code_runs_in_order(in_a_lab, capsys):
         exec(compile(block, str(DOCUMENT), "exec"), names)
     said = capsys.readouterr().out
     assert "correlation of fx and r" in said
-    assert re.findall(r"^ *(\w+): fx", said, re.MULTILINE) == ["none", "k1", "k1k2", "k1k2k3"]
+    assert re.findall(r"^ *(\w+): fx", said, re.MULTILINE) == ["k1", "k1k2", "k1k2k3", "k1k2p1p2"]
     for name in re.findall(r'savefig\("(.+?)"\)', TEXT):
         assert (in_a_lab / name).stat().st_size > 10_000
 
