@@ -1,4 +1,4 @@
-"""Rows of the report about what a calibration used: the collimator's passport, the gimbal's readings, input files.
+"""Rows of the report about what a calibration used: passport of the collimator, readings and parallax, input files.
 
 The functions take the parts of results.json as plain mappings, also of results that older versions wrote without them.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.report.text import exact, number
+from bench.report.text import exact, number, with_uncertainty
 
 Json = Mapping[str, Any]
 Rows = list[tuple[str, str]]
@@ -90,6 +90,35 @@ def readings_rows(readings: Json | None, estimate: Json | None) -> Rows:
             f"eccentricity {stated['eccentricity_deg']:g}° (standard uncertainties; source: {stated['source']})"
         )
         rows.append(("Uncertainty of the readings", text + (f"; {_bound(bound)}" if bound else "")))
+    return rows
+
+
+def parallax_rows(parallax: Json | None) -> Rows:
+    """List where the entrance pupil is, and the parallax that follows, or why the parallax test has no result.
+
+    Parameters
+    ----------
+    parallax
+        ``parallax`` of results.json; None if the rims in view do not determine it.
+
+    Returns
+    -------
+    list of tuple
+        Name and value; none without a result.
+    """
+    if not parallax:
+        return []
+    if "why_not" in parallax:
+        return [("Parallax test: no result", str(parallax["why_not"]))]
+    says = [str(sentence).replace(" +- ", " \N{PLUS-MINUS SIGN} ") for sentence in parallax["says"]]
+    off = parallax["pupil_off_pivot_mm"]
+    value, expanded = with_uncertainty(off["value"], 2 * off["sigma"])
+    rows = [
+        ("Entrance pupil in front of the pivot", f"{value} \N{PLUS-MINUS SIGN} {expanded} mm (k = 2)"),
+        ("Parallax: how the beam moves when the camera turns", " ".join(says)),
+    ]
+    if without := parallax["without_rim"]:
+        rows.append(("Poses with the rim out of view", ", ".join(without)))
     return rows
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.report.bench_knowledge import parallax_rows
 from bench.report.text import NOTHING, angle, fixed, meaning_of, number, unit_of, with_uncertainty
 
 Json = Mapping[str, Any]
@@ -248,7 +249,7 @@ def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str,
 
 
 def checks(results: Json) -> list[tuple[str, str]]:
-    """Describe the checks that do not influence the result: split half, and the gimbal's readings.
+    """Describe the checks that do not influence the result: split half, the gimbal's readings, the parallax.
 
     Parameters
     ----------
@@ -268,7 +269,7 @@ def checks(results: Json) -> list[tuple[str, str]]:
         rows.append(("Split half: every other pose against the rest", found))
     if gimbal := results.get("gimbal"):
         rows += _gimbal(gimbal)
-    return rows
+    return rows + parallax_rows(results.get("parallax"))
 
 
 def _gimbal(gimbal: Json) -> list[tuple[str, str]]:

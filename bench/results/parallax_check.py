@@ -72,7 +72,7 @@ def parallax_check(
         },
         "parallax": None if parallax is None else {"value": parallax.share, "sigma": parallax.share_sigma},
         "fx_px": None if parallax is None else {"value": parallax.fx_px, "sigma": parallax.fx_sigma_px},
-        "says": [*walk.says(), *_against_station(walk, station), *_effect(parallax)],
+        "says": [*walk.says(), *_for_station(walk, station), *_effect(parallax)],
     }
 
 
@@ -98,19 +98,20 @@ def _stated(station: Station) -> dict[str, float] | None:
     return None if off is None else {"value": off.value, "sigma": off.sigma}
 
 
-def _against_station(walk: PupilWalk, station: Station) -> list[str]:
-    """Return how the place of the pupil agrees with the station file."""
+def _for_station(walk: PupilWalk, station: Station) -> list[str]:
+    """Return how the place of the pupil agrees with the station file, and what to write into it."""
     stated = _stated(station)
     if stated is None:
-        return []
+        return [walk.advice]
     sigmas = abs(walk.pupil_off_pivot_mm - stated["value"]) / float(np.hypot(walk.sigma_mm, stated["sigma"]))
-    agrees = "agrees with" if sigmas <= _CONTRADICTED else "contradicts"
-    return [
-        (
-            f"This {agrees} the station file, which states {stated['value']:g} mm, standard uncertainty "
-            f"{stated['sigma']:g} mm ({sigmas:.1f} standard uncertainties of the difference)."
-        )
-    ]
+    agrees = sigmas <= _CONTRADICTED
+    compared = (
+        f"This {'agrees with' if agrees else 'contradicts'} the station file, which states {stated['value']:g} mm, "
+        f"standard uncertainty {stated['sigma']:g} mm ({sigmas:.1f} standard uncertainties of the difference)."
+    )
+    if agrees and stated["sigma"] <= walk.sigma_mm:
+        return [f"{compared} The value of the station file is the more accurate one: keep it."]
+    return [compared, walk.advice]
 
 
 def _effect(parallax: Parallax | None) -> list[str]:

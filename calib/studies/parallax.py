@@ -107,8 +107,13 @@ class PupilWalk:
         value, sigma = _rounded(self.pupil_off_pivot_mm, self.sigma_mm)
         return f"gimbal: {{pupil_off_pivot_mm: {{value: {value}, sigma: {sigma}}}}}"
 
+    @property
+    def advice(self) -> str:
+        """What to write into the station file, as a sentence."""
+        return f"To state this, write into the station file: {self.station_entry}"
+
     def says(self) -> tuple[str, ...]:
-        """Describe the result in sentences, with what to write into the station file.
+        """Describe the result in sentences.
 
         Returns
         -------
@@ -132,7 +137,7 @@ class PupilWalk:
             )
         else:
             pivot = f"The entrance pupil is {place}, standard uncertainty {sigma} mm."
-        return found, pivot, f"To state this, write into the station file: {self.station_entry}"
+        return found, pivot
 
     def parallax(
         self, defocus: float, defocus_sigma: float, *, source: str, r_mm: float, fx_px: float

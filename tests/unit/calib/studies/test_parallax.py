@@ -146,7 +146,7 @@ def test_the_sentences_state_what_to_write_into_the_station_file(off, sigma, ent
     found = walk_of(off, sigma)
     assert found.station_entry == f"gimbal: {{pupil_off_pivot_mm: {entry}}}"
     assert place in found.says()[1]
-    assert found.says()[-1].endswith(found.station_entry)
+    assert found.advice.endswith(found.station_entry)
 
 
 def test_the_parallax_follows_from_the_defocus():
