@@ -103,15 +103,22 @@ def _for_station(walk: PupilWalk, station: Station) -> list[str]:
     stated = _stated(station)
     if stated is None:
         return [walk.advice]
-    sigmas = abs(walk.pupil_off_pivot_mm - stated["value"]) / float(np.hypot(walk.sigma_mm, stated["sigma"]))
+    sigmas = _difference_in_sigmas(walk, stated["value"], stated["sigma"])
     agrees = sigmas <= _CONTRADICTED
     compared = (
         f"This {'agrees with' if agrees else 'contradicts'} the station file, which states {stated['value']:g} mm, "
-        f"standard uncertainty {stated['sigma']:g} mm ({sigmas:.1f} standard uncertainties of the difference)."
+        f"standard uncertainty {stated['sigma']:g} mm (largest difference: {sigmas:.1f} standard uncertainties)."
     )
     if agrees and stated["sigma"] <= walk.sigma_mm:
         return [f"{compared} The value of the station file is the more accurate one: keep it."]
     return [compared, walk.advice]
+
+
+def _difference_in_sigmas(walk: PupilWalk, value: float, sigma: float) -> float:
+    """Return the largest difference from a stated place of the pupil: along x, along y, and of both together."""
+    off = np.array([*-walk.walk_mm, walk.pupil_off_pivot_mm])
+    sigmas = np.array([*walk.walk_sigma_mm, walk.sigma_mm])
+    return float((np.abs(off - value) / np.hypot(sigmas, sigma)).max())
 
 
 def _effect(parallax: Parallax | None) -> list[str]:

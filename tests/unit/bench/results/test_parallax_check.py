@@ -91,6 +91,14 @@ def test_the_pupil_is_compared_with_the_station(found, off, sigma, word, advised
     assert ("keep it" in says) != advised
 
 
+def test_a_pupil_that_contradicts_along_one_axis_only_is_noticed(monkeypatch):
+    walk = PupilWalk(np.array([-39.2, -2.0]), np.diag([32.0, 76.0]), 20.6, 19.0, 15, ())
+    monkeypatch.setattr(checked, "pupil_walk", lambda *_arguments: walk)
+    told = parallax_check(calibration(), [], station(), "Parallax test")
+    assert told is not None
+    assert "contradicts the station file" in " ".join(told["says"])
+
+
 def test_without_a_stated_defocus_that_of_the_calibration_is_used(found):
     found(2.0, 1.0)
     names, values = ("fx", "pupil_shift"), (3345.0, 0.06)

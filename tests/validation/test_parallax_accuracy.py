@@ -1,0 +1,72 @@
+"""The parallax test on event images of simulated benches: the place of the pupil, compared with the truth."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import sequences
+from calib.events.event_image import make_images
+from calib.events.flicker import Flicker
+from calib.model.collimator import Collimator
+from calib.model.homography import fit_homography
+from calib.stars.detect import detect_view
+from calib.stars.rim import find_rim
+from calib.studies.parallax import pupil_walk
+from simulators.optics.picture import TARGET, pose_rotation, render, star_centres
+from simulators.pixels.sensor import simulate
+from simulators.world.truth_config import truth_from_config
+from simulators.world.world import LightState
+
+WINDOW_US = 33_000.0
+SHIPPED = yaml.safe_load((Path(sequences.__file__).parent / "parallax_test.yaml").read_text())["poses"]
+POSES = [{"pan": pose["pan_deg"], "tilt": pose["tilt_deg"], "roll": 10.0} for pose in SHIPPED["far"]]
+
+
+def view_of(truth, rotation, seed):
+    """Return stars and rim of one recording; the stars are identified from their true places."""
+    light = LightState(waveform="square", output=True, sync=True)
+    phase = float(np.random.default_rng(seed).random())
+    events = simulate(
+        render(truth, rotation), light, WINDOW_US, phase=phase, noise=truth.noise, camera_seed=7, seed=seed
+    )
+    flicker = Flicker(
+        light.period_us, -phase * light.period_us % light.period_us, 0.5, 0.0, 2, 0, 0, "triggers"
+    )
+    size = (truth.camera.width, truth.camera.height)
+    image = (
+        make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
+        .best()
+        .image
+    )
+    ids, points = star_centres(truth, rotation)
+    expected = fit_homography(TARGET.node_of(ids).astype(float), points)
+    view = detect_view(image, TARGET, name=str(seed), expected=expected)
+    return replace(view, rim=find_rim(image, view, TARGET))
+
+
+def measured(collimator, seed):
+    """Return the walk that the shipped poses show, and the truth of the bench."""
+    truth = truth_from_config({"collimator": {"profile": collimator, "glass_seed": seed}})
+    rotations = np.array([pose_rotation(pose, truth.optics) for pose in POSES])
+    views = [view_of(truth, rotation, 100 * seed + i) for i, rotation in enumerate(rotations)]
+    c = truth.collimator
+    return pupil_walk(views, rotations, Collimator(c.x, c.y, c.r)), np.array(c.disc_walk)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("collimator", "largest_sigma"), [("like-bench", 4.0), ("S2", 20.0), ("S3", 20.0)])
+def test_the_pupil_is_found_within_its_uncertainty(collimator, largest_sigma):
+    found, walk = measured(collimator, 2)
+    off = found.walk_mm - walk
+    assert off @ np.linalg.solve(found.covariance_mm2, off) / 2 < 4.0
+    assert found.walk_sigma_mm.max() < largest_sigma
+    assert found.without_rim == ()
+
+
+@pytest.mark.slow
+def test_a_pupil_far_in_front_of_the_pivot_is_not_taken_for_one_on_it():
+    found, _ = measured("S2", 3)
+    assert -found.walk_mm[0] > 2.5 * found.walk_sigma_mm[0]
