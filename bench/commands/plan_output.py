@@ -97,11 +97,12 @@ def _forecast_text(found: PlanForecast) -> str:
     forecast = found.forecast
     k = forecast.coverage_factor
     poses = f"{found.poses} poses" if found.poses != 1 else "1 pose"
-    chosen = f", {found.chosen} of them chosen in the run" if found.chosen else ""
+    if found.chosen:
+        poses = f"as many poses as allowed, {found.poses}"
     fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
     arcsec = k * forecast.projection_map.worst_arcsec
     lines = [
-        f"Expected with {poses}{chosen}, {forecast.model} model, k = {k:.1f}:",
+        f"Expected with {poses}, {forecast.model} model, k = {k:.1f}:",
         f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, of a direction at most {arcsec:.2g} arcsec",
         f"  {'largest terms, 1 sigma, px':<44}{'fx':>8}{'corners':>10}",
     ]

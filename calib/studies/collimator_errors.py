@@ -17,8 +17,9 @@ from calib.errors import InputMismatch
 
 Array = NDArray[np.float64]
 
-#: Residuals that a typical real collimator leaves with the radial model, px: `CollimatorErrors.rms_px`.
-TYPICAL_RMS_PX = 0.08
+#: `CollimatorErrors.rms_px` of a typical real collimator before a gimbal, with the radial model, px: of runs on the
+#: simulated bench "like-bench".
+TYPICAL_RMS_PX = 0.12
 #: 1-sigma of a coefficient of each group of `calib.uncertainty.variance_components`, over the 1-sigma of the residuals:
 #: shifts along X and Y, polynomials of degree 1 to 4, rim of the beam.
 SPECTRUM = (0.45, 0.45, 0.37, 0.28, 0.24, 0.15, 0.28)
