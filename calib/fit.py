@@ -42,7 +42,12 @@ from calib.uncertainty.covariance import (
     inflate,
 )
 from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
-from calib.uncertainty.passport_propagation import add_certificate, propagate_passport
+from calib.uncertainty.passport_propagation import (
+    add_certificate,
+    certificate_prior,
+    certificate_share,
+    propagate_passport,
+)
 from calib.uncertainty.repeats import views_of_poses
 from calib.uncertainty.variance_components import variance_components
 from calib.view import View
@@ -164,12 +169,13 @@ def fit_model(
     if model == "drift":
         bundle = replace(bundle, free_centres=True, drift_mm=options.drift_mm)
     bundle, refined, loss = refine_robustly(bundle, start, options)
+    if passport:
+        bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
+        check_passport(bundle, refined.parameters, loss, passport, options.budget)
     test = None
     if options.gimbal and options.gimbal.parallax and model not in WITHOUT_READINGS:
         bundle, refined, loss, test = _with_readings(kept, discs, bundle, refined, loss, options)
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
-    if passport:
-        check_passport(bundle, refined.parameters, loss, passport, options.budget)
     estimate, left_out = _constrained(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole = bundle if used.all() else _with_all_stars(views, discs, bundle, refined.parameters)
     shown = discs if needs_rim(terms) else ()
@@ -215,9 +221,10 @@ def _with_readings(
     """
     stated = options.gimbal
     assert stated is not None
-    readings = stated
+    readings, passport = stated, options.passport
+    radius = certificate_prior(passport, options.budget) if passport and passport.is_certificate else None
     for _ in range(_READING_ROUNDS):
-        joint, start = add_readings(views, discs, bundle, refined.parameters, readings)
+        joint, start = add_readings(views, discs, bundle, refined.parameters, readings, radius)
         for _ in range(_TURN_ROUNDS):
             joint, together, limit = refine_robustly(joint, start, options)
             start = together.parameters
@@ -424,8 +431,12 @@ def with_uncertainty(fitted: Fit, options: CalibrationOptions) -> Fit:
         components = partial(variance_components, bundle, parameters, loss)
         estimate = inflate(estimate, bundle, parameters, loss, components)
     if passport is not None:
-        add = add_certificate if passport.is_certificate else propagate_passport
-        estimate = add(bundle, parameters, estimate, passport)
+        if not passport.is_certificate:
+            estimate = propagate_passport(bundle, parameters, estimate, passport)
+        elif "r" in bundle.names:
+            estimate = certificate_share(bundle, parameters, estimate, passport)
+        else:
+            estimate = add_certificate(bundle, parameters, estimate, passport)
         why = "The passport does not constrain it either."
         require_constrained(parameters, estimate.names, estimate.covariance, why)
     return replace(fitted, uncertainty=estimate)

@@ -39,7 +39,8 @@ class ReadingsTest:
     Attributes
     ----------
     chi_square, degrees_of_freedom
-        Weighted squares of the readings' residuals and of the distances of the gimbal's parameters from what is stated.
+        Weighted squares of the readings' residuals and of the distances of the gimbal's parameters and of a
+        certificate's radius from what is stated.
     rms_deg
         Root mean square rotation between reading and stars, degrees.
     sigma_rad
@@ -74,8 +75,12 @@ def add_readings(
     bundle: Bundle,
     parameters: AdjustmentParameters,
     readings: GimbalReadings,
+    radius: Prior | None = None,
 ) -> tuple[Bundle, AdjustmentParameters]:
     """Add readings with bounded parallax to a bundle.
+
+    Readings and a certificate both determine the focal length. The radius is then no longer held, but a parameter with
+    the certificate as its prior, so that each gets its weight.
 
     A scale and an eccentricity act alike over a small range of angles: an error a sin(angle + phase) has the slope
     a cos(phase), at most a in rad.
@@ -92,6 +97,8 @@ def add_readings(
         Its optimum.
     readings
         One reading for each view, with `GimbalReadings.parallax`.
+    radius
+        Prior of the radius by a certificate; None if there is none.
 
     Returns
     -------
@@ -116,8 +123,8 @@ def add_readings(
     )
     bundle = replace(
         bundle,
-        names=(*bundle.names, *PARALLAX, *own.names),
-        prior=joined(bundle.prior, parallax, own),
+        names=(*bundle.names, *(radius.names if radius else ()), *PARALLAX, *own.names),
+        prior=joined(bundle.prior, radius, parallax, own),
         gimbal=observations,
     )
     return with_turns(views, discs, bundle, start), start
@@ -173,7 +180,7 @@ def check_readings(bundle: Bundle, parameters: AdjustmentParameters, stated: Gim
     assert bundle.prior is not None
     off = bundle.gimbal.residuals(parameters.gimbal, parameters.rotations)
     chi_square = float((off**2).sum()) / bundle.gimbal.sigma_rad**2
-    bounded = [name for name in bundle.prior.names if name in (*SCALES, *PARALLAX)]
+    bounded = [name for name in bundle.prior.names if name in ("r", *SCALES, *PARALLAX)]
     at = [bundle.prior.names.index(name) for name in bounded]
     away = parameters.values(bounded) - bundle.prior.mean[at]
     chi_square += float((away**2 * np.diag(bundle.prior.information)[at]).sum())

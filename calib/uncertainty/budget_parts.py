@@ -29,6 +29,7 @@ PARALLAX_BOUND = "parallax"
 GIMBAL_SCALE = "scale and eccentricity of the gimbal"
 GIMBAL_AXES = "mounting and axes of the gimbal"
 _PRIOR_GROUPS: Mapping[str, tuple[str, ...]] = {
+    PASSPORT: ("r",),
     PARALLAX_BOUND: PARALLAX,
     GIMBAL_SCALE: SCALES,
     GIMBAL_AXES: (NON_ORTHOGONALITY, *MOUNTING, *STANDING),
@@ -70,6 +71,7 @@ def covariance_parts(
     if bundle.gimbal is not None and parameters.gimbal is not None:
         readings = _by_readings(bundle, parameters, loss, estimate)
         stars = {STARS: stars[STARS] - readings, READINGS: readings}
+    by_passport = by_passport + priors.pop(PASSPORT, 0.0)
     shapes = {STARS: stars, PRIORS: priors, PASSPORT: {PASSPORT: by_passport}}
     parts: dict[str, Array] = {}
     for source, variances in estimate.budget.items():

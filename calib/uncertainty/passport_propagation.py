@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.passport import Passport
+from calib.model.prior import Prior
+from calib.model.type_b_terms import RADII, TypeBTerm, with_effective_radius
 from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty, inverse_information
 
 Array = NDArray[np.float64]
@@ -108,6 +110,72 @@ def add_certificate(
         covariance=covariance,
         budget={**own, "passport of the collimator": np.diag(shared)},
     )
+
+
+def certificate_prior(certificate: Passport, terms: Sequence[TypeBTerm]) -> Prior:
+    """Return the prior of the effective radius over the beam by a certificate.
+
+    Its variance is that of the certificate and that of the terms of the budget that separate the certified radius from
+    the effective one (`calib.uncertainty.type_b`).
+
+    Parameters
+    ----------
+    certificate
+        Passport of the radius alone.
+    terms
+        Type B terms of the budget.
+
+    Returns
+    -------
+    Prior
+        Prior of r, mm.
+    """
+    r = certificate.values_by_name["r"]
+    variance = float(certificate.covariance[0, 0])
+    variance += sum(
+        (r * term.standard_uncertainty) ** 2 for term in with_effective_radius(terms) if term.kind in RADII
+    )
+    return Prior(("r",), np.array([r]), np.array([[1.0 / variance]]))
+
+
+def certificate_share(
+    bundle: Bundle, parameters: AdjustmentParameters, estimate: Uncertainty, certificate: Passport
+) -> Uncertainty:
+    """Return the uncertainty with the certificate's own share, if its radius is a parameter with a prior.
+
+    The prior also holds the terms of the budget that separate the certified radius from the effective one. Their share
+    is taken out here, because the budget adds each of them as a row of its own. The response to the mean of a prior is
+    that of one more observation (JCGM 100:2008, section 5.2).
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted, with the prior of r.
+    parameters
+        Its optimum.
+    estimate
+        Uncertainty of the free parameters, enlarged if the views are inconsistent.
+    certificate
+        Passport of the radius alone.
+
+    Returns
+    -------
+    Uncertainty
+        Uncertainty of the same parameters.
+    """
+    assert bundle.prior is not None
+    at, own = bundle.names.index("r"), bundle.prior.names.index("r")
+    whole = 1.0 / float(bundle.prior.information[own, own])
+    equations = bundle.normal_equations(parameters, bundle.weighted_residuals(parameters))
+    inverse = inverse_information(equations.reduced(), bundle.names)
+    response = bundle.noise_variance / whole * inverse[:, at]
+    certified = min(float(certificate.covariance[0, 0]), whole)
+    others = (whole - certified) * np.outer(response, response)
+    share = certified * response**2
+    known = estimate.budget.get("known beforehand", np.zeros(len(response)))
+    budget = {**estimate.budget, "known beforehand": np.maximum(known - whole * response**2, 0.0)}
+    budget["passport of the collimator"] = share
+    return replace(estimate, covariance=estimate.covariance - others, budget=budget)
 
 
 def _whole_information(

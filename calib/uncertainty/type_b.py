@@ -16,17 +16,13 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.passport import Passport
-from calib.model.type_b_terms import RADII, TypeBTerm
+from calib.model.type_b_terms import RADII, TypeBTerm, with_effective_radius
 from calib.uncertainty.budget_parts import PASSPORT, STARS
 from calib.uncertainty.covariance import Uncertainty, inverse_information
 from calib.uncertainty.passport_propagation import consider_covariance
 from calib.uncertainty.target_response import TargetResponse, target_response
 
 Array = NDArray[np.float64]
-
-#: Relative standard uncertainty of the effective radius if it is not stated: 2 px of 3345 px. Simulated collimators
-#: that are like real ones showed differences of 0 to 2.7 px.
-DEFAULT_EFFECTIVE_RADIUS = 6e-4
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ def apply_budget(
 
     The terms are independent of each other and of the views, so their covariances add up (JCGM 100:2008, section 5.1).
     If a certificate gives the radius, and no term states the difference to the effective radius, the default
-    `DEFAULT_EFFECTIVE_RADIUS` enters.
+    `calib.model.type_b_terms.DEFAULT_EFFECTIVE_RADIUS` enters.
 
     Parameters
     ----------
@@ -175,20 +171,7 @@ def with_default_terms(response: TargetResponse, terms: Sequence[TypeBTerm]) -> 
     tuple of TypeBTerm
         The stated terms, and the default one.
     """
-    return _with_effective_radius(terms) if response.has_certificate else tuple(terms)
-
-
-def _with_effective_radius(terms: Sequence[TypeBTerm]) -> tuple[TypeBTerm, ...]:
-    """Return the terms, with the default of the effective radius if it is not stated."""
-    if any(term.kind == "effective_radius" for term in terms):
-        return tuple(terms)
-    default = TypeBTerm(
-        "effective radius",
-        "effective_radius",
-        DEFAULT_EFFECTIVE_RADIUS,
-        "default of Starbench; not stated",
-    )
-    return (*terms, default)
+    return with_effective_radius(terms) if response.has_certificate else tuple(terms)
 
 
 def radius_difference_variance(response: TargetResponse, terms: Sequence[TypeBTerm]) -> float:
@@ -210,7 +193,7 @@ def radius_difference_variance(response: TargetResponse, terms: Sequence[TypeBTe
         Variance of the difference, mm^2.
     """
     at, variance = response.names.index("r"), 0.0
-    for term in _with_effective_radius(terms):
+    for term in with_effective_radius(terms):
         if term.kind in RADII:
             variance += (term.standard_uncertainty * response.r_mm) ** 2
         elif term.kind == "wavefront":

@@ -8,6 +8,7 @@ from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch
 from calib.model.gimbal import GIMBAL, Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from calib.model.passport import Passport
 from calib.model.rotation import exp_map
 from tests.support.drawn_benches import NINE, THREE, GimbalErrors, draw_bench
 
@@ -133,3 +134,22 @@ def test_statements_out_of_range_are_refused(changed, said):
         GimbalReadings(**{"angles_deg": ({"pan_deg": 1.0},), "reading_sigma_deg": 0.002, **changed})
     with pytest.raises(InputMismatch, match="must not be negative"):
         ParallaxBound(0.0, -0.1, 0.0, 0.0)
+
+
+def test_a_certificate_and_readings_together_are_better_than_either():
+    bench = draw_bench("S3", NINE, 17)
+    given, certificate = readings(bench, scale_sigma=3e-4), Passport.of_radius(255.0, 0.05)
+    both, only_readings, only_certificate = (
+        calibrate(bench.views, CalibrationOptions(model="auto", gimbal=gimbal, passport=passport))
+        for gimbal, passport in ((given, certificate), (given, None), (None, certificate))
+    )
+    assert both.gimbal is not None
+    assert both.gimbal.entered
+    assert both.sigma["fx"] < min(only_readings.sigma["fx"], only_certificate.sigma["fx"])
+    assert abs(both.camera.fx - bench.truth.camera.fx) < both.coverage_factor * both.sigma["fx"]
+    rows = {row.name: row.contribution["fx"] for row in both.budget_rows}
+    assert np.sqrt(sum(u**2 for u in rows.values())) == pytest.approx(both.sigma["fx"], rel=0.01)
+    # The certificate and the difference of the effective radius act alike: in the ratio of their uncertainties.
+    assert rows["passport of the collimator"] / rows["effective radius"] == pytest.approx(
+        0.05 / (6e-4 * 255.0), rel=0.01
+    )

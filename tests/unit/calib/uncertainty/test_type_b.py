@@ -6,9 +6,9 @@ import pytest
 from calib.engine import CalibrationOptions
 from calib.fit import fit_model
 from calib.model.passport import Passport
-from calib.model.type_b_terms import TypeBTerm
+from calib.model.type_b_terms import DEFAULT_EFFECTIVE_RADIUS, TypeBTerm
 from calib.uncertainty.target_response import target_response
-from calib.uncertainty.type_b import DEFAULT_EFFECTIVE_RADIUS, apply_budget, radius_difference_variance
+from calib.uncertainty.type_b import apply_budget, radius_difference_variance
 from calib.view import View
 
 #: So uncertain that no bow of these tests contradicts it.
