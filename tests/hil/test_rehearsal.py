@@ -209,3 +209,15 @@ def test_uncertainties_of_a_rehearsal_hold(tmp_path):
         errors.append(rows["fx"])
     rms = (sum(e * e for e in errors) / len(errors)) ** 0.5
     assert 0.7 < rms < 1.35
+
+
+def test_on_the_realistic_bench_every_value_lies_within_its_expanded_uncertainty(tmp_path):
+    end = rehearse_run(
+        "nine_pose", "simulated", seed=3, operator=None, folder=tmp_path / "run", clock=VirtualClock(EVENING)
+    )
+    found = end.outcome.results
+    k = found["calibration"]["coverage_factor"]
+    expanded = {row["name"]: k * row["sigma"] for row in found["comparison"]}
+    assert {"fx", "fy", "cx", "cy", "k1", "k2", "r"} == set(expanded)
+    assert all(abs(row["error"]) <= expanded[row["name"]] for row in found["comparison"])
+    assert 0.5 < expanded["fx"] < 7  # what certificate and readings can tell of 3345 px from nine poses
