@@ -120,10 +120,16 @@ def _course(decisions: Sequence[Json], *, draw: bool) -> Course:
         tuple(meaning_of_goal(name) for name in wanted),
         tuple(_row(decided) for decided in decisions),
         end == "met",
-        f"{_ENDS[end]}. {last['why']}" if end in _ENDS else "The step did not end.",
+        _end_text(end, last.get("why", "")),
         fixed(last["worked_s"] / 60.0, 1),
         plot,
     )
+
+
+def _end_text(end: str | None, why: str) -> str:
+    if end == "met":
+        return f"{_ENDS[end]}."
+    return f"{_ENDS[end]}. {why}" if end in _ENDS else "The step did not end."
 
 
 def _row(decided: Json) -> CourseRow:

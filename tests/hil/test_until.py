@@ -4,7 +4,7 @@ import json
 import shutil
 
 import pytest
-from quick_runs import END, THREE, write_station, write_until
+from quick_runs import THREE, write_station, write_until
 from running import end_when, entering, journal, results, starbench, start
 
 SEED = 3
@@ -14,7 +14,7 @@ UNTIL = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
-    sequence = write_until(folder / "sequence.yaml", UNTIL, end=END)
+    sequence = write_until(folder / "sequence.yaml", UNTIL)
     return folder / "home", sequence, write_station(folder / "station.yaml")
 
 
@@ -93,9 +93,7 @@ def test_killed_in_a_round_it_goes_on_with_the_same_poses(reached, files, undist
 
 def test_a_goal_is_met_and_nothing_further_is_recorded(files, tmp_path):
     home, _, station = files
-    sequence = write_until(
-        tmp_path / "good.yaml", f"{{worst_corner_px: 0.9, at_most: 9, start: {THREE}}}", end=END
-    )
+    sequence = write_until(tmp_path / "good.yaml", f"{{worst_corner_px: 0.9, at_most: 9, start: {THREE}}}")
     folder = tmp_path / "good"
     said = starbench("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
     assert said.returncode == 0, said.stderr

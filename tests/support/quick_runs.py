@@ -27,12 +27,14 @@ defaults:
   light: {frequency_hz: 240}
   settle: {duration_s: 0.1}
   record: {window_ms: 8.4, attempts: 1}
-  solve: {model: spherical, distortion: [k1]}
+  solve: {model: spherical, distortion: [k1, k2]}
 steps:
   - light
   - until: %s
   - light: off
-%s"""
+  - solve
+  - report
+"""
 THREE = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
 TWELVE = "{pan_deg: {first: -6, last: 6, count: 4}, tilt_deg: {first: -3, last: 3, count: 3}}"
 
@@ -57,7 +59,7 @@ def write_sequence(path, poses=TWELVE, *, attempts=2, end=END):
     return path
 
 
-def write_until(path, until, *, end=END):
+def write_until(path, until):
     """A sequence that chooses its poses; ``until`` is the mapping of the step as text."""
-    path.write_text(UNTIL % (until, end))
+    path.write_text(UNTIL % until)
     return path

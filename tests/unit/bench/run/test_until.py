@@ -3,7 +3,7 @@
 import shutil
 
 import pytest
-from quick_runs import END, THREE, write_until
+from quick_runs import THREE, write_until
 from rehearsed import Scene, with_runner
 
 from bench.records.events import Event
@@ -27,7 +27,7 @@ def _coarse(monkeypatch):
 
 def until_scene(folder, until=NEVER, **more):
     folder.mkdir(parents=True, exist_ok=True)
-    return Scene(folder, sequence=write_until(folder / "sequence.yaml", until, end=END), **more)
+    return Scene(folder, sequence=write_until(folder / "sequence.yaml", until), **more)
 
 
 def raising(scene, recording, error):
