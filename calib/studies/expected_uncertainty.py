@@ -270,10 +270,11 @@ def _degrees_of_freedom(shares: Sequence[PoseShare], own: Array, prior: Array) -
     """Return the degrees of freedom with which the engine estimates the covariance of inconsistent poses.
 
     From five poses on, those of the scores (Bell and McCaffrey, 2002). With fewer poses, those of the variance
-    components scatter from one drawn bench to the next; their median is about the number of poses minus one.
+    components scatter from 1 to 8 from one drawn bench to the next; their median is about half a degree of freedom less
+    than the number of poses.
     """
     if len(shares) < _SCORE_POSES:
-        return max(1.0, len(shares) - 1.0)
+        return max(1.0, len(shares) - 0.5)
     count = len(own)
     informations = np.array([share.information[:count, :count] for share in shares])
     noises = np.array([(share.noise + share.field_noise)[:count, :count] for share in shares])
