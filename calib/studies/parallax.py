@@ -136,7 +136,7 @@ class PupilWalk:
                 f"{sigma} mm, covers both."
             )
         else:
-            pivot = f"The entrance pupil is {place}, standard uncertainty {sigma} mm."
+            pivot = f"If the axes meet in one pivot, the entrance pupil is {place}, standard uncertainty {sigma} mm."
         return found, pivot
 
     def parallax(
@@ -177,8 +177,8 @@ def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) 
     """Measure how the disc of the beam moves when the camera turns.
 
     The walk is the posterior mean of the motion in the joint fit of all rims. Mean of x and y: generalised least
-    squares (Aitken, 1935). Errors of the rotations and of the collimator's radius change the walk by their own share
-    of it only, and are neglected.
+    squares (Aitken, 1935) with weights from 0 to 1. Errors of the rotations and of the collimator's radius change the
+    walk by their own share of it only, and are neglected.
 
     Parameters
     ----------
@@ -236,11 +236,16 @@ def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) 
 
 
 def _mean_of_axes(off: Array, covariance: Array) -> tuple[float, float]:
-    """Return the mean of the (2,) values of x and y, and its 1-sigma; it covers both if they differ significantly."""
-    weights = np.linalg.solve(covariance, np.ones(2))
-    variance = 1.0 / float(weights.sum())
+    """Return the mean of the (2,) values of x and y, and its 1-sigma; it covers both if they differ significantly.
+
+    The weights give the least variance among those from 0 to 1. Without this limit, strongly correlated errors would
+    place the mean beyond both values.
+    """
     if abs(np.diff(off)[0]) <= _SIGNIFICANT * _difference_sigma(covariance):
-        return float(weights @ off) * variance, float(np.sqrt(variance))
+        spread = _difference_sigma(covariance) ** 2
+        share = float(np.clip((covariance[1, 1] - covariance[0, 1]) / spread, 0.0, 1.0))
+        weights = np.array([share, 1.0 - share])
+        return float(weights @ off), float(np.sqrt(weights @ covariance @ weights))
     return float(off.mean()), float(np.hypot(0.5 * np.diff(off)[0], np.sqrt(covariance.mean())))
 
 
