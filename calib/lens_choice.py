@@ -7,7 +7,7 @@ information criterion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,8 +22,11 @@ from calib.view import View
 
 #: Lens models that are compared, from the simplest.
 LENSES = ("k1k2", "k1k2k3", "k1k2p1p2", "k1k2k3p1p2", "fisheye")
-#: A richer lens is chosen only if it predicts views better by this share.
-_MIN_IMPROVEMENT = 0.03
+#: A richer lens is chosen only if it predicts views better by this share. Errors of a collimator differ from pose to
+#: pose, so that lenses differ by some per cent by chance.
+_MIN_IMPROVEMENT = 0.1
+#: The richest lenses: if they do not predict better, none does.
+_RICHEST = ("k1k2k3p1p2", "fisheye")
 #: With few poses, a richer lens is chosen only if its criterion is smaller by this much: strong evidence (Kass and
 #: Raftery, 1995).
 _MIN_CRITERION = 10.0
@@ -122,10 +125,22 @@ def compare_lenses(options: CalibrationOptions, fitted: Fit) -> LensComparison:
     LensComparison
         The candidates, and the simplest lens that the data support.
     """
+    used = lens_name(options.distortion)
+    found = _candidates(dict.fromkeys((used, *_RICHEST)), options, fitted)
+    few = not enough_poses(fitted)
+    if _best(found, few=few) == used:
+        return LensComparison(found, used)
+    found = {**_candidates(LENSES, options, fitted), **found}
+    ordered = {name: found[name] for name in dict.fromkeys((*LENSES, used)) if name in found}
+    return LensComparison(ordered, _best(ordered, few=few))
+
+
+def _candidates(lenses: Iterable[str], options: CalibrationOptions, fitted: Fit) -> dict[str, Candidate]:
+    """Fit lenses with the collimator's model of a fit, and return those that could be fitted."""
     found: dict[str, Candidate] = {}
     kept = [_thinned(view) for view in fitted.kept]
     without = replace(options, gimbal=None, guard_band=1.0)
-    for lens in dict.fromkeys((*LENSES, lens_name(options.distortion))):
+    for lens in lenses:
         coefficients = DISTORTION_SETS.get(lens, tuple(options.distortion))
         try:
             one = fit_model(
@@ -139,14 +154,23 @@ def compare_lenses(options: CalibrationOptions, fitted: Fit) -> LensComparison:
         except CalibrationError:  # too many parameters for these views
             continue
         found[lens] = as_candidate(one)
-    judged = {name: one.left_out_rms_px for name, one in found.items() if one.left_out_rms_px is not None}
-    if enough_poses(fitted) and judged:
-        limit = (1 + _MIN_IMPROVEMENT) * min(judged.values())
-        return LensComparison(found, next(name for name in judged if judged[name] <= limit))
-    best = min(found, key=lambda name: found[name].bic, default="k1k2")
-    simplest = next(iter(found), best)
-    strong = bool(found) and found[best].bic < found[simplest].bic - _MIN_CRITERION
-    return LensComparison(found, best if strong else simplest)
+    return found
+
+
+def _best(found: Mapping[str, Candidate], *, few: bool) -> str:
+    """Return the name of the first lens that predicts about as well as the best.
+
+    With few poses a better one also needs strong evidence by the information criterion.
+    """
+    first = next(iter(found), "k1k2")
+    predicted = {name: one.left_out_rms_px for name, one in found.items() if one.left_out_rms_px is not None}
+    if not predicted:
+        best = min(found, key=lambda name: found[name].bic, default=first)
+        return best if found and found[best].bic < found[first].bic - _MIN_CRITERION else first
+    best = min(predicted, key=lambda name: predicted[name])
+    if few and found[best].bic > found[first].bic - _MIN_CRITERION:
+        return first
+    return next(name for name in predicted if predicted[name] <= predicted[best] / (1 - _MIN_IMPROVEMENT))
 
 
 def lens_name(coefficients: str | Sequence[str]) -> str:
