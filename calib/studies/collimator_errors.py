@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 TYPICAL_RMS_PX = 0.12
 #: 1-sigma of a coefficient of each group of `calib.uncertainty.variance_components`, over the 1-sigma of the residuals:
 #: shifts along X and Y, polynomials of degree 1 to 4, rim of the beam.
-SPECTRUM = (0.45, 0.45, 0.37, 0.28, 0.24, 0.15, 0.28)
+SPECTRUM = (0.5, 0.5, 0.41, 0.31, 0.27, 0.17, 0.31)
 #: Keystone of a view over the displacement of the pupil: a moved pupil acts as a moved centre of the collimator.
 KEYSTONE_PER_PUPIL = 0.18
 #: Defocus of a collimator whose defocus is not stated.
