@@ -57,16 +57,12 @@ def measured(collimator, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("collimator", "largest_sigma"), [("like-bench", 4.0), ("S2", 20.0), ("S3", 20.0)])
+@pytest.mark.parametrize(("collimator", "largest_sigma"), [("like-bench", 3.0), ("S2", 20.0), ("S3", 22.0)])
 def test_the_pupil_is_found_within_its_uncertainty(collimator, largest_sigma):
     found, walk = measured(collimator, 2)
     off = found.walk_mm - walk
     assert off @ np.linalg.solve(found.covariance_mm2, off) / 2 < 4.0
     assert found.walk_sigma_mm.max() < largest_sigma
     assert found.without_rim == ()
-
-
-@pytest.mark.slow
-def test_a_pupil_far_in_front_of_the_pivot_is_not_taken_for_one_on_it():
-    found, _ = measured("S2", 3)
-    assert -found.walk_mm[0] > 2.5 * found.walk_sigma_mm[0]
+    far_in_front = -found.walk_mm[0] > 4.0 * found.walk_sigma_mm[0]
+    assert far_in_front == (collimator == "S2")
