@@ -4,7 +4,8 @@
 
 Each bench has its own camera, collimator, gimbal errors, mount, print, poses, repeats, certificate and readings. The
 model is ``auto``. The table has the share of benches whose error of fx, and of the worst point of the sensor, is within
-k standard uncertainties; and the share beyond 3 k, with and without a note that names the trouble. With ``-o``, each
+k standard uncertainties; the root mean square of twice the error of fx over U, which is 1 if U is right; and how many
+benches are beyond 3 U, with and without a note that names the trouble. With ``-o``, each
 bench is appended to a file as a line of JSON; a later run with the same file goes on where the first one was stopped.
 ``--part 1/2`` calibrates every second bench, so that two processes can share the work. ``--only`` prints all about one
 bench.
@@ -345,13 +346,15 @@ def report(lines: Sequence[Mapping[str, Any]]) -> None:
     solved = [line for line in lines if "refused" not in line]
     refused = [line for line in lines if "refused" in line]
     print(f"{len(lines)} benches, {len(refused)} refused; CPU {sum(x['seconds'] for x in lines):.0f} s")
-    head = f"{'group':34s} {'n':>4s} {'fx':>6s} {'corner':>7s} {'> 1.5 U':>8s} {'> 3 U':>6s} {'unnamed':>8s} U med"
-    print(head)
+    head = f"{'group':34s} {'n':>4s} {'fx':>6s} {'corner':>7s} {'rms':>5s} {'> 1.5 U':>8s} {'> 3 U':>6s} {'unnamed':>8s}"
+    print(f"{head} U med")
     _row("all, but lenses with p1 and p2", [line for line in solved if line["lens"] == "k1k2"])
     for name, of in GROUPS.items():
         for value in sorted({of(line) for line in solved}, key=str):
             own = [x for x in solved if of(x) == value and (x["lens"] == "k1k2" or name == "lens")]
             _row(f"{name} {value}", own)
+    bent = [line for line in solved if line["lens"] == "p1p2"]
+    print(f"a note names the lens: {sum(named(line) for line in bent)} of {len(bent)} lenses with p1 and p2")
     for line in refused:
         print(f"refused {line['index']}: {line['refused'][:150]}")
     for line in sorted(solved, key=lambda x: -max(over(x, "fx"), over(x, "corner"))):
@@ -368,8 +371,9 @@ def _row(name: str, lines: Sequence[Mapping[str, Any]]) -> None:
     far = [line for line, size in zip(lines, worst, strict=True) if size > 3.0]
     shares = [np.mean([over(line, what) <= 1.0 for line in lines]) for what in ("fx", "corner")]
     middle = np.median([line["k"] * line["fx_sigma"] for line in lines])
+    rms = 2.0 * float(np.sqrt(np.mean([over(line, "fx") ** 2 for line in lines])))
     print(
-        f"{name:34s} {len(lines):4d} {shares[0]:6.1%} {shares[1]:7.1%} {np.mean(np.array(worst) > 1.5):8.1%} "
+        f"{name:34s} {len(lines):4d} {shares[0]:6.1%} {shares[1]:7.1%} {rms:5.2f} {np.mean(np.array(worst) > 1.5):8.1%} "
         f"{len(far):6d} {sum(not named(line) for line in far):8d} {middle:6.2f}"
     )
 

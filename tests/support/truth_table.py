@@ -323,7 +323,8 @@ def shortcomings(row: Row, solved: Sequence[Solved]) -> list[str]:
     ratios = np.array([abs(one.error_px) / one.expanded_px for one in solved])
     if asked.error_px is not None and error > asked.error_px:
         faults.append(f"error {error:.2f} px")
-    if asked.expanded_px and not asked.expanded_px[0] <= expanded <= asked.expanded_px[1]:
+    # The limits have one decimal at most.
+    if asked.expanded_px and not asked.expanded_px[0] <= round(expanded, 1) <= asked.expanded_px[1]:
         faults.append(f"U {expanded:.2f} px")
     if asked.corner_urad is not None and corner > asked.corner_urad:
         faults.append(f"corner {corner:.0f} urad")
