@@ -57,6 +57,8 @@ _LIT_SIGMA_MM = 0.5
 #: Largest number of bright points of a view that take part, and the share of its new value that a site takes.
 _MOST_BRIGHT, _DAMPING = 30, 0.5
 _ROUNDS, _SETTLED_MM = 12, 1e-3
+#: The same for the fits that average over the scatters.
+_FINAL_ROUNDS, _FINAL_SETTLED_MM = 6, 0.02
 _HUBER = 2.5
 #: Scatters, as shares of the radius, with which the fit starts: centre, radius, shape.
 _FIRST_SCATTERS = (0.12, 0.05, 0.03)
@@ -212,12 +214,12 @@ def fit_rims_and_motion(
     means[:, 2] = reach_mm
     weights, scatters = sigmas, _scatters(reach_mm, *_FIRST_SCATTERS)
     for round_ in range(_ROUNDS):
-        evidence = _evidence(points, weights, means[:, :2])
-        found = _posterior(_with_sites(evidence, bright, sites, means[:, :2]), scatters, common)
+        evidence = _evidence(points, weights, means)
+        found = _posterior(_with_sites(evidence, bright, sites, means), scatters, common)
         sites = [
-            _bright_sites(own, site, mean, covariance, centre)
-            for own, site, mean, covariance, centre in zip(
-                bright, sites, found.mean, found.covariance, means[:, :2], strict=True
+            _bright_sites(own, site, mean, covariance, about)
+            for own, site, mean, covariance, about in zip(
+                bright, sites, found.mean, found.covariance, means, strict=True
             )
         ]
         moved = float(np.abs(found.mean[:, :2] - means[:, :2]).max())
@@ -226,8 +228,13 @@ def fit_rims_and_motion(
             weights = _reweighted(points, sigmas, evidence, found)
         if moved < _SETTLED_MM and round_ > 1:
             break
-    evidence = _evidence(points, weights, means[:, :2])
-    found, own = _averaged(evidence, _with_sites(evidence, bright, sites, means[:, :2]), reach_mm, common)
+    for _ in range(_FINAL_ROUNDS):  # about the averaged means: the scatters above only start the fit
+        evidence = _evidence(points, weights, means)
+        found, own = _averaged(evidence, _with_sites(evidence, bright, sites, means), reach_mm, common)
+        moved = float(np.abs(found.mean[:, :2] - means[:, :2]).max())
+        means = found.mean
+        if moved < _FINAL_SETTLED_MM:
+            break
     discs = []
     for i, rim in enumerate(rims):
         covariance = found.covariance[i, :2, :2] + rim.level_sigma_mm**2 * np.eye(2)
@@ -262,25 +269,30 @@ def _scatters(reach_mm: float, centre: float, radius: float, shape: float) -> Ar
     return reach_mm * np.array([centre, centre, radius, *[shape] * (_UNKNOWNS - 3)])
 
 
-def _design(points: Array, centre: Array) -> tuple[Array, Array]:
+def _design(points: Array, about: Array) -> tuple[Array, Array]:
     """Return the (K, P) derivatives of the points' distances, and the (K,) linearised distances.
 
-    With the direction u of a point from the centre, distance + u . centre = u . c + R + shape(phi).
+    ``about`` are the (P,) unknowns at which the distances are linearised. With the direction u of a point from the
+    centre, the direction t across it, and n = u - shape'(phi) t / distance, distance + n . centre = n . c + R +
+    shape(phi).
     """
-    away = points - centre
+    away = points - about[:2]
     rho = np.maximum(np.hypot(*away.T), 1e-9)
     u = away / rho[:, None]
-    phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * np.arange(2, _ORDERS + 1)
+    orders = np.arange(2, _ORDERS + 1)
+    phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * orders
     waves = np.stack([np.cos(phi), np.sin(phi)], axis=-1).reshape(len(points), _UNKNOWNS - 3)
-    return np.column_stack([u, np.ones(len(points)), waves]), rho + u @ centre
+    slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(waves.shape) @ about[3:]
+    n = u - (slopes / rho)[:, None] * np.column_stack([-u[:, 1], u[:, 0]])
+    return np.column_stack([n, np.ones(len(points)), waves]), rho + n @ about[:2]
 
 
-def _evidence(points: Sequence[Array], sigmas: Sequence[Array], centres: Array) -> _Evidence:
-    """Linearise the points of all views about the centres."""
+def _evidence(points: Sequence[Array], sigmas: Sequence[Array], means: Array) -> _Evidence:
+    """Linearise the points of all views about the (V, P) unknowns."""
     information = np.zeros((len(points), _UNKNOWNS, _UNKNOWNS))
     product = np.zeros((len(points), _UNKNOWNS))
-    for i, (own, sigma, centre) in enumerate(zip(points, sigmas, centres, strict=True)):
-        design, distance = _design(own, centre)
+    for i, (own, sigma, about) in enumerate(zip(points, sigmas, means, strict=True)):
+        design, distance = _design(own, about)
         weighted = design / sigma[:, None] ** 2
         information[i], product[i] = weighted.T @ design, weighted.T @ distance
     return _Evidence(information, product)
@@ -366,7 +378,7 @@ def _reweighted(
     """
     off = []
     for own, mean in zip(points, found.mean, strict=True):
-        design, distance = _design(own, mean[:2])
+        design, distance = _design(own, mean)
         off.append(distance - design @ mean)
     every = np.concatenate(off)
     if not len(every):
@@ -383,24 +395,24 @@ def _reweighted(
 
 
 def _with_sites(
-    evidence: _Evidence, bright: Sequence[Array], sites: Sequence[_Sites], centres: Array
+    evidence: _Evidence, bright: Sequence[Array], sites: Sequence[_Sites], means: Array
 ) -> _Evidence:
     """Add what the bright points of the frame's border say, by their Gaussian sites."""
     information, product = evidence.information.copy(), evidence.product.copy()
-    for i, (own, site, centre) in enumerate(zip(bright, sites, centres, strict=True)):
-        design, distance = _design(own, centre)
+    for i, (own, site, about) in enumerate(zip(bright, sites, means, strict=True)):
+        design, distance = _design(own, about)
         information[i] += (design.T * site.precision) @ design
         product[i] += design.T @ (site.shift + site.precision * distance)
     return _Evidence(information, product)
 
 
-def _bright_sites(bright: Array, sites: _Sites, mean: Array, covariance: Array, centre: Array) -> _Sites:
+def _bright_sites(bright: Array, sites: _Sites, mean: Array, covariance: Array, about: Array) -> _Sites:
     """Return better Gaussian sites for bright points, each a factor Phi((rim - point) / sigma).
 
     Expectation propagation (Minka, 2001) with all sites at once and damping; moments of the probit factor: Rasmussen
     and Williams (2006), section 3.6.
     """
-    design, distance = _design(bright, centre)
+    design, distance = _design(bright, about)
     gap = design @ mean - distance
     variance = np.einsum("ki,ij,kj->k", design, covariance, design)
     alone = 1.0 / np.maximum(1.0 / variance - sites.precision, 1e-3 / variance)

@@ -77,7 +77,7 @@ def test_a_stop_that_is_not_round_but_the_same_in_all_views_is_found_from_all_ar
 @pytest.mark.parametrize("wander", [0.0, 8.0])
 def test_where_edges_differ_from_view_to_view_sigmas_are_large_and_right(wander):
     errors, score = errors_and_scores(range(6), wander=wander, uneven=0.035)
-    assert 1.0 < rms(errors) < 8.0
+    assert 0.3 < rms(errors) < 8.0
     assert 0.4 < score < 1.4
 
 
