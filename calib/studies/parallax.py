@@ -7,7 +7,7 @@ readings that imitates a scale error (`calib.model.gimbal_readings`).
 
 The walk is a common value of the joint fit of all rims (`calib.model.rim_fit.fit_rims_and_motion`), not the slope of a
 line through the single discs. The errors of the discs are not independent: a radius that is too large moves the discs
-of opposite turns apart, as a walk does. On simulated benches the sigma of such a line is up to 3 times too small.
+of opposite turns apart, as a walk does. The sigma of such a line would be too small.
 """
 
 from __future__ import annotations
