@@ -223,7 +223,7 @@ def fit_rims_and_motion(
             )
         ]
         moved = float(np.abs(found.mean[:, :2] - means[:, :2]).max())
-        means = found.mean
+        means = _with_common_shape(found)
         if round_ > 0:
             weights = _reweighted(points, sigmas, evidence, found)
         if moved < _SETTLED_MM and round_ > 1:
@@ -232,7 +232,7 @@ def fit_rims_and_motion(
         evidence = _evidence(points, weights, means)
         found, own = _averaged(evidence, _with_sites(evidence, bright, sites, means), reach_mm, common)
         moved = float(np.abs(found.mean[:, :2] - means[:, :2]).max())
-        means = found.mean
+        means = _with_common_shape(found)
         if moved < _FINAL_SETTLED_MM:
             break
     discs = []
@@ -285,6 +285,13 @@ def _design(points: Array, about: Array) -> tuple[Array, Array]:
     slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(waves.shape) @ about[3:]
     n = u - (slopes / rho)[:, None] * np.column_stack([-u[:, 1], u[:, 0]])
     return np.column_stack([n, np.ones(len(points)), waves]), rho + n @ about[:2]
+
+
+def _with_common_shape(found: _Posterior) -> Array:
+    """Return the (V, P) unknowns about which to linearise: a short arc does not show the slopes of its own edge."""
+    about = found.mean.copy()
+    about[:, 3:] = found.shared[7:]
+    return about
 
 
 def _evidence(points: Sequence[Array], sigmas: Sequence[Array], means: Array) -> _Evidence:
