@@ -63,6 +63,9 @@ class CalibrationOptions:
         Type B terms of the uncertainty budget.
     passport_source
         Where the passport comes from, for its row of the budget.
+    parallax_sigma
+        1-sigma of the parallax, as a share of the focal length, that enters if views are inconsistent and nothing else
+        determines or bounds it: no passport, no readings, no aberration of the pupil.
 
     Attributes
     ----------
@@ -87,6 +90,7 @@ class CalibrationOptions:
     radial_sigma: float | None = None
     budget: tuple[TypeBTerm, ...] = ()
     passport_source: str = ""
+    parallax_sigma: float = 0.01
     compares_lenses: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:

@@ -44,6 +44,7 @@ from calib.uncertainty.covariance import (
 from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
 from calib.uncertainty.passport_propagation import (
     add_certificate,
+    add_parallax,
     certificate_prior,
     certificate_share,
     propagate_passport,
@@ -229,9 +230,9 @@ def _with_readings(
             joint, together, limit = refine_robustly(joint, start, options)
             start = together.parameters
             joint = with_turns(views, discs, joint, start)
-        test = check_readings(joint, start, stated)
+        joint, together = _balanced(joint, replace(together, parameters=start), limit, options)
+        test = check_readings(joint, together.parameters, stated)
         if not test.contradicted:
-            joint, together = _balanced(joint, replace(together, parameters=start), limit, options)
             return joint, together, limit, test
         if test.scatter * test.times_stated > MAX_READING_SCATTER:
             break
@@ -430,6 +431,8 @@ def with_uncertainty(fitted: Fit, options: CalibrationOptions) -> Fit:
     if passport is None or passport.is_certificate:
         components = partial(variance_components, bundle, parameters, loss)
         estimate = inflate(estimate, bundle, parameters, loss, components)
+    if passport is None and bundle.gimbal is None and estimate.inconsistent:
+        estimate = add_parallax(parameters, estimate, options.parallax_sigma)
     if passport is not None:
         if not passport.is_certificate:
             estimate = propagate_passport(bundle, parameters, estimate, passport)

@@ -21,6 +21,7 @@ from calib.uncertainty.budget_parts import PASSPORT
 from calib.uncertainty.budget_rows import uncertainty_budget
 from calib.uncertainty.covariance import Uncertainty, rotation_covariance
 from calib.uncertainty.cross_validation import MIN_VIEWS
+from calib.uncertainty.passport_propagation import UNBOUNDED_PARALLAX
 
 Array = NDArray[np.float64]
 
@@ -191,6 +192,11 @@ def _notes(fitted: Fit, lens: str) -> tuple[str, ...]:
         "include what differs from view to view. An error that all views have in common, as a bow of the reticle, "
         "does not show in them."
     )
+    if UNBOUNDED_PARALLAX in fitted.uncertainty.budget:
+        notes.append(
+            "Neither a certificate nor bounded readings determine the focal length: a parallax of about 1 % cannot be "
+            "excluded, and the uncertainties include it."
+        )
     if lens:
         notes.append(f"{lens} Set distortion to it, or to auto.")
     elif fitted.model == "spherical" and len(fitted.views) >= MIN_VIEWS:

@@ -155,7 +155,7 @@ class Bundle:
             cost += float(off @ self.prior.information @ off)
         if self.gimbal is not None and parameters.gimbal is not None:
             read = self.gimbal.residuals(parameters.gimbal, parameters.rotations)
-            cost += float((read**2).sum()) / self.gimbal.sigma_rad**2
+            cost += float(np.einsum("ni,nij,nj->", read, self.gimbal.information(parameters.gimbal), read))
         return float(0.5 * self.noise_variance * cost)
 
     def residuals_px(self, parameters: AdjustmentParameters) -> Array:
@@ -311,7 +311,7 @@ class Bundle:
         jacobian = np.zeros((len(off), 3, count + local))
         jacobian[:, :, :count] = self.gimbal.derivatives(parameters.gimbal, self.names)
         jacobian[:, :, count : count + 3] = np.eye(3)
-        weighted = jacobian * (self.noise_variance / self.gimbal.sigma_rad**2)
+        weighted = self.noise_variance * self.gimbal.information(parameters.gimbal) @ jacobian
         return np.swapaxes(weighted, 1, 2) @ jacobian, -np.einsum("nkj,nk->nj", weighted, off)
 
     def _add_priors(self, equations: NormalEquations, parameters: AdjustmentParameters) -> None:

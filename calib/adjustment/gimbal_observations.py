@@ -26,6 +26,8 @@ _OPEN_SIGMA_RAD = 1.0
 #: Prior 1-sigma of the angle between pan and tilt about a right angle, rad: half a degree.
 _NON_ORTHOGONALITY_SIGMA_RAD = np.deg2rad(0.5)
 _DIFFERENCE = 1e-6
+#: Readings closer than this have the same error of the encoder.
+_SAME_READING_DEG = 0.02
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,29 @@ class GimbalObservations:
             Readings with the same weight.
         """
         return replace(self, angles_deg=self.angles_deg[list(kept)])
+
+    def information(self, gimbal: Gimbal) -> Array:
+        """Return the information of the readings on the rotation of each view.
+
+        An encoder repeats its error at the same reading, so that m views with one reading of an axis know this axis no
+        better than one view: each gets m times the variance about it. Own approximation of the joint covariance.
+
+        Parameters
+        ----------
+        gimbal
+            Gives the directions of the axes.
+
+        Returns
+        -------
+        Array
+            (n, 3, 3) inverse covariances of the rotation vectors on the camera's side, 1 / rad^2.
+        """
+        same = np.abs(self.angles_deg[:, None] - self.angles_deg[None]) < _SAME_READING_DEG
+        moved = np.ptp(self.angles_deg, axis=0) > _MOVED_DEG
+        times = np.where(moved, same.sum(axis=1), 1.0)
+        axes = gimbal.axes(self.angles_deg)
+        covariance = np.einsum("nik,nk,njk->nij", axes, self.sigma_rad**2 * times, axes)
+        return np.asarray(np.linalg.inv(covariance))
 
     def residuals(self, gimbal: Gimbal, rotations: Array) -> Array:
         """Return the rotations seen minus those read.

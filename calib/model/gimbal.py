@@ -71,6 +71,25 @@ class Gimbal:
         pan, tilt, roll = (exp_map(scaled[:, [k]] * axis) for k, axis in enumerate(_AXES))
         return np.asarray(roll @ tilt @ exp_map(skew) @ pan)
 
+    def axes(self, angles_deg: Array) -> Array:
+        """Return the directions of the axes, seen from the camera.
+
+        Parameters
+        ----------
+        angles_deg
+            (n, 3) readings of pan, tilt, roll, degrees.
+
+        Returns
+        -------
+        Array
+            (n, 3, 3) unit vectors of pan, tilt and roll, in the columns.
+        """
+        scaled = np.radians(angles_deg * np.array(self.scales))
+        tilt, roll = (exp_map(scaled[:, [k]] * _AXES[k]) for k in (1, 2))
+        skewed = roll @ tilt @ exp_map(np.array([0.0, 0.0, self.non_orthogonality]))
+        columns = [skewed @ _AXES[0], roll @ _AXES[1], np.broadcast_to(_AXES[2], (len(scaled), 3))]
+        return np.asarray(self.camera_from_head @ np.stack(columns, axis=2))
+
     def rotations(self, angles_deg: Array) -> Array:
         """Return the rotations of the camera.
 

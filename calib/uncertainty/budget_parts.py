@@ -129,7 +129,8 @@ def _by_readings(
     local[:, :, :3] = np.eye(3)
     eliminated = np.linalg.solve(equations.local, np.swapaxes(local, 1, 2))
     scores = np.swapaxes(derivatives, 1, 2) - equations.coupling @ eliminated
-    weighted = scores * (bundle.noise_variance / bundle.gimbal.sigma_rad)
+    root = np.linalg.cholesky(bundle.gimbal.information(parameters.gimbal))
+    weighted = bundle.noise_variance * scores @ root
     total = (weighted @ np.swapaxes(weighted, 1, 2)).sum(axis=0)
     part = np.zeros_like(estimate.covariance)
     at = [list(estimate.names).index(name) for name in bundle.names]

@@ -26,6 +26,7 @@ from calib.uncertainty.budget_parts import (
     covariance_parts,
 )
 from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty
+from calib.uncertainty.passport_propagation import UNBOUNDED_PARALLAX
 from calib.uncertainty.projection_uncertainty import projection_derivatives
 from calib.uncertainty.target_response import TargetResponse
 from calib.uncertainty.type_b import AppliedBudget, Contribution, apply_budget
@@ -42,6 +43,7 @@ _OWN_SOURCES: Mapping[str, tuple[Literal["A", "B"], str]] = {
     GIMBAL_SCALE: ("B", "station: scale_sigma, eccentricity_deg"),
     GIMBAL_AXES: ("B", "expected sizes"),
     PARALLAX_BOUND: ("B", "station: pupil_off_pivot_mm and defocus"),
+    UNBOUNDED_PARALLAX: ("B", "not stated; about 1 % is typical of collimators out of focus"),
 }
 _SMALLEST_PX = 0.005
 

@@ -77,12 +77,28 @@ class Uncertainty:
     @property
     def coverage_factor(self) -> float:
         """The k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G)."""
-        from scipy import special
+        return coverage_factor(self.effective_degrees_of_freedom)
 
-        tail = 0.5 + 0.5 * _COVERAGE
-        if np.isinf(self.effective_degrees_of_freedom):
-            return float(special.ndtri(tail))
-        return float(special.stdtrit(self.effective_degrees_of_freedom, tail))
+
+def coverage_factor(degrees_of_freedom: float) -> float:
+    """Return the k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G).
+
+    Parameters
+    ----------
+    degrees_of_freedom
+        Degrees of freedom of sigma; may be infinite.
+
+    Returns
+    -------
+    float
+        2 for infinitely many; more for few.
+    """
+    from scipy import special
+
+    tail = 0.5 + 0.5 * _COVERAGE
+    if np.isinf(degrees_of_freedom):
+        return float(special.ndtri(tail))
+    return float(special.stdtrit(degrees_of_freedom, tail))
 
 
 def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Uncertainty:

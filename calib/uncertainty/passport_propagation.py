@@ -20,6 +20,9 @@ from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty, inverse_inf
 
 Array = NDArray[np.float64]
 
+#: Source of the budget for a parallax that nobody bounds.
+UNBOUNDED_PARALLAX = "parallax, not bounded"
+
 
 def propagate_passport(
     bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty, passport: Passport
@@ -109,6 +112,37 @@ def add_certificate(
         names=names,
         covariance=covariance,
         budget={**own, "passport of the collimator": np.diag(shared)},
+    )
+
+
+def add_parallax(parameters: AdjustmentParameters, estimate: Uncertainty, share: float) -> Uncertainty:
+    """Return the uncertainty with a parallax that nobody bounds, if the model does not estimate it.
+
+    A pupil that moves across the beam of a collimator out of focus changes both focal lengths by one share. The
+    residuals do not show it. Models with the aberration ``pupil_shift`` estimate it.
+
+    Parameters
+    ----------
+    parameters
+        Optimum of an adjustment without certificate and without readings.
+    estimate
+        Its uncertainty.
+    share
+        1-sigma of the parallax, as a share of the focal length.
+
+    Returns
+    -------
+    Uncertainty
+        Uncertainty of the same parameters.
+    """
+    if "pupil_shift" in parameters.collimator.aberrations or not share > 0:
+        return estimate
+    focal = {"fx": parameters.camera.fx, "fy": parameters.camera.fy}
+    change = share * np.array([focal.get(name, 0.0) for name in estimate.names])
+    return replace(
+        estimate,
+        covariance=estimate.covariance + np.outer(change, change),
+        budget={**estimate.budget, UNBOUNDED_PARALLAX: change**2},
     )
 
 

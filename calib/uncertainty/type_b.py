@@ -17,12 +17,18 @@ from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.passport import Passport
 from calib.model.type_b_terms import RADII, TypeBTerm, with_effective_radius
-from calib.uncertainty.budget_parts import PASSPORT, STARS
-from calib.uncertainty.covariance import Uncertainty, inverse_information
+from calib.uncertainty.budget_parts import PASSPORT, PRIORS, STARS
+from calib.uncertainty.covariance import Uncertainty, coverage_factor, inverse_information
 from calib.uncertainty.passport_propagation import consider_covariance
 from calib.uncertainty.target_response import TargetResponse, target_response
 
 Array = NDArray[np.float64]
+
+
+#: Parameters whose degrees of freedom determine the coverage factor.
+_FOCAL = ("fx", "fy")
+#: Sources of an adjustment whose variance is known: that of passports and priors.
+_CERTAIN = (PASSPORT, PRIORS)
 
 
 @dataclass(frozen=True)
@@ -55,9 +61,9 @@ class AppliedBudget:
     ----------
     uncertainty
         The uncertainty with the terms: covariance, budget and effective degrees of freedom. The latter are those of the
-        parameter that has the fewest.
+        focal length that has fewer.
     without_terms
-        The uncertainty before.
+        The uncertainty before, with the same degrees of freedom.
     degrees_of_freedom
         (G,) float64 effective degrees of freedom of each parameter.
     rotation_covariance
@@ -115,6 +121,9 @@ def apply_budget(
 def add_terms(response: TargetResponse, estimate: Uncertainty, terms: Sequence[TypeBTerm]) -> AppliedBudget:
     """Add terms to an uncertainty whose response is known.
 
+    The coverage factor is that of the focal lengths. The standard uncertainty of a parameter with fewer degrees of
+    freedom is enlarged, so that this factor covers it as its own would. Own procedure.
+
     Parameters
     ----------
     response
@@ -147,13 +156,22 @@ def add_terms(response: TargetResponse, estimate: Uncertainty, terms: Sequence[T
         if applies:
             budget[term.name] = budget.get(term.name, 0.0) + variance * np.diag(shared)
     freedom = effective_degrees_of_freedom(estimate, contributions)
-    total = replace(
-        estimate,
-        covariance=covariance,
-        budget=budget,
-        effective_degrees_of_freedom=float(freedom.min()),
+    at = [i for i, name in enumerate(estimate.names) if name in _FOCAL] or range(len(freedom))
+    whole = replace(estimate, effective_degrees_of_freedom=float(freedom[at].min()))
+    growth = np.array([max(coverage_factor(own) / whole.coverage_factor, 1.0) for own in freedom])
+    both = np.outer(growth, growth)
+    before = replace(
+        whole,
+        covariance=both * estimate.covariance,
+        budget={source: growth**2 * each for source, each in estimate.budget.items()},
     )
-    return AppliedBudget(total, estimate, freedom, turns, tuple(contributions), response)
+    total = replace(
+        whole,
+        covariance=both * covariance,
+        budget={source: growth**2 * each for source, each in budget.items()},
+    )
+    grown = tuple(replace(each, covariance=both * each.covariance) for each in contributions)
+    return AppliedBudget(total, before, freedom, turns, grown, response)
 
 
 def with_default_terms(response: TargetResponse, terms: Sequence[TypeBTerm]) -> tuple[TypeBTerm, ...]:
@@ -223,7 +241,10 @@ def effective_degrees_of_freedom(estimate: Uncertainty, contributions: Sequence[
     """
     own = np.diag(estimate.covariance)
     total = own + sum((np.diag(each.covariance) for each in contributions), start=np.zeros(len(own)))
-    spread = own**2 / estimate.effective_degrees_of_freedom
+    known = sum(
+        (estimate.budget[source] for source in _CERTAIN if source in estimate.budget), start=0.0 * own
+    )
+    spread = np.maximum(own - known, 0.0) ** 2 / estimate.effective_degrees_of_freedom
     for each in contributions:
         spread = spread + np.diag(each.covariance) ** 2 / each.term.degrees_of_freedom
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -43,8 +43,8 @@ def test_the_squares_of_the_contributions_add_up_to_those_of_the_result(bench, m
     sigmas = {name: covariance[names.index(name), names.index(name)] ** 0.5 for name in ROW_QUANTITIES[:4]}
     sigmas[WORST_CORNER] = projection_uncertainty(fit.parameters.camera, covariance[np.ix_(at, at)]).worst_px
     for name, sigma in sigmas.items():
-        assert np.linalg.norm([row.contribution[name] for row in rows]) == pytest.approx(sigma, rel=1e-6)
-        assert sum(row.share[name] for row in rows) == pytest.approx(1)
+        assert np.linalg.norm([row.contribution[name] for row in rows]) == pytest.approx(sigma, rel=1e-4)
+        assert sum(row.share[name] for row in rows) == pytest.approx(1, rel=1e-4)
 
 
 def test_a_row_holds_value_divisor_sensitivity_and_contribution(bench):

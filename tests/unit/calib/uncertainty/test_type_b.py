@@ -123,7 +123,8 @@ def test_terms_enter_covariance_budget_and_rotations(bench):
     fit = fitted(bench, "spherical with a certificate")
     terms = [SCALE, BOW, EXPANSION, TypeBTerm("wavefront", "wavefront", 2.0, "interferometer")]
     applied = apply_budget(fit.bundle, fit.parameters, fit.loss, fit.uncertainty, terms)
-    total, before = applied.uncertainty, fit.uncertainty
+    total, before = applied.uncertainty, applied.without_terms
+    assert (np.diag(before.covariance) >= (1 - 1e-12) * np.diag(fit.uncertainty.covariance)).all()
     assert np.allclose(total.covariance, before.covariance + sum(c.covariance for c in applied.contributions))
     assert np.allclose(sum(total.budget.values()), np.diag(total.covariance))
     assert list(total.budget) == [*before.budget, *(term.name for term in terms), "effective radius"]
@@ -173,7 +174,10 @@ def test_degrees_of_freedom_follow_welch_and_satterthwaite(bench):
     share = applied.uncertainty.budget["effective radius"] / np.diag(applied.uncertainty.covariance)
     at = fit.uncertainty.names.index("fx")
     assert own["fx"] == pytest.approx(5 / share[at] ** 2, rel=0.02)
-    assert applied.uncertainty.effective_degrees_of_freedom == min(own.values())
+    # A parameter with fewer degrees of freedom has a sigma that the common factor covers.
+    grown = np.sqrt(np.diag(applied.without_terms.covariance) / np.diag(fit.uncertainty.covariance))
+    assert (grown >= 1 - 1e-12).all()
+    assert applied.uncertainty.effective_degrees_of_freedom == min(own["fx"], own["fy"])
     without = apply_budget(fit.bundle, fit.parameters, fit.loss, fit.uncertainty, [EFFECTIVE])
     assert without.degrees_of_freedom[at] > fit.uncertainty.effective_degrees_of_freedom
 
