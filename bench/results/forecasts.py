@@ -252,6 +252,9 @@ def _cause(found: Forecast, name: str, most: float) -> str:
     floor = _SMALLEST_K * float(np.sqrt(sum(part**2 for part in fixed.values())))
     if floor > most:
         largest = max(fixed, key=lambda each: fixed[each])
-        return f" More poses do not help: the {largest} alone leaves {_SMALLEST_K * fixed[largest]:.2g} px (k = 2)."
+        return (
+            f" More poses help little: the terms that they hardly lower leave {floor:.2g} px (k = 2). The largest is "
+            f"the {largest}."
+        )
     largest = max(parts, key=lambda each: parts[each])
     return f" The largest term is the {largest} ({parts[largest]:.2g} px, 1 sigma); more poses lower it."

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.collimator_terms import add_terms
+from calib.adjustment.gimbal_observations import GimbalObservations
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.readings import add_readings
@@ -22,9 +23,12 @@ from calib.fit import MAX_READING_SCATTER, WITHOUT_READINGS
 from calib.model.aberrations import LADDER
 from calib.model.beam import Disc
 from calib.model.collimator import CENTRE, Collimator
+from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import GimbalReadings
+from calib.model.passport import Passport
 from calib.studies.collimator_errors import KEYSTONE_PER_PUPIL, SPECTRUM
 from calib.studies.predicted_views import ExpectedBench
+from calib.uncertainty.passport_propagation import certificate_prior
 from calib.uncertainty.variance_components import basis_fields
 from calib.view import View
 
@@ -59,6 +63,15 @@ class PoseShare:
         return np.asarray((self.coupling * self.variances) @ self.coupling.T)
 
 
+class _SingleReadings(GimbalObservations):
+    """Readings of poses of which only some will be recorded: no reading counts as a repeat of another one."""
+
+    def information(self, gimbal: Gimbal) -> Array:
+        """See `GimbalObservations.information`."""
+        axes = gimbal.axes(self.angles_deg)
+        return np.asarray(np.linalg.inv(self.sigma_rad**2 * axes @ np.swapaxes(axes, 1, 2)))
+
+
 class ExpectedFit:
     """The expected adjustment of predicted views.
 
@@ -75,6 +88,9 @@ class ExpectedFit:
     growth
         How many times less the stars weigh against readings and priors than their residuals suggest
         (`calib.studies.expected_uncertainty.expected_fit`).
+    candidates
+        Whether the poses are candidates, of which only some will be recorded. Poses that repeat a reading of an axis
+        then count as if each had a reading error of its own.
 
     Attributes
     ----------
@@ -86,6 +102,8 @@ class ExpectedFit:
         Names of the G parameters: the free ones, then those that the passport holds.
     passport
         Passport of the collimator, if one holds parameters.
+    certificate
+        Certificate of the radius, if it is a prior of the parameter r, because readings enter too.
     shares
         Contribution of each pose.
     """
@@ -97,6 +115,8 @@ class ExpectedFit:
         rotations: Array,
         angles_deg: Sequence[Angles] = (),
         growth: float = 1.0,
+        *,
+        candidates: bool = False,
     ) -> None:
         self._bench, self.growth = bench, growth
         self._field_px = bench.errors.field_px(bench.star_sigma_px)
@@ -123,12 +143,19 @@ class ExpectedFit:
                 weighted, discs, bundle, parameters, terms, bench.passport, bench.radial_sigma
             )
         readings = entering_readings(bench)
+        certificate = weighed_certificate(bench)
         if readings is not None:
             readings = replace(readings, angles_deg=tuple(dict(one) for one in angles_deg))
-            bundle, parameters = add_readings(weighted, discs, bundle, parameters, readings)
+            radius = certificate_prior(certificate, bench.terms) if certificate else None
+            bundle, parameters = add_readings(weighted, discs, bundle, parameters, readings, radius)
+        if candidates and bundle.gimbal is not None:
+            bundle = replace(
+                bundle, gimbal=_SingleReadings(bundle.gimbal.angles_deg, bundle.gimbal.sigma_rad)
+            )
         self.bundle, self.parameters = bundle, parameters
-        self.names = (*bundle.names, *held)
-        self.passport = bench.passport
+        self.certificate = certificate
+        self.passport = None if certificate else bench.passport
+        self.names = (*bundle.names, *(self.passport.names if self.passport else ()))
         self.shares = tuple(self._shares())
 
     @property
@@ -236,6 +263,25 @@ def entering_readings(bench: ExpectedBench) -> GimbalReadings | None:
     if scatter > MAX_READING_SCATTER:
         return None
     return replace(stated, reading_sigma_deg=scatter * stated.reading_sigma_deg)
+
+
+def weighed_certificate(bench: ExpectedBench) -> Passport | None:
+    """Return the certificate if readings enter too: the radius is then a parameter with the certificate as its prior.
+
+    Parameters
+    ----------
+    bench
+        The expected bench.
+
+    Returns
+    -------
+    Passport or None
+        None if there is no certificate, or if it holds the radius because readings do not enter.
+    """
+    passport = bench.passport
+    if passport is None or not passport.is_certificate or entering_readings(bench) is None:
+        return None
+    return passport
 
 
 def reading_scatter(bench: ExpectedBench) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews
 from calib.model.passport import Passport
 from calib.studies.expected_fit import Angles, ExpectedFit, PoseShare
@@ -20,7 +21,7 @@ from calib.studies.predicted_views import ExpectedBench
 from calib.uncertainty.budget_parts import PASSPORT, PRIORS, STARS
 from calib.uncertainty.cluster_robust import cluster_robust_covariance
 from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty, inverse_information
-from calib.uncertainty.passport_propagation import consider_covariance
+from calib.uncertainty.passport_propagation import add_parallax, certificate_share, consider_covariance
 from calib.uncertainty.projection_uncertainty import projection_derivatives
 from calib.view import View
 
@@ -37,7 +38,12 @@ _SMALLEST_EIGENVALUE = 1e-15
 
 
 def expected_fit(
-    bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
+    bench: ExpectedBench,
+    views: Sequence[View],
+    rotations: Array,
+    angles_deg: Sequence[Angles],
+    *,
+    candidates: bool = False,
 ) -> ExpectedFit:
     """Return the expected adjustment of views, with the weight that the engine gives to readings of the gimbal.
 
@@ -54,20 +60,24 @@ def expected_fit(
         (n, 3, 3) rotations of the views, camera <- target.
     angles_deg
         Angles of the gimbal for each view, degrees.
+    candidates
+        Whether only some of the poses will be recorded (`ExpectedFit`).
 
     Returns
     -------
     ExpectedFit
         The adjustment.
     """
-    fit = ExpectedFit(bench, views, rotations, angles_deg)
+    fit = ExpectedFit(bench, views, rotations, angles_deg, candidates=candidates)
     if fit.bundle.gimbal is None:
         return fit
     try:
         birge = expected_estimate(fit, fit.shares).birge_ratio
     except DegenerateViews:
         return fit
-    return fit if birge == 1.0 else ExpectedFit(bench, views, rotations, angles_deg, birge)
+    if birge == 1.0:
+        return fit
+    return ExpectedFit(bench, views, rotations, angles_deg, birge, candidates=candidates)
 
 
 @dataclass(frozen=True)
@@ -209,7 +219,7 @@ def expected_estimate(fit: ExpectedFit, shares: Sequence[PoseShare]) -> Uncertai
         parts = _with_passport(fit, fit.passport, whole, max(birge, fit.passport.birge_ratio))
     elif fit.passport is not None:
         parts[PASSPORT] = _by_passport(fit.passport, own, whole)
-    return Uncertainty(
+    estimate = Uncertainty(
         fit.names,
         np.asarray(sum(parts.values(), start=np.zeros_like(whole))),
         variance_factor=1.0,
@@ -219,6 +229,11 @@ def expected_estimate(fit: ExpectedFit, shares: Sequence[PoseShare]) -> Uncertai
         effective_degrees_of_freedom=float(effective),
         budget={source: np.diag(part) for source, part in parts.items()},
     )
+    if fit.certificate is not None:
+        return certificate_share(fit.bundle, fit.parameters, estimate, fit.certificate)
+    if inconsistent and fit.passport is None and fit.bundle.gimbal is None:
+        return add_parallax(fit.parameters, estimate, CalibrationOptions.parallax_sigma)
+    return estimate
 
 
 def _padded(part: Array, size: int) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.poses import SAME_POSE_DEG, members, poses_of
+from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.aberrations import LADDER, PARALLAX, needs_rim
 from calib.model.budget_row import WORST_CORNER, BudgetRow
@@ -25,6 +26,7 @@ from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench, predicted_
 from calib.uncertainty.budget_parts import GIMBAL_AXES, PRIORS, READINGS, STARS, covariance_parts
 from calib.uncertainty.budget_rows import budget_rows, not_included
 from calib.uncertainty.covariance import INCONSISTENCY
+from calib.uncertainty.passport_propagation import UNBOUNDED_PARALLAX
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.uncertainty.target_response import target_response
 from calib.uncertainty.type_b import add_terms
@@ -134,12 +136,12 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
         model_to_expect(bench),
         budget_rows(bench.camera, applied, parts),
         not_included(bench.camera, applied),
-        _remarks(bench, rotations),
+        _remarks(bench, rotations, UNBOUNDED_PARALLAX in whole.budget),
     )
 
 
-def _remarks(bench: ExpectedBench, rotations: Array) -> tuple[str, ...]:
-    """Return what limits a forecast: readings that will not enter, and rims that a model needs but no pose shows."""
+def _remarks(bench: ExpectedBench, rotations: Array, any_parallax: bool) -> tuple[str, ...]:
+    """Return what limits a forecast: readings that will not enter, parallax, and rims that too few poses show."""
     found = []
     if bench.readings is not None and bench.readings.parallax is None:
         found.append(
@@ -155,6 +157,12 @@ def _remarks(bench: ExpectedBench, rotations: Array) -> tuple[str, ...]:
         found.append(
             "Nothing but the stars determines the focal length. A certificate of the collimator, or the gimbal's "
             "readings with a bounded parallax, would lower its uncertainty."
+        )
+    if any_parallax:
+        share = 100 * CalibrationOptions.parallax_sigma
+        found.append(
+            f"A parallax of about {share:g} % cannot be excluded, and more poses do not show it. The forecast includes "
+            "it."
         )
     if needs_rim(LADDER.get(bench.model, ())):
         shown = sum(_shows_rim(bench, rotation) for rotation in rotations)
@@ -269,6 +277,7 @@ class _Choice:
             [pose.view for pose in poses],
             np.array([pose.rotation for pose in poses]),
             [pose.angles_deg for pose in poses],
+            candidates=True,
         )
         self._judge = PoseJudge(self._fit)
         self._neighbours_share = bench.errors.field_px(bench.star_sigma_px) > 0

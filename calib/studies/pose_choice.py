@@ -20,7 +20,7 @@ from calib.model.collimator import CENTRE
 from calib.model.gimbal_readings import AXES
 from calib.model.passport import Passport
 from calib.model.rotation import euler_zxy, log_map, nearest_rotation
-from calib.studies.expected_fit import ExpectedFit
+from calib.studies.expected_fit import ExpectedFit, weighed_certificate
 from calib.studies.expected_uncertainty import PoseJudge, Sigmas
 from calib.studies.gimbal_model import GimbalModel as ReadGimbal
 from calib.studies.hand_eye_fit import starts
@@ -129,7 +129,8 @@ class PoseWeigher:
     """Weighs possible poses against the poses recorded so far.
 
     Uncertainties are those of star noise (Cramér-Rao bound; Rao, 1945), with a passport's values held as exact: the
-    uncertainty of a passport is the same after every pose. The discount for neighbouring poses is this project's own.
+    uncertainty of a passport is the same after every pose. A certificate that is weighed against readings of the gimbal
+    counts with its uncertainty. The discount for neighbouring poses is this project's own.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ class PoseWeigher:
         refused_deg: Sequence[Angles] = (),
         min_stars: int = 0,
     ) -> None:
-        self._bench = replace(bench, passport=_as_exact(bench.passport))
+        self._bench = replace(bench, passport=weighed_certificate(bench) or _as_exact(bench.passport))
         self._gimbal = gimbal
         self._taken = tuple(taken_deg)
         self._refused = tuple(refused_deg)
@@ -232,9 +233,8 @@ class PoseWeigher:
 
     def _fit(self, views: Sequence[View], poses: Sequence[Angles]) -> ExpectedFit:
         """Return the expected adjustment of some views."""
-        return ExpectedFit(
-            self._bench, views, np.array([self._gimbal.rotation(pose) for pose in poses]), poses
-        )
+        rotations = np.array([self._gimbal.rotation(pose) for pose in poses])
+        return ExpectedFit(self._bench, views, rotations, poses, candidates=True)
 
 
 def _sums(fit: ExpectedFit) -> Array:

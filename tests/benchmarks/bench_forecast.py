@@ -8,8 +8,8 @@ parallax; S1 and S2 have none, so readings do not enter there. Columns: expected
 their ratio; the same for the largest U at the corners; root mean square of the errors of fx, and how many times larger
 the expected U is. The last line counts the rows with a forecast within a factor of 2.
 
-The sizes of the collimator's errors are those that a laboratory takes from a finished run: the median ``rms_px`` of
-nine-pose calibrations with other seeds (100 to 103).
+The sizes of the collimator's errors were set by hand, after the ``rms_px`` of nine-pose calibrations with the seeds 0
+and 1. The rows use other seeds. A laboratory takes its size from a finished run.
 """
 
 from __future__ import annotations

@@ -57,11 +57,20 @@ def test_a_plan_is_forecast_as_its_last_solve_step_calibrates(solved):
 def test_a_limit_that_cannot_be_met_is_named_with_its_term(solved):
     solve = "{model: radial, passport: none, readings: witness, limits: {expanded_fx_px: 1, sigma_k2: 1e-9, rms_px: 9}}"
     found = expected_uncertainty(solved(solve))
-    k2, fx, alone = found.remarks
+    k2, fx, alone, parallax = found.remarks
     assert fx.startswith("U(fx) of at most 1 px will not be met")
-    assert "more poses lower it" in fx
+    assert "More poses help little" in fx
+    assert fx.endswith("The largest is the parallax, not bounded.")
     assert k2.startswith("sigma_k2 of at most 1e-09 will not be met")
     assert "Nothing but the stars" in alone
+    assert parallax.startswith("A parallax of about 1 %")
+
+
+def test_a_limit_that_more_poses_can_meet_says_so(solved):
+    (fx, *_) = expected_uncertainty(solved("{model: radial, limits: {expanded_fx_px: 1.7}}")).remarks
+    assert fx.startswith("U(fx) of at most 1.7 px will not be met: 2")
+    assert "The largest term is the readings of the gimbal" in fx
+    assert fx.endswith("more poses lower it.")
 
 
 def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is_named(tmp_path):
@@ -71,7 +80,8 @@ def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is
     )
     found = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
     assert found.chosen == found.poses - 3 > 0
-    assert "More poses do not help: the effective radius alone leaves" in found.remarks[0]
+    assert "will not be met: 1.5 expected. More poses help little" in found.remarks[0]
+    assert "The largest is the scale and eccentricity of the gimbal." in found.remarks[0]
 
 
 def test_suggested_poses_stay_within_limits_and_never_repeat(solved):
@@ -89,13 +99,13 @@ def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys)
     printed = capsys.readouterr().out
     assert "Expected with 9 poses, radial model, k = 2." in printed
     assert "U(fx)" in printed
-    assert "\n  effective radius  " in printed
+    assert "\n  readings of the gimbal  " in printed
     assert "\nSuggested: {pan_deg: " in printed
     with pytest.raises(SystemExit):
         main(["plan", "nine_pose", "-s", "simulated", "--suggest", "1", "--json"])
     found = json.loads(capsys.readouterr().out)
     expected = found["expected"]
     assert expected["poses"] == 9
-    assert 1 < expected["expanded_fx_px"] < 10
+    assert 1.5 < expected["expanded_fx_px"] < 2.5
     assert {row["name"] for row in expected["budget_rows"]} >= {"stars", "effective radius"}
     assert found["suggested"][0].keys() == {"pan_deg", "tilt_deg", "worst_px", "rim_share", "why"}

@@ -15,8 +15,9 @@ from calib.model.type_b_terms import TypeBTerm
 from calib.studies.collimator_errors import CollimatorErrors
 from calib.studies.planning import forecast, next_poses
 from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench
-from calib.uncertainty.budget_parts import PARALLAX_BOUND, PASSPORT
+from calib.uncertainty.budget_parts import PARALLAX_BOUND, PASSPORT, READINGS, STARS
 from calib.uncertainty.covariance import INCONSISTENCY
+from calib.uncertainty.passport_propagation import UNBOUNDED_PARALLAX
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
 
 CAMERA = CameraModel(3345.0, 3345.0, 640.0, 360.0, (1280, 720), {"k1": 0.06, "k2": -0.9})
@@ -112,7 +113,12 @@ def test_errors_of_the_collimator_dominate_and_more_poses_lower_them():
     assert min(nine.coverage_factor, three.coverage_factor) > 2.1
     assert nine.limited["expanded_fx"] > 10 * ideal.limited["expanded_fx"]
     assert nine.limited["expanded_fx"] < three.limited["expanded_fx"]
-    assert largest(nine) == INCONSISTENCY
+    assert largest(nine) == UNBOUNDED_PARALLAX
+    assert "parallax of about 1 % cannot be excluded" in nine.remarks[1]
+    rows = {row.name: row.contribution["fx"] for row in nine.budget_rows}
+    assert rows[UNBOUNDED_PARALLAX] == pytest.approx(33.45, rel=0.01)
+    assert rows[INCONSISTENCY] > 5 * rows[STARS]
+    assert UNBOUNDED_PARALLAX not in {row.name for row in ideal.budget_rows}
     assert sum(row.share["fx"] for row in nine.budget_rows) == pytest.approx(1.0)
 
 
@@ -134,6 +140,34 @@ def test_a_certificate_leaves_its_own_uncertainty_and_that_of_the_effective_radi
     better = forecast(replace(REAL, passport=CERTIFICATE, terms=(stated,)), NINE)
     assert largest(better) == PASSPORT
     assert better.limited["expanded_fx"] < found.limited["expanded_fx"]
+
+
+def test_a_certificate_and_readings_share_the_focal_length_by_their_weights():
+    bound = readings(ParallaxBound(0.066, 0.001, 0.0, 0.05))
+    certified = forecast(replace(REAL, passport=CERTIFICATE), NINE)
+    read = forecast(replace(REAL, readings=bound), NINE)
+    both = forecast(replace(REAL, passport=CERTIFICATE, readings=bound), NINE)
+    rows = {row.name: row.contribution["fx"] for row in both.budget_rows}
+    assert both.limited["expanded_fx"] < min(
+        certified.limited["expanded_fx"], read.limited["expanded_fx"] + 0.01
+    )
+    assert 0 < rows["effective radius"] < 1
+    assert 0 < rows[PASSPORT] < rows["effective radius"]
+    assert sum(row.share["fx"] for row in both.budget_rows) == pytest.approx(1.0)
+
+
+def test_readings_that_repeat_share_their_error():
+    """A grid of nine poses has three readings of each axis; poses that differ in every reading give more."""
+    bench = replace(
+        REAL, errors=CollimatorErrors(), readings=readings(ParallaxBound(0.066, 0.001, 0.0, 0.05))
+    )
+    apart = [{axis: angle + 0.03 * i for axis, angle in pose.items()} for i, pose in enumerate(NINE)]
+    rows = [
+        next(row for row in forecast(bench, poses).budget_rows if row.name == READINGS)
+        for poses in (NINE, apart)
+    ]
+    grid, scattered = (row.contribution["fx"] for row in rows)
+    assert 1.1 < grid / scattered < 2
 
 
 def test_parallax_dominates_if_its_bound_is_wide():
