@@ -34,7 +34,7 @@ def test_the_shipped_sequence_has_no_fault(plan):
 def test_it_is_described_in_two_lines_with_the_longest_time(plan):
     text = render_plan(plan)
     assert "choose and record up to 22 poses, at most 20 min" in text
-    assert "until U(fx) <= 6 px, U at the corners <= 1.5 px" in text
+    assert "until U(fx) <= 2.5 px, U at the corners <= 1.5 px" in text
     assert text.splitlines()[-1].startswith("3 to 25 poses, at most about ")
     assert len([line for line in text.splitlines() if line.strip()]) < 25
 
@@ -54,7 +54,7 @@ def test_plan_json_names_the_rounds_and_the_bounds(plan):
     (until,) = told["untils"]
     assert told["most_poses"] == until["at_most"] == 25
     assert (until["starts"], until["minutes"]) == (3, 20)
-    assert until["goals"] == {"expanded_fx_px": 6, "worst_corner_px": 1.5}
+    assert until["goals"] == {"expanded_fx_px": 2.5, "worst_corner_px": 1.5}
     assert len(told["poses"]) == 3
     assert told["steps"][until["first"] - 1]["what"] == "move"
 

@@ -16,14 +16,14 @@ def courses(sequence="until_good", station="simulated", **settings):
 def test_on_an_ideal_bench_the_first_poses_suffice():
     (course,) = courses(station="simulated_ideal")
     assert course.poses == 3
-    assert course.reached["expanded_fx_px"] < 6
+    assert course.reached["expanded_fx_px"] < 2.5
     assert course.text == (
-        "Expected: about 3 poses until U(fx) is at most 6 px and U at the corners at most 1.5 px."
+        "Expected: about 3 poses until U(fx) is at most 2.5 px and U at the corners at most 1.5 px."
     )
 
 
 def test_on_the_simulated_bench_it_takes_more_poses_but_fewer_than_allowed():
-    (course,) = courses(expanded_fx_px=2.2)
+    (course,) = courses()
     assert 4 <= course.poses <= 15
     assert course.to_dict()["poses"] == course.poses
 
