@@ -176,7 +176,7 @@ def true_angles_deg(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> tup
 
     Examples
     --------
-    >>> true_angles_deg({"pan": 6.0}, GimbalTruth(scale=(0.001, 0.0, 0.0)))[0]
+    >>> round(true_angles_deg({"pan": 6.0}, GimbalTruth(scale=(0.001, 0.0, 0.0)))[0], 9)
     6.006
     """
     pan, tilt, roll = (_true_angle_deg(angles_deg.get(name, 0.0), k, gimbal) for k, name in enumerate(AXES))

@@ -51,7 +51,7 @@ def as_an_editor_sees_it(value: Any) -> Any:
         return [as_an_editor_sees_it(inner) for inner in value]
     if isinstance(value, str) and re.fullmatch(r"[-+]?[0-9]+", value):
         return int(value)
-    if isinstance(value, str) and re.fullmatch(r"[-+]?[0-9]*\.[0-9]+", value):
+    if isinstance(value, str) and re.fullmatch(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", value):
         return float(value)
     return {"true": True, "false": False}.get(value, value) if isinstance(value, str) else value
 

@@ -22,7 +22,8 @@ class Tables(HTMLParser):
         self.open.append((tag, told))
         if tag == "table":
             scrolled = any(
-                t == "div" and a.get("class") == "wide" and a.get("aria-label") for t, a in self.open
+                t == "div" and "wide" in a.get("class", "").split() and a.get("aria-label")
+                for t, a in self.open
             )
             self.tables.append((told.get("class", ""), scrolled))
         if tag == "th":

@@ -77,6 +77,6 @@ def test_radial_terms_and_parallax_need_no_disc():
 
 
 def test_a_stated_bow_narrows_the_prior_of_the_radial_terms_only():
-    narrow = aberration_prior(["radial", "radial_4", "coma"], 0.015)
+    narrow = aberration_prior(["radial", "radial_4", "coma"], 0.005)
     usual = aberration_prior(["radial", "radial_4", "coma"])
     assert np.allclose(np.diag(narrow.information) / np.diag(usual.information), [100.0, 100.0, 1.0])

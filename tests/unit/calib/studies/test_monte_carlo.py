@@ -22,13 +22,13 @@ def test_one_seed_gives_one_result_and_progress_is_reported_after_each_run():
     assert 0.3 < study.z_joint < 3
 
 
-def test_stars_that_are_grossly_wrong_spoil_least_squares_and_not_a_robust_loss():
+def test_stars_that_are_grossly_wrong_are_left_out_whatever_the_loss():
     plain, robust = (
         run_monte_carlo(NARROW, POSES, CalibrationOptions(loss=loss), 4, 5, outliers=0.02)
         for loss in ("l2", "huber")
     )
     clean = run_monte_carlo(NARROW, POSES, L2, 4, 5)
-    assert (plain.sigmas > 4 * clean.sigmas).all()
+    assert (plain.sigmas < 1.5 * clean.sigmas).all()
     assert (robust.sigmas < 1.5 * clean.sigmas).all()
     assert robust.z_joint < 3
 
