@@ -431,7 +431,8 @@ def with_uncertainty(fitted: Fit, options: CalibrationOptions) -> Fit:
     if passport is None or passport.is_certificate:
         components = partial(variance_components, bundle, parameters, loss)
         estimate = inflate(estimate, bundle, parameters, loss, components)
-    if passport is None and bundle.gimbal is None and estimate.inconsistent:
+    unbounded = passport is None and bundle.gimbal is None and fitted.model != "planar"
+    if unbounded and estimate.inconsistent:
         estimate = add_parallax(parameters, estimate, options.parallax_sigma)
     if passport is not None:
         if not passport.is_certificate:
