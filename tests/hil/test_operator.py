@@ -115,6 +115,7 @@ def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tm
     assert "Record pose 2 (right)." in resumed.stderr
 
 
+@pytest.mark.slow
 def test_a_pose_that_crashes_the_process_twice_is_skipped_and_marked(home, tmp_path, process):
     folder = tmp_path / "run"
     end_when(process, folder, entering("recording", 2), signal.SIGSEGV)

@@ -67,6 +67,7 @@ def test_between_attempts_it_waits_twice_as_long_each_time(home, tmp_path):
     assert waited == [0.2, 0.0]
 
 
+@pytest.mark.slow
 def test_a_pose_that_is_held_with_nobody_there_ends_the_run_safely_and_resumable(home, tmp_path):
     folder = tmp_path / "held"
     said = run(home, folder, "hold", end=TWO_POSES + END)

@@ -17,6 +17,7 @@ def listed(home, *words):
     return said.returncode, json.loads(said.stdout)
 
 
+@pytest.mark.slow
 def test_every_run_is_entered_listed_and_compared(tmp_path):
     home, killed, whole = tmp_path / "home", tmp_path / "runs" / "killed", tmp_path / "runs" / "whole"
     process = start("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", killed, home=home)

@@ -75,6 +75,7 @@ def test_the_final_solve_states_what_the_last_decision_reached(undisturbed):
     ],
     ids=["choosing", "slewing", "settling", "recording", "checking", "decided"],
 )
+@pytest.mark.slow
 def test_killed_in_a_round_it_goes_on_with_the_same_poses(reached, files, undisturbed, tmp_path):
     home, sequence, station = files
     folder = tmp_path / "killed"

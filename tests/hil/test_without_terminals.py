@@ -109,6 +109,7 @@ def test_a_file_is_locked_once_and_freed_by_the_death_of_its_process(bare, tmp_p
     assert python(bare, "-c", LOCK, path).stdout == "held\n"
 
 
+@pytest.mark.slow
 def test_a_run_goes_over_tcp_from_a_station_that_says_nothing_of_it(bare, tmp_path) -> None:
     folder = tmp_path / "run"
     said = python(
