@@ -1,4 +1,4 @@
-"""The step `until`: its settings, how it unfolds into rounds, and what is wrong with it."""
+"""The step `until`: its settings, the rounds that it unfolds into, and the faults of a wrong setting."""
 
 import pytest
 
