@@ -276,7 +276,7 @@ def _gimbal(gimbal: Json) -> list[tuple[str, str]]:
     """Describe the hand-eye check; results of older versions have no verdict."""
     found = f"RMS difference {angle(gimbal['rms_arcsec'])}"
     if gimbal.get("agrees") is False:
-        found += ", more than the uncertainty of the stars explains"
+        found += ". This is more than the uncertainty of the stars explains"
     rows = [("Hand-eye check: rotations against the gimbal's readings", f"{found}.")]
     if says := gimbal.get("says"):
         rows.append((_VERDICTS.get(gimbal.get("verdict", ""), "Gimbal"), " ".join(says)))

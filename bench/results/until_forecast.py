@@ -125,8 +125,8 @@ def _why_not(
         if np.sqrt(sum(part**2 for part in sources.values())) > goal:
             largest = max(sources, key=lambda source: sources[source])
             return (
-                f"the goal of {goal:g} px for {meaning_of_goal(name)} cannot be reached. The largest part that poses "
-                f"do not lower: {largest}, {sources[largest]:.2g} px (k = 2)."
+                f"the goal of {goal:g} px for {meaning_of_goal(name)} cannot be reached. More poses do not reduce "
+                f"all parts of U. The largest of these parts: {largest}, {sources[largest]:.2g} px (k = 2)."
             )
     share = max(reached[name] / goal for name, goal in goals.items())
     if recorded >= until.at_most or recorded * share**2 > HOPELESS * until.at_most:
