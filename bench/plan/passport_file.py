@@ -91,9 +91,7 @@ def parse_passport(data: bytes, where: str) -> Passport:
         shape: Any = json.loads(data)
         passport = Passport.from_dict(shape if isinstance(shape, dict) else {})
     except json.JSONDecodeError as error:
-        what = (
-            f"The file is not a passport. It is not JSON, line {error.lineno}, column {error.colno}: {error.msg}."
-        )
+        what = f"The file is not a passport. It is not JSON, line {error.lineno}, column {error.colno}: {error.msg}."
         raise UsageError(what, where=where, remedy=remedy) from error
     except (ValueError, RecursionError) as error:
         raise UsageError(
