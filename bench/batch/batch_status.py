@@ -24,6 +24,8 @@ from bench.records.storage import storage_errors
 from bench.run.status import read_status
 
 FOLLOW_S = 1.0
+_TICK_WAITS = 2
+"""With ``ticks``, the status is read again after this many waits."""
 _MOST_UPCOMING = 12
 
 
@@ -132,8 +134,8 @@ def read_batch_status(
     RunFolderError, JournalBroken, StorageError
         When there is no batch in the folder, or it cannot be read.
     """
+    running = is_locked(folder)  # before the journal: a batch that ends meanwhile does not appear as killed
     record = read_batch(folder)
-    running = is_locked(folder)
     done = tuple(
         (key, end.how, end.why)
         for key, end in record.ends.items()
@@ -154,7 +156,9 @@ def read_batch_status(
     )
 
 
-def follow_batch(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterator[BatchStatus]:
+def follow_batch(
+    folder: Path, sleep: Callable[[float], None] = time.sleep, *, ticks: bool = False
+) -> Iterator[BatchStatus]:
     """Read the status whenever a run begins or ends, until no process works on the batch.
 
     Parameters
@@ -163,19 +167,22 @@ def follow_batch(folder: Path, sleep: Callable[[float], None] = time.sleep) -> I
         Folder of the batch.
     sleep
         Waits for a number of seconds.
+    ticks
+        Whether to read it also when no run has begun or ended, for the course of the run in progress.
 
     Yields
     ------
     BatchStatus
         The status at each change, and at the end.
     """
-    seen = -1
+    seen, waits = -1, 0
     while True:
         with storage_errors(folder):
             size = (folder / JOURNAL).stat().st_size
         running = is_locked(folder)
-        if size != seen or not running:
-            seen = size
+        waits += 1
+        if size != seen or not running or (ticks and waits >= _TICK_WAITS):
+            seen, waits = size, 0
             yield read_batch_status(folder)
         if not running:
             return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Mapping
@@ -139,33 +138,6 @@ def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
         head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with k = 2:"
         lines.insert(0, head)
     return lines
-
-
-def show_batch_status(folder: Path, *, follow: bool, as_json: bool) -> int:
-    """Print the status of a batch.
-
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    follow
-        Whether to print it again whenever a run begins or ends, until the batch ends.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status; with ``follow`` that of the batch.
-    """
-    from bench.batch.batch_status import batch_status_text, follow_batch, read_batch_status
-
-    for status in follow_batch(folder) if follow else [read_batch_status(folder)]:
-        if as_json:
-            click.echo(json.dumps(status.to_dict(), allow_nan=False, indent=None if follow else 1))
-        else:
-            click.echo(batch_status_text(status) + ("\n" if follow else ""))
-    return {"finished": 0, "aborted": STOPPED}.get(status.ended, 1) if follow else 0
 
 
 def ask_batch(folder: Path, *, job: Path | None, name: str | None, by: str | None, as_json: bool) -> int:

@@ -24,7 +24,7 @@ _TAKE_OVER = click.option("--take-over", is_flag=True, help="Do it even if anoth
 @JSON
 def status(run_folder: Path, follow: bool, as_json: bool) -> int:
     """Show the status of a RUN or a batch. Reads only; can be used at any time, also during the run."""
-    from bench.commands.run_output import show_status
+    from bench.commands.status_output import show_status
 
     return show_status(run_folder, follow=follow, as_json=as_json)
 

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
-from bench.commands.output import STOPPED, print_json
+from bench.commands.output import print_json
 from bench.records.ledger import Ledger
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
@@ -43,39 +43,6 @@ def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
     else:
         click.echo("\n".join(lines))
     return 0
-
-
-def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
-    """Print the status of a run or a batch.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run or batch.
-    follow
-        Whether to print it again after every change, until the run ends.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status; with ``follow`` that of the run.
-    """
-    from bench.records.run_index import is_batch
-    from bench.run.status import follow as follow_status
-    from bench.run.status import read_status, status_text
-
-    if is_batch(folder):
-        from bench.commands.batch_output import show_batch_status
-
-        return show_batch_status(folder, follow=follow, as_json=as_json)
-    for status in follow_status(folder) if follow else [read_status(folder)]:
-        if as_json:
-            click.echo(json.dumps(status.to_dict(), allow_nan=False, indent=None if follow else 1))
-        else:
-            click.echo(status_text(status) + ("\n" if follow else ""))
-    return {"finished": 0, "aborted": STOPPED}.get(status.ended, 1) if follow else 0
 
 
 def send_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fields: Any) -> int:

@@ -8,37 +8,31 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.events import (
-    Asked,
-    AttemptChecked,
-    Commanded,
-    Entering,
-    Event,
-    InterlockReleased,
-    LeftOff,
-    RunEnded,
-    RunResumed,
-)
+from bench.records.events import Event
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
 from bench.records.journal_entry import Entry
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storage_errors
-from bench.report.until_text import decision_text, reached_text
+from bench.report.until_text import reached_text
 from bench.run.interlock_text import interlock_text
+from bench.run.journal_text import line_text
 from bench.run.machine import END_STATES
 from bench.terminal.duration import clock_text
+from bench.terminal.wording import counted, times
 
 LAST_LINES = 5
 FOLLOW_S = 0.5
+_READING_SHARE = 4.0
+"""A follower waits at least this many times as long as it read the journal, so that it takes little of a computer."""
 
 
 @dataclass(frozen=True)
@@ -148,17 +142,16 @@ def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime
     StorageError
         If it cannot be read.
     """
-    if not (folder / JOURNAL).is_file():
-        raise RunFolderError(
-            f"This is not a run folder: it has no {JOURNAL}.",
-            where=str(folder),
-            remedy="Name the folder of a run.",
-        )
-    entries, _ = read_journal(folder / JOURNAL)
-    return _status(folder, entries, utc_now())
+    return _read(folder, utc_now())[0]
 
 
-def follow(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
+def follow(
+    folder: Path,
+    sleep: Callable[[float], None] = time.sleep,
+    *,
+    ticks: bool = False,
+    monotonic: Callable[[], float] = time.monotonic,
+) -> Iterator[Status]:
     """Read the status of a run after every change, as long as a process works on the run.
 
     Parameters
@@ -167,31 +160,95 @@ def follow(folder: Path, sleep: Callable[[float], None] = time.sleep) -> Iterato
         Run folder.
     sleep
         Waits between two reads of the journal.
+    ticks
+        Whether to yield also when nothing has changed, with the remaining time counted down.
+    monotonic
+        Returns the time since an arbitrary moment, s.
 
     Yields
     ------
     Status
         One per change; the last one shows how the run ended.
     """
-    seen = -1
+    for status, _ in _followed(folder, sleep, ticks=ticks, monotonic=monotonic):
+        yield status
+
+
+def follow_lines(
+    folder: Path,
+    sleep: Callable[[float], None] = time.sleep,
+    monotonic: Callable[[], float] = time.monotonic,
+) -> Iterator[tuple[Status, Sequence[str]]]:
+    """Read the status of a run as `follow` does, with the journal lines that are new, as text.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+    sleep, monotonic
+        As for `follow`.
+
+    Yields
+    ------
+    tuple
+        The status, and the new lines, the newest last. The first time these are the last lines of the status.
+    """
+    seen = None
+    for status, entries in _followed(folder, sleep, ticks=False, monotonic=monotonic):
+        if seen is None:
+            yield status, status.last
+        else:
+            yield status, [text for text in map(line_text, entries[seen:]) if text]
+        seen = len(entries)
+
+
+def _followed(
+    folder: Path, sleep: Callable[[float], None], *, ticks: bool, monotonic: Callable[[], float]
+) -> Iterator[tuple[Status, Sequence[Entry]]]:
+    """Yield the status and all journal lines after every change; with ``ticks`` also without a change."""
+    seen, pause_s = -1, FOLLOW_S
     while True:
         with storage_errors(folder):
             size = (folder / JOURNAL).stat().st_size
         if size != seen or not is_locked(folder):
-            seen, status = size, read_status(folder)
-            yield status
+            began_s = monotonic()
+            (status, entries), seen = _read(folder, datetime.now(UTC)), size
+            read_s = monotonic()
+            pause_s = max(FOLLOW_S, _READING_SHARE * (read_s - began_s))
+            yield status, entries
             if not status.running:
                 return
-        sleep(FOLLOW_S)
+        elif ticks:
+            yield _counted_down(status, monotonic() - read_s), entries
+        sleep(pause_s)
 
 
-def _status(folder: Path, entries: Sequence[Entry], now: datetime) -> Status:
-    history, plan = replay(entries), _plan_of(folder)
+def _counted_down(status: Status, since_s: float) -> Status:
+    """Return a status with the time counted down that has passed since it was read; a held run has no such time."""
+    if status.left_s is None or status.held_by or status.question:
+        return status
+    return replace(status, left_s=max(0.0, status.left_s - since_s))
+
+
+def _read(folder: Path, now: datetime) -> tuple[Status, Sequence[Entry]]:
+    """Read the status and the journal. The lock is read first: a run that ends meanwhile does not appear as killed."""
+    if not (folder / JOURNAL).is_file():
+        raise RunFolderError(
+            f"This is not a run folder: it has no {JOURNAL}.",
+            where=str(folder),
+            remedy="Name the folder of a run.",
+        )
     running, sealed = is_locked(folder), is_sealed(folder)
+    entries, _ = read_journal(folder / JOURNAL)
+    return _status(folder, entries, now, running=running, sealed=sealed), entries
+
+
+def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: bool, sealed: bool) -> Status:
+    history, plan = replay(entries), _plan_of(folder)
     names = {pose["index"]: pose["name"] for pose in plan["poses"]}
     names |= {d["chosen"]["pose"]: d["chosen"]["pose_name"] for d in history.decisions if "chosen" in d}
     held_by = _held_by(history) if running else ""
-    going_on = running and not history.ended
+    going_on = running and not _is_over(history)
     return Status(
         run_id=str(history.started.get("id", folder.name)),
         folder=str(folder),
@@ -264,105 +321,38 @@ def _held_by(history: History) -> str:
 
 
 def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> str:
+    if running:
+        return _advice_while_running(folder, history)
     if sealed:
         return f"Finished and sealed. To check the seal: starbench verify {folder}"
-    if running and history.interlock:
+    if history.ended == "finished":
+        return f"The run has finished, but it is not sealed. To seal it: starbench resume {folder}"
+    return f"No process works on this run. To continue: starbench resume {folder}"
+
+
+def _advice_while_running(folder: Path, history: History) -> str:
+    if _is_over(history):
+        return "No action is needed: the run has ended, and its process is about to end."
+    if history.interlock:
         return (
             "No action is needed: the run continues by itself when this is over, or ends safely if it holds for too"
             " long."
         )
-    if running and history.question:
+    if history.question:
         return f"The run asks: {history.question} To answer: starbench answer {folder} yes (or no)"
-    if running and history.holder:
+    if history.holder:
         return f"Held by {history.holder}. To continue: starbench release {folder}"
-    if running:
-        return f"No action is needed. To stop the run safely: starbench abort {folder}"
-    return f"No process works on this run. To continue: starbench resume {folder}"
+    return f"No action is needed. To stop the run safely: starbench abort {folder}"
+
+
+def _is_over(history: History) -> bool:
+    """Return whether nothing of the run is left to do but to seal it."""
+    return bool(history.ended) or (bool(history.states) and history.states[-1]["state"] in END_STATES)
 
 
 def _last_lines(entries: Sequence[Entry]) -> tuple[str, ...]:
     texts = (text for text in map(line_text, reversed(entries)) if text)
     return tuple(reversed(tuple(islice(texts, LAST_LINES))))
-
-
-def line_text(entry: Entry) -> str:
-    """Return a journal line as text.
-
-    Parameters
-    ----------
-    entry
-        Line of the journal.
-
-    Returns
-    -------
-    str
-        Time and text; empty for lines that only programs need.
-    """
-    make_text = _ENTRY_TEXTS.get(entry.event)
-    text = make_text(entry.data) if make_text is not None else ""
-    return f"{entry.utc[11:19]}  {text}" if text else ""
-
-
-def _resumed_text(data: RunResumed) -> str:
-    crash = data.get("crash")
-    return f"the run was resumed{f' after a crash: {crash}' if crash else ''}"
-
-
-def _entering_text(data: Entering) -> str:
-    if "rule" in data:
-        return f"held by the {interlock_text(data['rule'])} interlock: {data['why']}"
-    # The line of the run's end states its end state already.
-    return "" if data["state"] in END_STATES else f"{data['state']}{_at_pose(data.get('pose'))}"
-
-
-def _left_off_text(data: LeftOff) -> str:
-    return f"{data['state']} failed: {data['error']}" if "error" in data else ""
-
-
-def _attempt_text(data: AttemptChecked) -> str:
-    verdict = "accepted" if data["accepted"] else "; ".join(data["reasons"])
-    return f"attempt {data['attempt']}{_at_pose(data['pose'])}: {verdict}"
-
-
-def _command_text(data: Commanded) -> str:
-    refused = "" if data["taken"] else f", refused: {data['why']}"
-    return f"{data['word']} by {data.get('by', 'an unknown person')}{refused}"
-
-
-def _end_text(data: RunEnded) -> str:
-    return f"{data['how']}{': ' if data['why'] else ''}{data['why']}"
-
-
-def _question_text(data: Asked) -> str:
-    return f"question: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
-
-
-def _interlock_released_text(data: InterlockReleased) -> str:
-    return f"the {interlock_text(data['rule'])} interlock cleared after {data['held_s']:.0f} s"
-
-
-def _at_pose(pose: int | None) -> str:
-    return f" at pose {pose}" if pose else ""
-
-
-_ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
-    Event.RUN_STARTED: lambda _data: "the run began",
-    Event.RUN_RESUMED: _resumed_text,
-    Event.ENTERING: _entering_text,
-    Event.LEFT_OFF: _left_off_text,
-    Event.CAPTURE_STORED: lambda data: f"stored {data['capture']}",
-    Event.ATTEMPT_CHECKED: _attempt_text,
-    Event.COMMANDED: _command_text,
-    Event.DEVIATION: lambda data: f"deviation: {data['what']}",
-    Event.POSE_SKIPPED: lambda data: f"deviation: {data['what']}",
-    Event.UNTIL_DECIDED: decision_text,
-    Event.RUN_ENDED: _end_text,
-    Event.ASKED: _question_text,
-    Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
-    Event.INTERLOCK_RELEASED: _interlock_released_text,
-    Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
-}
-"""Text of each kind of journal line that people read."""
 
 
 def status_text(status: Status) -> str:
@@ -378,28 +368,44 @@ def status_text(status: Status) -> str:
     str
         Lines of text.
     """
+    return "\n".join([*head_lines(status), *(f"  {line}" for line in status.last), status.advice])
+
+
+def head_lines(status: Status) -> list[str]:
+    """Return the first part of a status as text: state, counts, uncertainty and deviations.
+
+    Parameters
+    ----------
+    status
+        The status.
+
+    Returns
+    -------
+    list of str
+        Lines of text.
+    """
     most = "at most " if status.most_poses > status.poses else ""
     poses = f"{most}{status.most_poses}"
-    at = f", pose {status.pose} of {poses} ({status.pose_name})" if status.pose else ""
-    if status.running:
-        held = (
-            f", HELD by {status.held_by}"
-            if status.held_by
-            else ", WAITS FOR AN ANSWER"
-            if status.question
-            else ""
-        )
-        left = "" if status.left_s is None else f", about {clock_text(status.left_s)} left"
-        head = f"running: {status.state}{at}{held}{left}"
-    elif status.ended:
-        head = f"{status.ended}{': ' if status.why else ''}{status.why}"
-    else:
-        head = f"interrupted (killed or power lost): {status.state}{at}"
-    counts = f"{status.accepted} of {poses} poses recorded, {status.attempts} recordings"
+    counts = f"{status.accepted} of {poses} poses recorded, {counted(status.attempts, 'recording')}"
     counts += f", {status.skipped} skipped" if status.skipped else ""
-    counts += f", resumed {status.resumed} times" if status.resumed else ""
-    simulated = "  SIMULATED" if status.simulated else ""
-    lines = [f"Run {status.run_id}{simulated}", head, counts]
+    counts += f", resumed {times(status.resumed)}" if status.resumed else ""
+    lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
     lines += [f"Uncertainty after {status.uncertainty}"] if status.uncertainty else []
-    lines += [f"Deviation: {what}" for what in status.deviations]
-    return "\n".join([*lines, *(f"  {line}" for line in status.last), status.advice])
+    return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
+
+
+def _state(status: Status, poses: str) -> str:
+    """Return the state of a run as one line."""
+    at = f", pose {status.pose} of {poses} ({status.pose_name})" if status.pose else ""
+    end = status.ended or (status.state if status.state in END_STATES else "")
+    if status.running and end:
+        why = f": {status.why}" if status.why else ""
+        return f"{end}{why}{'; the run folder is being sealed' if end == 'finished' else ''}"
+    if status.running:
+        held = f", HELD by {status.held_by}" if status.held_by else ""
+        held = held or (", WAITS FOR AN ANSWER" if status.question else "")
+        left = "" if status.left_s is None else f", about {clock_text(status.left_s)} left"
+        return f"running: {status.state}{at}{held}{left}"
+    if status.ended:
+        return f"{status.ended}{': ' if status.why else ''}{status.why}"
+    return f"interrupted (killed or power lost): {status.state}{at}"

@@ -1,0 +1,102 @@
+"""Journal lines as text for people: time and a short sentence. Lines that only programs need have no text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from bench.records.events import (
+    Asked,
+    AttemptChecked,
+    Commanded,
+    Entering,
+    Event,
+    InterlockReleased,
+    LeftOff,
+    RunEnded,
+    RunResumed,
+)
+from bench.records.journal_entry import Entry
+from bench.report.until_text import decision_text
+from bench.run.interlock_text import interlock_text
+from bench.run.machine import END_STATES
+
+
+def line_text(entry: Entry) -> str:
+    """Return a journal line as text.
+
+    Parameters
+    ----------
+    entry
+        Line of the journal.
+
+    Returns
+    -------
+    str
+        Time and text; empty for lines that only programs need.
+    """
+    make_text = _ENTRY_TEXTS.get(entry.event)
+    text = make_text(entry.data) if make_text is not None else ""
+    return f"{entry.utc[11:19]}  {text}" if text else ""
+
+
+def _resumed_text(data: RunResumed) -> str:
+    crash = data.get("crash")
+    return f"the run was resumed{f' after a crash: {crash}' if crash else ''}"
+
+
+def _entering_text(data: Entering) -> str:
+    if "rule" in data:
+        return f"held by the {interlock_text(data['rule'])} interlock: {data['why']}"
+    # The line of the run's end states its end state already.
+    return "" if data["state"] in END_STATES else f"{data['state']}{_at_pose(data.get('pose'))}"
+
+
+def _left_off_text(data: LeftOff) -> str:
+    return f"{data['state']} failed: {data['error']}" if "error" in data else ""
+
+
+def _attempt_text(data: AttemptChecked) -> str:
+    verdict = "accepted" if data["accepted"] else "; ".join(data["reasons"])
+    return f"attempt {data['attempt']}{_at_pose(data['pose'])}: {verdict}"
+
+
+def _command_text(data: Commanded) -> str:
+    refused = "" if data["taken"] else f", refused: {data['why']}"
+    return f"{data['word']} by {data.get('by', 'an unknown person')}{refused}"
+
+
+def _end_text(data: RunEnded) -> str:
+    return f"{data['how']}{': ' if data['why'] else ''}{data['why']}"
+
+
+def _question_text(data: Asked) -> str:
+    return f"question: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
+
+
+def _interlock_released_text(data: InterlockReleased) -> str:
+    return f"the {interlock_text(data['rule'])} interlock cleared after {data['held_s']:.0f} s"
+
+
+def _at_pose(pose: int | None) -> str:
+    return f" at pose {pose}" if pose else ""
+
+
+_ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
+    Event.RUN_STARTED: lambda _data: "the run began",
+    Event.RUN_RESUMED: _resumed_text,
+    Event.ENTERING: _entering_text,
+    Event.LEFT_OFF: _left_off_text,
+    Event.CAPTURE_STORED: lambda data: f"stored {data['capture']}",
+    Event.ATTEMPT_CHECKED: _attempt_text,
+    Event.COMMANDED: _command_text,
+    Event.DEVIATION: lambda data: f"deviation: {data['what']}",
+    Event.POSE_SKIPPED: lambda data: f"deviation: {data['what']}",
+    Event.UNTIL_DECIDED: decision_text,
+    Event.RUN_ENDED: _end_text,
+    Event.ASKED: _question_text,
+    Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
+    Event.INTERLOCK_RELEASED: _interlock_released_text,
+    Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
+}
+"""Text of each kind of journal line that people read."""
