@@ -172,7 +172,7 @@ def fit_model(
     bundle, refined, loss = refine_robustly(bundle, start, options)
     if passport:
         bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
-        check_passport(bundle, refined.parameters, loss, passport, options.budget)
+        check_passport(bundle, refined.parameters, loss, passport, options.budget, options.parallax_sigma)
     test = None
     if options.gimbal and options.gimbal.parallax and model not in WITHOUT_READINGS:
         bundle, refined, loss, test = _with_readings(kept, discs, bundle, refined, loss, options)

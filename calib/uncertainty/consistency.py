@@ -34,12 +34,14 @@ def check_passport(
     loss: Loss,
     passport: Passport,
     terms: Sequence[TypeBTerm] = (),
+    parallax_sigma: float = 0.0,
 ) -> None:
     """Refuse a passport whose centre contradicts the views, by a chi-square test.
 
     A single view, or views that do not determine the centre, cannot contradict it. Let d be the centre found minus the
     passport's, with independent covariances V and P. Then d^T (V + P)^-1 d has a chi-square distribution if the errors
-    are normal (Rao, 1973).
+    are normal (Rao, 1973). Views that are inconsistent may hold a parallax, which changes r and the focal length by one
+    share and leaves no residuals. Against a certificate, V therefore includes it.
 
     Parameters
     ----------
@@ -53,6 +55,8 @@ def check_passport(
         The passport.
     terms
         Type B terms; what they may change adds to the uncertainty of a certificate's radius.
+    parallax_sigma
+        1-sigma of a parallax that nobody bounds, as a share of r. It counts only for views that are inconsistent.
 
     Raises
     ------
@@ -80,12 +84,14 @@ def check_passport(
     if passport.is_certificate:
         response = target_response(free, refined.parameters, loss, names)
         together = together + radius_difference_variance(response, terms)
+        if estimate.inconsistent:
+            together = together + (parallax_sigma * stated[0]) ** 2
     chi_square = float(off @ np.linalg.solve(together, off))
     if chi_square > special.chdtri(len(asked), _FALSE_ALARMS):
         worst = int(np.argmax(np.abs(off) / np.sqrt(np.diag(together))))
         raise PassportContradicted(
             f"The passport gives {asked[worst]} = {stated[worst]:.2f} +- {np.sqrt(own[worst, worst]):.2f} mm; these "
-            f"views give {found[worst]:.2f} +- {np.sqrt(covariance[worst, worst]):.2f} mm "
+            f"views give {found[worst]:.2f} +- {np.sqrt((together - own)[worst, worst]):.2f} mm "
             f"(chi-square {chi_square:.0f} with {len(asked)} degrees of freedom).",
             where="collimator passport",
             remedy="Check that the passport belongs to this collimator and nothing moved, or calibrate without it.",
