@@ -1,0 +1,223 @@
+"""Who may use the pages: checks on every request before any page sees it, and headers on every answer.
+
+- The ``Host`` header must name this server. Otherwise a page of another site could reach it under a name of its own
+  that resolves to this computer (DNS rebinding).
+- A request that changes something must carry the ``Origin`` of one of our pages. So no other site can send a command.
+- Where there is a token, each request needs the cookie of a sign-in, or the token in its ``Authorization`` header.
+- The content security policy forbids every other host, and every script that is not a file of ours.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import json
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
+from urllib.parse import quote, urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from bench.web.tokens import is_loopback, session_of
+
+SIGN_IN = "/sign-in"
+ASSETS = "/assets/"
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:;"
+    " connect-src 'self'; worker-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
+"""Content security policy. Inline styles are allowed because the plots carry them."""
+_HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+}
+_SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+_MOST_WRONG, _WRONG_WINDOW_S = 10, 60.0
+_MOST_SIGN_IN_BYTES = 4096
+_COOKIE_AGE_S = 30 * 24 * 3600
+
+
+class Guard:
+    """ASGI middleware with the checks of this module.
+
+    Parameters
+    ----------
+    app
+        The pages.
+    host
+        Name or address at which they are served.
+    port
+        Port of the server.
+    token
+        The token; None if none is needed.
+    monotonic
+        Returns the time of a monotonic clock, s.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        *,
+        host: str,
+        port: int,
+        token: str | None,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._app = app
+        self._names = frozenset({"localhost", "127.0.0.1", "::1", host.lower(), *_own_names(host)})
+        self._addresses_allowed = not is_loopback(host)
+        self._cookie = f"starbench-{port}"  # browsers share cookies between the ports of a host
+        self._token = token
+        self._session = session_of(token) if token is not None else ""
+        self._monotonic = monotonic
+        self._wrong_s: deque[float] = deque(maxlen=_MOST_WRONG)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Check a request and pass it on, or answer it.
+
+        Parameters
+        ----------
+        scope, receive, send
+            As the ASGI specification defines them.
+        """
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        if scope["type"] != "http":
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name, value)
+                if not scope["path"].startswith(ASSETS):
+                    headers.setdefault("Cache-Control", "no-store")
+            await send(message)
+
+        answer = await self._answer(Request(scope, receive))
+        await (answer or self._app)(scope, receive, send_with_headers)
+
+    async def _answer(self, request: Request) -> Response | None:
+        """Return the answer of the guard itself; None if the request may pass."""
+        host = request.headers.get("host", "")
+        if not self._is_own(host):
+            return _refusal(
+                421,
+                f"This server does not answer to the name {host!r}.",
+                "Use the address that the command has printed.",
+            )
+        if request.method not in _SAFE_METHODS and not _same_origin(request.headers, host):
+            return _refusal(
+                403,
+                "This request does not come from a page of this server.",
+                "Use the buttons of the page, or the command line.",
+            )
+        if self._token is None or request.url.path.startswith(ASSETS):
+            return None
+        if request.url.path == SIGN_IN:
+            return await self._sign_in(request)
+        return None if self._is_signed_in(request) else _ask_to_sign_in(request)
+
+    def _is_own(self, host: str) -> bool:
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        if name.rstrip(".") in self._names:
+            return True
+        return self._addresses_allowed and _is_address(name)
+
+    def _is_signed_in(self, request: Request) -> bool:
+        scheme, _, given = request.headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer" and self._token is not None:
+            return hmac.compare_digest(given.strip().encode(), self._token.encode())
+        cookies: SimpleCookie = SimpleCookie()
+        try:
+            cookies.load(request.headers.get("cookie", ""))
+        except CookieError:
+            return False
+        kept = cookies.get(self._cookie)
+        return kept is not None and hmac.compare_digest(kept.value.encode(), self._session.encode())
+
+    async def _sign_in(self, request: Request) -> Response:
+        if request.method == "GET":
+            return HTMLResponse((Path(__file__).parent / "assets" / "sign_in.html").read_text("utf-8"))
+        if request.method != "POST":
+            return _refusal(405, "This is not possible here.", "Use the form.")
+        now_s = self._monotonic()
+        if len(self._wrong_s) == _MOST_WRONG and now_s - self._wrong_s[0] < _WRONG_WINDOW_S:
+            return _refusal(
+                429, f"The token was wrong {_MOST_WRONG} times.", "Wait one minute, then try again."
+            )
+        given = await _given_token(request)
+        if self._token is None or not hmac.compare_digest(given.encode(), self._token.encode()):
+            self._wrong_s.append(now_s)
+            return _refusal(
+                403,
+                "This token is wrong.",
+                "Ask the person who started the server. It is the one in the variable or file that they named.",
+            )
+        answer = JSONResponse({"signed_in": True})
+        answer.set_cookie(
+            self._cookie, self._session, max_age=_COOKIE_AGE_S, httponly=True, samesite="strict", path="/"
+        )
+        return answer
+
+
+def _ask_to_sign_in(request: Request) -> Response:
+    if "text/html" in request.headers.get("accept", "") and request.method == "GET":
+        return RedirectResponse(f"{SIGN_IN}?next={quote(request.url.path)}", status_code=303)
+    return _refusal(401, "You are not signed in.", f"Open {SIGN_IN} and enter the token.")
+
+
+def _own_names(host: str) -> frozenset[str]:
+    """Return the names of this computer, if the server is open to others."""
+    if is_loopback(host):
+        return frozenset()
+    name = socket.gethostname().lower()
+    return frozenset({name, name.partition(".")[0], f"{name.partition('.')[0]}.local"})
+
+
+def _is_address(name: str) -> bool:
+    """Return whether a name is an address. No other site can have an address of ours as its name."""
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _same_origin(headers: Headers, host: str) -> bool:
+    scheme, separator, netloc = headers.get("origin", "").partition("://")
+    return bool(separator) and scheme in {"http", "https"} and netloc.lower() == host.lower()
+
+
+async def _given_token(request: Request) -> str:
+    """Return the token of a sign-in; empty if the request holds none."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > _MOST_SIGN_IN_BYTES:
+            return ""
+    try:
+        given = json.loads(body)["token"]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return ""
+    return given if isinstance(given, str) else ""
+
+
+def _refusal(status: int, what: str, remedy: str) -> Response:
+    error = {"kind": "UsageError", "what": what, "where": "", "remedy": remedy}
+    return JSONResponse({"error": error}, status_code=status)

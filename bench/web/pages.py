@@ -1,0 +1,129 @@
+"""What every set of pages has: shared assets, errors in one shape, and requests with one small JSON object."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Mount
+from starlette.staticfiles import StaticFiles
+
+from bench.base.errors import RunFolderError, UsageError
+from bench.base.failure import FORESEEN, Failure
+
+ASSETS = Path(__file__).parent / "assets"
+_MOST_BYTES = 16_384
+_NOT_FOUND, _CONFLICT, _INVALID = 404, 409, 400
+
+Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
+
+
+def page_app(
+    routes: Sequence[BaseRoute], *, assets: Path | None = None, lifespan: Lifespan | None = None
+) -> Starlette:
+    """Make the application of a set of pages.
+
+    Parameters
+    ----------
+    routes
+        Pages, and what they ask for.
+    assets
+        Folder with the pages' own scripts and styles, served below ``/assets/own/``; None if there is none.
+    lifespan
+        Context manager around the life of the server.
+
+    Returns
+    -------
+    Starlette
+        The application. The shared assets are below ``/assets/``. Every foreseen error becomes an answer with
+        ``{"error": {"kind", "what", "where", "remedy"}}``.
+    """
+    mounts: list[BaseRoute] = []
+    if assets is not None:
+        mounts.append(Mount("/assets/own", _Assets(directory=assets)))
+    mounts.append(Mount("/assets", _Assets(directory=ASSETS)))
+    handlers: dict[Any, Any] = dict.fromkeys(FORESEEN, _foreseen)
+    handlers[HTTPException] = _http_error
+    return Starlette(routes=[*routes, *mounts], exception_handlers=handlers, lifespan=lifespan)
+
+
+async def read_object(request: Request) -> dict[str, Any]:
+    """Read the JSON object that a request carries.
+
+    Parameters
+    ----------
+    request
+        The request.
+
+    Returns
+    -------
+    dict
+        The object.
+
+    Raises
+    ------
+    UsageError
+        If the body is larger than 16 KiB, or not a JSON object.
+    """
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > _MOST_BYTES:
+            raise UsageError("The request is too long.", remedy="Load the page again.")
+    try:
+        found = json.loads(body)
+    except (ValueError, RecursionError) as error:
+        raise UsageError("The request is not JSON.", remedy="Load the page again.") from error
+    if not isinstance(found, dict):
+        raise UsageError("The request is not a JSON object.", remedy="Load the page again.")
+    return found
+
+
+def error_answer(failure: Failure, status: int) -> Response:
+    """Return an error as an answer.
+
+    Parameters
+    ----------
+    failure
+        The error.
+    status
+        HTTP status.
+
+    Returns
+    -------
+    Response
+        JSON, ``{"error": {"kind", "what", "where", "remedy", "message"}}``.
+    """
+    return JSONResponse({"error": {**failure.to_dict(), "message": failure.message}}, status_code=status)
+
+
+class _Assets(StaticFiles):
+    """Files of ours; the browser asks each time whether they are new, so that a new version is seen at once."""
+
+    def file_response(self, *args: Any, **kwargs: Any) -> Response:
+        """See `StaticFiles.file_response`."""
+        response = super().file_response(*args, **kwargs)
+        response.headers["Cache-Control"] = "no-cache"
+        return response
+
+
+async def _foreseen(_request: Request, error: Exception) -> Response:
+    status = _CONFLICT
+    if isinstance(error, UsageError):
+        status = _INVALID
+    elif isinstance(error, RunFolderError):
+        status = _NOT_FOUND
+    return error_answer(Failure.of(error), status)
+
+
+async def _http_error(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    what = "There is no such page." if error.status_code == _NOT_FOUND else f"{error.detail}."
+    return error_answer(Failure("HTTPException", what, "", "Go back to the first page."), error.status_code)

@@ -1,0 +1,252 @@
+"""Serve a set of pages until Ctrl-C: bind, print the URL as the first line, open a browser, end quietly.
+
+There is no log of requests, so no URL is ever written down. The URL never holds a secret: where a token is needed, the
+page asks for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import ipaddress
+import os
+import signal
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import uvicorn
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from bench.base.errors import UsageError
+from bench.web.guard import Guard
+from bench.web.stream import CLOSING
+from bench.web.tokens import require_token
+
+LOOPBACK = "127.0.0.1"
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+_CLOSE_S = 2
+_BACKLOG = 128
+
+
+def announce_url(url: str) -> None:
+    """Print the URL of the pages as a line of its own, at once.
+
+    Parameters
+    ----------
+    url
+        The URL.
+    """
+    sys.stdout.write(f"{url}\n")
+    sys.stdout.flush()
+
+
+def serve_pages(
+    app: ASGIApp,
+    *,
+    host: str = LOOPBACK,
+    port: int = 0,
+    token: str | None = None,
+    open_browser: bool = True,
+    announce: Callable[[str], None] = announce_url,
+) -> None:
+    """Serve pages until SIGINT, SIGTERM or SIGHUP. Only for the main thread.
+
+    Parameters
+    ----------
+    app
+        The pages.
+    host
+        Name or address at which to serve them.
+    port
+        Port; 0 for any free one.
+    token
+        Secret that a person must enter in the browser; None if none is needed.
+    open_browser
+        Whether to open the page in a browser of this computer.
+    announce
+        Called with the URL when the server accepts connections; by default it prints the URL.
+
+    Raises
+    ------
+    UsageError
+        If the port is in use, the address is not of this computer, or other computers could use the pages without a
+        token.
+    KeyboardInterrupt
+        After the end by a signal, when everything is closed; the command line then prints ``Stopped.``.
+    """
+    server = PageServer(app, host=host, port=port, token=token)
+
+    def ready() -> None:
+        announce(server.url)
+        if open_browser:
+            threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+
+    server.serve(ready)
+    if server.ended_by_signal:
+        raise KeyboardInterrupt
+
+
+class PageServer:
+    """A server of pages that is bound to its port.
+
+    Parameters
+    ----------
+    app
+        The pages.
+    host, port, token
+        As for `serve_pages`.
+
+    Raises
+    ------
+    UsageError
+        As `serve_pages`.
+    """
+
+    def __init__(
+        self, app: ASGIApp, *, host: str = LOOPBACK, port: int = 0, token: str | None = None
+    ) -> None:
+        require_token(host, token)
+        self._socket = _bound_socket(host, port)
+        self.port = int(self._socket.getsockname()[1])
+        self.url = f"http://{_shown(host)}:{self.port}/"
+        guard = Guard(app, host=host, port=self.port, token=token)
+        config = uvicorn.Config(
+            guard,
+            access_log=False,
+            log_config=None,
+            log_level="critical",
+            lifespan="on",
+            ws="none",
+            server_header=False,
+            timeout_graceful_shutdown=_CLOSE_S,
+            timeout_keep_alive=30,
+        )
+        self._server = _Server(config)
+
+    @property
+    def ended_by_signal(self) -> bool:
+        """Whether a signal has ended the server."""
+        return self._server.ended_by_signal
+
+    def serve(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Serve until a signal, or `stop` from another thread.
+
+        Parameters
+        ----------
+        ready
+            Called once, when the server accepts connections.
+        """
+        self._server.ready = ready
+        try:
+            self._server.run(sockets=[self._socket])
+        finally:
+            self._socket.close()
+
+    def stop(self) -> None:
+        """End the server soon. For any thread."""
+        self._server.should_exit = True
+
+
+class _Server(uvicorn.Server):
+    """Uvicorn's server: it ends open streams when it closes, and raises no signal again."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.ready: Callable[[], None] = lambda: None
+        self.ended_by_signal = False
+        self._closing: asyncio.Event | None = None
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to accept connections. Raises whatever the application raised at its start."""
+        self._closing = closing = asyncio.Event()
+        inner = self.config.loaded_app
+
+        async def app(scope: Scope, receive: Receive, send: Send) -> None:
+            scope[CLOSING] = closing
+            await inner(scope, receive, send)
+
+        self.config.loaded_app = app
+        await super().startup(sockets)
+        if self.started and not self.should_exit:
+            self.ready()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End the streams, then everything else."""
+        if self._closing is not None:
+            self._closing.set()
+        await super().shutdown(sockets)
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Turn signals into a request to end, without raising them again afterwards."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def end(number: int, _frame: object) -> None:
+            self.force_exit = self.should_exit and number == signal.SIGINT
+            self.should_exit = self.ended_by_signal = True
+
+        numbers = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
+        before = {number: signal.signal(number, end) for number in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def _bound_socket(host: str, port: int) -> socket.socket:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+    except (OSError, UnicodeError) as error:
+        raise UsageError(
+            "This name or address is not known.", where=f"--host {host}", remedy="Check it, or leave it out."
+        ) from error
+    bound = socket.socket(family, kind, protocol)
+    try:
+        if os.name == "posix":  # on Windows this option would let two servers share the port
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(address)
+        bound.listen(_BACKLOG)
+    except OSError as error:
+        bound.close()
+        raise _bind_error(error, host, port) from error
+    return bound
+
+
+def _bind_error(error: OSError, host: str, port: int) -> UsageError:
+    if error.errno == errno.EADDRINUSE:
+        return UsageError(
+            f"Port {port} is in use by another program.",
+            where=f"--port {port}",
+            remedy="Name another port, or leave --port out: a free one is then chosen.",
+        )
+    if error.errno == errno.EACCES:
+        return UsageError(
+            f"Port {port} needs the rights of the system's administrator.",
+            where=f"--port {port}",
+            remedy="Name a port from 1024 to 65535.",
+        )
+    return UsageError(
+        f"This address cannot be used: {error.strerror or error}.",
+        where=f"--host {host}",
+        remedy="Name an address of this computer, or leave --host out.",
+    )
+
+
+def _shown(host: str) -> str:
+    """Return the host as it stands in a URL; the computer's name if all addresses are served."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    if address.is_unspecified:
+        return socket.gethostname()
+    return f"[{host}]" if address.version == 6 else host

@@ -1,0 +1,141 @@
+"""Who may use the pages: names of the host, origins, the token, and the headers of every answer."""
+
+from __future__ import annotations
+
+import httpx
+import pytest
+from pages import AppClient
+from starlette.responses import PlainTextResponse
+from starlette.routing import Route
+
+from bench.web.guard import Guard
+from bench.web.pages import page_app
+
+TOKEN = "0123456789abcdef"
+HTML = {"Accept": "text/html"}
+
+
+def _app():
+    return page_app(
+        [
+            Route("/", lambda _: PlainTextResponse("first page")),
+            Route("/do", lambda _: PlainTextResponse("done"), methods=["POST"]),
+        ]
+    )
+
+
+def _client(url="http://127.0.0.1:8800", **options) -> AppClient:
+    options = {"host": "127.0.0.1", "port": 8800, "token": None, **options}
+    return AppClient(Guard(_app(), **options), url)
+
+
+@pytest.mark.parametrize(
+    "name", ["127.0.0.1:8800", "localhost:8800", "[::1]:8800", "LOCALHOST", "localhost."]
+)
+def test_a_name_of_this_computer_is_answered(name):
+    assert _client().get("/", headers={"Host": name}).text == "first page"
+
+
+@pytest.mark.parametrize(
+    "name", ["evil.example", "evil.example:8800", "192.168.1.7:8800", "127.0.0.1.evil.example", "", "["]
+)
+def test_another_name_is_refused(name):
+    answer = _client().get("/", headers={"Host": name})
+    assert answer.status_code == 421
+    assert "does not answer to the name" in answer.json()["error"]["what"]
+
+
+def test_a_server_for_others_answers_to_addresses_but_not_to_foreign_names():
+    client = _client(host="0.0.0.0", token=TOKEN)
+    signed = {"Authorization": f"Bearer {TOKEN}"}
+    assert client.get("/", headers={"Host": "192.168.1.7:8800", **signed}).status_code == 200
+    assert client.get("/", headers={"Host": "evil.example:8800", **signed}).status_code == 421
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:9999", "127.0.0.1:8800", None]
+)
+def test_a_command_from_another_origin_is_refused(origin):
+    answer = _client().post("/do", headers={} if origin is None else {"Origin": origin})
+    assert answer.status_code == 403
+    assert "does not come from a page of this server" in answer.json()["error"]["what"]
+
+
+def test_a_command_from_our_own_page_is_done():
+    assert _client().post("/do", headers={"Origin": "http://127.0.0.1:8800"}).text == "done"
+
+
+def test_every_answer_forbids_other_hosts():
+    client = _client()
+    for answer in (
+        client.get("/"),
+        client.get("/nowhere"),
+        client.get("/", headers={"Host": "evil.example"}),
+    ):
+        policy = answer.headers["Content-Security-Policy"]
+        assert "default-src 'none'" in policy
+        assert "http" not in policy
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+        assert answer.headers["Cache-Control"] == "no-store"
+
+
+def test_assets_are_served_and_asked_for_again():
+    answer = _client().get("/assets/bench.css")
+    assert answer.status_code == 200
+    assert answer.headers["Cache-Control"] == "no-cache"
+
+
+def test_without_the_token_a_page_leads_to_the_sign_in_and_a_request_is_refused():
+    client = _client(token=TOKEN)
+    page = client.get("/", headers=HTML)
+    assert (page.status_code, page.headers["Location"]) == (303, "/sign-in?next=/")
+    assert client.get("/").status_code == 401
+    assert 'type="password"' in client.get("/sign-in").text
+
+
+def test_a_sign_in_keeps_a_cookie_that_does_not_hold_the_token():
+    client = _client(token=TOKEN)
+    own = {"Origin": "http://127.0.0.1:8800"}
+    answer = client.post("/sign-in", json={"token": TOKEN}, headers=own)
+    cookie = answer.headers["Set-Cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=strict" in cookie
+    assert TOKEN not in cookie
+    assert client.get("/").text == "first page"
+    again = _client(token=TOKEN)  # the server was started again: the browser stays signed in
+    again.cookies = client.cookies
+    assert again.get("/").text == "first page"
+    other = _client(token="another token")
+    other.cookies = client.cookies
+    assert other.get("/").status_code == 401
+
+
+@pytest.mark.parametrize("body", [b'{"token": "wrong"}', b"{}", b"[]", b"\xff", b'{"token": 7}', b"x" * 9000])
+def test_a_wrong_token_is_refused(body):
+    answer = _client(token=TOKEN).post("/sign-in", content=body, headers={"Origin": "http://127.0.0.1:8800"})
+    assert answer.status_code == 403
+    assert answer.json()["error"]["what"] == "This token is wrong."
+    assert "Set-Cookie" not in answer.headers
+
+
+def test_guessing_is_slow():
+    now = [0.0]
+    client = _client(token=TOKEN, monotonic=lambda: now[0])
+    own = {"Origin": "http://127.0.0.1:8800"}
+    statuses = [client.post("/sign-in", json={"token": "no"}, headers=own).status_code for _ in range(12)]
+    assert statuses == [403] * 10 + [429] * 2
+    assert client.post("/sign-in", json={"token": TOKEN}, headers=own).status_code == 429
+    now[0] = 61.0
+    assert client.post("/sign-in", json={"token": TOKEN}, headers=own).status_code == 200
+
+
+def test_a_program_signs_in_by_a_header():
+    client = _client(token=TOKEN)
+    assert client.get("/", headers={"Authorization": f"Bearer {TOKEN}"}).status_code == 200
+    assert client.get("/", headers={"Authorization": "Bearer no"}).status_code == 401
+
+
+def test_an_unknown_page_is_an_error_in_the_common_shape():
+    answer: httpx.Response = _client().get("/nowhere")
+    assert answer.status_code == 404
+    assert answer.json()["error"]["what"] == "There is no such page."

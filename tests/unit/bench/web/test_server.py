@@ -1,0 +1,114 @@
+"""The server of pages and its streams, over real sockets."""
+
+from __future__ import annotations
+
+import socket
+import time
+
+import httpx
+import pytest
+from pages import served
+from starlette.responses import PlainTextResponse
+from starlette.routing import Route
+
+from bench.base.errors import UsageError
+from bench.web.pages import page_app
+from bench.web.server import PageServer
+from bench.web.stream import Changes, EventStream, Message, last_id
+
+
+class _Counter:
+    """A source of messages that counts up; it remembers its readers."""
+
+    def __init__(self):
+        self.changes, self.open, self.closed = Changes(), 0, 0
+
+    async def messages(self, after):
+        self.open += 1
+        seen = int(after or 0)
+        try:
+            while True:
+                while seen < self.changes.number:
+                    seen += 1
+                    yield Message(f'{{"n": {seen}}}', "count", str(seen))
+                await self.changes.after(seen)
+        finally:
+            self.closed += 1
+
+    def app(self):
+        def stream(request):
+            return EventStream(self.messages(last_id(request)), heartbeat_s=0.05)
+
+        return page_app([Route("/stream", stream), Route("/", lambda _: PlainTextResponse("page"))])
+
+
+def _ids(lines, count):
+    found = []
+    for line in lines:
+        if line.startswith("id: "):
+            found.append(int(line[4:]))
+        if len(found) == count:
+            break
+    return found
+
+
+def test_a_stream_tells_changes_of_another_thread_and_continues_where_a_reader_stopped():
+    counter = _Counter()
+    with served(counter.app()) as server:
+        for _ in range(3):
+            counter.changes.tell()
+        with httpx.stream("GET", f"{server.url}stream") as answer:
+            lines = answer.iter_lines()
+            assert _ids(lines, 3) == [1, 2, 3]
+            counter.changes.tell()
+            assert _ids(lines, 1) == [4]
+        with httpx.stream("GET", f"{server.url}stream", headers={"Last-Event-ID": "2"}) as answer:
+            assert _ids(answer.iter_lines(), 2) == [3, 4]
+        with httpx.stream("GET", f"{server.url}stream?after=3") as answer:
+            assert _ids(answer.iter_lines(), 1) == [4]
+
+
+def test_a_stream_ends_when_its_reader_leaves_also_while_nothing_happens():
+    counter = _Counter()
+    with served(counter.app()) as server:
+        with httpx.stream("GET", f"{server.url}stream") as answer:
+            lines = answer.iter_lines()
+            assert any(line == "event: beat" for line in lines)
+            assert (counter.open, counter.closed) == (1, 0)
+        end = time.monotonic() + 5.0
+        while counter.closed == 0 and time.monotonic() < end:
+            time.sleep(0.01)
+        assert counter.closed == 1
+
+
+def test_the_server_ends_at_once_although_streams_are_open():
+    counter = _Counter()
+    with served(counter.app()) as server, httpx.stream("GET", f"{server.url}stream") as answer:
+        assert answer.status_code == 200
+        lines = answer.iter_lines()
+        next(lines)
+        begin = time.monotonic()
+        server.stop()
+        list(lines)
+        assert time.monotonic() - begin < 1.5
+    assert counter.closed == 1
+
+
+def test_the_host_is_checked_over_the_wire_too():
+    with served(_Counter().app()) as server:
+        assert httpx.get(server.url).text == "page"
+        assert httpx.get(server.url, headers={"Host": "evil.example"}).status_code == 421
+
+
+def test_a_port_in_use_is_one_clear_error():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(UsageError, match=f"Port {port} is in use by another program"):
+            PageServer(_Counter().app(), port=port)
+
+
+def test_an_address_of_another_computer_is_one_clear_error():
+    with pytest.raises(UsageError, match="This address cannot be used"):
+        PageServer(_Counter().app(), host="192.0.2.1", token="0123456789abcdef")
